@@ -376,6 +376,18 @@ def test_the_studio_opens_what_is_there(line: Line) -> None:
     session.folder = Path("nowhere")
     assert line("studio") == (0, "nothing was kept\n", "")
     assert calls.last["open_page"] is True and calls.last["unsafe_remote"] is False
+    made: Calls = Calls()
+
+    def opened(*given: Any, **named: Any) -> str:
+        made.append((given, named))
+        return "a session"
+
+    line.patch.setattr("fraclink._studio.session.opened", opened)
+    assert calls.given[0]() == "a session"  # made only once the page is there
+    assert made.given == (None,) and made.last == {"rig": None, "out": Path("results")}
+    line("studio results --rig paper-2023 --out kept")
+    calls.given[0]()
+    assert made.given == (Path("results"),) and made.last == {"rig": RIG, "out": Path("kept")}
     told = line("studio nothing.json")
     assert told.code == 2 and "place: no such file (got nothing.json)" in told.err
 
@@ -412,9 +424,11 @@ def test_the_manual_is_installed_where_man_looks(line: Line) -> None:
 
 def test_doctor_names_what_is_missing_and_how_to_get_it(line: Line) -> None:
     line.patch.setattr(
-        "fraclink._cli.doctor.version", lambda name: "9.9" if name != "h5py" else _absent(name)
+        "fraclink._cli.installation.version", lambda name: "9.9" if name != "h5py" else _absent(name)
     )
-    line.patch.setattr("fraclink._cli.doctor.shutil.which", lambda name: None)
+    others = {"gcc": "/usr/bin/gcc", "clang": "/usr/bin/clang"}  # which replay and FMU do not call
+    line.patch.setenv("CC", "gcc")
+    line.patch.setattr("fraclink._cli.installation.shutil.which", others.get)
     line.patch.setattr(_kernels, "REALTIME", False)
     told = line("doctor")
     assert "; without h5py, C compiler, real-time loop" in " ".join(told.out.split())

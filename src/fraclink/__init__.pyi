@@ -147,6 +147,7 @@ from fraclink._logs.responses import read_reference as read_reference
 from fraclink._logs.start import Start as Start
 from fraclink._logs.start import start as start
 from fraclink._realtime.arm import ServedArm as ServedArm
+from fraclink._realtime.arm import SimulatedArm as SimulatedArm
 from fraclink._realtime.arm import serve_arm as serve_arm
 from fraclink._realtime.connections import Callback as Callback
 from fraclink._realtime.connections import Library as Library
@@ -157,13 +158,12 @@ from fraclink._realtime.loop import run_realtime as run_realtime
 from fraclink._realtime.machine import WakeUps as WakeUps
 from fraclink._realtime.machine import measure_wake_ups as measure_wake_ups
 from fraclink._realtime.run import RealtimeRun as RealtimeRun
-from fraclink._realtime.simulated import SimulatedArm as SimulatedArm
 from fraclink._realtime.tune import tune as tune
 from fraclink._realtime.tune_guard import MotionLimits as MotionLimits
 from fraclink._realtime.tune_moves import FirstMove as FirstMove
-from fraclink._realtime.tune_plan import TuningPlan as TuningPlan
 from fraclink._realtime.tune_wiring import Wiring as Wiring
 from fraclink._realtime.tuning import Tuning as Tuning
+from fraclink._realtime.tuning import TuningPlan as TuningPlan
 from fraclink._realtime.watch import Change as Change
 from fraclink._realtime.watch import Watch as Watch
 from fraclink._realtime.watch import watch as watch

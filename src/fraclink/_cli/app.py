@@ -56,8 +56,10 @@ _SECTIONS: dict[str, dict[str, str]] = {
         "campaign": "campaigns",
         "replay": "boards",
     },
-    "This installation": {"doctor": "doctor", "man": "manual"},
+    "This installation": dict.fromkeys(("doctor", "man"), "installation"),
 }
+# A module of commands brings the library with it: the first screen must not pay for all of them, and lists
+# what it has not loaded from this table.
 _HOMES = {name: module for listed in _SECTIONS.values() for name, module in listed.items()}
 _EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
 
@@ -75,6 +77,8 @@ class _Group(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
+        # Only of the program itself: a group's commands came with its module, and `export c` must not look
+        # for a stage of that name.
         if ctx.parent is None and cmd_name in _HOMES and cmd_name not in self.commands:
             app = import_module(f"fraclink._cli.{_HOMES[cmd_name]}").app
             self.commands.update(typer.main.get_group(app).commands)
@@ -82,6 +86,7 @@ class _Group(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """As click has it; a name that is not there is looked for among all commands ("did you mean")."""
+        # Slow, and only on the way to an error: click looks for near names among what is loaded.
         if ctx.parent is None and args and args[0] not in _HOMES:
             for name in _HOMES:
                 self.get_command(ctx, name)
@@ -156,6 +161,8 @@ def application() -> typer.Typer:
         name="fraclink",
         cls=_Group,
         epilog=_EPILOG,
+        # rich's tracebacks show local variables: keys and paths of the user's would land in a report of a
+        # defect.
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -179,6 +186,7 @@ def every_command() -> dict[str, Any]:
 def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
     given = list(arguments) or ["--help"]
+    # Words and not an option: it stands where the name of a command does.
     if given == ["help", "all"]:
         emit(_everything())
         return 0
@@ -186,7 +194,9 @@ def run(arguments: Sequence[str]) -> int:
         given = [*given[1:], "--help"]
 
     def work() -> int | None:
+        # Not standalone: click would print errors in its own words and end the process, also that of a test.
         result = application()(args=given, standalone_mode=False, prog_name="fraclink")
+        # --help and --version return what click makes of them: nothing went wrong.
         return result if isinstance(result, int) else None
 
     return guarded(work, as_json="--json" in given)

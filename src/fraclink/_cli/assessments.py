@@ -99,8 +99,11 @@ def assess(
     """
     made = Design.load(design_file)
     low, high = made.payloads
+    # Both ends and what lies between on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
     curves = tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS)
+    # Ms is one over the smallest distance from −1, of the loop as it is (the third curve): rivals tuned for
+    # more or less damping than that would not be compared, but handicapped.
     peak = max_sensitivity or 1.0 / float(min(curves[2].modulus_margin))
     link = made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
     found = Assessment(
@@ -121,6 +124,7 @@ def assess(
 
 def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     low, high = made.payloads
+    # Beyond both ends, as the first question behind a design is what a payload outside its range does.
     masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
     curves = [margin_curve(made, masses, kind=kind) for kind in _KINDS]
     margin_curves_figure(curves, (low, high), made.phase_margin).save(out / _FIGURES[0])
@@ -158,6 +162,7 @@ def optimise(
     """
     with steps(1) as begin:
         begin("optimising")
+        # Two per cent by default: less is no reason for two more parameters.
         found = better(Design.load(design_file), least=0.01 * least_percent, **bounds)
     found = replace(found, design=found.design.with_law())
     found.design.save(out)
@@ -234,9 +239,11 @@ def design_map(
 
     $ fraclink design-map --rig paper-2023 --crossovers 9 15 --out map.svg
     """
+    # Before the map is computed, which takes seconds.
     if out.suffix.lower() not in (".svg", ".png"):
         allowed, remedy = ".svg or .png", "end the figure's name in one of these"
         raise FieldError("out", out.name, "of another kind", allowed=allowed, remedy=remedy)
+    # The numbers' file is looked at as well: it is written beside, under a name that was not given.
     numbers = output_path(out.with_suffix(".json"), force=force)
     known = load_rig(rig, model=model)
     found = feasibility_map(
@@ -303,6 +310,8 @@ def tune_pid(
         "--output-limit": made.output_limit,
         "--measurement-limit": made.measurement_limit,
     }
+    # A law needs a period and limits that the plant's formula does not hold: a tuning without them is whole,
+    # and cannot be shipped yet.
     missing = ", ".join(name for name, value in needed.items() if not value)
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"

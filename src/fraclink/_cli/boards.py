@@ -58,12 +58,15 @@ def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
 ) -> realtime.Udp | realtime.SharedMemory | realtime.Library:
     """Return the way to an arm that the options of a command name."""
+    # From a file and never from the command line, which `ps` and the shell's history show to others. Bytes as
+    # they are: a line end belongs to the key at both ends.
     key = None if key_file is None else key_file.read_bytes()
     return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
     """The law of a design, with the design; or that of a fractional PID, which has none."""
+    # What the file says it is decides, not its name: a design may be called pid.json.
     if kind_of(path) == "pid-tuning":
         return PidTuning.load(path).law(), None
     made = Design.load(path)
@@ -105,11 +108,13 @@ def c(
     if estimate and made is None:
         problem, remedy = "given for a fractional PID", "leave it out: a PID knows no payload"
         raise FieldError("estimate", True, problem, allowed="the design of an arm", remedy=remedy)
+    # Rounded before it is proved and written: the claim must be about the coefficients on the board.
     shipped = law.in_precision(precision)
     with steps(2 if prove else 0) as begin:
         certificate = None
         if prove:
             begin("certifying the loop")
+            # A fractional PID has no arm over whose payloads a loop could be certified.
             certificate = _certificate(made, shipped, motor=motor) if made else None
             begin("proving the files, half a minute")
         paths = export_c(
@@ -133,6 +138,7 @@ def c(
 def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
     """The certificate of the loop that `law` closes; None, which leaves the claim open, without the extra."""
     try:
+        # Without the motor loop the servo is the robot's: the proof is for one that follows at once.
         return certify(made, law=law, inner=None if motor else "ideal")
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
@@ -175,6 +181,7 @@ def fmu(
         out,
         fmi=3 if fmi == "3" else 2,
         precision=precision,
+        # cc where nothing is said: an FMU without a library for this machine runs nowhere at first.
         compilers=() if source else compiler or ("cc",),
         force=force,
     )
@@ -208,6 +215,7 @@ def replay(
     $ fraclink replay firmware log.csv --rig rig.toml
     """
     log: Experiment | Recording
+    # An arm's log needs a rig for its columns; a PID's has two columns that nobody knows the names of.
     if input is None and output is None:
         log = load_log(log_file, load_rig(rig), column)
     else:
@@ -270,12 +278,16 @@ def run_realtime(
     made = load_design(design_file, gear=gear)
     law = _law(made, motor=motor)
     estimator = made.estimator() if estimate else None
+    # Measured before anything is opened: an arm whose controller misses its periods trips in the middle of a
+    # move.
     awake = realtime.measure_wake_ups(
         law.period, priority=options["priority"], lock_memory=options["lock_memory"]
     )
     tell(str(awake))
     awake.check()
     run = realtime.run_realtime(
+        # The loop on this machine is double by default; single shows what a microcontroller's rounding does
+        # to the arm.
         law.in_precision("single") if single else law,
         wanted,
         connection,
@@ -285,6 +297,7 @@ def run_realtime(
         **options,
     )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
+    # The record went to a second place: the arm has moved, and its data must not be lost to a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
     written: tuple[Path, ...] = (Path(run.saved),)
     logged = True
@@ -331,6 +344,7 @@ def serve_arm(
     """
     connection = connection_of(io, unsafe_remote, key_file)
     made, arm = load_arm(design_file, options)
+    # Before it serves, as the command may run for hours and nobody reads what comes after.
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
@@ -344,5 +358,6 @@ def serve_arm(
         seed=seed,
         priority=priority,
     )
+    # `Writes` has looked at the name before the arm was served.
     written = () if out is None else (save(served, out, force=True),)
     return Answer(served, served.passed, remarks=_refused("priority", served.scheduling), written=written)

@@ -61,6 +61,7 @@ def montecarlo(
         made = Design.load(design)
     else:
         made, _ = design_for(load_rig(rig), load_link_model(model))
+    # Both set the law's payload, and which one acted would not be seen in the summary.
     if told and estimate:
         allowed, remedy = "one of --told and --estimate", "leave --told out to have payloads estimated"
         raise FieldError("told", "given", "given beside --estimate", allowed=allowed, remedy=remedy)
@@ -71,6 +72,7 @@ def montecarlo(
         runs=runs,
         seed=seed,
         told=told,
+        # The range in which the estimator looks: the design's, as on the board.
         estimated=made.payloads if estimate else None,
         reference=None if reference is None else read_reference(reference),
     )
@@ -113,6 +115,7 @@ def replay(
 
     $ fraclink campaign replay mc --run 17 --out run.npz
     """
+    # Arms have numbers, faults have names: both or none would replay what was not meant.
     if (run is None) == (case is None):
         problem, remedy = "missing" if run is None else "given beside --case", "give one of them"
         raise FieldError("run", run, problem, allowed="--run of arms, or --case of faults", remedy=remedy)
@@ -165,6 +168,8 @@ def faults(
     bench = _bench(options)
     given = {_flag(name): options[name] for name in BenchOptions.__annotations__}  # type: ignore[literal-required]
     words = [word for name, value in given.items() if value is not None for word in (name, str(value))]
+    # As words of a shell, kept in the table: a replay a year later must find the same arm, and names may have
+    # spaces.
     repeat = "fraclink campaign faults " + shlex.join(words)
     planned = cases(
         bench,
@@ -184,6 +189,7 @@ def faults(
         for outcome in drawn:
             begin(outcome.case.name)
             draw_outcome(bench, outcome, out / "figures" / f"{outcome.case.name}.svg")
+    # One run alone is what somebody looks at closely.
     if len(planned) == 1:
         _keep_signals(bench, planned[0], out / "run.npz")
     remarks, written = tuple(map(str, bench.twin.findings)), (out / "faults.md",)
@@ -207,6 +213,8 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
         allowed = f"a run that {folder / 'faults.json'} lists, such as {table.outcomes[0].case.name}"
         raise FieldError("case", name, "no run of this campaign", allowed=allowed, remedy="copy its name")
     bench = _bench(_options_of(table, folder))
+    # By its digest: a design that was made anew under the same name would show another law's behaviour as
+    # that of the fault.
     tested = table.about.get("law_sha256", bench.law.digest)
     if bench.law.digest != tested:
         problem, allowed = "not the law that was tested", f"the campaign's law, {tested[:16]}"
@@ -221,6 +229,7 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
 def _options_of(table: FaultTable, folder: Path) -> BenchOptions:
     """What the campaign's command was given; the studio's, which has none, tests its folder's design."""
     words = shlex.split(table.about.get("command", ""))
+    # Every option of the bench takes one word, so that a flag and its neighbour are its name and value.
     given = {flag: text for flag, text in pairwise(words) if flag.startswith("--")}
     rig, design, gear, mass, model = (given.get(_flag(name)) for name in BenchOptions.__annotations__)
     design = str(folder / "design.json") if rig is None and design is None else design
@@ -247,12 +256,14 @@ def _bench(options: BenchOptions) -> Bench:
         made = load_design(design_file, model=model)
     else:
         made, _ = design_for(load_rig(rig or ""), load_link_model(model))
+    # A rig without a model has no damping for the twin: then the design's own stands in.
     arm = given if given is not None and given.model is not None else made.rig
     return Bench.of(made, arm if gear is None else geared(arm, gear), link_mass=options["link_mass"])
 
 
 def _keep_signals(bench: Bench, case: Case, path: Path) -> None:
     """Keep every signal of a replayed run."""
+    # In double precision, as `simulate` runs a law.
     e = observe(bench, case, bench.law.in_precision("double"))
     signals = {item.name: getattr(e.faulty, item.name) for item in fields(e.faulty)}
     arrays = {name: value for name, value in signals.items() if isinstance(value, np.ndarray)}

@@ -109,10 +109,12 @@ class Declared:
     @property
     def parameter(self) -> inspect.Parameter:
         """What typer reads."""
+        # A copy, as the mark belongs to a type that several commands share.
         info = copy.copy(self.mark(ParameterInfo) or typer.Option())
         info.help = self.help
         if isinstance(info, OptionInfo) and not info.param_decls:
             word = self.name.replace("_", "-")
+            # A flag that is on must have a word that turns it off; one that is off needs none.
             info.param_decls = (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
         hint = Annotated[self.kind, info]  # type: ignore[name-defined]  # made at run time
         return inspect.Parameter(
@@ -134,6 +136,8 @@ def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
         (group,) = get_args(hints[name])
         plain = get_type_hints(group)
         for key, hint in get_type_hints(group, include_extras=True).items():
+            # A TypedDict holds no defaults: what is not given is None, which the library takes for its own
+            # default.
             usual = Declared(key, plain[key], hint, False if plain[key] is bool else None)
             default = usual.mark(Default)
             yield usual if default is None else replace(usual, default=default.value)
@@ -148,24 +152,29 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
+    # Every command that writes has --force; where the command checks its files itself it also hears of it.
     declared = [part for part in _declared(function) if part.name != "force"]
     own_force = "force" in inspect.signature(function).parameters
     writes = {part.name: mark for part in declared if (mark := part.mark(Writes))}
     ranges = {part.name: rule(part.hint) for part in declared if part.ranged}
+    # A command that writes nothing has no --force, which would promise something.
     added = [_JSON, _FORCE] if writes or own_force else [_JSON]
 
     @functools.wraps(function)
     def run(*, json: bool = False, force: bool = False, **given: Any) -> int:
+        # Ranges before files before work: a typing error must not cost the minute that the work takes.
         for name, allowed in ranges.items():
             if given[name] is not None:
                 given[name] = allowed.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
+                # Before the work and not when it is written: what cannot be kept is not computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
         (_show_json if json else _show_text)(answer)
         if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
             tell(f"no browser was found; open {answer.opened} yourself")
+        # Doubts are errors of the input: a result that rests on them shows nothing, however well it came out.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
     parameters = [part.parameter for part in (*declared, *added)]
@@ -178,9 +187,12 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
 def _show_json(answer: Answer) -> None:
     values = {} if answer.result is None else to_json(answer.result)
     if answer.doubts:
+        # The input's doubts first: they are why the rest is to be distrusted.
         values["findings"] = [*map(to_json, answer.doubts), *values.get("findings", ())]
     paths = [str(path) for path in answer.written]
+    # One file is a string, as most commands write one; scripts read `out` without an index.
     out: dict[str, Any] = {"out": paths if len(paths) > 1 else paths[0]} if paths else {}
+    # What the command adds by itself has the last word, such as "out": null of a proof that failed.
     emit_json(values | out | answer.values)
 
 

@@ -53,6 +53,7 @@ def clean(text: object) -> str:
 def _visible(character: str) -> str:
     if character.isprintable() or character == "\n":
         return character
+    # C0, C1 and bidirectional marks: a name that turns the line round can show another ending.
     code = ord(character)
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
@@ -64,6 +65,7 @@ def width() -> int:
 
 def _plain(stream: TextIO) -> bool:
     """Whether nothing but text goes to `stream`."""
+    # no-color.org: the variable counts when it is set, whatever it holds, and before FORCE_COLOR.
     return "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ)
 
 
@@ -82,12 +84,14 @@ def emit(text: str) -> None:
 
 def emit_json(value: Mapping[str, object]) -> None:
     """Print a result for programs: one JSON object, numbers that read back exactly."""
+    # ASCII, for pipes whose locale is not UTF-8; NaN is no JSON, and readers differ in what they make of it.
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=True) + "\n")
 
 
 def tell(text: str) -> None:
     """Print a remark on standard error."""
     if sys.stderr.isatty():
+        # Only where somebody reads: a log file or `grep` wants one line for each remark.
         text = folded(text, width())
     sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
 
@@ -115,6 +119,8 @@ def steps(total: int) -> Iterator[Callable[[str], None]]:
     text = TextColumn("{task.description}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        # One more than the parts: `begin` advances as a part starts, and the bar is full when the last one
+        # ends.
         task = progress.add_task("", total=total + 1)
         yield lambda name: progress.update(task, description=clean(name), advance=1)
 
@@ -171,6 +177,8 @@ def _usage(error: Exception) -> str:
 
 def _answer(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
+    # Before FraclinkError, of which both are kinds: bad input is 2, and a missing package is no verdict on an
+    # arm.
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {error}"
     if isinstance(error, InfeasibleError) and error.nearest:
@@ -179,6 +187,7 @@ def _answer(error: BaseException) -> tuple[int, str]:
     if isinstance(error, FraclinkError):
         return FAILED, f"✗ failed: {error}"
     if isinstance(error, OSError):
+        # A full disk or a loader names no file.
         name = error.filename if error.filename is not None else "file"
         return BAD_INPUT, f"error: {name}: {error.strerror or error}"
     if isinstance(error, KeyboardInterrupt):
@@ -220,6 +229,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PASSED
     except (Exception, KeyboardInterrupt) as error:
+        # For whoever reports a defect; everybody else reads one line.
         if os.environ.get("FRACLINK_TRACEBACK") == "1":
             raise
         (code, line), parts = _answer(error), _describe(error)

@@ -82,8 +82,10 @@ def run(
     $ fraclink run --rig paper-2023 --log demo --out results
     """
     known = load_rig(rig)
+    # Both groups come in one dictionary: what reads the log must not reach the design.
     reading = {name: options.pop(name) for name in LogOptions.__annotations__}  # type: ignore[misc]
     with steps(6 + certify) as begin:
+        # Named before it is done: a reader that waits for a slow disk must be seen to wait.
         begin("reading the log")
         study = run_study(
             known,
@@ -98,10 +100,14 @@ def run(
         )
         begin("writing the report")
         place = write_report(study, out / "report.html", title=title, script=script)
+    # The arms that fail come before the export: a worst case that can be replayed is the next thing to look
+    # at.
     following = f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
     if study.arms and study.arms.failure.count:
         following = f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
     values = {"report": str(place), "out": str(out)}
+    # "Not run" is no failure: --arms 0 leaves a scope out on purpose. The JSON's "passed" is stricter, and
+    # says so.
     passed, shown = not study.verdict.refuted, place if open else None
     return Answer(study, passed, values=values, written=(place,), following=following, opened=shown)
 
@@ -138,9 +144,11 @@ def design(
         load_link_model(model),
         **in_radians(request),
     )
+    # Doubts of the fit travel with the design: requirements that are met for a model of nothing do not pass.
     made = made.doubted(load_doubts(model)).with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
+    # With the lightest payload, at which the phase margin is smallest.
     step = f"simulate {out} --payload {made.payloads[0]:g}" if made.passed else f"assess {out}"
     return Answer(made, made.passed, remarks=assumed, written=(out,), following=f"fraclink {step}")
 
@@ -226,6 +234,7 @@ def certify(
         certificate = prove(Design.load(design_file), modulus_margin=modulus_margin, others=models)
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
+        # No file: a certificate that failed must not lie where the next stage looks for one.
         return Answer(certificate, passed=False, values={"out": None}, following=following)
     certificate.save(out)
     return Answer(certificate, written=(out,), following=f"fraclink export c {design_file} --out firmware")

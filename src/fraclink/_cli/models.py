@@ -55,6 +55,7 @@ def _errors(log: Experiment, rig: Rig | RigDraft) -> tuple[Finding, ...]:
 def _known_stiffness(log: Experiment, rig: Rig | RigDraft) -> float | None:
     """A deflection log cannot show the stiffness; a torque log measures it."""
     known = whole(rig)
+    # Γ = c (θm − θt): of the deflection alone every c fits as well.
     return known.link.stiffness if known is not None and log.output_kind == "deflection" else None
 
 
@@ -76,6 +77,7 @@ def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answe
     """
     known = load_rig_for_logs(rig)
     findings = examine(load_log(log, known, **reading), whole(known))
+    # Warnings do not fail a log: a model can be fitted to it, and the fit has gates of its own.
     failed = bool(errors_of(findings))
     following = "" if failed else f"fraclink identify {log} --rig {rig}{as_stated(reading)}"
     return Answer(findings, not failed, following=following)
@@ -104,7 +106,9 @@ def identify(
         stiffness = _known_stiffness(experiment, known)
         fit = identification.identify(experiment, structure, heldout=heldout, stiffness=stiffness)
     fit.save(out)
+    # A rig with blanks has no length and mass that the model could contradict.
     if (rig_in_full := whole(known)) is not None:
+        # Each once, in the order in which they were found.
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
     return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
@@ -145,6 +149,8 @@ def identify_payloads(
 
     $ fraclink identify-payloads 20g.csv 40g.csv --rig rig.toml
     """
+    # In the order of the logs: a mass that went to another log would tie ω₀ to the wrong payload and look
+    # like physics.
     if payload and len(payload) != len(logs):
         problem, remedy = "not one for each log", "repeat --payload"
         raise FieldError("payload", len(payload), problem, allowed=f"{len(logs)} values", remedy=remedy)
@@ -190,8 +196,10 @@ Excitation = Literal["prbs", "pulse", "chirp"]
 
 def _excitation(kind: Excitation, amplitude: float, duration: float) -> Reference:
     if kind == "pulse":
+        # A third of the log up, the rest down: a ring-down behind each edge.
         return pulse(amplitude, 0.35 * duration, start=AT_REST)
     if kind == "chirp":
+        # 0.2 to 5 Hz, about the 2 Hz at which the paper's arm rings.
         return chirp(amplitude, 0.2, 5.0, duration=duration)
     bit = 0.24
     return prbs(amplitude, bit, bits=max(1, int(duration / bit)), register=9, start=AT_REST)
@@ -215,9 +223,11 @@ def record(
     $ fraclink record --rig paper-2023 --link-mass 0.00735 --out log.csv
     """
     known = load_rig(rig, model=model)
+    # Said before the twin is built, whose own error would speak of damping.
     required_model(known)  # the twin takes its damping from there
     reference = _excitation(excitation, amplitude, duration)
     arm = Twin.from_rig(known, payload=payload, link_mass=link_mass, gauge_delay=gauge_delay)
+    # Both ends: a log of 20 s has a sample at 20 s.
     count = round(duration / known.period) + 1
     log = simulate_log(
         arm.beam,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Literal, TypedDict, Unpack, cast
 
 from fraclink import _validate as ranges
-from fraclink._arm import reference as references
+from fraclink._arm.reference import Path as MovePath
+from fraclink._arm.reference import SampledReference
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps
@@ -26,6 +27,8 @@ from fraclink._export.board import export_reference
 from fraclink._logs.responses import read_reference
 from fraclink._simulate.shape import shape as shape_move
 from fraclink.errors import FieldError
+
+FollowedPath = MovePath | SampledReference
 
 app = group()
 
@@ -69,7 +72,9 @@ def shape(
         if request["payloads"] is not None:
             allowed, remedy = "one of --payload and --payloads", "leave one out"
             raise FieldError("payload", payload, "given beside payloads", allowed=allowed, remedy=remedy)
+        # A range of one: the same shaping, without a compromise.
         request["payloads"] = (payload, payload)
+    # The identified model is massless and has no twin around it: what describes the twin would be ignored.
     if on == "model":
         if model is not None:
             allowed, remedy = "the design's own model", "design with that model, and shape for that design"
@@ -81,20 +86,17 @@ def shape(
     made, arm = load_arm(design_file, options)
     with steps(1) as begin:
         begin("shaping the move")
-        wanted = _followed(follow) if follow is not None else 1.0 if amplitude is None else amplitude
+        wanted: float | FollowedPath = 1.0 if amplitude is None else amplitude
+        if follow is not None:
+            # A file holds one of these two: no other reference has points to follow.
+            wanted = cast(FollowedPath, read_reference(follow))
         move = shape_move(made, wanted, on=on, arm=arm if on == "twin" else None, **request)
     move.save(out)
     written: tuple[Path, ...] = (out,)
     if table is not None:
         written += (export_reference(move.reference, table, period=move.period, force=True),)
+    # A move that counts on the payload must be measured with it.
     told = " --told" if request["told"] else ""
     following = f"fraclink campaign montecarlo --design {design_file} --reference {out}{told} --out moves"
     doubts = doubts_of_move(made, *move.payloads)
     return Answer(move, move.passed, doubts=doubts, written=written, following=following)
-
-
-def _followed(place: Path) -> references.Path | references.SampledReference:
-    found = read_reference(place)
-    if not isinstance(found, references.Path | references.SampledReference):
-        raise AssertionError("a file holds a path or a table")
-    return found

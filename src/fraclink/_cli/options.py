@@ -110,6 +110,7 @@ def as_stated(options: Mapping[str, Any]) -> str:
             words += [word for each in value or () for word in (flag, each)]
         elif value is True:
             words.append(flag)
+        # Six digits, as people give them: the words are pasted and compared by eye.
         elif isinstance(value, tuple):
             words += [flag, *(f"{each:g}" for each in value)]
         elif value is not None and value is not False:
@@ -132,6 +133,8 @@ def load_rig(name: str, *, link_mass: float | None = None, model: Path | None = 
 
 
 def _is_path(name: str) -> bool:
+    # What looks like a path is one even if it is not there: "no such file" helps more than a list of bundled
+    # rigs. A plain name that is a file is one, too.
     return name.endswith(".toml") or "/" in name or "\\" in name or Path(name).is_file()
 
 
@@ -157,11 +160,13 @@ def load_link_model(path: Path | None) -> LinkModel | None:
     """Return the model of a file of `identify` or `design`; None where none is given."""
     if path is None:
         return None
+    # A design carries the model it was made for: who kept only design.json can go on.
     return Design.load(path).model if kind_of(path) == "design" else load_model(path)
 
 
 def load_doubts(path: Path | None) -> tuple[Finding, ...]:
     """The gates that the fit or the design of a model file failed."""
+    # A bare model, as from a spectrum, has no gates that could have failed.
     if path is None or (kind := kind_of(path)) not in ("fit", "design"):
         return ()
     found: Fit | Design = Design.load(path) if kind == "design" else Fit.load(path)
@@ -170,6 +175,7 @@ def load_doubts(path: Path | None) -> tuple[Finding, ...]:
 
 def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]:
     """What leaves nothing shown by a move: errors of the design, and payloads in another unit."""
+    # Each once: --payload 30 --told 30 is one mistake.
     masses = (mass for mass in dict.fromkeys(payloads) if mass is not None)
     return (*filter(None, map(made.rig.payloads.doubt, masses)), *made.doubts)
 
@@ -177,6 +183,8 @@ def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]
 def load_design(path: Path, *, gear: float | None = None, model: Path | None = None) -> Design:
     """Return a design whose rig carries the model that it was made for, with a gear before the motor."""
     made = Design.load(path)
+    # The model of the option, of the rig, of the design, in this order: the twin takes its damping from it,
+    # and a design of a fit may stand on a rig file without one.
     rig = replace(made.rig, model=load_link_model(model) or made.rig.model or made.model)
     return replace(made, rig=rig if gear is None else geared(rig, gear))
 
@@ -192,6 +200,7 @@ def reference_of(
 ) -> Reference:
     """Return the reference of a file, or the quintic of that size [rad] and duration [s]."""
     if path is not None:
+        # Refused rather than dropped: a user who gives a size believes that it counts.
         refuse_beside("--reference", "the move of the file", amplitude=amplitude, move_time=move_time)
         return read_reference(path)
     time = usual_time if move_time is None else move_time
@@ -216,6 +225,7 @@ def load_log(
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
     columns = parse_columns(column) if column else rig.log
+    # The columns stand for the rig: --column replaces its [log] as a whole.
     return read_log(log_path(name), rig=None, columns=columns, payload=payload, **options)
 
 
@@ -226,6 +236,7 @@ def log_path(name: str) -> Path:
 
 def told_or_estimated(made: Design, told: float, estimate: bool) -> float | PayloadEstimator:
     """What `simulate` takes for --told and --estimate; FieldError where both are given."""
+    # A payload of 0 is none, so that --told 0 beside --estimate is no contradiction.
     if estimate and told:
         allowed, remedy = "one of --told and --estimate", "leave --told out to have the payload estimated"
         raise FieldError("told", told, "given beside --estimate", allowed=allowed, remedy=remedy)

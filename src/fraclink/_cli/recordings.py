@@ -50,6 +50,7 @@ def identify_motor(
     if known is None and not column:
         remedy = "give --rig, or --column for time, motor_angle and voltage"
         raise FieldError("rig", None, "missing", allowed="a rig, or the columns", remedy=remedy)
+    # --column describes a log on its own: mixed with the rig's mapping, two columns would claim one role.
     columns = drive_columns(column) if column else known.log if known else None
     experiment = read_log(log_path(log), columns=columns)
     if experiment.voltage is None:
@@ -62,6 +63,8 @@ def identify_motor(
         experiment.motor_angle,
         period=experiment.period,
         torque=torque,
+        # Only where no torque shows the inertia: stated and measured, the two would contradict each other in
+        # silence.
         inertia=known.motor.inertia if torque is None and known is not None else None,
     )
     return Answer(fit, fit.passed)
@@ -121,6 +124,7 @@ def identify_driven_link(
     found = identification.identify_driven_link(read_frequency_response(response), output=output)
     if not found.passed:
         return Answer(found, passed=False)
+    # J n² [kg·m²]: the response is that of the gear's output.
     identification.save_model(found.model(motor.inertia * motor.gear_ratio**2), out)
     return Answer(found, written=(out,), following=f"fraclink design --rig {rig} --model {out}")
 
@@ -172,6 +176,7 @@ def identify_structure(
         if ring_down and input is not None:
             problem, remedy = "given beside --ring-down", "leave one of both out: a ring-down has no input"
             raise FieldError("input", input, problem, allowed="one of both", remedy=remedy)
+        # A ring-down has no input: its output stands for it until the next line takes it away.
         channels = named_channels(output if ring_down else input, output)
         period = None if period_ms is None else period_ms / 1e3
         measured = read_recording(data, *channels, time=time, period=period)
@@ -199,6 +204,7 @@ def _named(option: str, texts: list[str] | None) -> list[tuple[str, str]]:
             raise FieldError(option, name, "without a value", allowed=allowed, remedy=remedy)
     found: dict[str, str] = {}
     for name, _, value in pairs:
+        # The last one would win in a dictionary: a typing error would move a fit without a word.
         if (own := name.strip()) in found:
             problem, remedy = f"given beside {own}={found[own]}", "leave one of them out"
             raise FieldError(option, f"{own}={value}", problem, allowed="one for each name", remedy=remedy)

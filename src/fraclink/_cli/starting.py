@@ -60,9 +60,11 @@ def start(
         payload=payload,
         resample=resample,
         interpolate=interpolate,
+        # A script cannot answer: it gets the error with the option that decides instead.
         ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None,
     )
     written = found.save(out, force=force)
+    # Also of a fit that failed: the picture shows why.
     fit_figure(found.experiment, found.fit).save(out / _PICTURE)
     return Answer(
         found,
@@ -106,9 +108,11 @@ def _ask(question: Question) -> str:
 
 
 def _understood(question: Question, text: str) -> str:
+    # Columns and signs are a closed list; a unit may be one that nobody guessed.
     known = text in question.choices or question.part not in ("column", "sign")
     if not text or not known:
         allowed, remedy = ", ".join(question.choices), "type one of them, or its number"
         raise FieldError("answer", text or "(nothing)", "not understood", allowed=allowed, remedy=remedy)
+    # Tried on an empty statement: a unit that cannot be read is asked for again, not found out at the end.
     answered(ColumnStatement(question.role), question, text)
     return text

@@ -43,6 +43,8 @@ def studio(
     """
     try:
         from fraclink._studio.serving import serve
+    # Of the extra's own packages only: a module of fraclink that is missing is a defect, and must look like
+    # one.
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "anyio", "h11", "click", "idna"):
             raise

@@ -19,8 +19,7 @@ from fraclink._files import checked_path, load, output_path
 from fraclink._realtime import RealtimeRun
 from fraclink._realtime.tune import tune as tune_arm
 from fraclink._realtime.tune_guard import MotionLimits
-from fraclink._realtime.tune_plan import TuningPlan
-from fraclink._realtime.tuning import FILES, Tuning
+from fraclink._realtime.tuning import FILES, Tuning, TuningPlan
 from fraclink._realtime.watch import watch as watch_arm
 from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
@@ -79,8 +78,10 @@ def tune(
     stated, before = None if rig is None else load_rig(rig), None
     if resume and (out / FILES[0]).is_file():
         known: Tuning = load(out / FILES[0], Tuning)
+        # The payload that was measured, to tell whether another one is moved now.
         before = known.payload
         given, payloads, stated = _as_before(known, given), payloads or known.payloads, stated or known.rig
+    # Before the limits are asked for: nobody answers five questions to learn that a file is in the way.
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
@@ -88,6 +89,7 @@ def tune(
     carried = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
+        # no defaults for these: what an arm may do is for whoever stands beside it to say
         **{name: values[name] for name in ("speed", "torque", "voltage")},
     )
     plan = TuningPlan(
@@ -98,11 +100,13 @@ def tune(
         stated,
     )
     connection = connection_of(io, unsafe_remote, key_file)
+    # On standard error, so that it is read although the result goes to a pipe.
     tell(plan.text)
     if resume and before not in (None, carried):
         tell(f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g")
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
+    # Every stage is told as it begins: a motor that turns must not come as a surprise.
     found = tune_arm(connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell)
     written = tuple(out / name for name in FILES if (out / name).is_file())
     return Answer(found, found.passed, written=written, following=_following(found, io, out))
@@ -111,6 +115,7 @@ def tune(
 def _following(found: Tuning, io: str, out: Path) -> str:
     if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
         return f"fraclink run-realtime {out / 'design.json'} --io {io}"
+    # What ended early goes on with the stages that are whole.
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --resume"
     # A law whose first moves are not what was promised is not one to go on with, proof or not.
@@ -153,6 +158,7 @@ def _confirmed() -> bool:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         allowed, remedy = "an answer, or --yes", "give --yes where nobody can be asked"
         raise FieldError("yes", False, "not confirmed", allowed=allowed, remedy=remedy)
+    # A bare Enter is a no: what moves a machine needs a word.
     return _line("Go ahead? [no]").lower() in ("y", "yes")
 
 
@@ -181,8 +187,10 @@ def watch(
 
     $ fraclink watch realtime.npz --tuned tuned
     """
+    # The folder as `tune` names it, or the file as a shell completes it.
     place = tuned / FILES[0] if tuned.is_dir() else tuned
     found = load(checked_path("record", record))
+    # A run's lost samples are filled in up to 1 %, as of any log.
     log = found.experiment() if isinstance(found, RealtimeRun) else found
     if not isinstance(log, Experiment):
         allowed, remedy = (

@@ -1,4 +1,4 @@
-"""The twin in real time at the other end: an arm where there is no real one."""
+"""The twin at the other end, where there is no real arm: in real time, or in this process without a clock."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._files import document
-from fraclink._realtime.connections import Connection, arm_end
+from fraclink._realtime.connections import Callback, Command, Connection, arm_end
 from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted_priority, period_ns
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
@@ -19,13 +19,16 @@ from fraclink._validate import Between, Seed, checked
 from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, SizeError
 
-__all__ = ["ServedArm", "serve_arm"]
+__all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
 Real = NDArray[np.float64]
 
+# Two hours at 4 ms, 80 MB: whoever asks for more has mistaken the unit, and would find out by swapping.
 MOST_PERIODS = 2_000_000
 # The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10 will not come back.
 WATCHDOG = 10
+_IDLE, _OFF = 0, 4  # modes in which the drive is off, see arm_io.h
+_CHUNK = 4096  # noise is drawn in rows, as one draw a period costs more than the period
 _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
 
@@ -128,17 +131,21 @@ def serve_arm(
         Too long a duration.
     """
     check_machine()
+    # Whole nanoseconds, as the message states them: both ends compare their periods for equality.
     nanoseconds = period_ns(period)
     Between(period, 1e300, "s").check("duration", duration)
     count = math.ceil(duration / period)
     if count > MOST_PERIODS:
         allowed = f"<= {MOST_PERIODS} periods"
         raise SizeError("duration", duration, "too long", allowed=allowed, remedy="serve a shorter time")
+    # A sample goes out, its command comes back: without that period the arm would have to answer before it is
+    # asked.
     if twin.voltage_delay < 1:
         problem, remedy = "shorter than a message's way", "a command acts one period after its sample here"
         raise FieldError("voltage_delay", twin.voltage_delay, problem, allowed=">= 1 period", remedy=remedy)
     # A twin whose way through the messages is the first period of its delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
+    # Written and not only claimed: pages that are missing at first touch would come late in the loop.
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
     with arm_end(connection) as way:
         outcome = _kernels.realtime_serve(
@@ -150,6 +157,8 @@ def serve_arm(
             arm.voltage,
             arm.sensed,
             arm.counters,
+            # Drawn beforehand: the loop in C calls no Python, and the noise is that of `simulate` with the
+            # same seed.
             _gauge_error(twin, period, count, seed),
             record,
             nanoseconds,
@@ -169,3 +178,66 @@ def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
     noise = np.random.default_rng(seed).standard_normal(count)
     drift = sensors.gauge_drift * period * np.arange(count)
     return np.asarray(sensors.gauge_offset + drift + sensors.gauge_noise * noise)
+
+
+class SimulatedArm:
+    """A twin that a `Callback` reaches, without a clock: each call of `write` is one period of its life.
+
+    What really happened is kept, one row for each period.
+
+    Parameters
+    ----------
+    twin
+        its `voltage_delay` counts from a sample to the effect of the voltage that answers it.
+    period
+        [s].
+    seed
+        of the gauge's noise.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> arm = SimulatedArm(fl.Twin.from_rig(fl.Rig.named("paper-2023-geared")), 0.004)
+    >>> arm.write(Command(0.0, 1.0, 1, 1, 0, 0))
+    >>> arm.read() is not None, arm.record.shape
+    (True, (1, 5))
+    """
+
+    COLUMNS = ("tip_angle", "motor_angle", "speed", "torque", "voltage")
+
+    def __init__(self, twin: Twin, period: float, *, seed: int = 0) -> None:
+        self._state = ArmState(twin, period, b"")
+        self._random = np.random.default_rng(seed)
+        self._noise = iter(np.zeros(0))
+        self._input = np.zeros(_kernels.TWIN_INPUTS)
+        # gains of encoder and gauge, which no fault changes here
+        self._input[[6, 9]] = 1.0  # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h
+        self._rows: list[tuple[float, ...]] = []
+
+    def read(self) -> tuple[float, float]:
+        """Return what encoder [rad] and gauge [N·m] show now."""
+        sensors = self._state.twin.sensors
+        noise = next(self._noise, None)
+        if noise is None:
+            self._noise = iter(self._random.standard_normal(_CHUNK))
+            noise = next(self._noise)
+        self._input[3] = sensors.gauge_offset + sensors.gauge_noise * noise  # TWIN_GAUGE_ERROR
+        return self._state.sense(self._input)
+
+    def write(self, command: Command) -> None:
+        """Move on for one period under the command's voltage [V]."""
+        # A board whose drive is off does not look at the voltage.
+        asked = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
+        s = self._state
+        buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)
+        self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, asked))
+
+    @property
+    def callback(self) -> Callback:
+        """The connection that reaches this arm."""
+        return Callback(self.read, self.write)
+
+    @property
+    def record(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        """True tip angle, motor angle [rad], speed [rad/s], torque [N·m] and voltage [V], shape (N, 5)."""
+        return np.array(self._rows).reshape(-1, len(self.COLUMNS))

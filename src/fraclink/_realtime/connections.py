@@ -38,6 +38,7 @@ __all__ = [
 ]
 
 IO_VERSION = 1  # ARM_IO_VERSION of arm_io.h
+# No dot and no slash: the name becomes a file of /dev/shm, and must not lead out of it.
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FORMS = "udp:HOST:PORT, shm:NAME or library:FILE.so"
 _SHARED = Path("/dev/shm")  # noqa: S108  # where Linux keeps POSIX shared memory, by shm_open(3)
@@ -85,6 +86,8 @@ class Udp:
     key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        # An empty host is every address of this machine to the socket library: nobody means that by leaving
+        # it out.
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         checked_whole("port", self.port, 1, 65535)
@@ -169,6 +172,7 @@ def parse_connection(
     shm:NAME or library:FILE.so. Start with udp:, shm: or library:.
     """
     kind, _, rest = io.partition(":")
+    # Refused, not ignored: who gives a key believes that strangers are kept out.
     if key is not None and kind != "udp":
         raise FieldError("key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out")
     if kind == "shm":
@@ -177,6 +181,7 @@ def parse_connection(
         return Library(Path(rest))
     if kind != "udp":
         raise _error(io, "no way to an arm", _FORMS, "start with udp:, shm: or library:")
+    # From the right, as an IPv6 address has colons of its own, in brackets or not.
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port):
         raise _error(io, "without a port", "1 to 65535", "udp:127.0.0.1:5005")
@@ -191,6 +196,7 @@ def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
     """Open the controller's end, waiting up to `patience` [s] for shared memory; yields the kernel's way."""
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
+            # Connected, so that the kernel drops datagrams of anybody else before they are read.
             plug.connect(address)
             yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
     elif isinstance(connection, SharedMemory):
@@ -226,6 +232,7 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
     key = connection.key
     if key is None:
         return None
+    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, keep a forger at 2^-128 a message.
     return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
 
 
@@ -240,6 +247,7 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
         found = socket.getaddrinfo(connection.host, connection.port, type=socket.SOCK_DGRAM)
     except OSError as error:
         raise _refused(connection, error, "a host that can be found") from error
+    # The first answer alone: one that is tried after another would send commands to two arms.
     family, kind, protocol, _, address = found[0]
     # The address and not the name: a name may lead anywhere.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
@@ -283,6 +291,7 @@ def _open_shared(connection: SharedMemory, flags: int) -> int | None:
     """Open the file behind shared memory; None where there is none."""
     try:
         # Private: any process that may write here moves the arm. A link would lead to a file of another user.
+        # A child process that inherited the file would hold its locks on, as they belong to the open file.
         flags |= os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
         return os.open(_SHARED / f"fraclink-{connection.name}", flags, 0o600)
     except FileNotFoundError:
@@ -300,6 +309,7 @@ def _created(connection: SharedMemory) -> Iterator[int]:
         if not _locked(file, _ARM):
             raise _error(connection, "served by another arm", "a free name", "choose another")
         try:
+            # Only now: a controller takes the size for the sign that the memory is ready.
             os.ftruncate(file, _kernels.realtime_memory_size())
             yield file
         finally:
@@ -317,6 +327,8 @@ def _attached(connection: SharedMemory, patience: float) -> Iterator[int]:
             raise _error(connection, problem, allowed, f"start `fraclink serve-arm DESIGN --io {connection}`")
         time.sleep(_LOOK)
     try:
+        # Two controllers would each see the other's commands obeyed and trip on a motion that they did not
+        # ask for.
         if not _locked(file, _CONTROLLER):
             raise _error(connection, "in use by another controller", "one controller", "end the other one")
         yield file
@@ -345,11 +357,13 @@ def _loaded(connection: Library) -> Iterator[tuple[int, int]]:
     read, write, version, begin, end = (getattr(library, name, None) for name in names)
     if read is None or write is None or version is None:
         raise _unfit(connection, "without arm_read, arm_write and arm_io_version")
+    # Asked before the board is opened: what a struct of another layout would do to a motor is not found out.
     if version() != IO_VERSION:
         raise _unfit(connection, f"made for version {version()} of arm_io.h")
     if begin is not None and (code := begin()) != 0:
         raise _unfit(connection, f"not ready: arm_open gave {code}")
     try:
+        # Addresses, not functions: the loop in C calls them without the interpreter's lock.
         yield _address(read), _address(write)
     finally:
         if end is not None:

@@ -16,11 +16,14 @@ from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 
+# mode "off" of law.h: the board switches its drive off whatever the voltage says
 _OFF = 4
 _LOOKS = 16  # in a period: the arrival is known to 6 % of it
 _LOST = 5  # samples in a row that may be missing, as law.c rides through
 _NUMBERS = 2**32  # of samples, and then from the beginning
 _STOPS = 3  # one is lost on the way now and then
+# Every signal that a terminal, a shell or a service manager ends or stops a program with. Stopping counts: a
+# process that sleeps behind Ctrl-Z answers no arm.
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
@@ -56,6 +59,7 @@ class ArmLine:
         self.period = period
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
+        # A board without a clock is as old as its first read, so the next one is due a period later.
         self._due = clock.now + period
         self._seen = way.taken if way.clocked else 0
         self._last = clock.now
@@ -69,6 +73,7 @@ class ArmLine:
         if self._signals.is_set():
             raise Stopped
         self._tick += 1
+        # Mode 1, "run"; the motor reference means nothing to an arm that obeys voltages.
         self._way.write(0.0, voltage, self._tick, 1, 0, 0)
         periods, found = 0, None
         while found is None:
@@ -77,12 +82,15 @@ class ArmLine:
                 raise ArmLost(_LOST)
             found = self._awaited() if self._way.clocked else self._on_time()
         if self._way.clocked:
+            # The sample's own number counts, not how often was looked: a process that slept finds the newest
+            # one at once, and the motion since would be taken for one of a single period.
             before, self._seen = self._seen, self._way.taken
             periods = max((self._seen - before) % _NUMBERS, 1)
         return Reading(found[1], found[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:
         """The next sample of an arm that sends it; None where a period and a half brought none."""
+        # A sample that is half a period late has jitter, one that is later is lost: the next is due.
         last = self._clock.now + 1.5 * self.period
         while (found := self._way.read()) is None or not math.isfinite(found[1]):
             if self._clock.now > last:
@@ -91,15 +99,19 @@ class ArmLine:
         return found  # type: ignore[no-any-return]
 
     def _on_time(self) -> tuple[int, float, float] | None:
+        # Absolute deadlines: sleeping a period each time would add the work of every period to its length.
         wait = self._due - self._clock.now
         if wait > 0:
             self._clock.sleep(wait)
+        # Deadlines that went by are dropped. Made up for, they would be reads in a burst, each taken for a
+        # period of motion.
         self._due = max(self._due + self.period, self._clock.now)
         found = self._way.read()
         return None if found is None or not math.isfinite(found[1]) else found
 
     def stop(self) -> None:
         """Switch the drive off."""
+        # Datagrams get lost, calls do not.
         for _ in range(_STOPS if self._way.clocked else 1):
             self._tick += 1
             self._way.write(0.0, 0.0, self._tick, _OFF, 0, 0)
@@ -179,6 +191,7 @@ def _first_sample(
     if period is None and not found[0]:
         allowed, remedy = "the board's sampling period [s]", "give --period-ms"
         raise FieldError("period", None, "not stated by this board", allowed=allowed, remedy=remedy)
+    # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value in both.
     if period is not None and found[0] and period_ns(period) != found[0]:
         allowed, remedy = f"{1e-9 * found[0]:g} s", "leave it out: this arm states its own"
         raise FieldError("period", period, "not the arm's", allowed=allowed, remedy=remedy)
@@ -191,6 +204,7 @@ def _noted_signals() -> Iterator[threading.Event]:
     thread Python delivers none.
     """
     noted = threading.Event()
+    # A notebook's kernel or a server runs this in a worker, where signal.signal raises.
     if threading.current_thread() is not threading.main_thread():
         yield noted
         return

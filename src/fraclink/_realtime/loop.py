@@ -24,6 +24,7 @@ from fraclink.errors import FieldError
 
 __all__ = ["run_realtime"]
 
+# As on the twin, so that a run and its simulation cover the same time.
 SETTLE = 3.0  # [s] after the reference has come to rest, as on the twin
 _HEADER_BYTES = 65_536  # of the record's file, more than enough
 
@@ -114,6 +115,8 @@ def run_realtime(
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
     Between(law.period, 1e300, "s").check("duration", length)
+    # The last deadline belongs to the run although length/period comes out a rounding below it: 0.3 s at 20
+    # ms are 16 periods.
     path = sampled(reference, law.period, math.floor(length / law.period * (1 + 1e-12)) + 1)
     if not np.all(np.isfinite(path)):
         raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
@@ -131,6 +134,7 @@ def run_realtime(
             law.block,
             law.initial_state(),
             law.precision == "single",
+            # Angle and acceleration: the law needs no velocity.
             np.ascontiguousarray(path[[0, 2]]),
             payload,
             b"" if estimator is None else estimator.block,
@@ -144,6 +148,7 @@ def run_realtime(
             lock_memory,
             clock or _kernels.RealtimeClock(0),
         )
+    # What never began is an error; what began has a record, however it ended.
     _check_answer(outcome, connection, law.period, patience)
     run = _gathered(
         law, estimator, connection, outcome, record, marks, priority, lock_memory, allowed_overruns
@@ -152,6 +157,7 @@ def run_realtime(
 
 
 def _checked(estimator: PayloadEstimator | None, law: Law, payload: float) -> PayloadEstimator | None:
+    # Either would be obeyed silently, and which of both cannot be seen from the motion.
     if estimator is not None and payload:
         allowed, remedy = "payload or estimator", "leave one of them out"
         raise FieldError("payload", payload, "given beside an estimator", allowed=allowed, remedy=remedy)
@@ -196,6 +202,8 @@ def _gathered(
         scheduling=scheduling,
         memory=memory,
         origin=float(outcome["origin"]),
+        # Replayed at once, while the very law is at hand: a bit that flipped in memory must not pass for a
+        # result.
         first_difference=first_difference(law, columns),
         allowed_overruns=allowed_overruns,
         estimator=estimator,

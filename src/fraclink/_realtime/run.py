@@ -146,6 +146,8 @@ class RealtimeRun:
     @property
     def estimates(self) -> Estimates | None:
         """What the payload estimator said in each period, from the recorded sensors; None without one."""
+        # Estimated again from the sensors rather than recorded: the estimator is C and gives the same to the
+        # bit.
         if self.estimator is None or not len(self.tick):
             return None
         state = self.estimator.initial_state()
@@ -159,6 +161,8 @@ class RealtimeRun:
     @property
     def overruns(self) -> int:
         """Periods whose command came after the next deadline."""
+        # Not the missed periods: a command that came late was still obeyed, a period later than the margins
+        # assume.
         return int(np.count_nonzero(self.latency + self.work > self.period))
 
     @property
@@ -186,6 +190,8 @@ class RealtimeRun:
         """Why the run failed; empty where it passed."""
         mode = MODES[int(self.mode[-1])] if len(self.mode) else "idle"
         reason = REASONS[int(self.reason[-1])] if len(self.mode) else "none"
+        # In the order of what a reader must mend first: why it stopped, then mode, then time, then the
+        # replay.
         if self.stopped == "law off":
             return f"safe stop: the law switched off ({reason})"
         if self.stopped != "finished":
@@ -215,12 +221,15 @@ class RealtimeRun:
         The law closes its loop around the link, which does not matter to an identification from the motor
         angle to the torque. Samples that were lost are interpolated, up to 1 % of them; LogError beyond.
         """
+        # A sample is lost whole: where one channel is missing the other belongs to an unknown time.
         came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
         count = int(self.tick[-1]) if len(self.tick) else 0
         lost = count - int(np.count_nonzero(came))
         if count == 0 or lost > _LOST_SHARE * count:
             allowed, remedy = f"{100 * _LOST_SHARE:g} %", "run it again on a machine that keeps the period"
             raise LogError("run", f"{lost} of {count} samples", "lost", allowed=allowed, remedy=remedy)
+        # On the ticks and not on the rows: a missed period has no row, and without its place every later
+        # sample would be early.
         grid = np.arange(1, count + 1)
         motor, torque, voltage = (
             np.interp(grid, self.tick[came], x[came]) for x in (self.motor_angle, self.torque, self.voltage)
@@ -231,6 +240,8 @@ class RealtimeRun:
             output=torque,
             payload=payload,
             source=f"run in real time by {self.connection}",
+            # A robot with its own servo takes references, and the voltages of its law are all 0: that is no
+            # measurement.
             voltage=voltage if voltage.any() else None,
             notes=(("law_sha256", self.law_sha256), ("interpolated_samples", str(lost))),
         )
@@ -238,6 +249,7 @@ class RealtimeRun:
 
 def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | None:
     """Return the first row whose outputs `law` does not give for its inputs, compared by their bits."""
+    # The ticks, too: a missed period is part of what the law was given.
     tick = columns["tick"]
     if not len(tick):
         return None
@@ -260,11 +272,14 @@ def reserved(place: Path, size: int) -> Iterator[None]:
 
     A folder that is missing or read-only, or a full disk, is so found before the arm moves.
     """
+    # Beside the place, as another file system may have room where this one has none; hidden and random, so
+    # that it meets no file of the user's; cut, as a name has 255 bytes at most.
     holder = place.with_name(f".{place.name[:100]}.{secrets.token_hex(8)}.reserved")
     try:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             with holder.open("xb") as stream:
+                # Blocks are taken, which `truncate` would only promise: a full disk says so now.
                 os.posix_fallocate(stream.fileno(), 0, size)
         except OSError as error:
             problem = f"not writable ({error.strerror}); the arm has not moved"

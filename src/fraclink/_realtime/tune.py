@@ -22,19 +22,23 @@ from fraclink._realtime.tune_link import LinkResult, shortfall, tune_link
 from fraclink._realtime.tune_motion import LawTripped
 from fraclink._realtime.tune_motor import tune_motor
 from fraclink._realtime.tune_moves import first_moves
-from fraclink._realtime.tune_plan import TuningPlan
 from fraclink._realtime.tune_wiring import Wiring, check_wiring
-from fraclink._realtime.tuning import FILES, LAW_FILES, Tuning
+from fraclink._realtime.tuning import FILES, LAW_FILES, Tuning, TuningPlan
 from fraclink._validate import checked
 from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["tune"]
 
+# A repeated experiment is twice as long, and its errors 0.7 of the first one's: what three do not show is not
+# a matter of length.
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
 LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
+# A minute and a half is what a person stays at the emergency stop for without looking away.
 _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
 _FAR_OFF = 2.0  # times the errors that suffice: less of an excess is in the box, and costs a degree of margin
 _FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
+# First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %, another gear K/J by
+# more.
 _OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
 
 
@@ -93,6 +97,7 @@ def tune(
     """
     before = _resumed(out, plan) if resume else None
     if not resume:
+        # Looked at before the arm moves: a minute of motion must not end at a file that may not be written.
         for name in FILES:
             output_path(out / name, force=force)
     out.mkdir(parents=True, exist_ok=True)
@@ -101,6 +106,8 @@ def tune(
     try:
         guard = session.open()
         session.go(guard)
+    # Whatever a stage can meet ends with a state that is saved. Before the guard there is none: the error is
+    # the caller's.
     except (FraclinkError, OSError, KeyboardInterrupt) as error:
         if guard is None:
             raise
@@ -121,6 +128,8 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
         )
     found: Tuning = load(place, Tuning)
     low, high = found.payloads
+    # Another payload is another ω₀: the fit would be of neither arm. With a law whose box holds that payload
+    # nothing needs to be fitted, only moved.
     if found.payload != plan.payload and not (found.has_law and low <= plan.payload <= high):
         remedy = "resume with the same payload, or tune anew"
         allowed = f"{found.payload:g} kg, as before"
@@ -152,6 +161,7 @@ class _Session:
         self.state = self.before or Tuning(
             plan.limits, plan.payload, plan.range, guard.period, folder=str(self.out), rig=plan.rig
         )
+        # Limits may be drawn tighter or wider on resuming: they belong to whoever stands at the arm now.
         self.state = replace(self.state, stopped="", folder=str(self.out), limits=plan.limits)
         return guard
 
@@ -160,6 +170,7 @@ class _Session:
         self.begin("wiring")
         wiring = check_wiring(guard, self.plan.rig)
         self._same_arm(wiring)
+        # From the first guess on, so that the motor's own moves cannot run past the speed limit.
         guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
         if self.plan.payload != self.state.payload:
@@ -221,6 +232,7 @@ class _Session:
         finally:
             guard.release()
         self._tell(tuple(map(str, found)))
+        # Moves with other payloads stay, so that a verdict is over the whole range that was tried.
         others = tuple(move for move in self.state.moves if move.payload != self.plan.payload)
         self._write(guard, moves=others + found)
         return "; ".join(self.state.verdict.reality.reasons)
@@ -228,6 +240,7 @@ class _Session:
     def _withhold(self, why: str) -> None:
         """Take back the law that the arm refused: its files, and that it passed."""
         for name in LAW_FILES:
+            # Not only in the state: `run-realtime` takes a design.json as it lies there.
             (self.out / name).unlink(missing_ok=True)
         self.state = replace(
             self.state,
@@ -242,6 +255,7 @@ class _Session:
         """The link's experiments, at most three where a gate or the proof fails, and the law."""
         state, plan = self.state, self.plan
         assert state.wiring is not None and state.motor is not None  # noqa: S101
+        # A link that was fitted before is designed for at once; its experiment counts.
         link, attempt = state.link, state.attempts
         while True:
             if link is None:
@@ -265,10 +279,13 @@ class _Session:
                 stated=plan.rig,
                 name=self.out.name[:100] or "arm",
             )
+            # A law that the arm has refused is refused after a resumption, too: they are made in the same
+            # order.
             laws = itertools.islice(built_laws(rig, link), state.refused, None)
             built = next(laws, None) or Built(rig, None, None, None, state.reasons)  # all refused before
             self._wrote(built, link)
             spent = guard.count * guard.period + 2.0 * sum(duration for _, duration, _ in link.rounds)
+            # What the next one would take: it is twice as long as the last.
             tired = attempt >= EXPERIMENTS or spent > _PATIENCE
             if built.passed or tired or not _worth_repeating(built, link):
                 return link, built, laws
@@ -331,6 +348,7 @@ class _Session:
         """Write the state and the whole record."""
         self._write(guard)
         record = guard.record()
+        # One sample is no log, as it has no period.
         if record.angle.size > 1:
             log = Experiment(
                 period=guard.period,

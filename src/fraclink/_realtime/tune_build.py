@@ -106,6 +106,7 @@ def measured_rig(
     assert motor.inertia is not None  # noqa: S101  # the link's stage gives it
     inertia, model = motor.inertia, fit.model
     length = math.sqrt(model.stiffness / (payload * model.natural_frequency**2))
+    # The smallest step seen in a record, where it is small enough to be a count.
     counts = round(_FULL_TURN / wiring.encoder_step) if 0 < wiring.encoder_step < _COUNTED else None
     rig = Rig(
         name=name,
@@ -173,6 +174,8 @@ def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple
             asked = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             asked = (f"what the rig asks for is not feasible ({error}); instead:",)
+    # By the heaviest payload, whose resonance is the lowest: a crossover left of any resonance has the margin
+    # that falls the other way.
     heavy = model.at_payload(rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
     second_choice: list[tuple[float, Design, tuple[str, ...]]] = []

@@ -23,6 +23,7 @@ _LATEST = 0.0401  # [s]
 # which moves A by a tenth; with 0 the delay comes out half a period short.
 _DECAY = 10.0
 _PARTS = 4  # of a period, in which a motion under friction is added up; delays are whole numbers of two
+# A hundredth of the voltage apart: half a step is half a per cent of K/J. At 1 nothing would move.
 _FRICTIONS = np.linspace(0.0, 0.95, 96)  # of the doublets' voltage
 
 
@@ -31,6 +32,7 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
     period, most = record.period, float(np.max(np.abs(record.voltage)))
     shape, edges = _shape(half, period) * most, edges_of(record)
     best = (np.inf, 0.0, np.inf, 0.0, 0.0)
+    # Half periods, as hold and amplifier add up to no whole number of them.
     for halves in range(round(2 * _LATEST / period) + 1):
         length = 2 * half + halves // 2
         begins = edges[edges + length <= record.angle.size]
@@ -48,6 +50,7 @@ def motor_of_doublets(record: Record, half: int) -> tuple[float, float, float, f
         k = int(np.argmin(cost))
         # Errors of neighbours are alike: a doublet counts as one observation.
         error = float(np.sqrt(max(cost[k], 0.0) / begins.size / (begins.size * size[k])))
+        # Per sample, as a longer delay looks at a longer stretch and would otherwise always cost more.
         each = float(cost[k]) / (begins.size * length)
         if each < best[0]:
             best = (each, float(gains[k]), error, most * float(_FRICTIONS[k]), 0.5 * halves * period)
@@ -66,6 +69,7 @@ def _shape(half: int, period: float) -> Real:
     rows = [angle]
     for part in range(2 * half * _PARTS):
         voltage = 1.0 if part < half * _PARTS else -1.0
+        # At rest friction is against the voltage, and holds up to its size.
         against = np.where(speed != 0.0, np.sign(speed), np.sign(voltage))
         new = speed + step * (voltage - _FRICTIONS * against - _DECAY * speed)
         new = np.where(new * speed < 0.0, 0.0, new)  # it stops before it turns round

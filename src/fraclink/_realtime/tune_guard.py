@@ -94,6 +94,8 @@ class Guard:
     """
 
     def __init__(self, opened: Opened, limits: MotionLimits) -> None:
+        # A geared motor coasts for a few hundredths of a second: ν/J of 5 to 20 1/s and friction stop it in
+        # less.
         self.limits, self.coast, self.shake = limits, 0.05, 0.0
         self._driven, self._gain = False, 0.0
         self._sent: deque[float] = deque([0.0], maxlen=1)  # the voltage that acted last, and those to come
@@ -143,6 +145,7 @@ class Guard:
         if self._driven:  # an arm that nobody has moved yet breaks no limit, whatever its sensors show
             self._check()
         most = self.limits.voltage
+        # A NaN passes every comparison as false: it would go out unclipped.
         sent = min(max(voltage, -most), most) if math.isfinite(voltage) else 0.0
         sent = self._slowed(sent)
         self._sent.append(sent)
@@ -164,6 +167,7 @@ class Guard:
         """Use K/J [rad/(s²·V)] and the delay [s] to look ahead: no voltage is sent that drives the motor past
         the speed limit once it acts.
         """
+        # A delay of 4.1 ms is one period of 4 ms and the fit's error, not two periods.
         count = max(1, math.ceil(delay / self.period - 0.1))
         self._gain, self._sent = gain, deque([0.0] * (count + 1), maxlen=count + 1)
 
@@ -174,11 +178,14 @@ class Guard:
         return mean + 0.5 * self._gain * self.period * self._sent[0]
 
     def _slowed(self, voltage: float) -> float:
+        # Nothing is known of the motor before its first doublets, which are small by themselves.
         if self._gain <= 0.0:
             return voltage
         step = self._gain * self.period
+        # What was sent and has not acted yet is on its way and cannot be called back.
         speed = self.speed + step * (sum(self._sent) - self._sent[0])
         most = _PUSHED * self.limits.speed
+        # Zero is always allowed: the guard holds back what is asked for, it drives nothing by itself.
         low, high = min((-most - speed) / step, 0.0), max((most - speed) / step, 0.0)
         return min(max(voltage, low), high)
 
@@ -196,6 +203,7 @@ class Guard:
         window = math.ceil(_QUIET / self.period)
         last = self.count + math.ceil(longest / self.period)
         self.rest(_QUIET)
+        # A tenth above the noise, as the deviation of 150 samples scatters by a twentieth.
         while self.count < last and float(np.std([row[2] for row in self._rows[-window:]])) > 1.1 * noise:
             self.rest(_QUIET / 4)
 
@@ -207,13 +215,17 @@ class Guard:
     def _check(self) -> None:
         limits = self.limits
         speed = self.speed
+        # A coarse encoder at rest shows speeds of a count per period: they are no motion.
         speed -= math.copysign(min(abs(speed), self.shake), speed)
+        # Where the arm would come to rest, as a limit that is looked at where it stands is passed before it
+        # is noticed.
         ends = self.angle + speed * (self.coast + 2 * self.period)
         for name, value, most, unit in (
             ("angle", ends, limits.angle, "rad"),
             ("speed", speed, limits.speed, "rad/s"),
             ("torque", self.torque, limits.torque, "N·m"),
         ):
+            # Written so that NaN stops, too.
             if not abs(value) <= (_SPEED_TRIP if name == "speed" else _TRIP) * most:
                 raise LimitReached(
                     f"{name}: {value:.3g} {unit} is about to exceed the limit of {most:g} {unit}; the drive "

@@ -28,6 +28,8 @@ __all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
 # Standard errors that suffice: their 95 % intervals are no wider than what an arm may drift by until `watch`
 # says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms of its delay.
 ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
+# Sixteen vibrations of the paper's arm (12 rad/s). Errors fall with the root of the length but with the
+# amplitude itself: size is tried first.
 _DURATION, _LONGEST = 8.0, 16.0  # [s] of one excitation
 _LARGER = 3.0  # the most by which an excitation grows at once
 _LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
@@ -77,7 +79,10 @@ def tune_link(
     rounds: list[tuple[float, float, float]] = []
     duration = min(_DURATION * longer, _LONGEST)
     for _ in range(_ROUNDS):
+        # The edge of a bit is as fast as the limits allow, and slow enough for the motor's loop to follow: a
+        # reference that saturates the voltage excites less than it says.
         rise = max(2 * 1.875 * reach / (PLANNED * limits.speed), 3.0 / motor.loop.pole, 6 * period)
+        # Fewer than eight bits may leave out the band in which the resonance lies.
         bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
         calm(
             guard,
@@ -95,6 +100,8 @@ def tune_link(
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
+        # Errors fall with the amplitude, so that the shortfall is the factor that is missing; a fifth more
+        # allows for their own scatter.
         short = shortfall(fit)
         rounds.append((reach, record.duration, fit.standard_errors.get("order", math.nan)))
         if short <= 1.0 and fit.passed:
@@ -104,6 +111,8 @@ def tune_link(
             PLANNED * limits.torque / float(abs(record.torque).max()),
             PLANNED * limits.voltage / float(abs(record.voltage).max()),
         )
+        # A tenth more of size is less than the errors' own scatter: another round would cost time and change
+        # nothing.
         if most < 1.1 and duration >= _LONGEST:
             break
         grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
@@ -116,6 +125,8 @@ def tune_link(
 
 def _shaken(guard: Guard, law: Law, motor: MotorResult, start: int) -> Record:
     """The record from `start` on, with a burst at its end that shows the second mode."""
+    # What turns the motor by that speed within one bit; friction comes on top, or the burst would not move
+    # it.
     push = _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
     voltages = burst(voltage, _BIT, _BURST, guard.period)
@@ -140,9 +151,12 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
         fit = identify(replace(whole, output=rest - rings), FRACTIONAL, heldout=0.0)
         rings = _ringing(fit, rest)
         known = replace(whole, output=whole.output - rings)
+        # The delay of the moves is held: on the burst it and the mode's phase stand for each other.
         shown = identify(known, FRACTIONAL, heldout=0.0, fixed={"delay": fit.delay}).model
     clean = rest - rings
     fit = identify(replace(whole, output=clean), FRACTIONAL, heldout=0.0)
+    # On the moves alone, of which a part is held out: what a fit to everything may hide is whether it
+    # predicts.
     tested = identify(replace(moves, output=clean[: moves.output.size]), FRACTIONAL)
     found = fit if tested.passed else tested
     return replace(found, model=replace(found.model, second_mode=mode, unseen_up_to=shown.unseen_up_to))
@@ -166,6 +180,7 @@ def _ringing(fit: Fit, output: Real) -> Real:
     Two dampings stand for any: the fit that still has it in its record does not know the link's own.
     """
     time = fit.period * np.arange(output.size)
+    # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ = −cos(π/λ).
     turns = [np.exp(cmath.rect(abs(fit.model.pole), math.pi / order) * time) for order in _DECAYS]
     columns = np.column_stack([part for turn in turns for part in (turn.real, turn.imag)])
     size, *_ = np.linalg.lstsq(columns, output - fit.predicted, rcond=None)
@@ -175,6 +190,7 @@ def _ringing(fit: Fit, output: Real) -> Real:
 def shortfall(fit: Fit) -> float:
     """The largest standard error over what suffices; relative errors where the table's are."""
     errors, model = fit.standard_errors, fit.model
+    # ω₀ and gain relative, λ and the delay as they are: the table's own units.
     scale = {"order": 1.0, "delay": 1.0, "natural_frequency": model.natural_frequency, "gain": abs(fit.gain)}
     found = [errors[name] / scale[name] / most for name, most in ENOUGH.items() if name in errors]
     return max(found, default=math.inf)
@@ -207,6 +223,8 @@ def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
         )
     except LogError:
         return motor
+    # A negative one is the noise of moves that hardly load the motor: then the motor alone is known, and no
+    # load is made up.
     if found.inertia is None or found.inertia <= 0:
         return motor
     fitted = replace(
@@ -226,6 +244,7 @@ def _first_fit(record: Record) -> Fit | None:
 
 
 def _resonance(frequency: float, order: float) -> float:
+    # ω₀ has the unit s^(−λ/2): the resonance of s^λ + ω₀² lies at ω₀^(2/λ) rad/s.
     return math.exp(2.0 / order * math.log(frequency))
 
 
@@ -245,6 +264,7 @@ def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) 
         plan = design_experiment(
             fit.model,
             standard_error=ENOUGH["order"] / 1.5,
+            # A gauge that does not flicker has a count, not no noise: zero would ask for no motion at all.
             noise=max(wiring.gauge_noise, 1e-9),
             period=guard.period,
             duration=_DURATION,
@@ -254,6 +274,8 @@ def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) 
         )
     except InfeasibleError:
         return 0.05, math.pi / (0.7 * _resonance(fit.model.natural_frequency, fit.model.order))
+    # Torque for each radian of the reference: it grows near the resonance, where the gauge's limit is met
+    # before the angle's.
     bent = abs(fit.gain) * plan.peak_deflection / plan.amplitude
     most = PLANNED * min(limits.angle, limits.torque / bent)
     assert plan.bit is not None  # noqa: S101  # a random sequence

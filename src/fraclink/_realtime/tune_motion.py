@@ -23,6 +23,7 @@ __all__ = ["LawTripped", "burst", "fastest_loop", "follow", "motor_law", "random
 
 Real = NDArray[np.float64]
 
+# From fast to slow, a tenth to a quarter apart: the first that keeps its distance is taken.
 _POLES = (
     80.0,
     70.0,
@@ -61,12 +62,6 @@ class Follower:
         self._signals, self._outputs = np.zeros((5, 1)), np.empty((5, 1))
         self._signals[4, 0] = payload
         self._marks, self._ticks = np.empty((3, 1), dtype=np.uint32), np.zeros(1, dtype=np.uint32)
-        self.flags = 0
-
-    @property
-    def tip_estimate(self) -> float:
-        """θm − Γ/c of the last period [rad]."""
-        return float(self._outputs[3, 0])
 
     def step(
         self, reference: float, acceleration: float, angle: float, torque: float, periods: int = 1
@@ -79,7 +74,7 @@ class Follower:
         self._state = _kernels.law_run(
             self._law.block, self._state, self._ticks, self._signals, self._outputs, self._marks, single
         )
-        mode, reason, self.flags = (int(value) for value in self._marks[:, 0])
+        mode, reason, _ = (int(value) for value in self._marks[:, 0])
         if mode >= MODES.index("degraded"):
             raise LawTripped(f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off")
         return float(self._outputs[1, 0])
@@ -91,9 +86,12 @@ def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: floa
     `friction` [V] is compensated.
     """
     limits, period, pole = guard.limits, guard.period, loop.pole
+    # Room for what the guard allows: from one end of the limits to the other, and the acceleration of a
+    # reference that the loop's own pole could follow four times over.
     moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
     # Any link will do: its thresholds are lifted, as the guard has the user's own.
     derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
+    # A threshold that a link of an unknown stiffness trips would end the experiment that is to measure it.
     free = replace(
         derived,
         torque_limit=_FREE,
@@ -108,6 +106,8 @@ def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: floa
         period=period,
         precision="double",
         stiffness=1.0,
+        # Without a correction law.c is the motor loop alone: the controller that moves the arm for its
+        # identification is the one that is shipped, with its guards on encoder and clock.
         correction=Modes(0.0),
         feedforward=Modes(0.0),
         inner_pole=pole,
@@ -130,7 +130,9 @@ def fastest_loop(
     Its poles are placed in z with the delay inside the equation: at the same pole this leaves three times the
     distance that a discretised PID does.
     """
+    # Up to half the sampling rate, where a late loop comes closest to −1.
     frequency = np.geomspace(1e-2, math.pi / period, 600)
+    # One at least: a voltage acts when the next sample is taken.
     samples = max(1, round(delay / period))
     for pole in _POLES:
         loop = MotorLoop(pole, samples, "sampled", "direct")
@@ -150,6 +152,7 @@ def _keeps(
     except FieldError:
         return False
     true = SampledMotorLoop(pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples)
+    # Poles first: the distance from −1 of a loop that is unstable says nothing.
     if float(np.max(np.abs(true.poles()))) >= 1.0:
         return False
     return float(np.min(np.abs(1.0 + true.loop_gain(frequency)))) >= margin
@@ -171,10 +174,12 @@ def follow(
     """
     here = guard.connect().angle
     start, origin = guard.count, here if origin is None else origin
+    # A law that goes on from the path before keeps its integrator, and its tick.
     runs = follower or Follower(law)
     more = np.zeros(path.shape[1]) if shaken is None else shaken
     for (angle, acceleration), voltage in zip(path.T.tolist(), more.tolist(), strict=True):
         reading = guard.reading
+        # With the periods since the last sample, so that the law counts what was lost as its own guards do.
         law_s = runs.step(origin + angle, acceleration, reading.angle, guard.torque, reading.periods)
         guard.step(law_s + voltage)
     return guard.record(start)
@@ -185,9 +190,12 @@ def random_moves(reach: float, speed: float, duration: float, period: float, *, 
     random = np.random.default_rng(seed)
     at, parts, total = 0.0, [], 0.0
     while total < duration:
+        # To the other side each time: the motor must reverse for friction to be told from damping.
         to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
+        # The last move ends at the start, so that the next stage finds the limits on both sides.
         last = total > duration - 1.0
         to = 0.0 if last else to
+        # 15/8 is the peak of the quintic's speed over its mean.
         time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period)
         move = smooth_step(to - at, time)
         grid = period * np.arange(math.ceil(time / period))
@@ -201,9 +209,11 @@ def random_moves(reach: float, speed: float, duration: float, period: float, *, 
 
 def random_steps(reach: float, bit: float, rise: float, bits: int, period: float) -> Real:
     """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of `rise` [s]."""
+    # 511 bits before it repeats: the longest excitation has fewer.
     levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
     count = max(round(bit / period), 2)
     grid = period * np.arange(count)
+    # Rest in front, as an identification takes the first samples for rest.
     parts, at = [np.zeros((2, round(0.2 / period)))], 0.0
     for to in (*levels.tolist(), 0.0):
         move = smooth_step(to - at, min(rise, bit)) if to != at else hold(0.0)
@@ -227,8 +237,11 @@ def calm(guard: Guard, law: Law, *, stiffness: float, resonance: float, noise: f
     while guard.count < last:
         if guard.count >= first and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise:
             return
+        # A tenth of a second between two looks: the deviation is that of half a second anyway.
         for _ in range(_LOOK):
             reading = guard.reading
+            # Steps of the integral of Γ/c; the leak takes out in a second what the gauge's offset would wind
+            # up.
             part -= guard.period * (_DAMPING * resonance * guard.torque / stiffness + _LEAK * part)
             guard.step(runs.step(origin + part, 0.0, reading.angle, guard.torque, reading.periods))
 

@@ -52,15 +52,18 @@ class MotorResult:
 def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
     """Identify the motor with moves that grow until K/J is known to 2 %, and place its loop."""
     period = guard.period
+    # Without its damping: more phase is lost than in truth, and the loop errs on the slow side.
     guess = MotorGain(wiring.gain, 0.0)
     loop = fastest_loop(guess, wiring.delay, period, ratios=_UNSURE, margin=_ROBUST, most=_SLOW)
     law = motor_law(guess, loop, guard)
     limits = guard.limits
+    # A quarter of what may be planned: until K/J is known the guard alone keeps the speed.
     reach, speed = min(_FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
     fit: MotorFit | None = None
     for number in range(1, _ROUNDS + 1):
         # What is not compensated yet lets the arm lag: the moves are slow enough for the loop to follow.
         fast = min(speed, 0.35 * loop.pole * reach)
+        # For the link's first fit, which takes the beginning of the record for rest.
         guard.quiet(wiring.gauge_noise, _RINGING)
         record = follow(guard, law, random_moves(reach, fast, 3.0, period, seed=number))
         guard.release()
@@ -71,13 +74,16 @@ def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
         if fit is not None:
             guess = MotorGain(fit.gain, max(fit.decay, 0.0))
             loop = fastest_loop(guess, fit.delay, period, ratios=_UNSURE, margin=_ROBUST, most=2 * _SLOW)
+            # Seven tenths of what was found: friction that is more than compensated drives the arm by itself.
             law = motor_law(guess, loop, guard, friction=0.7 * max(fit.coulomb_voltage, 0.0))
+        # Not to the limit at once: the torque of a move grows with its speed as well as with its size.
         reach *= min(most, 1.8)
         speed = min(PLANNED * limits.speed, 1.8 * speed)
     if fit is None:
         raise FraclinkError("the motor could not be identified: too little motion within the limits")
     if not fit.passed:
         raise FraclinkError(f"the motor could not be identified: {fit.findings[0].message}")
+    # Below zero by their own errors; a loop that counted on negative friction would be too fast.
     fit = replace(fit, decay=max(fit.decay, 0.0), coulomb_voltage=max(fit.coulomb_voltage, 0.0))
     sure = MotorGain(fit.gain, fit.decay)
     closed = fastest_loop(sure, fit.delay, period, ratios=_SURE, margin=_MARGIN, most=_FAST)

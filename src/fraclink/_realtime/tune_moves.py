@@ -91,6 +91,8 @@ def planned_move(design: Design, law: Law, limits: MotionLimits) -> tuple[float,
     heaviest.
     """
     amplitude = PLANNED * limits.angle
+    # Begins where the reference alone takes four fifths of the planned speed: what the link adds is looked at
+    # below.
     duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
     twin = link_twins(design)[-1]
     for _ in range(20):
@@ -105,6 +107,7 @@ def planned_move(design: Design, law: Law, limits: MotionLimits) -> tuple[float,
         )
         if max(parts) <= _WITHIN and all(run.verdict.passed for run in runs):
             return amplitude, duration
+        # An angle that is too large does not get smaller by moving slowly; speed and torque do.
         if parts[2] == max(parts) and parts[2] > _WITHIN:
             amplitude *= 0.9
         else:
@@ -121,11 +124,13 @@ def first_moves(
     """Hand over from the motor's loop to the law, move at a tenth of the speed, then back at full speed."""
     amplitude, duration = planned_move(design, law, guard.limits)
     found = []
+    # The slow move first: a law that is wrong shows it at a tenth of the speed.
     for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TWICE)):
         far, long = part * amplitude, slower * duration
         simulated = (_simulated(design, law, smooth_step(far, long), payload, seed=seed) for seed in _SEEDS)
         promised = [_judged(*both, far, long, design) for both in simulated]
         records, judged = [], list[Pair]()
+        # A third one where two disagree, never more: two of three have said the same by then.
         while len(judged) < times or (len(judged) == _TWICE and not _decided(judged, promised)):
             guard.connect()
             # Towards where the arm stood at first, whatever a law before has left.
@@ -154,6 +159,8 @@ def _moved(guard: Guard, law: Law, motor: MotorResult, path: Path, payload: floa
     """The record of a move, and how far the arm moved in the first periods after the hand-over."""
     period = guard.period
     guard.rest(0.6)
+    # The motor's loop holds the arm before the law does, so that a jump is the law's own and not the arm's
+    # sagging.
     rest = motor_law(motor.gain, motor.loop, guard)
     follow(guard, rest, np.zeros((2, round(0.2 / period))))
     before = guard.angle
@@ -217,15 +224,19 @@ def _median(pairs: list[Pair], place: int) -> float:
 def _judged(angle: Real, torque: Real, amplitude: float, ends: float, design: Design) -> Pair:
     """Settling time and residual vibration of the tip estimate, smoothed over a quarter of a vibration."""
     model, rig, period = design.model, design.rig, design.rig.period
+    # Torque and angle of the same instant: a gauge that is 12 ms late would turn the motor's motion into
+    # vibration.
     late = round(max(model.gauge_delay, 0.0) / period)
     bend = torque[late:] / model.stiffness
     tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
+    # A mean over a quarter of a vibration keeps 2√2/π of its amplitude.
     width = max(3, round(0.5 * math.pi / abs(model.pole) / period))
     smooth = np.convolve(np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same")[width:-width]
     # The gauge's noise is left in the estimate: a band below it would never be kept.
     noise = rig.gauge.noise / model.stiffness / math.sqrt(width)
     band = max(_BAND * abs(amplitude), _ABOVE * noise)
     final = float(np.mean(smooth[-round(_LAST / period) :]))
+    # Around where it came to rest, not around the reference: the motor's friction leaves it a little beside.
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     begin = round(ends / period)
     ringing = smooth[begin : begin + round(0.5 / period)]

@@ -26,7 +26,9 @@ __all__ = ["Wiring", "WiringFault", "check_wiring"]
 
 Real = NDArray[np.float64]
 
+# A hundred samples at 4 ms: their deviation is known to 7 %.
 _REST = 0.4  # [s] in which the noise of the sensors is measured
+# Three seconds, for an arm that somebody has just let go.
 _LOOKS = 8  # that an arm may take to come to rest
 _STILL = 0.004  # [rad]
 _PULSE = 0.04  # [s] of one half of a doublet: shorter than a quarter vibration of any arm of a laboratory
@@ -39,12 +41,15 @@ _ANSWER = 0.012  # [rad], 0.7°: the motion that the doublets grow to
 _MOST = 0.040  # [rad], 2.3°: grown to this where the gauge does not show the first
 _FELT = 0.006  # [N·m], at least: where the gauge alone answers, be it with an angle, it must be a motion
 _MISSING = 0.5  # of the wanted motion: less is none where the gauge answers
+# A motion of fewer counts is known to no better than an eighth, and so is K/J.
 _COUNTS = 8  # of an encoder, at least
+# A wrong sign closes a loop that runs away: one in two million is allowed to be chance.
 _SURE = 5.0  # standard errors that a sign needs
 _DEVIATIONS = 8.0  # of the gauge's noise, smoothed, that are an answer
 _KEPT = 0.3  # of a motion that follows the doublets: of an angle about half, of a torque a tenth
 _REVERSED = 0.6  # of what the link leaves unexplained: with the right wires the reverse leaves more
 _CLEAR = 8.0  # standard errors of the torque's gain that a fit over all frequencies does not find in noise
+# Of both signs, six each: what drifts or drags to one side cancels.
 _DOUBLETS = 12
 _FAR = 1.6  # times the stated K/J: the fit to small motions is within a tenth, payload and gear a third off
 _SCALE = 2.5  # that a stated value may be off: friction, payload and gauge differ by a third, units by ten
@@ -112,6 +117,7 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         guard.rest(_REST)
         still = guard.record(start)
         # Second differences: an arm that still rings adds nothing to them.
+        # Second differences of white noise have six times its variance: 1 + 4 + 1.
         shake, noise = (float(np.std(np.diff(x, 2))) / math.sqrt(6.0) for x in (still.angle, still.torque))
         turned = float(np.ptp(_smoothed(still.angle)))
         if turned <= _STILL + _DEVIATIONS * shake / math.sqrt(_SMOOTH):
@@ -123,7 +129,9 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         )
     # The gauge's zero is its mean at rest, not its first sample.
     guard.offset += float(np.mean(still.torque))
+    # Before the first doublet: six deviations of a coarse encoder's speed would end it.
     guard.allow(shake)
+    # What must be seen above noise that a mean of five samples has smoothed.
     answers = (
         max(_ANSWER, _DEVIATIONS * shake / math.sqrt(_SMOOTH)),
         max(_FELT, _DEVIATIONS * noise / math.sqrt(_SMOOTH)),
@@ -138,6 +146,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         moved = float(np.ptp(record.angle))
         if not isinstance(found, _Unsure) or moved > _MOST / 1.6:
             raise found
+        # Grown on from there: a motion that was too small for the noise is made 1.6 times as large, up to
+        # 2.3°.
         pulse = _grown(guard, (1.6 * max(moved, answers[0]), answers[1]), pulse)
 
 
@@ -145,6 +155,7 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
     """The voltage of a doublet that encoder [rad] or gauge [N·m] answers by as much."""
     most, (wanted, felt) = guard.limits.voltage, answers
     pulse = max(pulse, _FIRST * most / _GROWTH)
+    # Signs alternate, so that what one doublet leaves of motion the next takes back.
     sign, alone = 1.0, 0
     while pulse < most:
         pulse = min(_GROWTH * pulse, most)
@@ -153,6 +164,7 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         sign = -sign
         record = guard.record(before)
         moved = float(np.max(np.abs(_smoothed(record.angle) - angle)))
+        # The encoder's own step is looked at each time: it is not known before something moves.
         if moved >= max(wanted, _COUNTS * _step(record.angle)):
             return pulse
         # Twice, as one swing of the gauge may be chance.
@@ -197,6 +209,7 @@ def _train(guard: Guard, pulse: float) -> Record:
     guard.rest(0.1)
     for k in range(_DOUBLETS):
         _doublet(guard, pulse if k % 2 == 0 else -pulse)
+        # Equal pauses would feed a link whose period they are; four different ones feed none.
         guard.rest(0.05 * (k % 4))
     guard.rest(0.3)
     return guard.record(start)
@@ -208,12 +221,15 @@ def _concluded(
     step = _step(record.angle)
     moved = float(np.ptp(record.angle))
     degrees = f"{math.degrees(moved):.2g}°"
+    # Two counts are what a standing encoder shows between two marks.
     if moved < 3 * step or moved == 0.0:
         return WiringFault(
             f"encoder dead: it stands still while the gauge answers the drive ({pulse:.3g} V) with "
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
         )
     gain, error, friction, delay = motor_of_doublets(record, _half(record.period))
+    # Before the gauge is looked at: with counts of another encoder the torque fits no link either, and would
+    # be blamed.
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record.angle, record.torque, record.period)
@@ -282,6 +298,8 @@ def _scales(gain: float, stiffness: float, stated: Rig | None) -> tuple[tuple[st
         ), ""
     motor = stated.motor.gain
     encoder = gain / motor
+    # The stiffness is torque over angle, so that a wrong encoder's scale divides it; the product is the
+    # gauge's alone.
     bend = stiffness / stated.link.stiffness * encoder  # the gauge's scale over the true one
     said = (
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
@@ -308,6 +326,8 @@ def _kept(record: Record, channel: Real) -> float:
     """The share of a channel's motion that follows the places the doublets move the motor to."""
     place = np.zeros(channel.size)
     for begin in edges_of(record):
+        # A doublet leaves the motor where its first half has thrown it: stairs, each from the doublet's
+        # middle on.
         place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
     left = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
@@ -318,6 +338,7 @@ def _kept(record: Record, channel: Real) -> float:
 def _step(angle: Real) -> float:
     """The smallest difference of two readings, the encoder's count where it has one."""
     apart = np.abs(np.diff(angle))
+    # Readings that are equal but for rounding are equal.
     apart = apart[apart > 1e-12]
     return float(np.min(apart)) if apart.size else 0.0
 
@@ -334,6 +355,7 @@ def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float
         )
     except FraclinkError:
         return None
+    # A fit without errors, as of a gain at its bound, is known to what it leaves unexplained.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     return fit.gain, error, fit.model.natural_frequency, fit.delay, fit.nmse
 
@@ -341,5 +363,6 @@ def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float
 def _swapped(record: Record, link: tuple[float, float, float, float, float] | None) -> bool:
     """Whether what is read as the angle is the link's answer to what is read as the torque."""
     other = _link(record.torque, record.angle, record.period)
+    # The reverse must explain clearly more: torque on angle, read as angle on torque, fits a little, too.
     left = 1.0 if link is None else link[4]
     return other is not None and other[0] > _SURE * other[1] and other[4] < _REVERSED * left

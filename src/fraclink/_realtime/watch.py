@@ -118,6 +118,7 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     if not math.isclose(log.period, tuning.period, rel_tol=1e-6):
         allowed, remedy = f"{tuning.period:g} s", "record at the period of the law"
         raise FieldError("log.period", log.period, "not the tuning's", allowed=allowed, remedy=remedy)
+    # Motion and not length: an arm that rests for a minute shows its noise.
     moving = _moving_time(log)
     if moving < _LEAST_MOTION:
         allowed, remedy = f">= {_LEAST_MOTION:g} s", "give a longer record, of moves"
@@ -125,6 +126,8 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             "log", f"{moving:.3g} s of motion", "too little to tell", allowed=allowed, remedy=remedy
         )
     known = tuning.link.fit
+    # λ is the link's material and does not change within a run; left free it takes up what a changed delay or
+    # gain does to the phase, and neither is named.
     fixed = {"order": known.model.order} if known.model.order < 2.0 else {}
     fit = identify(log, known.structure, fixed=fixed, hold="first", heldout=0.0, details=False)
     changes = (
@@ -139,17 +142,20 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
 
 
 def _moving_time(log: Experiment) -> float:
+    # Over 50 ms: from one sample to the next an encoder's count is a speed above the threshold.
     lag = max(1, round(0.05 / log.period))
     speed = np.abs(log.motor_angle[lag:] - log.motor_angle[:-lag]) / (lag * log.period)
     return float(np.count_nonzero(speed > _MOVING)) * log.period
 
 
 def _compared(name: str, was: float, now: float, fit: Fit, known: Fit, error: str = "") -> Change:
+    # Both fits err, independently.
     parts = (found.standard_errors.get(error or name, 0.0) for found in (fit, known))
     return _change(name, was, now, math.hypot(*parts))
 
 
 def _change(name: str, was: float, now: float, spread: float) -> Change:
+    # A delay has no scale of its own: 2.5 ms cost the same phase behind a gauge that is never late.
     worth = _WORTH[name] * (1.0 if name == "gauge_delay" else abs(was))
     off = abs(now - was)
     return Change(name, was, now, spread, off > worth and off > _SURE * spread)
@@ -168,10 +174,12 @@ def _friction(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
             period=log.period,
             torque=torque,
             delay=tuning.motor.fit.delay,
+            # As one voltage: what a record of moves shows is their sum.
             dead_zone=0.0,
         )
     except LogError:
         return ()
+    # Its own error and a twentieth of what it was: friction depends on where the gear stands.
     spread = math.hypot(found.standard_errors["coulomb_voltage"], 0.05 * tuning.motor.friction)
     grown = _change("friction", tuning.motor.friction, found.coulomb_voltage, spread)
     # Less friction than before is how moves that turn round often look, too: only more of it is a change.

@@ -1,22 +1,85 @@
-"""`fraclink man`: the manual page, made from the help of every command as it is."""
+"""`fraclink doctor`: what of this installation is there; `fraclink man`: the manual page of all commands."""
 
 from __future__ import annotations
 
+import platform
 import re
+import shutil
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from fraclink import __version__
+from fraclink import __version__, _kernels
 from fraclink._cli.app import application, every_command, group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._files import write_text
+from fraclink._show.text import Row, Table, View
 
 __all__ = ["manual_page"]
 
 app = group()
+
+# Distribution, the extra that installs it, and what it is for.
+_EXTRAS = (
+    ("matplotlib", "report", "figures and reports"),
+    ("jinja2", "report", "reports"),
+    ("control", "control", "exchange with python-control"),
+    ("python-flint", "certify", "proofs"),
+    ("h5py", "io", "logs in HDF5 and MATLAB 7.3"),
+    ("npTDMS", "io", "logs of LabVIEW"),
+    ("rosbags", "io", "logs of ROS"),
+    ("pyarrow", "io", "logs in Parquet, campaigns"),
+    ("distributed", "cluster", "campaigns on a cluster"),
+    ("starlette", "studio", "the studio"),
+)
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
+
+
+def _row(name: str, found: str | None, instead: str, use: str) -> Row:
+    return (name, found or instead, use, "passed" if found else "missing")
+
+
+@command(app)
+def doctor() -> Answer:
+    """Check this installation: kernels, optional packages, C compiler, real-time loop.
+
+    $ fraclink doctor
+    """
+    extras = {name: _installed(name) for name, _, _ in _EXTRAS}
+    # `cc` alone, as replay and FMU call it: another compiler that is there does not help them.
+    compiler = shutil.which("cc")
+    rows = [
+        ("Python", platform.python_version(), "", "passed"),
+        ("numpy", _installed("numpy") or "", "", "passed"),
+        # By distribution and not by import: an import of all would take seconds, and one that is broken would
+        # end the check that is to find it.
+        *(_row(name, extras[name], f"pip install 'fraclink[{extra}]'", use) for name, extra, use in _EXTRAS),
+        _row("C compiler", compiler, "none found", "replay, FMU"),
+        _row("real-time loop", "here" if _kernels.REALTIME else None, "Linux only", "run-realtime"),
+    ]
+    missing = [row[0] for row in rows if row[-1] == "missing"]
+    headline = f"fraclink {__version__} on {platform.system()} {platform.machine()}"
+    headline += f"; without {', '.join(missing)}" if missing else ""
+    table = Table(("part", "version", "for", "state"), tuple(rows), judged=True)
+    python = platform.python_version()
+    values = {"version": __version__, "python": python, "extras": extras, "compiler": compiler}
+    return Answer(
+        text=View(headline, (table,), state="passed"),
+        values=values,
+        following="fraclink run --rig paper-2023-geared --log demo --out results",
+    )
+
+
+# --- the manual page --------------------------------------------------------------------------------
 
 _EXIT = (
     ("0", "what was asked for passed"),
@@ -44,6 +107,7 @@ def man(
     if out is None:
         return Answer(text=text.rstrip("\n"), values={"page": text})
     write_text(out, text)
+    # man looks by section: elsewhere the page is shown by its file.
     inside = out.resolve().parent.name == "man1"
     return Answer(written=(out,), following="man fraclink" if inside else f"man -l {out}")
 
@@ -107,5 +171,7 @@ def _listed(rows: Any) -> Iterator[str]:
 
 def _text(text: str) -> str:
     """A text as roff reads it back: backslashes, hyphens, and a dot or quote that begins a line."""
+    # Backslashes first, as the others bring their own; a bare hyphen would be printed as a dash and not be
+    # found by a search for --out.
     escaped = text.replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq")
     return re.sub(r"^([.'])", r"\\&\1", escaped)
