@@ -464,7 +464,17 @@ def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(delay: int, weight: 
             [-made.b[:, None] @ row, made.a],
         ]
     )
+    # The filter: a noise of 10 mrad on the motor reference, an offset that walks by 3 mrad in ten seconds.
+    wide = linalg.block_diag(held, 1.0)
+    seen = np.hstack([row, [[1.0]]])
+    process = linalg.block_diag(0.01**2 * drive @ drive.T, 3e-3**2 * period / 10.0)
+    spread = linalg.solve_discrete_are(
+        wide.T, seen.T, process + 1e-26 * np.eye(n + 1), np.array([[noise**2]])
+    )
+    kalman = spread @ seen.T / (noise**2 + seen @ spread @ seen.T)
     found, wanted = np.linalg.eigvals(loop), np.linalg.eigvals(regulator)
+    slowest = np.abs(np.linalg.eigvals(wide @ (np.eye(n + 1) - kalman @ seen))).max()
+    assert np.abs(np.abs(found) - slowest).min() < 1e-8 and slowest > 0.99  # the offset's
     for one in wanted:  # the regulator's poles are among those of the loop
         assert np.abs(found - one).min() < 1e-4
     assert np.abs(found).max() <= 1.0 + 1e-9

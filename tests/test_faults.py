@@ -12,8 +12,8 @@ import pytest
 
 import fraclink as fl
 from campaigns import fault_bench
-from fraclink._campaign import fault_arm
-from fraclink._campaign.endurance import soak, upsets
+from fraclink._campaign import endurance, fault_arm
+from fraclink._campaign.endurance import Soak, soak, upsets
 from fraclink._campaign.fault_checks import shared_checks
 from fraclink._campaign.fault_rules import RULES
 from fraclink._campaign.fault_trial import REALS, WORDS, Trial, execute, members
@@ -284,9 +284,38 @@ def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
         assert (result.periods, result.trips, result.flagged) == (50_000, 0, 0)
 
 
+def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Chunks of a hundred rounds of a thousand periods; a chunk that is cut short ends it."""
+    asked: list[int] = []
+
+    class Arm:
+        def __init__(self, *_: Any) -> None: ...
+
+        def run(self, block: bytes, inputs: Any, *, single: bool) -> Any:
+            asked.append(len(inputs))
+            noisy.append(inputs[:, 3].copy())
+            record = np.zeros((len(inputs) - (7 if len(asked) == cut else 0), 15))
+            record[:, 9] = 1  # mode run
+            record[:3, 9], record[:5, 11], record[0, 11] = 4, 2, 128  # off; a flag; started, which is none
+            record[10, 0], record[10, 2] = 1.0, 0.75 - len(asked)
+            return record
+
+    monkeypatch.setattr(endurance, "ArmState", Arm)
+    noisy: list[Any] = []
+    cut = 0
+    assert soak(bench, 0.03, periods=150_000, seed=5) == Soak(150_000, 6, 8, 2.25)
+    assert asked == [100_000, 50_000] and not np.array_equal(noisy[0][:50_000], noisy[1])
+    assert np.std(noisy[0]) == pytest.approx(bench.twin.sensors.gauge_noise, rel=0.02)
+    asked.clear()
+    cut = 1
+    assert soak(bench, 0.03, periods=150_000) == Soak(99_993, 3 + 50_007, 4, 1.25)
+
+
 def test_the_soak_sees_trips(bench: Bench) -> None:
     result = soak(loosened(bench, residual_angle=1e-4), 0.03, periods=2_000)
-    assert result.trips > 0 and result.flagged > 0
+    assert result.periods == 2_000 and 0 < result.trips < 2_000 and result.flagged > 0
     with pytest.raises(FieldError):
         soak(bench, 0.03, periods=0)
 

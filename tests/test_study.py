@@ -13,7 +13,9 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import STRUCTURES
 from fraclink._campaign import load_campaign, stages
+from fraclink._campaign import study as study_module
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
 from fraclink._campaign.study import Refusal, Study, load_study, save_study
 from fraclink._campaign.summary import Failure, MetricSummary, Summary
@@ -150,6 +152,17 @@ def test_what_was_remarked_comes_back_from_the_folder(tmp_path: Path) -> None:
     assert back.rig == RIG
     assert np.array_equal(back.experiment.output, log().output)  # type: ignore[union-attr]
     assert back.verdict == kept.verdict and back.fit is None and back.runs == ()
+
+
+def test_a_comparison_is_of_all_four_structures_in_their_order() -> None:
+    fits: Any = {name: f"fit of {name}" for name in reversed(STRUCTURES)}
+    about: Any = SimpleNamespace(preferred="D-FOM", contest="contest", verdict="words", undecided=("UD-FOM",))
+    found = study_module._comparison(fits, about)
+    assert found is not None and list(found.fits.items()) == [(name, fits[name]) for name in STRUCTURES]
+    assert (found.preferred, found.contest, found.verdict) == ("D-FOM", "contest", "words")
+    assert found.undecided == ("UD-FOM",) and found.without_delay == {}
+    assert study_module._comparison(fits, None) is None
+    assert study_module._comparison({"UD-FOM": fits["UD-FOM"]}, about) is None
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:

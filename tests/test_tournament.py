@@ -12,10 +12,11 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.shapers import shaper_impulses
+from fraclink._campaign import rivals as rivals_module
 from fraclink._campaign import tournament as module
 from fraclink._campaign.rival_controllers import Linear, Seen, integer_mode
 from fraclink._campaign.rival_published import QUIETER, corrected, printed, quieter
-from fraclink._campaign.rival_runs import _plant, feed_forward, linear_growth, run_rival
+from fraclink._campaign.rival_runs import _plant, feed_forward, linear_growth, mode_gain, run_rival
 from fraclink._campaign.rivals import FRACLINK, Rival, _law_cost, builders, collocated, servo_law
 from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, prepare, tune
 from fraclink._campaign.tournament import Standing, Tournament, compare
@@ -447,6 +448,40 @@ def test_growth_is_the_logarithm_of_the_radius_in_a_second(setting: Setting) -> 
     closed = seen.a - 30.0 * np.outer(seen.b, seen.c)
     radius = np.abs(np.linalg.eigvals(closed)).max()
     assert radius > 1 and linear_growth(setting, twin, rival) == pytest.approx(math.log(radius) / PERIOD)
+
+
+def test_the_gain_at_the_second_mode_is_the_largest_around_it(setting: Setting) -> None:
+    twin = Twin.from_rig(RIG, link_mass=0.00735, payload=0.030)
+    plant, seen = _plant(setting, twin)
+    mode = float(plant.modes.frequencies[1])
+    w = np.linspace(0.8 * mode, 1.25 * mode ** (2 / 1.92), 20_000)
+    largest = np.abs(seen.response(np.exp(1j * w * PERIOD))).max()
+    for gain in (1.0, 0.25):
+        rival = Rival("flat", "", "", 1.0, 0, 0, setting.law, correction=constant(gain))
+        assert mode_gain(setting, twin, rival) == pytest.approx(gain * largest, rel=2e-3)
+
+
+def test_the_shortest_filter_that_is_quiet_enough_is_taken(setting: Setting) -> None:
+    """10 ms · 1.25^k: with a noise of 1/time, and 60 allowed, k is 3; the rate is that of the least Ms."""
+    loop: Any = SimpleNamespace(
+        noise=lambda made: 60.0 if isinstance(made, Filter) else 1.0 / made.time,
+        peak=lambda made: 2.0 + math.log(made.rate / 10.0) ** 2,
+    )
+    made: Any = lambda rate, time: SimpleNamespace(rate=rate, time=time)  # noqa: E731
+    rate, time, found = rivals_module._quiet(replace(setting, loop=loop), 12.0, made)
+    assert time == pytest.approx(0.01 * 1.25**3) == found.time and rate == pytest.approx(10.0, rel=1e-3)
+
+
+def test_the_collocated_pd_is_a_filtered_derivative(setting: Setting) -> None:
+    found = rivals_module._controller(setting, 25.0)
+    proportional, derivative = rivals_module._gains(setting, 25.0)
+    z = np.exp(1j * np.array([0.01, 0.2, 1.0, 2.5]))
+    s = 2.0 / PERIOD * (z - 1) / (z + 1)
+    assert found.response(z) == pytest.approx(proportional + derivative * s * 300.0 / (s + 300.0))
+    motor = setting.rig.motor
+    assert proportional == pytest.approx(625.0 / motor.gain)
+    assert derivative == pytest.approx((50.0 - motor.decay) / motor.gain)
+    assert rivals_module._gains(setting, 0.1)[1] == 0.0  # a motor with more friction than that
 
 
 def test_what_rivals_are_tuned_from_says_what_was_assumed() -> None:
