@@ -113,6 +113,18 @@ def test_the_programme_keeps_to_the_target_and_to_every_bound() -> None:
     assert made.solve(made.count_for(0.16), target, 40, 200) is None
 
 
+def test_limits_are_kept_until_a_tenth_of_a_second_behind_the_reference() -> None:
+    """Two rows for each period and signal; the tip's where it is asked for, the reference's at its knots."""
+    made = programme(MoveBounds({"voltage": 1.0, "torque": 2.0}, 3.0, 4.0), payloads=2)
+    rows, sides = made._kept(10, np.ones(200), 60, 90)
+    watched = 10 * 5 + 25
+    assert len(rows) == len(sides) == 2 * 2 * (30 + 2 * watched) + 2 * 10 + 2 * 11
+    assert np.count_nonzero(rows[:, -1] == -1.0) == 2 * 2 * 30  # the distance, in the tip's rows alone
+    assert sorted(set(sides.tolist())) == [-1.0, 1.0, 2.0, 3.0, 4.0]
+    short = programme(MoveBounds({"voltage": 1.0}, 3.0, 4.0))._kept(36, np.ones(200), 60, 90)[0]
+    assert len(short) == 2 * (30 + 200) + 2 * 36 + 2 * 37  # no more than is known
+
+
 def test_the_farthest_of_all_payloads_counts() -> None:
     made = programme(payloads=2, gains=(0.8, 1.2))
     found = made.solve(10, np.ones(200), 100, 200)

@@ -30,9 +30,16 @@ from fraclink._simulate import (
     damping_of,
     geared,
 )
+from fraclink._simulate import run as run_module
 from fraclink._simulate import sensors as columns
 from fraclink._simulate.engine import engine_link, engine_noise, engine_rig, engine_twin, twin_noise
-from fraclink._simulate.estimates import estimate_findings, estimate_signals, estimated_over, joined
+from fraclink._simulate.estimates import (
+    estimate_findings,
+    estimate_signals,
+    estimated_over,
+    estimator_for,
+    joined,
+)
 from fraclink._simulate.kernel import ArmState, apply, drive_of, twin_numbers
 from fraclink._simulate.links import link_weights, second_mode_weights
 from fraclink._simulate.on_twin import with_motor_loop
@@ -499,6 +506,53 @@ def test_an_estimate_stands_while_the_control_is_missed() -> None:
         and found.flags.tolist() == [8, 8, 8, 9, 9]
         and found.low.tolist() == [2, 2, 2, 2.5, 2.5]
     )
+
+
+def test_who_estimates_the_payload() -> None:
+    design = fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    bank = estimator_for(design, "estimated")
+    assert bank is not None and bank.values == design.estimator().values
+    assert bank.certified == pytest.approx((0.02, 0.04))
+    of_law = estimator_for(law("single"), "estimated", RIG)
+    assert of_law is not None and of_law.precision == "single"
+    assert of_law.certified == pytest.approx((RIG.payloads.low, RIG.payloads.high))
+    assert estimator_for(design, True) is estimator_for(law(), 0.03) is estimator_for(law(), False) is None
+    own = estimator_for(law("single"), bank)
+    assert own is not None and own.precision == "single" and own.models == bank.models
+    with pytest.raises(FieldError, match=r"told\.period"):
+        estimator_for(replace(law(), period=0.005), bank)
+    for options in ((), (replace(RIG, model=None),)):
+        with pytest.raises(FieldError, match="told: without a model of the link"):
+            estimator_for(law(), "estimated", *options)
+
+
+def test_runs_of_the_first_release_are_what_was_said_of_them() -> None:
+    time = PERIOD * np.arange(3)
+    old = {
+        "time": time, "tip_angle": time + 1, "contact_force": 2 * time, "metrics": {"overshoot": 0.1},
+        "verdict": {"passed": True},
+    }  # fmt: skip
+    made = run_module._of_model(old | {"settings": {"inner": "ideal", "payload": None, "seed": 3}})
+    assert made["about"] == {"arm": "model", "motor_loop": "ideal", "seed": 3} and math.isnan(made["payload"])
+    assert made["metrics"] == {"overshoot": 0.1, "growth": 0.0} and made["findings"] == []
+    assert list(made["extras"]) == ["contact_force"] and np.isnan(made["voltage"]).all()
+    assert made["tip_angle"].tolist() == (time + 1).tolist() and made["voltage"].shape == (3,)
+    known = run_module._of_model(old | {"settings": {"inner": "sampled", "payload": 0.02}})
+    assert known["payload"] == 0.02
+    twin = run_module._of_twin(
+        old | {"about": {"seed": 4}, "payload": np.array([0.03, 0.01, 0.01]), "finished": False}
+    )
+    assert (twin["about"], twin["payload"], twin["finished"]) == ({"arm": "twin", "seed": 4}, 0.03, False)
+    assert sorted(twin["extras"]) == ["contact_force", "payload"]
+
+
+def test_a_run_with_an_estimator_keeps_what_it_said() -> None:
+    twin = Twin.from_rig(GEARED, link_mass=0.00735, payload=0.06)
+    design = fl.design(MODEL, GEARED, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    run = fl.simulate(design, fl.smooth_step(1.0, 0.5), arm=twin, told="estimated", duration=1.5)
+    assert run.about["payload_given"] == "estimated" and "W604" in [finding.code for finding in run.findings]
+    assert run.extras["payload_estimate"][-1] == pytest.approx(0.06, rel=0.1)
+    assert run.extras["payload_low"][-1] < run.extras["payload_estimate"][-1] < run.extras["payload_high"][-1]
 
 
 def test_a_payload_that_the_law_rejects_is_counted() -> None:
