@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -457,6 +458,15 @@ def test_a_path_that_is_not_followed_is_a_finding(error: float, predicted: float
     best = measured(largest_error=error, predicted=predicted, settling_time=math.inf)
     found = shape_module._findings(moved(best, target=spline_path(np.array([1.0]), 0.1)))
     assert [finding.code for finding in found] == codes
+
+
+def test_a_move_is_saved_with_all_but_the_time_that_it_took(tmp_path: Path) -> None:
+    made = replace(moved(measured(computing_time=3.0)), target=spline_path(np.array([0.5]), 0.1))
+    made.save(tmp_path / "move.json")
+    back = ShapedMove.load(tmp_path / "move.json")
+    assert back == made and math.isnan(back.shaped.computing_time)
+    assert back.target is not None and float(back.target.angle(1.0)) == pytest.approx(0.5)
+    made.save(tmp_path / "move.json")  # over itself
 
 
 def test_a_move_knows_its_amplitude_and_its_first() -> None:

@@ -267,6 +267,18 @@ def test_bad_options_are_named(options: dict[str, object], field: str) -> None:
     assert caught.value.field == field
 
 
+def test_a_reference_that_is_no_number_is_refused() -> None:
+    class Lost(fl.Reference):
+        duration = 0.3
+        kind = "lost"
+
+        def derivative(self, time: Any, order: int) -> NDArray[np.float64]:
+            return np.where(np.asarray(time) > 0.1, np.nan, 0.0)
+
+    with pytest.raises(FieldError, match="reference: not finite"):
+        simulate(law(), Lost(), rig=RIG, model=MODEL, motor_loop="ideal", duration=0.5)
+
+
 def test_sizes_and_periods_are_checked_first() -> None:
     with pytest.raises(SizeError):
         simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", duration=1e9)

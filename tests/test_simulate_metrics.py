@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
+from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, _driven, judge, measure
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)
@@ -153,6 +154,14 @@ def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_
     assert verdict.reason == (
         "the voltage does not come to rest: it is at its limit in 50 % of the periods after the move"
     )
+
+
+@pytest.mark.parametrize(("ended", "driven"), [(5.41, 0.5), (5.42, 0.0)])
+def test_a_voltage_at_its_limit_counts_once_the_reference_rests(ended: float, driven: float) -> None:
+    """Of 601 periods the last tenth begins at 5.41 s: a reference that rests then is at rest in all of it."""
+    at_limit = np.arange(TIME.size) % 2 == 0
+    block = replace(signals(REFERENCE, saturated=at_limit), ended=np.array([ended]))
+    assert float(_driven(block)[0]) == pytest.approx(driven, abs=0.01)
 
 
 def test_a_trip_names_mode_reason_and_time() -> None:
