@@ -469,7 +469,8 @@ def test_the_shortest_filter_that_is_quiet_enough_is_taken(setting: Setting) -> 
     )
     made: Any = lambda rate, time: SimpleNamespace(rate=rate, time=time)  # noqa: E731
     rate, time, found = rivals_module._quiet(replace(setting, loop=loop), 12.0, made)
-    assert time == pytest.approx(0.01 * 1.25**3) == found.time and rate == pytest.approx(10.0, rel=1e-3)
+    seen: Any = found
+    assert time == pytest.approx(0.01 * 1.25**3) == seen.time and rate == pytest.approx(10.0, rel=1e-3)
 
 
 def test_the_collocated_pd_is_a_filtered_derivative(setting: Setting) -> None:
