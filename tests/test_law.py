@@ -7,6 +7,7 @@ import re
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
 from fraclink._law import block as layout
-from fraclink._law.discretization import _crossover
+from fraclink._law.discretization import _crossover, _is_met
 from fraclink.errors import FieldError, FileFormatError
 from law_bench import PERIOD, default_controller, law, run, signals
 
@@ -337,3 +338,19 @@ def test_the_fit_is_centred_where_the_loop_last_falls_through_one() -> None:
     assert _crossover(fl.Controller(gain=1e-9, order=0.5), LinkModel(1.56, 10.0, order=1.5)) == pytest.approx(
         10.0 ** (2 / 1.5)
     )
+
+
+@pytest.mark.parametrize(
+    ("error", "slack", "met"),
+    [
+        ((0.1, 0.5), 1.0, True),
+        ((0.101, 0.4), 1.0, False),
+        ((0.09, 0.501), 1.0, False),
+        ((0.12, 0.6), 1.2, True),
+        ((0.121, 0.5), 1.2, False),
+        ((0.1, 0.61), 1.2, False),
+    ],
+)
+def test_a_fit_meets_both_tolerances_or_none(error: tuple[float, float], slack: float, met: bool) -> None:
+    fit = SimpleNamespace(error_db=error[0], error_deg=error[1])
+    assert _is_met(fit, slack) is met  # type: ignore[arg-type]

@@ -147,8 +147,6 @@ def _inline(channel: object) -> str:
 _STIFFNESS_MOST = 2.0
 # A link whose mass the rig does not state lowers the frequency: by 1.55 at 60 g and a payload of 10 g.
 _FREQUENCY_MOST = 1.8
-# Share of a uniform beam's mass that moves with its tip, 33/140 of Rayleigh's quotient.
-_MOVING = 33.0 / 140.0
 _UNITS = {
     math.degrees(1.0): "as with an angle in degrees that is called radians",
     1000.0: "as with milli- or kilo- left out of a unit",
@@ -192,7 +190,7 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
 def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     if model.payload is None:  # ω₀ is then taken from the rig
         return
-    moving = model.payload + _MOVING * rig.link.mass
+    moving = model.payload + rig.link.tip_mass
     expected = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
     # Eq. (5) has ω₀ in s^(−λ/2) where a vibration has |p| in rad/s: either may be meant.
     found = (model.natural_frequency, abs(model.pole))

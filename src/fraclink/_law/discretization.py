@@ -114,9 +114,8 @@ def discretize_controller(
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = forward_fit(model, period)
-    inner_pole = controller.inner.pole if controller.inner is not None else 80.0
-    # The paper's motor loop and its one period of computation, which `MotorLoop()` has for defaults, too.
-    delay = controller.inner.delay_samples if controller.inner is not None else 1
+    # Without one of its own: the paper's motor loop and its one period of computation.
+    inner = controller.inner or MotorLoop()
     modes = modes_from("link.order", forward, FORWARD_MODES, 0)
     law = Law(
         period=period,
@@ -124,14 +123,14 @@ def discretize_controller(
         stiffness=model.stiffness,
         correction=modes_from("order", correction, REAL_MODES, PAIR_MODES),
         feedforward=modes,
-        inner_pole=inner_pole,
+        inner_pole=inner.pole,
         limits=derive_limits(
-            model, period, moves or Moves(), pole=inner_pole, kick=abs(correction.feedthrough)
+            model, period, moves or Moves(), pole=inner.pole, kick=abs(correction.feedthrough)
         ),
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
-        tracking=tracking_for(model, modes, period, inner_pole, delay, rig=None, pid=None),
+        tracking=tracking_for(model, modes, period, inner.pole, inner.delay_samples, rig=None, pid=None),
     )
     return law if rig is None else equip(law, rig, model, moves=moves)
 

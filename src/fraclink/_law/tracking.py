@@ -27,10 +27,6 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
-# What the link's own mass is worth at the tip, where it bends as under a force there (Rayleigh).
-# A cantilever that bends as under a force at its end moves (3x² − x³)/2 of its tip at x: ∫ of the square over
-# the length is 33/140.
-LINK_SHARE = 33 / 140
 # A natural frequency this near to eq. (5) was computed by it, without the link's mass; an identified one
 # has it in.
 COMPUTED = 1e-3
@@ -88,7 +84,7 @@ def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
     """
     if rig is None or link.payload is None:
         return link.payload or 0.0, 0.0
-    own = LINK_SHARE * rig.link.mass
+    own = rig.link.tip_mass
     # Counting the link's mass twice would make every feed-forward that much too large.
     computed = math.isclose(link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED)
     return (link.payload if computed else link.payload + own), own
