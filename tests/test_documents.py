@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._files import document, kind_of, load, save
+from fraclink._files.codec import Storage, codec_of
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.findings import Finding
 from mutants import mutate
@@ -573,3 +574,9 @@ def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(tmp_path: Path
         [sys.executable, "-c", command], capture_output=True, text=True, check=False
     )
     assert done.stdout.strip() == repr(margins.modulus_margin), done.stderr
+
+
+def test_arrays_of_a_json_file_are_read_only() -> None:
+    for kind, data in ((NDArray[np.float64], [1.0, 2.0]), (NDArray[np.complex128], [[1.0, -1.0]])):
+        values = codec_of(kind).decode(data, "", Storage())
+        assert values.dtype.kind in "fc" and not values.flags.writeable

@@ -308,3 +308,36 @@ def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:
     (tmp_path / "log.bin").write_bytes(np.random.default_rng(1).bytes(24_000))
     with pytest.raises(FileFormatError, match=r"damaged or binary|not UTF-8"):
         read_table(tmp_path / "log.bin")
+
+
+def test_commas_that_are_not_all_decimal_stay_what_they_are(tmp_path: Path) -> None:
+    """A remark with a comma among decimal commas: what the others mean is for a person to say."""
+    rows = "\n".join(";".join(row).replace(".", ",") + ";slow, then fast" for row in ROWS)
+    path = tmp_path / "log.csv"
+    path.write_text(";".join(HEADER) + ";remark\n" + rows + "\n", "utf-8")
+    with pytest.raises(LogError, match="decimal comma: export with decimal points"):
+        read_log(path)
+    table = read_table(path)
+    assert table.remarks == () and table.names == (*HEADER, "remark")
+
+
+@pytest.mark.parametrize(
+    ("cells", "value"),
+    [
+        (("0,125", "1,500"), 0.125),
+        (("0,5", "1,25"), 0.5),
+        (("1,125", "2,500"), None),
+        (("1250,125", "1,5"), 1250.125),
+    ],
+)
+def test_three_digits_behind_a_comma_may_be_thousands(
+    cells: tuple[str, str], value: float | None, tmp_path: Path
+) -> None:
+    """1,125 is one and an eighth, or more than a thousand; 0,125 is no number of thousands."""
+    path = tmp_path / "log.csv"
+    path.write_text("a;b\n" + f"{cells[0]};{cells[1]}\n" * 5, "utf-8")
+    table = read_table(path)
+    if value is None:
+        assert np.isnan(table.values[0]).all() and table.remarks == ()
+    else:
+        assert table.values[0].tolist() == [value] * 5 and table.remarks == ("decimal commas",)

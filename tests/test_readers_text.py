@@ -388,3 +388,25 @@ def test_inspect_counts_the_samples_that_are_missing(tmp_path: Path) -> None:
         np.nanmin(column),
         np.nanmax(column),
     )
+
+
+def test_a_column_that_is_missing_is_told_with_those_that_are_there() -> None:
+    for count, end in ((12, "c12"), (13, "c12, …")):
+        table = LogTable(tuple(f"c{k}" for k in range(1, count + 1)), (np.zeros(2),) * count, "text")
+        with pytest.raises(FieldError) as caught:
+            table.place("theta", "motor_angle", "state it")
+        assert caught.value.field == "column of motor_angle" and caught.value.remedy == "state it"
+        assert caught.value.allowed.startswith("c1, c2, ") and caught.value.allowed.endswith(end)
+    with pytest.raises(FieldError, match=r"Did you mean 'Theta_deg'\?"):
+        LogTable(("t", "Theta_deg"), (np.zeros(2),) * 2, "text").place("theta_deg", "motor_angle")
+
+
+@pytest.mark.parametrize(("stated", "contradicts"), [(0.03 * (1 + 5e-10), False), (0.03 * (1 + 2e-9), True)])
+def test_a_payload_that_differs_in_its_last_digits_is_the_header_s(
+    stated: float, contradicts: bool, tmp_path: Path
+) -> None:
+    path = write_log(tmp_path / "a.csv", made_rows(), before="# payload_kg: 0.030\n")
+    log = read_log(path, payload=stated)
+    assert log.payload == stated and bool(log.findings) == contradicts
+    for finding in log.findings:
+        assert dict(finding.evidence) == {"stated": stated, "header": 0.03}

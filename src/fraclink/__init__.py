@@ -30,6 +30,7 @@ __all__ = sorted(["__version__", *_HOME])
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         value = getattr(import_module(_HOME[name]), name)
+        # Found once, it is an attribute like any other: __getattr__ is asked only for what is missing.
         globals()[name] = value
         return value
     if name in _RENAMED:

@@ -56,13 +56,18 @@ def value_text(value: object) -> str:
 
 def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
     """The value as a message prints it: one line, printable characters only, bounded."""
+    # A text stands without quotes, as the user wrote it into a file or a terminal; all else as Python spells
+    # it.
     text = value if isinstance(value, str) else value_text(value)
+    # Cut before it is escaped: of 10 MB only the part that is shown is looked at. An escape sequence from a
+    # file must not reach the terminal, nor a line end make two messages of one.
     text = "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: limit + 1])
     return text if len(text) <= limit else text[:limit] + "…"
 
 
 def _sentence(text: str) -> str:
     """`text` as a sentence; a leading identifier such as ``read_log(...)`` keeps its spelling."""
+    # Only a plain word gets a capital: read_log(…) and --force are spelled as they are typed.
     if text and text.split(maxsplit=1)[0].rstrip(",;:").isalpha():
         text = text[0].upper() + text[1:]
     return text if text.endswith((".", "?", "!", "…")) else f"{text}."
@@ -138,6 +143,8 @@ class InfeasibleError(FraclinkError, ValueError):
 
     def __init__(self, condition: str, explanation: str, nearest: dict[str, float] | None = None) -> None:
         self.condition, self.explanation, self.nearest = condition, explanation, dict(nearest or {})
+        # As arguments of the same call, in its units: six digits can be typed, and the bound that was hit is
+        # not known better.
         hint = ", ".join(f"{n} = {value:.6g}{_UNITS.get(n, '')}" for n, value in self.nearest.items())
         super().__init__(f"{condition}: {explanation}" + (f"; nearest feasible: {hint}" if hint else ""))
 
@@ -216,6 +223,8 @@ def deprecated(*, use: str, removed: str, **renamed: str) -> Callable[[Callable[
                 warn_deprecated(function.__name__, use=use, removed=removed)
             for old, new in renamed.items():
                 if old in kwargs:
+                    # Given under both names, none can be preferred without ignoring the other: Python's own
+                    # answer to that is TypeError.
                     if new in kwargs:
                         raise TypeError(
                             f"{function.__name__}() got both {old!r} and {new!r}, which replaces it"

@@ -46,6 +46,8 @@ class Finding:
     remedy: str = ""
 
     def __post_init__(self) -> None:
+        # A copy behind a proxy: a finding travels with its experiment and is hashed, so that nobody may
+        # change its numbers, not even by the dict it was made from.
         object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
 
     def __str__(self) -> str:
@@ -72,11 +74,14 @@ def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Return the findings with errors before warnings, and these before the others, else in their order."""
+    # sorted() is stable: within a severity findings stay in the order in which a person would ask.
     order = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(findings, key=lambda finding: order[finding.severity]))
 
 
 State = Literal["passed", "failed", "not shown", "not run"]
+# What was refuted is worse than what could not be shown, and this worse than what nobody asked for: a verdict
+# of parts is none better than any of them.
 _WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
 
 
@@ -124,9 +129,12 @@ class Verdict:
     @property
     def refuted(self) -> bool:
         """Whether a scope failed or could not be shown; what was not run refutes nothing."""
+        # A proof that ended undecided counts as refuted here: it was asked for, and the arm must not be taken
+        # for safe.
         return self.state in ("failed", "not shown")
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """The reasons of all scopes, each once."""
+        # dict keeps the order, which a set would not.
         return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))

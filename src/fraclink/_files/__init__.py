@@ -220,6 +220,7 @@ def kind_of(path: Path | str) -> str:
         # Kind and format stand in front of everything in what `save` writes: 200 bytes tell a folder's files
         # apart, however large they are.
         start = stream.read(200)
+    # In an archive the same text is the member "about", whose beginning is enough.
     if start.startswith(_ZIP):
         start = header_of(place)[:200].encode("utf-8", "replace")
     found = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)

@@ -148,6 +148,7 @@ def _plain(cls: type) -> Document | None:
     """The document of a public class that names no format; None for what is no value."""
     package = import_module("fraclink")
     # By name and at call time: this floor knows nothing of those above it.
+    # The object itself, not its name: a user's class called Design is no result of fraclink.
     if getattr(package, cls.__name__, None) is not cls or cls.__name__ in _NO_VALUES:
         return None
     if not dataclasses.is_dataclass(cls) and not hasattr(cls, "_fields"):
@@ -171,11 +172,13 @@ def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
         package = import_module("fraclink")
         named = [name for name in package.__all__ if _kind(name) == kind]
         found_class = getattr(package, named[0]) if named else None
+        # Functions stand in the package as well: `design` reads as the kind of `Design`.
         if isinstance(found_class, type):
             _plain(found_class)
     # JSON may hold a list here, which no dict can be asked for.
     found = _BY_KIND.get(kind) if isinstance(kind, str) else None
     allowed = ", ".join(sorted({*HOMES, *_BY_KIND}))
+    # Whatever else may be saved is of no use to who expected one kind: the answer names that.
     if found is not None and wanted and found.cls not in wanted:
         allowed = " or ".join(_BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted)
         found = None

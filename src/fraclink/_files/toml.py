@@ -90,12 +90,14 @@ def keys_of(kind: type) -> dict[str, Key]:
     hints, found = get_type_hints(kind), rules(kind)
     keys: dict[str, Key] = {}
     for field in dataclasses.fields(kind):
+        # A table may be optional: the dataclass is looked for in X | None, too.
         kinds = [
             hint
             for hint in (hints[field.name], *get_args(hints[field.name]))
             if dataclasses.is_dataclass(hint)
         ]
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory
+        # Only units of the table are written into keys: dB or % would make names that TOML has to quote.
         key = field.name + _SUFFIX.get(found[field.name].unit, "")
         keys[key] = Key(field.name, found[field.name], kinds[0] if kinds else None, default)
     return keys
@@ -104,6 +106,8 @@ def keys_of(kind: type) -> dict[str, Key]:
 def suggestion(word: str, known: Iterable[str]) -> str:
     """``did you mean 'x'?`` for the nearest known word, or nothing where none is near."""
     original = {name.lower(): name for name in known}
+    # Half of the letters in common: enough for a slip of the keys or a missing unit, too little for another
+    # word.
     near = difflib.get_close_matches(word.lower(), original, n=1, cutoff=0.5)
     return f"did you mean {original[near[0]]!r}?" if near else ""
 
@@ -147,6 +151,7 @@ def _found(faults: list[FieldError], place: str, make: Callable[[], Any]) -> Any
     try:
         return make()
     except FieldError as error:
+        # Checks of one value name the whole path already, those of a constructor the field alone.
         field = error.field if not place or error.field.startswith(place) else f"{place}.{error.field}"
         faults.append(
             FieldError(field, error.value, error.problem, allowed=error.allowed, remedy=error.remedy)
