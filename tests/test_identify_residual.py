@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from fraclink._arm.link import SecondMode
 from fraclink._identify import Fit, Interval, identify
@@ -24,6 +25,7 @@ from fraclink._identify.residual import (
     coloured_covariance,
     correlation_lag,
     long_run_covariance,
+    noise_behind,
     residual_tests,
 )
 from fraclink._identify.search import Solution
@@ -89,19 +91,45 @@ def test_a_short_series_has_a_tenth_of_its_samples_as_coefficients(count: int) -
     assert autoregression(series)[0].size <= 1 + count // 10
 
 
+def _covariance(regressors: Array, residual: Array) -> tuple[Array, float]:
+    coefficients, variance, freedom = noise_behind(regressors, residual)
+    return coloured_covariance(regressors, coefficients, variance), freedom
+
+
 def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     """Σ_kl x_k γ(k − l) x_lᵀ with the known γ(l) = 0.9^|l| of the noise."""
     count = 1500
     regressors = np.stack([np.sin(0.02 * np.arange(count)), np.ones(count)])
     lags = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
     wanted = regressors @ (0.9**lags) @ regressors.T
-    found = np.mean(
-        [coloured_covariance(regressors, wandering(count, 0.9, seed)) for seed in range(20)], axis=0
-    )
+    found = np.mean([_covariance(regressors, wandering(count, 0.9, seed))[0] for seed in range(20)], axis=0)
     # The variance of 1500 such samples is itself known to 10 %, their sum over lags in 20 runs to 7 %.
     assert np.diag(found) == pytest.approx(np.diag(wanted), rel=0.2)
-    white = coloured_covariance(regressors, np.random.default_rng(0).normal(0, 3.0, count))
+    white, freedom = _covariance(regressors, np.random.default_rng(0).normal(0, 3.0, count))
     assert np.diag(white) == pytest.approx(9.0 * np.diag(regressors @ regressors.T), rel=0.25)
+    assert freedom == pytest.approx(count / 2, rel=0.25)  # of a first-order spectrum's level at 0
+
+
+def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
+    """The variance of a regression's coefficients, from its residual, against that from the known γ(l).
+
+    600 samples with ρ = 0.9 are 32 independent ones, and five regressors take a third of the noise.
+    """
+    count, t = 600, np.linspace(0, 1, 600)
+    rows = np.array([np.ones(count), np.sin(3 * t), np.cos(3 * t), t * np.sin(9 * t), t * np.cos(9 * t)])
+    inverse = np.linalg.inv(rows @ rows.T)
+    gamma = 0.9 ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    true = np.diag(inverse @ rows @ gamma @ rows.T @ inverse)
+    ratios, inside = [], []
+    for seed in range(100):
+        noise = wandering(count, 0.9, seed)
+        error = inverse @ rows @ noise
+        meat, freedom = _covariance(rows, noise - error @ rows)
+        found = np.diag(inverse @ meat @ inverse)
+        ratios.append(found / true)
+        inside.append(np.abs(error) < student.ppf(0.975, freedom) * np.sqrt(found))
+    assert np.mean(ratios, axis=0) == pytest.approx(np.ones(5), abs=0.15)  # 0.7 from the residual as it is
+    assert 0.91 < np.mean(inside) < 0.98  # 0.87 with that, and the normal distribution's 1.96
 
 
 @pytest.mark.parametrize(("correlation", "least", "most"), [(0.0, 1, 1), (0.8, 6, 20), (0.95, 25, 2000)])

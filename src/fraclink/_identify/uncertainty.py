@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lstsq
+from scipy.special import stdtrit
 
 from fraclink._arm.link import STRUCTURES, structure
 from fraclink._identify.least_squares import QUANTILE, Interval, interval_end
@@ -17,6 +18,7 @@ from fraclink._identify.residual import (
     coloured_covariance,
     correlation_lag,
     long_run_covariance,
+    noise_behind,
 )
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -86,17 +88,26 @@ def sandwich(
 ) -> tuple[Matrix, int, float]:
     """Covariance under a coloured residual, its correlation in samples, and Takeuchi's count of parameters.
 
-    `inverse` is that of the normal matrix of the regressors, shape (p, n), and `variance` the residual's.
+    `inverse` is that of the normal matrix of the regressors, shape (p, n), and `variance` the residual's. The
+    covariance is widened so that 1.96 of its standard errors hold what Student's quantile would: the level
+    of slow noise in a short log is known by few degrees of freedom.
     """
     lag = correlation_lag(residual)
-    meat = coloured_covariance(regressors, residual)
+    coefficients, power, freedom = noise_behind(regressors, residual)
+    meat = coloured_covariance(regressors, coefficients, power)
     # Misfit that depends on the motion is no independent noise; there the products of both tell more.
     products = long_run_covariance(regressors * residual, min(max(5 * lag, 10), residual.size // 5))
     wider = np.sqrt(np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0))
+    wider *= float(stdtrit(freedom, 0.975)) / QUANTILE
     spread = inverse @ meat @ inverse * np.outer(wider, wider)
+    if not variance > 0:
+        return spread, lag, float(inverse.shape[0])
     # tr(H⁻¹ J): under white noise the number of parameters, under slow noise as many more as it has fewer
-    # independent samples.
-    effective = float(np.trace(inverse @ meat)) / variance if variance > 0 else float(inverse.shape[0])
+    # independent samples. Of the residual as it is: what is given back to the noise is an estimate for each
+    # structure by itself, and on a log whose residual is friction it made 1217 parameters of one structure
+    # and 388 of its rival.
+    own = coloured_covariance(regressors, *autoregression(residual))
+    effective = float(np.trace(inverse @ own)) / variance
     return spread, lag, effective
 
 
