@@ -1065,3 +1065,91 @@ def test_a_law_of_another_link_or_none_is_refused(law: Law):
     still = replace(RIG, motor=replace(RIG.motor, viscous_friction=0.0))
     with pytest.raises(FieldError, match="friction"):
         certify(law, model=RIG.model, rig=still, inner="sampled", modulus_margin=0.3)
+
+
+def earlier(document: dict[str, Any], form: int) -> dict[str, Any]:
+    """The same certificate as files of formats 1 and 2 had it: points, and in format 1 no gauge at all."""
+    data = json.loads(json.dumps(document)) | {"format": form}
+    old = dict(data["statement"])
+    pairs = ("payload", "delay")
+    for name in [key.removesuffix("_low") for key in old if key.endswith("_low")]:
+        if name not in pairs:
+            old[name] = old.pop(f"{name}_low")
+            old.pop(f"{name}_high")
+    old["inner"] = old.pop("motor_loop")
+    for name in ("hold", "linear_range", "gauge_gain"):
+        old.pop(name)
+    if form == 1:
+        for name in (
+            "gauge_delay",
+            "mode_frequency",
+            "mode_gain",
+            "mode_damping",
+            "nominal_payload",
+            "stiffness",
+        ):
+            old.pop(name)
+    data["statement"] = old
+    keys = ("statement", "tree") if form == 1 else ("claim", "form", "assumed", "statement", "tree")
+    text = json.dumps(
+        {key: data[key] for key in keys}, sort_keys=True, separators=(",", ":"), ensure_ascii=form == 1
+    )
+    return data | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+@pytest.mark.parametrize("form", [1, 2])
+def test_a_certificate_of_an_earlier_format_is_read_and_proves_nothing(
+    form: int, document: dict[str, Any], certificate: Certificate, tmp_path: Path
+):
+    data, place = earlier(document, form), tmp_path / "old.json"
+    place.write_text(json.dumps(data), encoding="utf-8")
+    found, now = Certificate.load(place), certificate.statement
+    why = "does not state the gauge" if form == 1 else "covers one link, gauge and motor only"
+    assert found.verdict == f"Not certified: a certificate of format {form} {why}; certify again"
+    assert not found.passed and found.tree == data["tree"] and found.leaves == data["tree"].count(".")
+    said = found.statement
+    assert (said.order_low, said.order_high) == (now.order_low, now.order_low)
+    assert (said.payload_low, said.payload_high) == (now.payload_low, now.payload_high)
+    assert (said.gauge_gain_low, said.gauge_gain_high, said.hold) == (1.0, 1.0, "zero-order")
+    assert said.motor_loop == now.motor_loop
+    assert said.stiffness == pytest.approx(now.stiffness, rel=1e-6)
+    if form == 1:
+        assert said.gauge_delay_high == said.mode_gain_high == said.nominal_payload == 0.0
+    for change in ({"tree": data["tree"] + "."}, {"statement": "none"}, {"sha256": "0"}):
+        place.write_text(json.dumps(data | change), encoding="utf-8")
+        with pytest.raises(FileFormatError):
+            Certificate.load(place)
+
+
+def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
+    loop = BoxLoop(certificate.statement)
+    low, high = loop.root()
+    outcome = prove(loop, most=1)
+    assert isinstance(outcome, MarginFailure) and outcome.reason == "the bound is not met"
+    assert not outcome.refuted and math.isnan(outcome.distance)
+    place = np.array([outcome.place[name] for name in AXES])
+    assert np.all((low[0] <= place) & (place <= high[0]))
+    # The middle of a half of the box: all but one of the parameters are in their own middle.
+    assert np.count_nonzero(np.abs(place - 0.5 * (low[0] + high[0])) > 1e-9 * np.abs(high[0])) == 1
+
+
+def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
+    """The upper end is that of `margins` of the same loop at its worse corner; nothing is proved below."""
+    point = ParameterBox.at(RIG.model)
+    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "delay": (0.004, 0.004)}
+    claim = certify(law, box=point, modulus_margin=0.95, inner="ideal", **wanted).statement  # type: ignore[arg-type]
+    found = search.enclose_phase_margin(claim, law, most=1)
+    assert (found.low, found.nodes) == (0.0, 0)
+    low, high = claim.box
+    margins_ = {}
+    for payload, end in ((0.02, low), (0.04, high)):
+        place = {name: np.asarray(value) for name, value in end.items()}
+
+        def loop(s: Any, place: Any = place) -> Any:
+            return loop_values(claim, law, s.imag, place)
+
+        margins_[payload] = fl.margins(loop, limit=math.pi / law.period)
+    worst = min(margins_, key=lambda payload: abs(margins_[payload].phase_margin))
+    assert found.high == pytest.approx(abs(margins_[worst].phase_margin), abs=1e-9)
+    assert found.payload == pytest.approx(worst)
+    assert found.frequency == pytest.approx(margins_[worst].gain_crossover, rel=1e-9)
