@@ -142,8 +142,8 @@ def parse_expression(text: str) -> Expression:
         problem = "no text" if not isinstance(text, str) else "empty" if not text.strip() else "too long"
         raise FieldError("expression", text, problem, allowed=allowed, remedy=remedy)
     try:
-        # Parsed as Python and never run as Python: every node is compared with a list of nine below, and what
-        # is none of them is refused by name.
+        # Parsed as Python and never run as Python: `_check` compares every node with the few kinds that a
+        # transfer function is made of, and refuses any other by name.
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         where = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""

@@ -172,8 +172,8 @@ class _StructureProfile:
         own = self.search.coordinates
         held = replace(own, fixed={**own.fixed, self.name: float(own.value(self.name, value))})
         inner = StructureSearch(held, self.search.offset)
-        # The others move along the valley of the cost, as the normal matrix has it: a start from where they
-        # were would walk back into it, some ten calls more.
+        # The others move along the valley of the cost, as the normal matrix has it: from where they were a
+        # descent would first have to walk back into it.
         step = value - float(own.place(self.name, near.values[self.name]))
         start = [float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step for n in held.moving]
         found = inner.descended(self.data, np.array([start]))
