@@ -229,6 +229,8 @@ def test_points_of_halton() -> None:
     assert found[:, 0] == pytest.approx([1 / 2, 1 / 4, 3 / 4, 1 / 8, 5 / 8, 3 / 8])
     assert found[:, 1] == pytest.approx([1 / 3, 2 / 3, 1 / 9, 4 / 9, 7 / 9, 2 / 9])
     assert found[:, 2] == pytest.approx([1 / 5, 2 / 5, 3 / 5, 4 / 5, 1 / 25, 6 / 25])
+    primes = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37]  # for as many parameters as a text may have
+    assert _halton(1, 12)[0] == pytest.approx([1 / p for p in primes])
 
 
 def test_real_solutions_of_complex_systems() -> None:
