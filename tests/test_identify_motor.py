@@ -14,7 +14,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._identify import MotorFit, design_experiment, identify, identify_motor, simulated_torque
-from fraclink._identify.excitation import _followed, _multisine
+from fraclink._identify.excitation import _followed, _multisine, _scaled, _Unit
 from fraclink._identify.motor import _Bumps, _judged, _narrowed
 from fraclink.errors import FieldError, InfeasibleError, LogError
 from identify_cases import PERIOD
@@ -414,3 +414,20 @@ def test_a_log_has_two_hundred_samples() -> None:
         with pytest.raises(FieldError) as caught:
             design_experiment(LINK, **arguments)
         assert (caught.value.field, caught.value.allowed) == ("duration", "0.8 to 4000 s")
+
+
+@pytest.mark.parametrize(("limit", "reached", "named"), [(0.5, True, "none"), (0.4999, False, "deflection")])
+def test_a_motion_up_to_its_limit(limit: float, reached: bool, named: str) -> None:
+    """A motion of 1 rad bends the link by 0.1 rad and leaves an error of 0.05: 0.01 takes 5 rad."""
+    unit = _Unit(None, (1.0, 2.0), np.array([0.0, 1.0]), PERIOD, 0.05, 0.1, None)
+    design, met = _scaled(unit, 0.01, limit, None)
+    assert (met, design.limit) == (reached, named)
+    assert design.amplitude == pytest.approx(limit / 0.1)
+    assert design.standard_error == pytest.approx(0.05 / design.amplitude)
+    assert design.peak_deflection == pytest.approx(limit)
+    assert design.motor_angle.tolist() == [0.0, design.amplitude]
+    assert (design.peak_voltage, design.duration) == (None, PERIOD)
+    motor = Rig.named("paper-2023").motor
+    driven, _ = _scaled(dataclasses.replace(unit, voltage=10.0 * motor.voltage_limit), 0.01, limit, motor)
+    assert (driven.limit, driven.amplitude) == ("voltage", pytest.approx(0.1))
+    assert driven.peak_voltage == pytest.approx(motor.voltage_limit)

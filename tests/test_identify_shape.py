@@ -27,7 +27,7 @@ from fraclink._identify.shape import (
     shape_of,
     undamped_as_damped,
 )
-from fraclink._identify.uncertainty import inverted, profile_interval, reduced, uncertainty
+from fraclink._identify.uncertainty import _Profile, inverted, profile_interval, reduced, uncertainty
 from fraclink.errors import LogError, NotConvergedError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
@@ -471,3 +471,23 @@ def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> 
     assert wide.high - wide.low == pytest.approx(2 * (interval.high - interval.low), rel=0.05)
     own = profile_interval(search, solution, "natural_frequency", 0.01, 1.0)
     assert own.contains(model_of(solution.shape, 1.0, None).natural_frequency)
+
+
+def test_a_profile_knows_its_parameter_and_its_range(log: Experiment) -> None:
+    """Of a classical link ω₀ is the resonance, a coordinate with limits; elsewhere it is any above zero."""
+    search = searched(log)
+    viscous, fractional = search.solve("D-IOM"), search.solve("UD-FOM")
+    inside = tuple(np.exp([viscous.lower[1], viscous.upper[1]]))
+    assert _Profile(search, viscous, "natural_frequency").limits() == pytest.approx(inside)
+    assert _Profile(search, fractional, "natural_frequency").limits() == (0.0, math.inf)
+    assert _Profile(search, viscous, "damping").limits() == (0.0, math.inf)
+    assert _Profile(search, fractional, "order").limits() == (1.01, 2.0)
+    model = model_of(viscous.shape, 1.0, None)
+    for name in ("natural_frequency", "damping"):
+        profile = _Profile(search, viscous, name)
+        value = profile.value(viscous.shape)
+        assert value == pytest.approx(getattr(model, name))
+        cost, near = profile.cost(value * 1.001, viscous.shape)
+        assert profile.value(near) == pytest.approx(value * 1.001, rel=1e-6)
+        assert viscous.cost < cost < 1.01 * viscous.cost
+    assert (profile.samples, profile.least) == (2501, viscous.cost)
