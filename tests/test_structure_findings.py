@@ -67,7 +67,8 @@ def test_a_bound_is_met_within_a_ten_millionth_of_the_range() -> None:
 def test_directions_that_are_not_seen() -> None:
     rng = np.random.default_rng(0)
     a, b, c = rng.normal(size=(3, 50))
-    assert _blind(np.stack([a, b, c]), ("a", "b", "c")) == ()
+    for unit in (1.0, 1e-8, 1e8):  # in whichever unit it was measured
+        assert _blind(unit * np.stack([a, b, c]), ("a", "b", "c")) == ()
     assert _blind(np.stack([a, 2 * a, c]), ("a", "b", "c")) == ("a", "b")
     assert _blind(np.stack([a, b, np.zeros(50)]), ("a", "b", "c")) == ("c",)
     assert _blind(np.stack([a, b, a + b]), ("a", "b", "c")) == ("a", "b", "c")
