@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.least_squares import QUANTILE, Interval, interval_end
-from fraclink._identify.structure_problem import Lines, RecordStart, Samples, StructureCoordinates
+from fraclink._identify.structure_problem import (
+    GENERAL_POINTS,
+    Lines,
+    RecordStart,
+    Samples,
+    StructureCoordinates,
+)
 from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
 from fraclink._identify.uncertainty import inverted, sandwich
 from fraclink._systems.terms import Term
@@ -222,14 +228,12 @@ def _exchangeable(own: StructureCoordinates, orders: tuple[str, str], others: tu
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
         return False
-    # Three points in general position: two functions of one form that agree there agree everywhere.
-    points = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
     values = own.values(own.middle()[None, :], projected=False)
     swapped = dict(values)
     for one, other in pairs:
         swapped[one], swapped[other] = values[other], values[one]
-    response = own.structure.response
-    return bool(np.allclose(response(values, points), response(swapped, points), rtol=1e-12, atol=0.0))
+    here, there = (own.structure.response(x, GENERAL_POINTS) for x in (values, swapped))
+    return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))
 
 
 _UNEXPLAINED = 0.25  # of the squared output: half of it in amplitude, as the gate of a frequency response

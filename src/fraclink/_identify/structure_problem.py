@@ -24,6 +24,7 @@ from fraclink.errors import FieldError, NotConvergedError
 
 __all__ = [
     "COEFFICIENT_LIMITS",
+    "GENERAL_POINTS",
     "ORDER_LIMITS",
     "Lines",
     "RecordStart",
@@ -41,6 +42,8 @@ Limits = tuple[float, float]
 # nothing.
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (1e-12, 1e12)
+# Three points s in general position: two functions of one form that agree there agree everywhere.
+GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +62,12 @@ class StructureCoordinates:
     @cached_property
     def gain(self) -> str | None:
         """The free coefficient that multiplies the whole, projected out; None where there is none."""
-        points = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
         values = self.values(self.middle()[None, :], projected=False)
-        once = self.structure.response(values, points)
+        once = self.structure.response(values, GENERAL_POINTS)
         for name in self.structure.of_role("coefficient"):
             if name in self.names:
                 # Tried in numbers and not read off the tree: k/(k·s + k) has none, however its text looks.
-                twice = self.structure.response({**values, name: 2.0 * values[name]}, points)
+                twice = self.structure.response({**values, name: 2.0 * values[name]}, GENERAL_POINTS)
                 if np.allclose(twice, 2.0 * once, rtol=1e-12, atol=0.0):
                     return name
         return None
@@ -111,15 +113,14 @@ class StructureCoordinates:
         ∂G/∂n = ± ln s · ∂G/∂ln c, whatever the expression.
         """
         result = np.eye(len(self.moving))
-        points = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
         values = self.values(self.middle()[None, :], projected=False)
-        slopes = {name: self._slope(name, values, points) for name in self.moving}
+        slopes = {name: self._slope(name, values, GENERAL_POINTS) for name in self.moving}
         for row, one in enumerate(self.moving):
             for column, other in enumerate(self.moving):
                 # 1e-5: the differences below are right to 1e-9, and another ratio of two slopes misses a
                 # whole number by more.
                 if self.is_logarithmic(one) and self.structure.roles[other] == "order":
-                    ratio = slopes[other] / (slopes[one] * np.log(points))
+                    ratio = slopes[other] / (slopes[one] * np.log(GENERAL_POINTS))
                     if np.allclose(ratio, np.round(ratio[0].real), atol=1e-5) and round(ratio[0].real):
                         result[row, column] = round(ratio[0].real) * math.log(scale)
         return result
