@@ -27,7 +27,7 @@ from fraclink._identify.shape import (
     shape_of,
     undamped_as_damped,
 )
-from fraclink._identify.uncertainty import _Profile, inverted, profile_interval, reduced, uncertainty
+from fraclink._identify.uncertainty import _basis, _Profile, inverted, profile_interval, reduced, uncertainty
 from fraclink.errors import LogError, NotConvergedError
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
@@ -491,3 +491,15 @@ def test_a_profile_knows_its_parameter_and_its_range(log: Experiment) -> None:
         assert profile.value(near) == pytest.approx(value * 1.001, rel=1e-6)
         assert viscous.cost < cost < 1.01 * viscous.cost
     assert (profile.samples, profile.least) == (2501, viscous.cost)
+
+
+def test_on_the_edge_the_ratio_follows_alpha() -> None:
+    """Where ω₀ = 0 there is one direction less: dζ/dα of the largest ratio, tan(απ/2)/2."""
+    edge = solution([2.0, 2.0, largest_ratio(0.5), 0.5, 0.0], (1, 2, 3))
+    basis = _basis(edge, [1, 2, 3], 2)
+    assert basis.shape == (5, 4)
+    slope = (largest_ratio(0.5 + 1e-6) - largest_ratio(0.5 - 1e-6)) / 2e-6
+    assert basis[:, 1] == pytest.approx([0.0, slope, 1.0, 0.0, 0.0], rel=1e-6)
+    assert basis[:, [0, 2, 3]] == pytest.approx(np.eye(5)[:, [0, 3, 4]])
+    inside = solution([2.0, 2.0, 0.1, 0.5, 0.0], (1, 2, 3))
+    assert _basis(inside, [1, 2, 3], 2) == pytest.approx(np.eye(5))

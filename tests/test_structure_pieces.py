@@ -278,6 +278,8 @@ def test_draws_lie_in_their_ranges() -> None:
     delays = starts._drawn("d", uniform)
     assert np.mean(delays == 0.0) == pytest.approx(0.25, abs=0.01)
     assert delays.max() == pytest.approx(2.0, rel=5e-3) and delays.min() == 0.0
+    # Evenly in the logarithm over the band, a thousand to one, and down to none at all.
+    assert delays[300:] == pytest.approx(2.0 * (1000.0 ** (uniform[300:] - 1.0) - 1e-3), rel=1e-9)
     sizes = starts._drawn("w", uniform)
     assert sizes.min() >= 50.0**-2 and sizes.max() <= 50.0**2 / 1.0 * 1e3
     assert np.any(starts._drawn("w", uniform) > 100.0) and np.any(sizes < 0.01)
