@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from fraclink._cli import console, main, tunings
+from fraclink._cli import console, installation, main, tunings
 from fraclink._cli.app import every_command
 from fraclink._cli.console import clean, emit, emit_json, guarded, steps, tell, tell_written, watching, width
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError
@@ -276,6 +276,28 @@ def test_a_wrong_word_says_where_the_right_ones_are(capsys: pytest.CaptureFixtur
     assert capsys.readouterr().err.endswith("(see `fraclink export --help`)\n")
     assert main(["diagnos"]) == 2
     assert "diagnose" in capsys.readouterr().err  # what was meant, though its module was not loaded yet
+
+
+def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is flushed into it again."""
+    with (tmp_path / "pipe").open("w") as pipe:
+
+        class Left(io.StringIO):
+            def flush(self) -> None:
+                raise BrokenPipeError
+
+            def fileno(self) -> int:
+                return pipe.fileno()
+
+        monkeypatch.setattr(sys, "stdout", Left())
+        assert guarded(lambda: 1, as_json=True) == 0
+        pipe.write("lost")
+    assert (tmp_path / "pipe").read_text() == ""
+
+
+def test_a_manual_page_holds_texts_as_roff_reads_them_back() -> None:
+    assert installation._text("a\\b -c") == "a\\eb \\-c"
+    assert installation._text(".so x") == "\\&.so x" and installation._text("'q\"") == "\\&'q\\(dq"
 
 
 # --- lists and help -----------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._realtime import tune_build, tune_moves
 from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_build import build_law, measured_rig
+from fraclink._realtime.tune_build import Built, build_law, measured_rig
 from fraclink._realtime.tune_guard import Guard, Record
 from fraclink._realtime.tune_link import LinkResult, tune_link
 from fraclink._realtime.tune_motion import Follower, motor_law
@@ -472,3 +472,34 @@ def test_what_the_model_promises_is_simulated_on_the_link_that_was_shown(
     made.model = replace(RIG.model, second_mode=fl.SecondMode(frequency=140.0, damping_ratio=0.02, gain=0.5))  # type: ignore[type-var]
     tune_moves._simulated(made, None, path, 0.03, seed=4)  # type: ignore[arg-type]
     assert asked[1]["arm"] == "heavy"
+
+
+def test_laws_that_pass_are_offered_and_the_first_refusal_is_told_where_none_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    reasons: list[tuple[str, ...]] = []
+    proved: list[Any] = []
+
+    def prove(rig: fl.Rig, made: Any, words: tuple[str, ...]) -> Built:
+        proved.append(made)
+        return Built(rig, made, None, None, reasons[len(proved) - 1], words)
+
+    design = SimpleNamespace(doubted=lambda findings: findings)
+    monkeypatch.setattr(tune_build, "_designs", lambda *_: ((design, ("words",)) for _ in reasons))
+    monkeypatch.setattr(tune_build, "_proved", prove)
+    monkeypatch.setattr(tune_build, "_none", lambda *_: "there is none")
+    fit = SimpleNamespace(passed=True, findings=("a finding",), model=RIG.model)
+    link: Any = SimpleNamespace(fit=fit)
+    for told, offered in (
+        ([("it rings",), (), ("loud",), ()], [(), ()]),
+        ([("it rings",), ("loud",)], [("it rings",)]),
+        ([], [("there is none",)]),
+    ):
+        proved.clear()
+        reasons[:] = told
+        found = list(tune_build.built_laws(RIG, link))
+        assert [one.reasons for one in found] == offered
+        assert all(made == ("a finding",) for made in proved)  # the fit's doubts travel with each design
+    proved.clear()
+    reasons[:] = [(), ()]
+    assert next(tune_build.built_laws(RIG, link)).passed and len(proved) == 1  # made when it is asked for
