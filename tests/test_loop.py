@@ -127,6 +127,19 @@ def test_crossings_are_all_of_a_dense_scan(name: str) -> None:
         assert abs(margin[0]) == pytest.approx(np.abs(angles).min())
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.03])
+def test_crossings_about_a_sharp_second_mode_are_not_lost(delay: float) -> None:
+    """ζ = 0.001: |L| is above one over a thousandth of the frequency, far between two points of G's grid."""
+    link = replace(PLAIN, gauge_delay=delay, second_mode=SecondMode(150.0, 0.01, 0.001))
+    loop = Loop.of(CONTROLLER, link, RIG)
+    w = np.linspace(149.0, 151.0, 40_001)
+    level = np.abs(loop(w, 11.0)) > 1.0
+    edges = w[np.flatnonzero(level[:-1] != level[1:])]
+    assert edges.size == 2 and np.ptp(edges) < 1.0
+    found = loop.crossings(11.0).frequency
+    assert found[(found > 149.0) & (found < 151.0)] == pytest.approx(edges, abs=1e-4)
+
+
 def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
     """With 21 and 22 times the gain: the nearest passage of −1 lies between, on a dense Nyquist curve."""
     loop = Loop.of(CONTROLLER, PLAIN, RIG)
