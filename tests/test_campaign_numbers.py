@@ -24,6 +24,7 @@ from fraclink._campaign.campaign import draw
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases, fault_named
 from fraclink._campaign.run import part_path, read_part, run_campaign, write_part
 from fraclink._campaign.summary import _correlation, _metric, _ranks, columns, summarise
+from fraclink._show.views import view
 from fraclink._simulate.links import batch_links
 from fraclink.errors import FieldError, SizeError
 
@@ -408,7 +409,13 @@ def test_a_summary_of_a_finished_campaign_and_its_columns(one_part: Path) -> Non
     assert payload.tolist() == part["payload"].tolist() and set(shape.tolist()) <= {0.0, 1.0, 2.0}
     estimated = replace(small(30), payloads=(0.02, 0.04))
     assert summary_module._given(estimated) == "the law was given the payload that it estimated of each arm"
-    assert not replace(found, damaged=(3,)).passed
+    cut = replace(found, damaged=(3,))
+    assert not cut.passed
+    others = f"of the others, {found.failure.sentence}"
+    assert view(cut).headline == f"1 part of the campaign damaged or edited; {others}"
+    both = view(replace(found, damaged=(3, 4))).headline
+    assert both.startswith("2 parts of the campaign damaged or edited; of the others, ")
+    assert view(found).headline == found.failure.sentence
 
 
 def test_failures_are_told_with_their_interval() -> None:

@@ -248,7 +248,11 @@ def _certificate_view(certificate: Any) -> View:
 def _summary_view(summary: Summary) -> View:
     trips = tuple(f"{count} runs: {MODES[mode]} ({REASONS[reason]})" for mode, reason, count in summary.trips)
     notes = (*filter(None, (summary.left_out, summary.given)), *trips)
-    return View(summary.failure.sentence, (spread_table(summary),), notes, state_of(summary))
+    headline = summary.failure.sentence
+    if summary.damaged:  # else "failed" would stand before "0 of 2000 runs failed"
+        parts = "1 part" if len(summary.damaged) == 1 else f"{len(summary.damaged)} parts"
+        headline = f"{parts} of the campaign damaged or edited; of the others, {headline}"
+    return View(headline, (spread_table(summary),), notes, state_of(summary))
 
 
 def repeated(table: FaultTable, outcome: Outcome) -> str:
