@@ -23,7 +23,8 @@ _SYMMETRIC = {
     "min", "max", "minimum", "maximum", "hypot", "gcd", "isclose", "allclose", "array_equal", "isinstance",
     "logical_and", "logical_or", "multiply", "add", "zip",
 }  # fmt: skip
-_SPEED_ONLY = {"stacklevel", "maxsize", "indent"}  # keywords that no result depends on
+# Keywords that no result depends on: `strict` of zip refuses lengths that differ only by a defect elsewhere.
+_NO_RESULT = {"stacklevel", "maxsize", "indent", "strict"}
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.GtE), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.LtE),
@@ -295,7 +296,7 @@ class Finder(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_keyword(self, node: ast.keyword) -> None:
-        if node.arg not in _SPEED_ONLY:
+        if node.arg not in _NO_RESULT:
             self.visit(node.value)
 
     def visit_FormattedValue(self, node: ast.FormattedValue) -> None:

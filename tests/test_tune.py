@@ -6,6 +6,7 @@ The arm is a twin in this process; each exchange of voltage and reading is one p
 from __future__ import annotations
 
 import math
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -162,7 +163,7 @@ def test_a_lost_link_ends_with_a_stop() -> None:
 
 def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     """A busy machine must not look like a fast arm: the way between two samples took all their periods."""
-    way = fl.SharedMemory("fraclink-test-late")
+    way = fl.SharedMemory(f"late-{os.getpid()}")
     clock = VirtualClock(2)
     served: list[fl.ServedArm] = []
 
