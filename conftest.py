@@ -17,24 +17,18 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-# Files whose tests start large processes: browsers, pools of workers, a cluster. One worker runs them all, so
-# that no two of those live at once.
-_ONE_AT_A_TIME = {
-    f"tests/test_{name}.py"
-    for name in (
-        *("arm_page", "report", "studio_browser"),
-        *("campaign", "campaign_cluster", "campaign_resume", "campaign_summary", "integrity"),
-    )
-}
-
-
+# Files whose tests start large processes: browsers, provers, pools of workers, a cluster. One worker runs
+# them all, so that no two of those live at once.
+_BROWSERS = {f"tests/test_{name}.py" for name in ("arm_page", "report", "studio_browser")}
+_LARGE_FILES = _BROWSERS | {"prove/tests/test_prove.py", "tests/test_integrity.py"}
+_LARGE_FILES |= {f"tests/test_campaign{name}.py" for name in ("", "_cluster", "_resume", "_summary")}
 _LARGE = "large processes"
 
 
 class _Scheduling(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return _LARGE if file in _ONE_AT_A_TIME else file
+        return _LARGE if file in _LARGE_FILES else file
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         # First of all: a browser's quarter of a gigabyte beside workers that have run nothing yet. It is the
@@ -61,6 +55,11 @@ def _give_back() -> None:
     gc.collect()
     if sys.platform == "linux":
         ctypes.CDLL(None).malloc_trim(0)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Browsers before pools: what a campaign imports (Arrow, Dask) stays in the worker to its end."""
+    items.sort(key=lambda item: item.nodeid.partition("::")[0] not in _BROWSERS)
 
 
 def pytest_collection_finish() -> None:
