@@ -1012,6 +1012,7 @@ def summary(**more: Any) -> Any:
         ),
         "trips": ((2, 1, 4),),
         "left_out": "",
+        "damaged": (),
         "given": "payload given",
         "passed": False,
         "failed": (3, 7),
