@@ -106,6 +106,7 @@ def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     assert "not certified: because of the moon" in refuted
 
 
+@pytest.mark.slow
 def test_slider_and_links_cover_the_designs_payloads(study, page):
     data = json.loads(re.search(r'id="arm-data">(.*?)</script>', page, re.DOTALL)[1])
     payloads = data["payloads"]
@@ -125,6 +126,7 @@ def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
     assert len(json.loads(re.search(r'id="arm-data">(.*?)</script>', text, re.DOTALL)[1])["payloads"]) >= 7
 
 
+@pytest.mark.slow
 def test_a_folder_without_a_design_names_the_command(study, tmp_path, capsys):
     save_study(replace(study, design=None, law=None), tmp_path / "none")
     assert main(["share", str(tmp_path / "none"), "--out", str(tmp_path / "arm.html")]) == 2
@@ -144,6 +146,7 @@ def test_the_command_writes_the_page_and_leaves_a_file_alone(study, page, tmp_pa
     assert main([*command, "--force"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("found", [True, False])
 def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, found):
     save_study(study, tmp_path / "results")
@@ -234,6 +237,7 @@ def contrast(first: str, second: str) -> float:
     return (bright + 0.05) / (dark + 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
 def test_text_and_lines_stand_out_in_both_themes(page, theme):
     colours = colours_of(theme)
@@ -283,6 +287,7 @@ def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study)
     assert f"ω₀ = {number(rig.natural_frequency(0.03), 4)} at 30 g" in page
 
 
+@pytest.mark.slow
 def test_a_model_too_fast_for_its_period_is_refused_by_name(study, tmp_path):
     model = replace(study.design.model, natural_frequency=1e3)
     with pytest.raises(FieldError, match=r"rig\.period: too long.*0\.004.*[Ss]horten"):
@@ -341,6 +346,7 @@ def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(study, 
     assert text.startswith("Off at") and "no guard" not in text
 
 
+@pytest.mark.slow
 def test_the_page_holds_every_number_that_its_script_reads(study):
     """The engine's inputs in their order: rig, noise, moves there and back, links; and the sliders' ends."""
     from fraclink._show.arm_box import arm_box
@@ -377,6 +383,7 @@ def test_the_page_holds_every_number_that_its_script_reads(study):
     assert arm_box(study, design, payloads=5, twin=False).has_twin is False
 
 
+@pytest.mark.slow
 def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
     from fraclink._show.arm_box import arm_box
 

@@ -46,6 +46,7 @@ def default_law() -> fl.Law:
     return fl.discretize(planned().controller, 0.004)
 
 
+@pytest.mark.slow
 def test_b17_logs_of_different_periods_share_one_order() -> None:
     def recorded(period: float, mass: float) -> Experiment:
         link = LINK.at_payload(mass)
@@ -100,6 +101,7 @@ def test_b34_a_design_that_needs_a_controller_above_the_links_order() -> None:
     assert planned(link, **nearest).controller.order < 1.3
 
 
+@pytest.mark.slow
 def test_b35_a_slow_link_has_the_paper_s_design_in_another_unit_of_time() -> None:
     """Theorem 2 asks for ω₀ > 1, a choice of the unit of time: 20 times slower is the same design."""
     slower, scale = 20.0, 20.0 ** (LINK.order / 2)
@@ -165,6 +167,7 @@ def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_marg
     assert found.distance is not None and found.distance < 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period", [0.0, -0.004, math.nan, math.inf, True])
 def test_b41_a_period_that_is_none(period: float) -> None:
     refused(lambda: fl.discretize(planned().controller, period), "period")
@@ -177,6 +180,7 @@ def test_b41_a_period_too_long_for_the_request() -> None:
     assert refused(lambda: fl.discretize(planned().controller, 0.1), "period").allowed == "0.004 s"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [-1, 13, 65, 2.5, True])
 def test_b42_states_of_a_law_out_of_range(order: int) -> None:
     assert "12" in refused(lambda: fl.discretize(planned().controller, 0.004, order=order), "order").allowed
@@ -205,6 +209,7 @@ def test_b44_b45_a_request_that_is_no_number(value: object) -> None:
     assert len(str(error)) < 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "7", 2**64])
 def test_b48_a_seed_that_is_no_whole_number(seed: object) -> None:
     law = default_law()

@@ -276,12 +276,14 @@ CALLS: dict[str, Call] = {
 ARGUMENTS = [(name, field) for name, (_, usual) in CALLS.items() for field in usual()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CALLS)
 def test_the_usual_call_works(name: str) -> None:
     call, usual = CALLS[name]
     call(**usual())
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of numpy, on the way to an error
 @pytest.mark.parametrize(("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS])
 def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str) -> None:

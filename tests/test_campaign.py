@@ -136,6 +136,7 @@ def test_a_vibration_that_passes_through_the_band_has_not_settled():
     assert passing.sum() > 5  # the rule had something to decide
 
 
+@pytest.mark.slow
 def test_a_run_is_what_simulate_says_of_its_arm():
     campaign = varied_delay()
     part = simulate_part(campaign, 2)
@@ -214,6 +215,7 @@ def _first_look(campaign: Campaign, run: int) -> float:
     return measure(signals).growth
 
 
+@pytest.mark.slow
 def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
     """Of a thousand good arms one seems to grow for four seconds; in eight it does not."""
     rig = fl.Rig.named("paper-2023-geared")

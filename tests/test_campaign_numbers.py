@@ -473,6 +473,7 @@ def test_the_page_explains_what_is_missed_and_what_is_not_shown() -> None:
     assert len(page) == notes + 3
 
 
+@pytest.mark.slow
 def test_cases_are_those_that_make_sense_in_order() -> None:
     bench = fault_bench()
     found = cases(bench, only=["F40", "f12"], severities=(3, 1), phases=("whole", "mid", "rest"), seeds=(5,))

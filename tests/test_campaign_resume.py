@@ -212,6 +212,7 @@ def rewrite(path: Path) -> None:
     parquet.write_table(edited.replace_schema_metadata(table.schema.metadata), path, compression="zstd")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [truncate, rewrite])
 def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys):
     whole_parts = summarise(small(), copy)
@@ -265,6 +266,7 @@ def edit(folder: Path, **changes: object) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
@@ -292,6 +294,7 @@ def test_other_formats_and_edited_campaigns_are_refused(copy, changes, field, ca
     assert identities(copy) == kept
 
 
+@pytest.mark.slow
 def test_the_folder_of_another_campaign_is_refused(copy):
     with pytest.raises(FieldError, match="another campaign"):
         run_campaign(replace(small(), seed=8), copy)
@@ -367,6 +370,7 @@ def test_an_unwritable_folder_is_told(tmp_path, capsys):
     assert "not writable" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_worker_does_what_it_is_told_with_plain_values(copy, whole):
     (copy / "part-0000002.parquet").unlink()
     assert compute(str(copy), 2) == 2

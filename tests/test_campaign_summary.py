@@ -125,6 +125,7 @@ def test_an_unfinished_campaign_is_summarised_as_far_as_it_is(folder, tmp_path):
         summarise(small(), place)
 
 
+@pytest.mark.slow
 def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     assert main(["campaign", "report", str(folder)]) == 1  # some runs fail
     printed = capsys.readouterr()
@@ -161,6 +162,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, option, value, 
     assert not list(tmp_path.rglob("part-*"))
 
 
+@pytest.mark.slow
 def test_a_run_that_is_not_there_is_bad_input(folder, tmp_path, capsys):
     line = ["campaign", "replay", str(folder), "--run", "2500", "--out", str(tmp_path / "x.npz")]
     assert main(line) == 2 and "0 … 2499" in capsys.readouterr().err

@@ -230,6 +230,7 @@ def test_printed_controller_is_refused_with_payload_and_poles():
     assert abs(found.poles[0].imag) == pytest.approx(10.84, abs=5e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
@@ -312,6 +313,7 @@ def test_what_the_gauge_shows_is_in_the_proof(
     assert np.all(np.abs(inverse.c * expected - 1) < 1e-7)
 
 
+@pytest.mark.slow
 def test_the_link_of_the_claim_is_the_one_that_the_law_was_made_for(law: Law):
     wanted = {"modulus_margin": 0.1, "rig": RIG}
     point = ParameterBox.at(RIG.model)
@@ -323,6 +325,7 @@ def test_the_link_of_the_claim_is_the_one_that_the_law_was_made_for(law: Law):
     assert resonance == pytest.approx(abs(RIG.model.pole), rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [3.0, -2.0, 2.0, 1.5, -1.0, math.nan, 1.001, 0.999])
 def test_a_law_with_another_compliance_is_not_certified(law: Law, factor: float):
     with pytest.raises(FieldError) as caught:
@@ -330,6 +333,7 @@ def test_a_law_with_another_compliance_is_not_certified(law: Law, factor: float)
     assert caught.value.field == "law.stiffness"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "limits",
     [
@@ -654,6 +658,7 @@ def slow_law(document: dict[str, Any], lowest: float) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lowest", [0.5, 0.63, 0.8])
 def test_what_lies_below_the_lowest_frequency_is_bounded_with_every_alias(
     lowest: float, document: dict[str, Any], checker: ModuleType
@@ -678,6 +683,7 @@ def test_a_file_that_is_signed_again_unchanged_is_proved(
     assert not _rejected(checker, place, forged["statement"]["digest"])
 
 
+@pytest.mark.slow
 def test_careless_forgeries_are_rejected_by_the_hash(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
@@ -699,6 +705,7 @@ def test_careless_forgeries_are_rejected_by_the_hash(
             Certificate.load(place)
 
 
+@pytest.mark.slow
 def test_a_damaged_certificate_ends_in_one_kind_of_error(document: dict[str, Any], tmp_path: Path):
     rng, place = np.random.default_rng(7), tmp_path / "damaged.json"
     text = json.dumps(document)
@@ -755,6 +762,7 @@ def test_key_given_twice_and_other_law_are_rejected(
         checker.check(str(place), "1" * 64)
 
 
+@pytest.mark.slow
 def test_statement_survives_json_bit_for_bit(certificate: Certificate):
     assert Statement.from_json(certificate.statement.to_json()) == certificate.statement
 
@@ -978,6 +986,7 @@ def test_the_bound_of_the_aliases_holds_their_sum_and_is_near_it(inner: str):
         assert true <= bound <= (20.0 if kept else 4.0) * true, w
 
 
+@pytest.mark.slow
 def test_a_statement_that_is_not_one_is_refused(certificate: Certificate):
     good = certificate.statement.to_json()
     assert set(good) == set(Statement.__annotations__)
@@ -995,6 +1004,7 @@ def test_a_statement_that_is_not_one_is_refused(certificate: Certificate):
             Statement.from_json(missing)
 
 
+@pytest.mark.slow
 def test_the_box_of_a_statement_holds_every_payload_times_every_softness(certificate: Certificate):
     claim = certificate.statement
     low, high = claim.box
@@ -1012,6 +1022,7 @@ def test_the_box_of_a_statement_holds_every_payload_times_every_softness(certifi
     assert (voltage[0]["motor"], voltage[1]["motor"]) == (3.0, 4.0)
 
 
+@pytest.mark.slow
 def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law: Law):
     said = certificate.verdict
     claim = certificate.statement
@@ -1025,6 +1036,7 @@ def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law:
     )
 
 
+@pytest.mark.slow
 def test_delays_up_to_what_the_proof_knows(law: Law):
     """A sampled motor loop is known for a delay of up to a period, an ideal one for eight."""
     wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.999}
@@ -1036,6 +1048,7 @@ def test_delays_up_to_what_the_proof_knows(law: Law):
     assert certify(law, inner="ideal", **wanted).statement.delay_high == law.period  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
     wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.95}
     exact = certify(law, inner="ideal", box=ParameterBox.at(RIG.model), **wanted)  # type: ignore[arg-type]
@@ -1099,6 +1112,7 @@ def earlier(document: dict[str, Any], form: int) -> dict[str, Any]:
     return data | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [1, 2])
 def test_a_certificate_of_an_earlier_format_is_read_and_proves_nothing(
     form: int, document: dict[str, Any], certificate: Certificate, tmp_path: Path
@@ -1123,6 +1137,7 @@ def test_a_certificate_of_an_earlier_format_is_read_and_proves_nothing(
             Certificate.load(place)
 
 
+@pytest.mark.slow
 def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
     loop = BoxLoop(certificate.statement)
     low, high = loop.root()
@@ -1135,6 +1150,7 @@ def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
     assert np.count_nonzero(np.abs(place - 0.5 * (low[0] + high[0])) > 1e-9 * np.abs(high[0])) == 1
 
 
+@pytest.mark.slow
 def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
     """The upper end is that of `margins` of the same loop at its worse corner; nothing is proved below."""
     point = ParameterBox.at(RIG.model)

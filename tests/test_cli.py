@@ -87,6 +87,7 @@ def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
             yield (name,), command
 
 
+@pytest.mark.slow
 def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> None:
     listed = fraclink("help", "all").out
     for words, command in _commands():
@@ -205,6 +206,7 @@ def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
     }
 
 
+@pytest.mark.slow
 def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Path) -> None:
     place = tmp_path / "design.json"
     place.write_text("mine")
@@ -384,6 +386,7 @@ def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path
     assert "Identify a log first" in answer.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "said"),
     [

@@ -47,6 +47,7 @@ def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
     assert "payload" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_identify_spectrum(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = ["frequency_Hz,gain_dB,phase_deg"]
     for k in range(80):
@@ -69,6 +70,7 @@ def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> N
     assert "voltage" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from made_logs import example_motor_log
 
@@ -186,6 +188,7 @@ def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
     assert "UD-FOM with λ = 2 − α = 1.9197, ω₀ = √μ = 10.78" in " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_identify_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, out = str(bundled_log("prbs_30g")), str(tmp_path / "fit.json")
     channels = ["--input", "motor_angle_rad", "--output", "torque_Nm", "--out", out]

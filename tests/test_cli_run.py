@@ -97,6 +97,7 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
     assert [round(1e3 * run.payload) for run in study.runs] == [20, 30, 40]
 
 
+@pytest.mark.slow
 def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
     assert told_run.out.startswith("– not run: promise passed, model passed, reality not run\n")
     assert "the log is simulated, not measured" in told_run.out
@@ -164,6 +165,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
     assert (tmp_path / "out" / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -183,6 +185,7 @@ def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
     assert "no law follows" in (place / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFixture[str]) -> None:
     before = {path.name: path.read_bytes() for path in told_run.folder.iterdir()}
     assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(told_run.folder)]) == 2
@@ -329,6 +332,7 @@ def test_a_bad_log_is_one_line_and_leaves_nothing(
     assert not Path("out").exists()
 
 
+@pytest.mark.slow
 def test_a_damaged_result_is_named(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "model.json").write_text((results / "model.json").read_text("utf-8")[:5000])
     with pytest.raises(FileFormatError, match=r"model\.json"):

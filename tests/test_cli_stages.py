@@ -242,6 +242,7 @@ def test_a_structures_parameters_are_fixed_and_bounded_as_written(line: Line) ->
 # --- designs ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_design_is_asked_for_in_radians_and_names_the_next_step(line: Line) -> None:
     made = made_design()
     asked = line.hear("designs.design_for", (made, ("the payloads are the rig's",)))

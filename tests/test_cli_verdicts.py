@@ -59,6 +59,7 @@ def test_the_printed_controller_is_refused_with_its_poles(fraclink: Command, tmp
     assert 0.020 <= told["payload"] <= 0.040
 
 
+@pytest.mark.slow
 def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
     code, out, _ = fraclink("export c design.json --out firmware --precision single")
     assert code == 0
@@ -79,6 +80,7 @@ def test_the_law_leaves_as_c(fraclink: Command, tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
+@pytest.mark.slow
 def test_the_twin_runs_the_design(fraclink: Command) -> None:
     code, out, err = fraclink("twin design.json --gear 50 --link-mass 0.00735")
     assert code == 0, err
@@ -110,6 +112,7 @@ def test_a_log_is_inspected_without_a_rig(fraclink: Command) -> None:
     assert [channel["name"] for channel in told["channels"]] == ["time_s", "motor_angle_rad", "torque_Nm"]
 
 
+@pytest.mark.slow
 def test_a_log_is_diagnosed(fraclink: Command) -> None:
     code, out, _ = fraclink("diagnose demo --rig paper-2023")
     assert code == 0

@@ -61,6 +61,7 @@ def test_scalar_response_is_mittag_lefflers(q: float) -> None:
     assert np.max(np.abs(result.output - exact)) <= result.error_estimate + 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "matrix",
     [
@@ -96,6 +97,7 @@ def test_initial_conditions_of_order_one_are_the_matrix_exponential() -> None:
     assert result.output == pytest.approx(np.array(exact), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_random_matrices_agree_with_their_transfer_functions_and_with_matignon() -> None:
     rng, verdicts = np.random.default_rng(11), set()
     for _ in range(60):

@@ -57,12 +57,14 @@ def everything() -> Tournament:
     return compare(fl.Rig.named("paper-2023"), payloads=(0.030,))
 
 
+@pytest.mark.slow
 def test_law_filter_is_the_law(setting):
     frequency = np.array([0.1, 1.0, 12.0, 100.0, 700.0])
     ours = law_filter(setting.law).response(np.exp(1j * frequency * RIG.period))
     assert ours == pytest.approx(setting.law.frequency_response(frequency), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_nominal_loop_is_the_designers(setting):
     """The sampled loop of design/, made from alias sums, and ours, from a state space: the same Ms."""
     plant = sampled_plant(RIG.model, MotorLoop(pole=80.0, delay_samples=1), RIG.motor, RIG.period)
@@ -71,6 +73,7 @@ def test_nominal_loop_is_the_designers(setting):
     assert ours == pytest.approx(plant(frequency), rel=2e-6)
 
 
+@pytest.mark.slow
 def test_peak_is_the_modulus_margin(setting):
     correction = law_filter(setting.law)
 
@@ -128,6 +131,7 @@ def test_structures_that_cannot_reach_the_ms_get_our_noise(setting, name):
         assert all(setting.loop.peak(make(knob * f)) >= least for f in (0.8, 0.95, 1.05, 1.25))
 
 
+@pytest.mark.slow
 def test_noise_is_what_white_noise_becomes(setting):
     """The closed loop marched with white noise on the tip estimate, against the integral of |Ĉ S|²."""
     correction, plant = law_filter(setting.law), setting.loop.plant
@@ -142,12 +146,14 @@ def test_noise_is_what_white_noise_becomes(setting):
     assert setting.loop.noise(correction) == pytest.approx(commands[500:].std(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_tuning_says_when_nothing_is_stable(setting):
     unstable = Filter(np.array([[1.1]]), np.ones(1), np.ones(1), 0.0)
     with pytest.raises(NotConvergedError, match="tuning"):
         tune(setting.loop, unstable.scaled, (1.0, 2.0), setting.target)
 
 
+@pytest.mark.slow
 def test_offset_rejection_by_structure(setting):
     """A constant tip error leads to no constant answer: H∞ by its weight, LQG by its offset state, ours."""
     one = np.array([1.0 + 1e-7j])
@@ -169,6 +175,7 @@ def test_tustin_and_chaining():
     assert both.response(np.exp(np.array([0.05j])))[0] == pytest.approx(2 * (3 / (s + 3)) ** 2)
 
 
+@pytest.mark.slow
 def test_lqg_against_separate_pieces(setting):
     """The closed loop of plant and LQG has the regulator's and the filter's poles: separation holds."""
     correction = lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=1.0)
@@ -228,6 +235,7 @@ def test_a_longer_filter_keeps_the_request_and_quietens(setting):
     assert design.passed and design.controller.gain == pytest.approx(controller.gain)
 
 
+@pytest.mark.slow
 def test_integer_twin_goes_through_our_crossing(setting):
     from fraclink._campaign.rival_published import _nominal_crossing
 
@@ -261,6 +269,7 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     assert np.array_equal(two.tip_angle, same.tip_angle)
 
 
+@pytest.mark.slow
 def test_feed_forward_is_the_laws(setting):
     """The law without correction at a motor that stands at the reference asks for reference and F θ̈t*."""
 
@@ -286,6 +295,7 @@ def test_mode_gain_sees_only_feedback_of_the_tip(setting):
     assert mode_gain(setting, massless, made["fraclink"]()) == 0.0  # no second mode to reach
 
 
+@pytest.mark.slow
 def test_sampled_delay_is_a_delay(setting):
     from fraclink._simulate.plant import assemble
 
@@ -314,6 +324,7 @@ def test_a_rival_that_friction_holds_is_told_from_a_sound_one(everything):
         assert f"{PRINTED}: the linear loop on the twin is unstable" in everything.markdown()
 
 
+@pytest.mark.slow
 def test_linear_growth_is_that_of_the_loops_eigenvalues(setting):
     twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
     made = builders(setting)

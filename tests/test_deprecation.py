@@ -89,6 +89,7 @@ def test_nothing_outlives_the_release_that_removes_it() -> None:
     assert [release for release in promised if _release(release) <= now] == []
 
 
+@pytest.mark.slow
 def test_the_depth_says_whose_line_is_named() -> None:
     def old(depth: dict[str, int]) -> int:
         warn_deprecated("Plan", use="Design", removed="0.3", **depth)

@@ -63,6 +63,7 @@ def test_noise_bound_chooses_the_filter():
     assert requirement.achieved == pytest.approx(bound, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_bounds_on_noise_and_sensitivity_hold_together():
     asked = {"settling_time": 0.5, "max_sensitivity": 1.6}
     loose = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked, law=False)
@@ -99,6 +100,7 @@ def test_neither_crossover_nor_settling_time_is_an_error():
         fl.design(RIG.model, RIG, gain_crossover=12.0, law=False)
 
 
+@pytest.mark.slow
 def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
     pi = np.array(design.natural_frequencies)
     w = np.linspace(0.005, math.pi / RIG.period, 400_001)

@@ -171,6 +171,7 @@ def test_the_sampled_plant_with_a_late_gauge_is_the_sum_of_its_aliases() -> None
     np.testing.assert_allclose(plant(w), exact, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_second_mode_is_bounded_by_default_and_its_cost_is_told() -> None:
     model = replace(MODEL, second_mode=SecondMode(frequency=177.5, gain=0.2, damping_ratio=0.02))
     plain = fl.design(MODEL, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False)
@@ -188,6 +189,7 @@ def test_the_second_mode_is_bounded_by_default_and_its_cost_is_told() -> None:
     assert all(is_stable(found, model, payload) for payload in (0.020, 0.030, 0.040))
 
 
+@pytest.mark.slow
 def test_the_nearest_request_is_met_by_the_design_that_it_makes() -> None:
     """The crossing once was the tangent of the peak of |L| and was lost in rounding."""
     link = LinkModel(1.56, 11.094, order=2.0, payload=0.03, damping=1.4524995958552551, damping_order=0.7)
@@ -199,6 +201,7 @@ def test_the_nearest_request_is_met_by_the_design_that_it_makes() -> None:
     assert fl.design(link, RIG, payloads=span, **caught.value.nearest, law=False).passed
 
 
+@pytest.mark.slow
 def test_random_refusals_offer_requests_that_pass() -> None:
     rng = np.random.default_rng(11)
     refused = 0

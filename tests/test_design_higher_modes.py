@@ -99,6 +99,7 @@ def test_a_mass_that_the_rig_states_bounds_the_gain_at_modes_that_no_log_showed(
     assert told["W406"].evidence["loop_gain_before"] == pytest.approx(1.46, abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_shipped_law_is_looked_at_with_the_modes_of_the_links_mass() -> None:
     # A viscous link of 3 g: its second mode is damped too well for a log to show it, and its gain is 2.4.
     rig = replace(RIG, link=replace(RIG.link, mass=0.0032), payloads=replace(RIG.payloads, nominal=0.0377))
@@ -162,6 +163,7 @@ def test_a_massless_link_has_no_mode_to_bound() -> None:
         fl.design(rig.model, rig, mode_gain=0.5, **WANTED, law=False)
 
 
+@pytest.mark.slow
 def test_the_command_line_bounds_the_mode(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "design.json"
     line = ["design", "--rig", "paper-2023", "--link-mass", "0.00735", "--out", str(place)]

@@ -268,6 +268,7 @@ def test_a_start_is_brought_into_range_with_the_same_gain_about_the_crossover(de
     assert (made.gain, made.filter_time) == pytest.approx((math.exp(x[0]), 0.02))
 
 
+@pytest.mark.slow
 def test_an_optimised_design_is_the_one_of_its_bounds(quiet: Optimised, design: Design) -> None:
     names = [item.name for item in quiet.design.requirements]
     assert names == ["gain crossover", "phase margin", "sensitivity peak", "noise gain"]

@@ -470,6 +470,7 @@ def test_an_offer_that_is_loosened_is_rounded_away_from_what_was_asked() -> None
     assert nearest._loosened("max_sensitivity", 1.51, 0.0, spec) == pytest.approx(1.51)
 
 
+@pytest.mark.slow
 def test_a_refusal_with_an_offer_does_not_say_that_there_is_none() -> None:
     asked = {"payloads": (0.02, 0.04), "law": False}
     with pytest.raises(InfeasibleError) as caught:

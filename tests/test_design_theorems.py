@@ -93,6 +93,7 @@ def test_theorem_2_condition_39_is_inherited(case: Case, factor: float):
     assert crossover > case.loop.sufficient(case.pi * factor) * (1.0 - 1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=False))
 def test_exact_condition_is_the_slope_and_reaches_further_than_39(case: Case):

@@ -48,6 +48,7 @@ def test_a_good_log_has_no_warning() -> None:
     assert mode.evidence["explained"] > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", bundled_logs())
 def test_bundled_logs_have_no_error(name: str) -> None:
     findings = diagnose(read_log(bundled_log(name)), Rig.named("paper-2023"))
@@ -55,6 +56,7 @@ def test_bundled_logs_have_no_error(name: str) -> None:
     assert "W230" in {finding.code for finding in findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequency", [3.0, 10.0, 25.0])
 @pytest.mark.parametrize("damping", [0.005, 0.05, 0.15])
 @pytest.mark.parametrize("delay", [0, 3])
@@ -174,6 +176,7 @@ def test_b16_no_payload() -> None:
     assert found(changed(payload=None), "W216").severity == "warning"
 
 
+@pytest.mark.slow
 def test_b16_a_payload_outside_the_rigs_range() -> None:
     rig = Rig.named("paper-2023")
     for outside in (0.06, 0.01):
@@ -256,6 +259,7 @@ def test_merced_is_sensible() -> None:
     assert findings["W235"].evidence["frequency"] == pytest.approx(21.2, rel=0.02)
 
 
+@pytest.mark.slow
 def test_ist_is_sensible() -> None:
     rig = Rig.load(RIGS / "ist.toml")
     for name in ("2_lab_a15_f10.csv", "2_lab_a10_f04.csv"):

@@ -46,6 +46,7 @@ def rational(top: list[float], bottom: list[float]) -> fl.FractionalTransferFunc
     )
 
 
+@pytest.mark.slow
 def test_random_rational_loops() -> None:
     rng, count = np.random.default_rng(7), 0
     while count < 60:

@@ -421,6 +421,7 @@ def test_a_hook_can_refuse(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_threads_that_save_leave_permissions_and_files_alone(tmp_path: Path) -> None:
     mask = os.umask(0o027)
     try:
@@ -559,6 +560,7 @@ def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) 
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(tmp_path: Path) -> None:
     """A kind that the table lacks loads only where something else has imported its class."""
     from fraclink import _files

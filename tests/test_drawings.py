@@ -415,6 +415,7 @@ def design() -> fl.Design:
     return fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
 
 
+@pytest.mark.slow
 def test_the_bode_plot_is_the_loop_at_three_payloads_with_a_dot_at_each_crossing(design: fl.Design) -> None:
     drawn = loops.bode_figure(design)
     gain, phase = drawn.panels
@@ -445,6 +446,7 @@ def test_the_bode_plot_is_the_loop_at_three_payloads_with_a_dot_at_each_crossing
     assert (drawn.x.low, drawn.x.log) == (1.0, True) and drawn.x.high == pytest.approx(math.pi / 0.004)
 
 
+@pytest.mark.slow
 def test_the_nyquist_plot_shades_the_disk_that_the_curves_keep_out_of(design: fl.Design) -> None:
     drawn = loops.nyquist_figure(design)
     disk = next(
@@ -653,6 +655,7 @@ def test_a_long_result_is_one_line_of_a_prompt() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_cell_has_the_drawing_below_the_table(design: fl.Design) -> None:
     from fraclink._show.views import view
 

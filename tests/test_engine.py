@@ -99,6 +99,7 @@ def test_a_run_has_the_packages_bits(engine, design, precision, payload, noise, 
     same(engine.run(design, law, MOVE, payload=payload, duration=END, seed=7, **changed), run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("fault", list(FAULTS))
 def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision, fault):
@@ -118,6 +119,7 @@ def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision,
     assert run.mode.max() >= 2, "the law noticed nothing"
 
 
+@pytest.mark.slow
 def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages_bits(engine, design):
     bent = replace(
         design.model, gauge_delay=0.0061, gauge_gain=0.93, second_mode=SecondMode(190.0, 0.02, 0.08)
@@ -155,6 +157,7 @@ def test_a_run_of_the_twin_has_the_packages_bits(engine, geared, precision, payl
     same(engine.run_twin(twin, law, MOVE, duration=END, seed=7, told=payload), run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("fault", list(FAULTS))
 def test_a_fault_of_the_twin_has_the_packages_bits(engine, geared, precision, fault):
@@ -166,6 +169,7 @@ def test_a_fault_of_the_twin_has_the_packages_bits(engine, geared, precision, fa
     assert not np.array_equal(page["tip_angle"], engine.run_twin(twin, law, MOVE, duration=END)["tip_angle"])
 
 
+@pytest.mark.slow
 def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(engine, geared):
     law = geared.law()
     for twin in (
@@ -177,6 +181,7 @@ def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(engi
         same(engine.run_twin(twin, law, MOVE, duration=END), run)
 
 
+@pytest.mark.slow
 def test_a_twin_that_leaves_every_bound_stays_where_it_was(engine, geared):
     law = geared.law()
     law = replace(law, drive=replace(law.drive, voltage_limit=1e4))

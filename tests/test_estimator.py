@@ -131,6 +131,7 @@ def by_numpy(made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray
     return np.array(out)
 
 
+@pytest.mark.slow
 def test_the_c_is_the_least_squares_that_it_says() -> None:
     angle, torque = (x[:240] for x in sensors(moved(0.03)))
     made = bank()
@@ -303,6 +304,7 @@ def test_no_sample_harms(precision: str) -> None:
         harmless(made, over(made, angle, torque, ticks))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_any_memory_is_healed(precision: str) -> None:
     """Bits of the memory flipped, or all of it random: nothing leaves its limits, and a few moves later the

@@ -45,18 +45,21 @@ def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     return made, folder
 
 
+@pytest.mark.slow
 def test_law_c_is_the_file_that_was_simulated(exported: tuple[Law, Path]) -> None:
     _, folder = exported
     for name in ("law.h", "law.c"):
         assert (folder / name).read_bytes() == (ROOT / "csrc" / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_same_law_gives_the_same_bytes(exported: tuple[Law, Path], tmp_path: Path) -> None:
     made, folder = exported
     for path in export_c(made, tmp_path / "again"):
         assert path.read_bytes() == (folder / path.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
     """The block as a C compiler builds it from the hex floats is the one the package simulates with."""
     made, folder = exported
@@ -71,6 +74,7 @@ def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
     assert answer.stdout == made.block
 
 
+@pytest.mark.slow
 def test_the_self_test_s_expectations_are_those_of_the_c(exported: tuple[Law, Path]) -> None:
     """The hash and the eight pairs of commands that the package wrote, recomputed by the C of the folder."""
     made, folder = exported
@@ -120,6 +124,7 @@ def test_the_self_test_finds_a_compiler_that_contracts(exported: tuple[Law, Path
     assert "ffp-contract=off" in refused.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("machine", ["__riscv_flen=32", "__FP_FAST_FMAF=1", "__ARM_FEATURE_FMA=1"])
 def test_machines_that_fuse_are_refused_by_their_own_words(machine: str, tmp_path: Path) -> None:
     """What a cross compiler defines, without one: gnu modes fuse, ISO modes and -ffp-contract=off do not."""
@@ -130,6 +135,7 @@ def test_machines_that_fuse_are_refused_by_their_own_words(machine: str, tmp_pat
     run(*command, "-std=gnu99", "-ffp-contract=off", "-DLAW_CONTRACT_OFF", cwd=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_fast_math_and_the_wrong_precision_are_refused(exported: tuple[Law, Path], compiler: str) -> None:
     made, folder = exported
@@ -151,6 +157,7 @@ def test_fast_math_and_the_wrong_precision_are_refused(exported: tuple[Law, Path
     assert "precision" in wrong.stderr
 
 
+@pytest.mark.slow
 def test_a_changed_coefficient_refuses_to_start(exported: tuple[Law, Path], tmp_path: Path) -> None:
     made, folder = exported
     place = tmp_path / "changed"
@@ -280,6 +287,7 @@ def test_the_rounding_bound_holds() -> None:
     assert 0 < distance <= bounds.rounding + 3e-7  # the coefficients' own rounding
 
 
+@pytest.mark.slow
 def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
     """The recursion of the .m file's numbers, in Octave, gives the motor reference of the law."""
     octave = tool("octave-cli", "octave")

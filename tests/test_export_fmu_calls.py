@@ -66,6 +66,7 @@ def test_steps_that_are_none(arm: Imported, step: float) -> None:
     _refused(arm, "communication step", "DoStep", 0.0, step)
 
 
+@pytest.mark.slow
 def test_rounding_of_the_step_is_no_error(arm: Imported) -> None:
     arm.initialize(1e5)
     now = 1e5
@@ -75,6 +76,7 @@ def test_rounding_of_the_step_is_no_error(arm: Imported) -> None:
         now = after
 
 
+@pytest.mark.slow
 def test_steps_follow_each_other(arm: Imported) -> None:
     arm.initialize(5.0)
     arm.step(5.0, PERIOD)
@@ -86,6 +88,7 @@ def test_steps_follow_each_other(arm: Imported) -> None:
     _refused(arm, "this one begins at 0.008 s", "DoStep", 2 * PERIOD, PERIOD)
 
 
+@pytest.mark.slow
 def test_calls_out_of_order(arm: Imported) -> None:
     _refused(arm, "outside the simulation", "DoStep", 0.0, PERIOD)
     arm.call("Reset")
@@ -110,12 +113,14 @@ def _writing(arm: Imported, reference: int, value: float) -> tuple[object, ...]:
     return "SetFloat64", references, 1, values, 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reference", [4, 6, 9, 10, 12, 2**32 - 1])
 def test_only_inputs_are_set(arm: Imported, reference: int) -> None:
     arm.initialize()
     _refused(arm, "that is no input", *_writing(arm, reference, 1.0))
 
 
+@pytest.mark.slow
 def test_wrong_kinds_of_variables(arm: Imported) -> None:
     arm.initialize()
     references, reals, wholes = (ctypes.c_uint * 1)(7), (ctypes.c_double * 1)(), (ctypes.c_uint32 * 1)()
@@ -136,11 +141,13 @@ def test_wrong_kinds_of_variables(arm: Imported) -> None:
         _refused(arm, "one value for each reference", "GetFloat64", references, 1, reals, 2)
 
 
+@pytest.mark.slow
 def test_what_is_not_offered_says_so(arm: Imported) -> None:
     arm.initialize()
     _refused(arm, "does not offer", *(("CancelStep",) if arm.fmi == 2 else ("EnterEventMode",)))
 
 
+@pytest.mark.slow
 def test_instances_that_cannot_be(arm: Imported, files: dict[int, Path], tmp_path: Path) -> None:
     arm.messages.clear()
     if arm.fmi == 2:
@@ -155,6 +162,7 @@ def test_instances_that_cannot_be(arm: Imported, files: dict[int, Path], tmp_pat
         Imported(files[arm.fmi], tmp_path / "other", token="{another}")  # noqa: S106 - no secret
 
 
+@pytest.mark.slow
 def test_fmi_3_is_silent_where_logging_is_off(files: dict[int, Path], tmp_path: Path) -> None:
     from fmpy.fmi1 import FMICallException
 
@@ -169,6 +177,7 @@ def test_fmi_3_is_silent_where_logging_is_off(files: dict[int, Path], tmp_path: 
         assert len(arm.messages) == wanted, categories
 
 
+@pytest.mark.slow
 def test_before_the_first_step_the_arm_rests_where_it_is(arm: Imported) -> None:
     arm.write(np.array([0.0, 0.0, 0.7, 0.156]))
     stiffness = law().stiffness
@@ -177,6 +186,7 @@ def test_before_the_first_step_the_arm_rests_where_it_is(arm: Imported) -> None:
     assert arm.read() == [0.0, 0.0, 0.0, 0, 0, 0]
 
 
+@pytest.mark.slow
 def test_a_saved_state_comes_back_also_after_an_error(arm: Imported) -> None:
     arm.initialize()
     arm.run(ROWS[:, :200], PERIOD)
@@ -187,6 +197,7 @@ def test_a_saved_state_comes_back_also_after_an_error(arm: Imported) -> None:
     np.testing.assert_array_equal(arm.run(ROWS[:, 200:], PERIOD, first=200), first)
 
 
+@pytest.mark.slow
 def test_a_serialized_state_goes_on_in_another_instance(
     arm: Imported, files: dict[int, Path], tmp_path: Path
 ) -> None:
@@ -211,6 +222,7 @@ def test_a_serialized_state_goes_on_in_another_instance(
         assert why in other.messages[-1]
 
 
+@pytest.mark.slow
 def test_two_instances_do_not_see_each_other(arm: Imported) -> None:
     arm.initialize()
     alone = arm.run(ROWS, PERIOD)

@@ -61,6 +61,7 @@ def test_the_limits_are_those_that_the_header_ships() -> None:
         assert (unit == "periods") == counted, name
 
 
+@pytest.mark.slow
 def test_a_pid_has_the_limits_that_can_act_on_it() -> None:
     made = pid()
     page = page_of(made)
@@ -76,6 +77,7 @@ def test_a_pid_has_the_limits_that_can_act_on_it() -> None:
     assert page.endswith(NOT_CLAIMED_OF_PID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_memory_is_what_a_compiler_needs(precision: str, tmp_path: Path) -> None:
     """sizeof of the parameters and of the state, for every design and for this one alone."""
@@ -98,6 +100,7 @@ def test_the_memory_is_what_a_compiler_needs(precision: str, tmp_path: Path) -> 
     assert f"add `{' '.join(exact_flags(made))}`: law.c" in page
 
 
+@pytest.mark.slow
 def test_the_flags_of_a_build_for_one_law(tmp_path: Path) -> None:
     """A kind of modes that there is none of: C has no empty arrays, so pairs are left out, others refuse."""
     made = law()
@@ -118,6 +121,7 @@ def test_the_flags_of_a_build_for_one_law(tmp_path: Path) -> None:
     assert "no modes of one kind" in told
 
 
+@pytest.mark.slow
 def test_what_the_page_says_of_build_call_and_precision() -> None:
     made = law("single")
     page = page_of(made)
@@ -145,6 +149,7 @@ def test_what_the_page_says_of_build_call_and_precision() -> None:
     assert page.endswith(f"{NOT_CLAIMED}Stability of the loop is the design's matter.\n")
 
 
+@pytest.mark.slow
 def test_claims_proved_failed_and_open() -> None:
     made = law()
     logs = (("proof/finite.log", "0123456789abcdef" * 4),)
@@ -228,6 +233,7 @@ def bank(precision: str) -> PayloadEstimator:
     return payload_estimator(rig.model, rig, law(precision), (0.02, 0.04)).in_precision(precision)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_estimator_s_files_give_the_package_s_bits(precision: str, tmp_path: Path) -> None:
     made = bank(precision)

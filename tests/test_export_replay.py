@@ -42,6 +42,7 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
     assert np.ptp(result.motor_reference) > 0.2
 
 
+@pytest.mark.slow
 def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
     """Each signal beside the package's; the same ones as the law's own run where a payload is given."""
     made = law("single")
@@ -64,6 +65,7 @@ def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
         replay(tmp_path, made, **given, payload=-0.01, name="arm_2")
 
 
+@pytest.mark.slow
 def test_a_difference_is_told_with_its_period_and_size(tmp_path: Path) -> None:
     """C that adds 0.25 V in the periods from 100 on: the oracle is the change itself."""
     made = law("double")
@@ -99,6 +101,7 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
     assert result.largest_difference > 1e-6
 
 
+@pytest.mark.slow
 def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="not an export"):
         _replay(tmp_path, law("double"))
@@ -302,6 +305,7 @@ def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
         replay_log(tmp_path / "firmware", log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["torque", "deflection"])
 def test_a_log_s_sensors_drive_the_law(kind: Literal["torque", "deflection"], tmp_path: Path) -> None:
     """The motor's path is the reference, without acceleration; a deflection is c times as large a torque."""

@@ -114,6 +114,7 @@ INPUTS: dict[tuple[str, int, Phase], tuple[Callable[[Real], None], ...]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "severity", "phase"), INPUTS, ids=lambda part: str(part))
 def test_the_inputs_of_a_fault_are_those_that_the_catalogue_states(
     bench: Bench, number: str, severity: int, phase: Phase
@@ -124,6 +125,7 @@ def test_the_inputs_of_a_fault_are_those_that_the_catalogue_states(
     np.testing.assert_allclose(faulty.inputs, healthy.inputs, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "severity", "marked"),
     [
@@ -148,6 +150,7 @@ def test_the_law_must_say_something_in_the_periods_that_a_fault_marks(
     assert np.flatnonzero(broken(bench, number, severity).marks).tolist() == list(marked)
 
 
+@pytest.mark.slow
 def test_dropped_samples_repeat_the_last_one_of_both_sensors(bench: Bench) -> None:
     for severity, share in ((1, 0.01), (2, 0.05), (3, 0.2)):
         bits = broken(bench, "F06", severity, "whole").inputs[:, columns.FAULT_BITS]
@@ -155,6 +158,7 @@ def test_dropped_samples_repeat_the_last_one_of_both_sensors(bench: Bench) -> No
         assert np.mean(bits > 0) == pytest.approx(share, rel=0.5)
 
 
+@pytest.mark.slow
 def test_noise_and_spikes_have_the_stated_size(bench: Bench) -> None:
     for severity, sigma, share in ((1, 0.02, 0.0025), (2, 0.05, 0.005), (3, 0.1, 0.01)):
         noisy = broken(bench, "F17", severity, "whole").inputs[:, columns.GAUGE_ERROR]
@@ -169,6 +173,7 @@ def test_noise_and_spikes_have_the_stated_size(bench: Bench) -> None:
     assert both.max() > 2.0 and both.min() < -2.0  # either sign
 
 
+@pytest.mark.slow
 def test_instants_of_sampling_are_early_and_late_and_keep_their_mean(bench: Bench) -> None:
     for severity, share in ((1, 2 / 30), (2, 2 / 3), (3, 1.0)):
         trial = broken(bench, "F20", severity, "whole")
@@ -180,6 +185,7 @@ def test_instants_of_sampling_are_early_and_late_and_keep_their_mean(bench: Benc
     assert trial.shifts is not None and np.all(np.diff(trial.shifts[1:-1]) != 0)  # alternating
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_reference_is_what_is_then_wanted(bench: Bench) -> None:
     trial = broken(bench, "F25", 3)
     assert np.array_equal(trial.wanted, trial.inputs[:, columns.REFERENCE]) and trial.wanted[
@@ -202,6 +208,7 @@ def acted(trial: Trial) -> tuple[ArmState, ArmState]:
     return before, after
 
 
+@pytest.mark.slow
 def test_actions_come_in_the_period_of_the_fault(bench: Bench) -> None:
     for number, rows in {
         "F19": [0], "F24": [0], "F41": [0], "F30": [400], "F29": [400], "F39": [400], "F22": [405],
@@ -213,6 +220,7 @@ def test_actions_come_in_the_period_of_the_fault(bench: Bench) -> None:
     assert sorted(broken(bench, "F32", 3).actions) == [400, 425]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("severity", "counts", "factor", "later"), [(1, 8000, 1.5, 1), (2, 4000, 2.0, 2), (3, 2000, 3.0, 3)]
 )
@@ -230,6 +238,7 @@ def test_encoder_friction_and_delay_of_the_arm_are_changed(
     assert after.rig[1] == before.rig[1] + later and after.voltage.size == before.voltage.size + later
 
 
+@pytest.mark.slow
 def test_the_watchdog_and_a_clock_that_is_set_back(bench: Bench) -> None:
     trial = broken(bench, "F22", 1)
     arm = arm_of(trial)
@@ -243,6 +252,7 @@ def test_the_watchdog_and_a_clock_that_is_set_back(bench: Bench) -> None:
     assert arm.counters.tolist() == [1, 398]
 
 
+@pytest.mark.slow
 def test_a_wiped_memory_is_all_zeros_all_ones_or_no_numbers(bench: Bench) -> None:
     assert set(acted(broken(bench, "F30", 1))[1].law.tolist()) == {0}
     assert set(acted(broken(bench, "F30", 2))[1].law.tolist()) == {255}
@@ -257,6 +267,7 @@ def flipped_bits(trial: Trial) -> list[int]:
     return np.flatnonzero(changed).tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_a_flip_is_of_one_bit_and_of_the_number_that_it_names(bench: Bench, precision: Any) -> None:
     made = bench.with_law(bench.law.in_precision(precision))
@@ -278,6 +289,7 @@ def test_a_flip_is_of_one_bit_and_of_the_number_that_it_names(bench: Bench, prec
     assert any(not name.startswith("modes") for name in seen)  # of any real: beside the modes, too
 
 
+@pytest.mark.slow
 def test_a_block_is_made_another_version_size_or_sum(bench: Bench) -> None:
     words = np.frombuffer(bench.law.block[:16], "<u4").astype(int)
     for severity, place, value in ((1, 0, words[0] + 1), (2, 1, words[1] - 4), (3, 3, words[3] ^ 1)):
@@ -287,6 +299,7 @@ def test_a_block_is_made_another_version_size_or_sum(bench: Bench) -> None:
         assert found.tolist() == wanted.tolist()
 
 
+@pytest.mark.slow
 def test_one_byte_of_the_block_is_damaged_behind_its_header(bench: Bench) -> None:
     def places(severity: int, seed: int) -> list[int]:
         block = broken(bench, "F44", severity, "whole", seed=seed).block
@@ -297,6 +310,7 @@ def test_one_byte_of_the_block_is_damaged_behind_its_header(bench: Bench) -> Non
     assert all(len(each) == 1 and each[0] >= 16 for each in drawn) and len({each[0] for each in drawn}) > 4
 
 
+@pytest.mark.slow
 def test_payloads_are_exchanged_and_a_stop_stands_ahead(bench: Bench) -> None:
     mass = [broken(bench, "F38", k, "whole").twin.beam.payload for k in (1, 2, 3)]
     assert mass == pytest.approx([0.03, 0.024, 0.012])
@@ -309,6 +323,7 @@ def test_payloads_are_exchanged_and_a_stop_stands_ahead(bench: Bench) -> None:
     assert after.obstacle.tolist() == pytest.approx([angle, 500.0, 2.0, trial.twin.beam.length, 1.0])
 
 
+@pytest.mark.slow
 def test_limits_and_motor_loop_of_the_law_are_changed(bench: Bench) -> None:
     limits = bench.law.limits
     assert [broken(bench, "F27", k, "whole").law.limits.motor_limit for k in (1, 2, 3)] == [0.9, 0.7, 0.5]
@@ -321,6 +336,7 @@ def test_limits_and_motor_loop_of_the_law_are_changed(bench: Bench) -> None:
     assert stiff[0] > stiff[1] > stiff[2]
 
 
+@pytest.mark.slow
 def test_a_law_that_is_never_asked_for_more_than_its_motor_may(bench: Bench) -> None:
     trial = broken(bench, "F27", 1, "whole")
     whole = trial.inputs.copy()
@@ -334,6 +350,7 @@ def test_a_law_that_is_never_asked_for_more_than_its_motor_may(bench: Bench) -> 
     assert np.array_equal(trial.inputs[~beyond], whole[~beyond])
 
 
+@pytest.mark.slow
 def test_noise_is_left_out_where_it_would_hide_what_is_measured(bench: Bench) -> None:
     offset = bench.twin.sensors.gauge_offset
     assert np.all(broken(bench, "F38", 1, "whole").inputs[:, columns.GAUGE_ERROR] == offset)
@@ -341,6 +358,7 @@ def test_noise_is_left_out_where_it_would_hide_what_is_measured(bench: Bench) ->
     assert np.all(calm[-750:] == offset) and np.all(calm[-770:-750] != offset)
 
 
+@pytest.mark.slow
 def test_the_self_test_runs_the_motor_loop_alone(bench: Bench) -> None:
     trial = broken(bench, "F16", 1, "whole")
     assert trial.law.drive is not None and trial.law.drive.torque_voltage == 0.0
@@ -349,6 +367,7 @@ def test_the_self_test_runs_the_motor_loop_alone(bench: Bench) -> None:
     assert trial.wanted[-1] == pytest.approx(0.35) and trial.wanted[25] == 0.0
 
 
+@pytest.mark.slow
 def test_a_wrong_unit_is_counted_from_when_it_shows(bench: Bench) -> None:
     """The first period in which the motor, a lag of 2/p + 1.5 T late, is read wrong by the guard's angle."""
     law = bench.law
@@ -361,6 +380,7 @@ def test_a_wrong_unit_is_counted_from_when_it_shows(bench: Bench) -> None:
     assert lag == 8
 
 
+@pytest.mark.slow
 def test_sensors_exchanged_from_the_beginning_are_counted_from_the_move(bench: Bench) -> None:
     assert broken(bench, "F37", 1, "whole").row == 250
     details = [
@@ -370,6 +390,7 @@ def test_sensors_exchanged_from_the_beginning_are_counted_from_the_move(bench: B
     assert details == ["for ever", "for a while", "for a while", "for ever"]
 
 
+@pytest.mark.slow
 def test_a_stuck_gauge_is_given_up_by_a_law_that_knows(bench: Bench) -> None:
     trial = broken(bench, "F11", 1)
     fault_sensors.without_gauge(trial)
@@ -377,6 +398,7 @@ def test_a_stuck_gauge_is_given_up_by_a_law_that_knows(bench: Bench) -> None:
     assert run.mode[399] == RUN and run.mode[400] == DEGRADED and run.mode[-1] == DEGRADED
 
 
+@pytest.mark.slow
 def test_a_run_that_diverges_is_cut_and_says_so(bench: Bench) -> None:
     trial = broken(bench, "F01", 1, inject=False)
     trial.at(300, lambda arm: arm.state.__setitem__(0, 1e9))
@@ -389,6 +411,7 @@ def test_a_run_that_diverges_is_cut_and_says_so(bench: Bench) -> None:
         whole.tip[0] = 1.0
 
 
+@pytest.mark.slow
 def test_a_bench_takes_the_design_s_payloads_and_a_law_of_its_own_period(bench: Bench) -> None:
     assert bench.payloads == (0.020, 0.030, 0.040)
     assert 0.4 < bench.modulus_margin < 0.9

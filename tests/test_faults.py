@@ -73,12 +73,14 @@ def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> Non
         assert broken == [], outcome.case.name
 
 
+@pytest.mark.slow
 def test_both_precisions_take_the_same_modes(table: FaultTable) -> None:
     for outcome in table.outcomes:
         assert outcome.checks[-1].name.startswith("single precision"), outcome.case.name
         assert outcome.checks[-1].passed, outcome.case.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "limits"),
     [
@@ -99,6 +101,7 @@ def test_a_guard_that_is_removed_turns_the_verdict(
     assert not run_case(loosened(bench, **limits), name, single=False).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "limits"),
     [
@@ -113,6 +116,7 @@ def test_a_counter_that_never_ends_turns_the_verdict(
     assert not run_case(loosened(bench, **limits), case, single=False).passed
 
 
+@pytest.mark.slow
 def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(bench: Bench) -> None:
     case = Case("F40", 3, 0.03, "mid", 1)  # C
     assert run_case(bench, case, single=False).passed
@@ -120,6 +124,7 @@ def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(bench: Ben
     assert not run_case(loosened(bench, torque_block=WIDE), case, single=False).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
     [f"F{k:02}" for k in (1, 2, 3, 4, 5, 7, 9, 10, 16, 18, 21, 22, 23, 25, 26, 31, 32, 34, 35, 36, 37, 44)],
@@ -132,6 +137,7 @@ def test_a_run_in_which_nothing_happened_does_not_pass(bench: Bench, number: str
     assert not all(check(e).passed for check in fault.rule.require)
 
 
+@pytest.mark.slow
 def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
     e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law)
     assert all(check.passed for check in shared_checks(e))
@@ -143,6 +149,7 @@ def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, precision) -> None:
     e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law.in_precision(precision))
@@ -171,6 +178,7 @@ def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
     assert other.peak != table.outcomes[0].peak
 
 
+@pytest.mark.slow
 def test_the_table_comes_back_equal(table: FaultTable, tmp_path) -> None:
     place = tmp_path / "faults.json"
     assert fl.load(fl.save(table, place), FaultTable) == table
@@ -179,6 +187,7 @@ def test_the_table_comes_back_equal(table: FaultTable, tmp_path) -> None:
         fl.load(place)
 
 
+@pytest.mark.slow
 def test_the_page_names_every_fault_and_what_is_open(table: FaultTable) -> None:
     page = table.markdown()
     assert all(f"| {fault.number} |" in page for fault in CATALOGUE)
@@ -210,6 +219,7 @@ def test_what_a_failure_means(made: Outcome, group: str) -> None:
     assert made.group == group
 
 
+@pytest.mark.slow
 def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(table: FaultTable) -> None:
     missed = [row for row in table.rows() if not row.passed]
     assert all(fault_named(row.number).cause.startswith(("arm: ", "law: ", "test: ")) for row in missed)
@@ -217,6 +227,7 @@ def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(table: FaultT
     assert {row.group for row in missed} <= {"slower than promised", "trips without need"}
 
 
+@pytest.mark.slow
 def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> None:
     """Friction that is compensated six times over keeps the motor moving."""
     case = Case("F28", 1, 0.03, "whole", 1)
@@ -258,6 +269,7 @@ def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
     assert found[0].off == found[20].off == 0 < found[9].off
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "field"),
     [
@@ -284,6 +296,7 @@ def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
         assert (result.periods, result.trips, result.flagged) == (50_000, 0, 0)
 
 
+@pytest.mark.slow
 def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -313,6 +326,7 @@ def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
     assert soak(bench, 0.03, periods=150_000) == Soak(99_993, 3 + 50_007, 4, 1.25)
 
 
+@pytest.mark.slow
 def test_the_soak_sees_trips(bench: Bench) -> None:
     result = soak(loosened(bench, residual_angle=1e-4), 0.03, periods=2_000)
     assert result.periods == 2_000 and 0 < result.trips < 2_000 and result.flagged > 0
@@ -320,6 +334,7 @@ def test_the_soak_sees_trips(bench: Bench) -> None:
         soak(bench, 0.03, periods=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "seed", [11, 12, 79, 117]
 )  # the last two: held with noise left in the modes, it trips
@@ -331,6 +346,7 @@ def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(bench: Bench, seed: int)
         assert [check for check in outcome.checks if not check.passed] == []
 
 
+@pytest.mark.slow
 def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> None:
     tender = loosened(bench, residual_angle=1e-4)
     begun: list[str] = []
@@ -359,6 +375,7 @@ def trial_of(bench: Bench) -> Trial:
     return Trial(bench, Case("F29", 1, 0.03, "mid", 3), bench.law, fl.smooth_step(0.5, 0.6), 2.4)
 
 
+@pytest.mark.slow
 def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
     trial = trial_of(bench)
     whole = bytes(trial.block)
@@ -373,6 +390,7 @@ def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
     assert trial.block[8:12] == b"\xff" * 4
 
 
+@pytest.mark.slow
 def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) -> None:
     """Without shifts, and with none of any size, the run is the same; a late sample is one of a later arm."""
     plain = execute(trial_of(bench))
@@ -391,6 +409,7 @@ def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) ->
     assert abs(moved.motor[101] - plain.motor[101]) < 0.1 * abs(moved.motor[100] - plain.motor[100])
 
 
+@pytest.mark.slow
 def test_marks_and_readings_stand_where_the_fault_is(bench: Bench) -> None:
     trial = trial_of(bench)
     rows = trial.rows(0.02)

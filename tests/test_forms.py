@@ -274,6 +274,7 @@ def test_what_follows_a_table_is_cut_off_by_the_line_that_is_told(tmp_path: Path
 # --- arrays of NumPy, raw numbers --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_array_of_numpy(tmp_path: Path) -> None:
     np.save(tmp_path / "log.npy", NUMBERS)
     table = read_table(tmp_path / "log.npy")
@@ -285,6 +286,7 @@ def test_an_array_of_numpy(tmp_path: Path) -> None:
     assert read_table(tmp_path / "fields.npy").names == ("time_s", "theta")
 
 
+@pytest.mark.slow
 def test_an_array_of_objects_is_not_unpickled(tmp_path: Path) -> None:
     np.save(tmp_path / "log.npy", np.array([{}, []], dtype=object), allow_pickle=True)
     with pytest.raises(FileFormatError, match="damaged or hostile"):

@@ -36,6 +36,7 @@ TERM = st.tuples(
 )
 
 
+@pytest.mark.slow
 @given(st.lists(TERM, min_size=1, max_size=4), st.lists(TERM, min_size=1, max_size=3))
 def test_repr_is_python_that_makes_an_equal_function(top: list[Any], bottom: list[Any]) -> None:
     def total(terms: list[Any], delayed: bool) -> Any:

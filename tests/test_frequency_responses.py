@@ -233,6 +233,7 @@ def test_recordings(tmp_path: Path) -> None:
 # --- link and motor -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("output", ["motor_angle", "torque"])
 def test_link_and_motor(output: str, tmp_path: Path) -> None:
     found = fl.identify_driven_link(noisy(output), output=output, details=False)  # type: ignore[arg-type]
@@ -289,6 +290,7 @@ def driven() -> DrivenLinkFit:
     return fl.identify_driven_link(clean, details=False)
 
 
+@pytest.mark.slow
 def test_the_peak_lies_between_the_points_of_its_grid(driven: DrivenLinkFit) -> None:
     w = np.geomspace(11.1, 14.0, 400_001)
     exact = w[np.argmax(np.abs(driven.fit.transfer_function(1j * w)))]
@@ -322,6 +324,7 @@ def test_a_model_of_the_driven_link(driven: DrivenLinkFit) -> None:
     assert none.intervals == ()
 
 
+@pytest.mark.slow
 def test_lines_on_both_sides_show_a_place(driven: DrivenLinkFit) -> None:
     """Three lines below the anti-resonance and three above the peak, and no fewer."""
     z, peak = driven.anti_resonance, driven.peak

@@ -22,6 +22,7 @@ ENTRIES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("topic", "title"), ENTRIES)
 def test_the_recorded_figures_come_out(topic: str, title: str) -> None:
     told = recorded(topic)

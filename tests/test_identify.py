@@ -76,6 +76,7 @@ def test_any_link_is_found_without_a_guess(order: float, frequency: float, delay
         assert abs(found - value) < 6 * fit.standard_errors[name] + 2e-3 * abs(value) + 1e-4
 
 
+@pytest.mark.slow
 def test_bad_guesses_do_not_matter() -> None:
     log = made_log(noise=NOISE)
     best = identify(log, "UD-FOM", heldout=0, details=False)
@@ -203,6 +204,7 @@ def test_tests_of_a_white_residual_are_calm() -> None:
     assert np.min(p_values) > 1e-4
 
 
+@pytest.mark.slow
 def test_b24_outliers_are_told() -> None:
     log = made_log(noise=0.02)
     spoilt = log.output.copy()
@@ -211,6 +213,7 @@ def test_b24_outliers_are_told() -> None:
     assert "W312" not in {f.code for f in identify(log, details=False).findings}
 
 
+@pytest.mark.slow
 def test_deflection_log_takes_the_stiffness_it_is_told() -> None:
     log = replace(made_log(gain=1 / 1.56), output_kind="deflection")
     fit = identify(log, stiffness=1.3, details=False)
@@ -296,6 +299,7 @@ def test_logs_without_motion_are_refused() -> None:
         identify(Experiment(period=PERIOD, motor_angle=angle[300:340], output=angle[300:340]))
 
 
+@pytest.mark.slow
 def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
     row = Structure("DF", ("natural_frequency", "order", "damping"), "", "fractional order, viscous damping")
     monkeypatch.setitem(STRUCTURES, row.name, row)

@@ -23,6 +23,7 @@ from shared_data import shared_data
 RIGS = Path(__file__).parent / "rigs"
 
 
+@pytest.mark.slow
 def test_all_four_in_the_papers_order() -> None:
     comparison = compare_structures(made_log(noise=0.05), heldout=0.4)
     assert list(comparison.fits) == list(STRUCTURES)
@@ -65,6 +66,7 @@ def test_an_integer_link_is_called_one() -> None:
     assert "λ is at its bound 2" in comparison.verdict
 
 
+@pytest.mark.slow
 def test_nesting_holds_on_every_log() -> None:
     links = [TRUTH, LinkModel(1.56, 10.0, damping=1.0), LinkModel(1.56, 12.0, damping=2.0, damping_order=0.4)]
     for seed, link in enumerate(links):
@@ -198,6 +200,7 @@ def fits() -> dict[str, Fit]:
     return dict(compare_structures(made_log(noise=0.05, samples=2501), details=False).fits)
 
 
+@pytest.mark.slow
 def test_a_choice_in_one_sentence(fits: dict[str, Fit]) -> None:
     held = fits["UD-FOM"].heldout_nmse
     criteria = {
@@ -273,6 +276,7 @@ def test_figures_of_a_fit_from_its_samples(fits: dict[str, Fit]) -> None:
     assert nothing.heldout_nmse is None  # no power to compare with
 
 
+@pytest.mark.slow
 def test_white_errors_are_the_scatter_of_fits() -> None:
     clean = made_log(delay=0.003, samples=2501)
     fits = []

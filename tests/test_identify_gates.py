@@ -202,6 +202,7 @@ def test_of_noise_neither_sign_nor_delay_is_said(name: str) -> None:
     assert not {"W306", "W307", "W309", "W316"} & {finding.code for finding in fit.findings}
 
 
+@pytest.mark.slow
 def test_a_few_samples_at_the_stops_are_no_gate() -> None:
     few, many = (identify(log(output=saturated(share))) for share in (2.0, 1.5))
     assert abs(few.gain / 1.56 - 1) < 0.01
@@ -210,6 +211,7 @@ def test_a_few_samples_at_the_stops_are_no_gate() -> None:
     assert not many.passed
 
 
+@pytest.mark.slow
 def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
     """The vibration from before the cut is not in the model: here the delay is 4 ms, and the fit errs."""
     late = int(np.flatnonzero(np.diff(ANGLE) != 0)[0]) + 600
@@ -225,6 +227,7 @@ def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
     assert abs(cut.delay - 0.004) > 2 * abs(whole.delay - 0.004)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [300, 600, 1100])
 def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(late: int) -> None:
     late += int(np.flatnonzero(np.diff(ANGLE) != 0)[0])
@@ -248,6 +251,7 @@ def test_a_good_log_passes_every_gate() -> None:
         assert identify(deflection, stiffness=1.56).passed
 
 
+@pytest.mark.slow
 def test_a_quiet_end_is_not_what_is_held_out() -> None:
     torque = simulated_torque(TRUTH, RING, PERIOD)
     fit = identify(log(RING, torque + 0.02 * WHITE))
@@ -267,6 +271,7 @@ def test_motion_that_comes_late_is_on_both_sides() -> None:
     assert 11 / PERIOD < fit.fitted_samples < 13.5 / PERIOD
 
 
+@pytest.mark.slow
 def test_what_was_identified_travels_with_the_model() -> None:
     fit = identify(log())
     assert fit.model.gauge_delay == fit.delay == pytest.approx(0.004, abs=5e-4)
@@ -280,6 +285,7 @@ def test_what_was_identified_travels_with_the_model() -> None:
     assert deflection.model.stiffness == 1.56
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frequency", [80.0, 190.0, 400.0])
 @pytest.mark.parametrize("ratio", [0.005, 0.03])
 def test_a_second_mode_is_found_and_measured(frequency: float, ratio: float) -> None:
@@ -294,6 +300,7 @@ def test_a_second_mode_is_found_and_measured(frequency: float, ratio: float) -> 
         assert mode.damping_ratio == pytest.approx(ratio, rel=0.5, abs=0.003)
 
 
+@pytest.mark.slow
 def test_no_second_mode_is_said_with_the_band_that_was_searched() -> None:
     for noise in (0.01 * WHITE, 0.01 * SLOW):
         model = identify(log(output=TORQUE + noise)).model
@@ -304,6 +311,7 @@ def test_no_second_mode_is_said_with_the_band_that_was_searched() -> None:
     assert loud.unseen_up_to is None or loud.unseen_up_to < model.unseen_up_to
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("channel", ["voltage", "angle"])
 def test_a_motor_with_impossible_signs_is_refused(channel: str) -> None:
     voltage, angle = example_motor_log(samples=2500)
@@ -315,6 +323,7 @@ def test_a_motor_with_impossible_signs_is_refused(channel: str) -> None:
     assert fit.nmse < 0.05
 
 
+@pytest.mark.slow
 def test_a_motor_that_its_voltage_does_not_explain_fails() -> None:
     voltage, angle = example_motor_log(samples=2500)
     with pytest.raises(FraclinkError):
@@ -323,6 +332,7 @@ def test_a_motor_that_its_voltage_does_not_explain_fails() -> None:
         raise FraclinkError(fit.findings[0].message)
 
 
+@pytest.mark.slow
 def test_a_delay_of_the_logger_stays_out_of_the_loop() -> None:
     fit, rig = identify(log()), Rig.named("paper-2023")
     assert fit.loop_model(rig) == fit.model

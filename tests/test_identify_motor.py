@@ -48,6 +48,7 @@ def test_motor_is_found(truth: dict[str, float]) -> None:
     assert fit.nmse < 1e-3
 
 
+@pytest.mark.slow
 def test_known_delay_is_kept_and_errors_cover() -> None:
     voltage, angle = example_motor_log()
     fit = identify_motor(voltage, angle, period=PERIOD, delay=0.0, dead_zone=0.0)
@@ -57,6 +58,7 @@ def test_known_delay_is_kept_and_errors_cover() -> None:
         assert abs(getattr(fit, name) - truth) < 5 * fit.standard_errors[name]
 
 
+@pytest.mark.slow
 def test_the_links_torque_gives_the_inertia() -> None:
     # Dividing the link's torque by J is the same as a voltage: make the load a known second drive.
     voltage, angle = example_motor_log(samples=4000)
@@ -84,6 +86,7 @@ def test_bad_motor_logs() -> None:
         identify_motor(voltage, angle, period=PERIOD, inertia=-1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["prbs", "multisine"])
 def test_designed_experiment_reaches_its_standard_error(kind: str) -> None:
     plan = design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind=kind)  # type: ignore[arg-type]

@@ -38,6 +38,7 @@ def fit() -> JointFit:
     return identify_payloads(payload_logs(LINK))
 
 
+@pytest.mark.slow
 def test_common_order_and_own_frequencies(fit: JointFit) -> None:
     assert fit.common == ("order",)
     for model, mass in zip(fit.models, (0.02, 0.03, 0.04), strict=True):
@@ -77,6 +78,7 @@ def test_one_stiffness_by_equation_5() -> None:
     assert not identify_payloads(wrong, tied=True).test.common
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tied", [False, True])
 def test_common_fractional_damping(tied: bool) -> None:
     fit = identify_payloads(payload_logs(DAMPED, noise=0.02), "D-FOM", tied=tied)
@@ -86,12 +88,14 @@ def test_common_fractional_damping(tied: bool) -> None:
     assert fit.test.common
 
 
+@pytest.mark.slow
 def test_nothing_common_is_every_log_for_itself() -> None:
     fit = identify_payloads(payload_logs(LINK), common=())
     assert np.allclose(fit.mse, fit.alone_mse, rtol=1e-6)
     assert fit.test.p_value == 1.0
 
 
+@pytest.mark.slow
 def test_known_delay_and_stiffness() -> None:
     fit = identify_payloads(payload_logs(LINK), stiffness=1.56, delay=0.0)
     assert fit.gains == (1.56, 1.56, 1.56)
@@ -132,6 +136,7 @@ def test_bad_joint_requests() -> None:
     assert caught.value.field == "common"
 
 
+@pytest.mark.slow
 def test_a_joint_fit_in_numbers(fit: JointFit) -> None:
     """Each figure of the result from the logs and models in it."""
     logs = payload_logs(LINK)
@@ -155,6 +160,7 @@ def test_a_joint_fit_in_numbers(fit: JointFit) -> None:
     assert (fit.stiffness, fit.stiffness_over_square) == (None, None)
 
 
+@pytest.mark.slow
 def test_names_and_sizes_of_joint_errors(fit: JointFit) -> None:
     """They are those of the fits alone, and a root of three smaller where three logs share a parameter."""
     logs, free = payload_logs(LINK), fit

@@ -96,6 +96,7 @@ def _covariance(regressors: Array, residual: Array) -> tuple[Array, float]:
     return coloured_covariance(regressors, coefficients, variance), freedom
 
 
+@pytest.mark.slow
 def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     """Σ_kl x_k γ(k − l) x_lᵀ with the known γ(l) = 0.9^|l| of the noise."""
     count = 1500
@@ -110,6 +111,7 @@ def test_the_covariance_of_a_regression_under_coloured_noise() -> None:
     assert freedom == pytest.approx(count / 2, rel=0.25)  # of a first-order spectrum's level at 0
 
 
+@pytest.mark.slow
 def test_what_a_fit_took_out_of_slow_noise_is_given_back() -> None:
     """The variance of a regression's coefficients, from its residual, against that from the known γ(l).
 

@@ -80,6 +80,7 @@ def test_tip_angle_and_known_values() -> None:
     assert np.allclose(fit.response(FREQUENCY), response, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_coherence_weighs_lines() -> None:
     response = noisy(1)
     bad = FREQUENCY > 20
@@ -138,6 +139,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BAD)
 def test_a_response_without_this_mode_fails_a_gate(name: str) -> None:
     frequency, response, code = BAD[name]
@@ -148,6 +150,7 @@ def test_a_response_without_this_mode_fails_a_gate(name: str) -> None:
     assert finding.evidence
 
 
+@pytest.mark.slow
 def test_an_angle_of_the_motor_is_no_tip_response() -> None:
     """A motor with an anti-resonance at 26 and a peak at 29 rad/s: low frequencies win the fit."""
     s = 1j * FREQUENCY
@@ -314,6 +317,7 @@ def test_the_result_of_a_fit_in_numbers() -> None:
     assert whole.result(np.array([1.9, 0.01, np.log(9.0)]), kept).outliers == (7,)
 
 
+@pytest.mark.slow
 def test_standard_errors_are_the_scatter_of_fits() -> None:
     fits = [identify_frequency_response(FREQUENCY, noisy(seed), robust=False) for seed in range(16)]
     for name, values in (

@@ -70,6 +70,7 @@ COMMANDS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_design_with_eight_times_the_gain_is_refused_by_every_command(
     line: str,
@@ -107,6 +108,7 @@ EDITS: dict[str, Edit] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EDITS)
 def test_an_edited_design_is_refused(name: str, files: Path, tmp_path: Path) -> None:
     path = _edited(files / "design.json", tmp_path / "bad.json", EDITS[name])
@@ -116,6 +118,7 @@ def test_an_edited_design_is_refused(name: str, files: Path, tmp_path: Path) -> 
         fl.Design.load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
 @pytest.mark.parametrize("name", ["design.json", "law.json", "model.json"])
 def test_a_file_cut_short_is_refused(name: str, share: float, files: Path, tmp_path: Path) -> None:
@@ -136,6 +139,7 @@ def test_every_number_of_a_law_is_under_its_digest(files: Path, tmp_path: Path) 
             load(tmp_path / "law.json")
 
 
+@pytest.mark.slow
 def test_a_law_with_eight_times_the_gain_is_refused_by_replay(
     made: fl.Design, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,6 +171,7 @@ def test_a_gate_cannot_be_deleted_from_the_folder_of_a_study(tmp_path: Path) -> 
         assert main(["report", str(folder)]) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["design.json", "law.json", "model.json"])
 def test_a_file_with_one_wrong_byte_is_refused_or_means_the_same(
     name: str, files: Path, tmp_path: Path

@@ -354,6 +354,7 @@ def test_the_units_of_the_hold_are_seconds() -> None:
         assert len(found.numerator) == 1  # rounding of the logarithm is no zero
 
 
+@pytest.mark.slow
 def test_responses_of_python_controls_shapes(loop: Any) -> None:
     assert loop.eval(2.0) == LOOP(2j) and np.ndim(loop.eval(2.0)) == 0
     assert loop.eval(OMEGA, squeeze=False).shape == (1, 1, len(OMEGA))

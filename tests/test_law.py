@@ -302,6 +302,7 @@ def test_a_fit_is_closest_about_the_crossover(
     assert error.max() < np.hypot(0.1 * np.log(10) / 20, np.radians(0.5)) / emphasis
 
 
+@pytest.mark.slow
 def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
     """M(s) of 80 rad/s and one period of computation, unless the controller was designed for another."""
     own = default_controller()

@@ -34,6 +34,7 @@ def exact_correction(made: Law, torque: list[float]) -> tuple[list[float], float
         ctx.prec = before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("precision", "bound"), [("single", 1e-6), ("double", 1e-14)])
 def test_the_law_stays_with_the_exact_one(precision: str, bound: float) -> None:
     noise = np.random.default_rng(7).standard_normal(PERIODS)

@@ -301,6 +301,7 @@ def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
             assert outputs.mode[10] == 4 or np.all(moved), (word, bit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> None:

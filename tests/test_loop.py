@@ -71,6 +71,7 @@ def test_the_slope_is_that_of_the_logarithm(name: str, kind: str) -> None:
     assert loop.slope(w, 11.0) == pytest.approx(difference, rel=2e-5, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_phase_is_unwrapped_from_low_frequencies_on() -> None:
     for link in LINKS.values():
         loop = Loop.of(CONTROLLER, link, RIG)
@@ -109,6 +110,7 @@ def test_a_model_without_a_payload_gets_the_rigs_nominal_one() -> None:
 # --- crossings and margins ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LINKS)
 def test_crossings_are_all_of_a_dense_scan(name: str) -> None:
     loop = Loop.of(CONTROLLER, LINKS[name], RIG)
@@ -158,6 +160,7 @@ def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
     assert crossover.tolist() == [0.0, 0.0] and margin.tolist() == [math.pi, math.pi]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("link", "margin", "error"),
     [

@@ -54,6 +54,7 @@ def on_rays(z: complex, alpha: float, beta: float) -> complex:
         return complex(total)
 
 
+@pytest.mark.slow
 def test_against_the_series_at_random_points() -> None:
     rng = np.random.default_rng(20)
     for i in range(280):
@@ -68,6 +69,7 @@ def test_against_the_series_at_random_points() -> None:
         assert error <= 1e-13 * max(1.0, abs(exact)), (z, alpha, beta)
 
 
+@pytest.mark.slow
 def test_against_an_integral_where_the_series_is_too_long() -> None:
     rng = np.random.default_rng(21)
     for _ in range(10):

@@ -46,6 +46,7 @@ def random_system(seed: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     return A, g.normal(size=(size, channels)), g.normal(size=(channels, size)) * g.uniform(0.2, 3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_closed_loop_poles_and_margin_of_a_state_space(seed: int) -> None:
     A, B, C = random_system(seed)
@@ -68,6 +69,7 @@ def test_closed_loop_poles_and_margin_of_a_state_space(seed: int) -> None:
     assert fl.multivariable_margins(response).stable is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0.6, 1.3, 1.7])
 def test_closed_loop_poles_of_a_commensurate_system_lie_in_matignons_sector(order: float) -> None:
     counts = set()
@@ -84,6 +86,7 @@ def test_closed_loop_poles_of_a_commensurate_system_lie_in_matignons_sector(orde
     assert len(counts) > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.05, 0.148, 2.0])
 def test_a_rotated_diagonal_keeps_the_margins_of_its_channels(gain: float) -> None:
     slow, fast = 3 / (s * (0.1 * s + 1)), (gain * s**0.65 * 100 / (s**1.92 + 100)).delayed(0.01)

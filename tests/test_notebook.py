@@ -33,6 +33,7 @@ NAMES = ("Rig", "Experiment", "Fit", "Comparison", "Design", "Law", "Run", "Cert
 DRAWN = {"Rig", "Experiment", "Fit", "Comparison", "Design", "Run"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_repr_is_one_short_line(name: str, results: dict[str, Any]) -> None:
     text = repr(results[name])
@@ -51,6 +52,7 @@ def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, An
     assert results[name]._repr_html_() == page
 
 
+@pytest.mark.slow
 def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
     fl.draw(results["Fit"], tmp_path / "fit.svg")
     assert (tmp_path / "fit.svg").read_text().strip() == results["Fit"]._repr_svg_().strip()
@@ -60,6 +62,7 @@ def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
         fl.draw(results["Fit"], tmp_path / "fit.png")
 
 
+@pytest.mark.slow
 def test_a_comparison_comes_back(results: dict[str, Any], tmp_path: Path) -> None:
     fl.save(results["Comparison"], tmp_path / "c.json")
     again = fl.load(tmp_path / "c.json")
@@ -67,12 +70,14 @@ def test_a_comparison_comes_back(results: dict[str, Any], tmp_path: Path) -> Non
     assert again.fits[again.preferred] == results["Comparison"].fits[again.preferred]
 
 
+@pytest.mark.slow
 def test_texts_are_escaped(results: dict[str, Any]) -> None:
     assert "&lt;unstable&gt;" in results["Certificate"]._repr_html_()
     page = replace(RIG, name="<script>alert(1)</script>")._repr_html_()  # type: ignore[attr-defined]
     assert "<script" not in page and "&lt;script&gt;" in page
 
 
+@pytest.mark.slow
 def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None:
     log = results["Experiment"]
     other = replace(log, output=0.5 * log.output)
@@ -80,12 +85,14 @@ def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None
     assert ' id="' not in log._repr_svg_() + other._repr_svg_()
 
 
+@pytest.mark.slow
 def test_a_drawing_needs_no_matplotlib(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "phase margin" in results["Design"]._repr_html_()
     assert "phase of L" in results["Design"]._repr_svg_()
 
 
+@pytest.mark.slow
 def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) -> None:
     style = results["Design"]._repr_svg_().partition("</style>")[0]
     light, dark = style.split("@media (prefers-color-scheme: dark)")

@@ -37,6 +37,7 @@ def angle(value: complex) -> float:
     return float(np.degrees(np.angle(-value)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "crossover", "margin", "form"),
     [
@@ -85,6 +86,7 @@ def test_itae_is_that_of_the_exact_response(plant: FractionalTransferFunction) -
     assert made.itae == pytest.approx(np.trapezoid(time * np.abs(error), time), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_itae_cannot_be_lowered_by_other_orders() -> None:
     """The orders of least ITAE: 60 other pairs that are given, with the same margins."""
     made = fl.tune_pid(G1, gain_crossover=2.0, phase_margin=fl.deg(60))
@@ -106,6 +108,7 @@ def test_itae_cannot_be_lowered_by_other_orders() -> None:
     assert tried > 5
 
 
+@pytest.mark.slow
 def test_bounds_are_kept() -> None:
     free = fl.tune_pid(LAG, phase_margin=fl.deg(50), flat_phase=False)
     assert free.margins.sensitivity_peak <= 2.0
@@ -176,6 +179,7 @@ def test_a_pd_says_what_it_leaves() -> None:
     assert finding.evidence["lasting error, %"] == pytest.approx(100 * (1 - last), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
     """At 0.3 s the continuous loop has its 60° and the sampled one rises to one again, 28° from −1."""
     plant = 1 / (0.4 * s**1.5 + 1)
@@ -240,6 +244,7 @@ def test_law_is_the_filter_that_it_states(limit: float) -> None:
     assert set(out.mode) == {1}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "controller",
     [
@@ -261,6 +266,7 @@ def test_law_follows_the_controller(controller: fl.FractionalPid) -> None:
     assert law.correction_error[1] < 1.5
 
 
+@pytest.mark.slow
 def test_a_lasting_error_is_always_removed() -> None:
     """λ = 0.5: what the exact integral leaves dies away as t^(-0.5); here it goes exponentially."""
     plant = 1 / (0.05 * s + 1)
@@ -281,6 +287,7 @@ def test_a_lasting_error_is_always_removed() -> None:
     assert abs(1 - step.measurement[-1]) < 1e-3
 
 
+@pytest.mark.slow
 def test_the_law_on_its_plant_is_what_was_tuned() -> None:
     made = fl.tune_pid(LAG, gain_crossover=3.0, period=0.01, output_limit=50.0, measurement_limit=5.0)
     law = made.law()
@@ -319,6 +326,7 @@ def test_a_torque_is_without_effect() -> None:
         np.testing.assert_array_equal(with_it.voltage, without.voltage)
 
 
+@pytest.mark.slow
 def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
     """A rectangle around a complex number grows as it turns: the bound was infinite here."""
     modes = Modes(
@@ -341,6 +349,7 @@ def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
 # --- on a board -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
     law = fl.discretize_pid(pid(), 0.004, **LAW, precision=precision)
@@ -365,6 +374,7 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
     assert "wiring test `law_check_wiring`" not in page
 
 
+@pytest.mark.slow
 def test_the_self_test_stays_in_run_where_it_should() -> None:
     """Its inputs are a measurement's: with those of an arm the law would be off after a few periods."""
     for limit in (1e-3, 2.0, 700.0):
@@ -373,6 +383,7 @@ def test_the_self_test_stays_in_run_where_it_should() -> None:
         assert len({*reached.values()}) == len(reached) == 6, reached
 
 
+@pytest.mark.slow
 def test_fmu_has_the_names_of_a_pid(tmp_path: Path) -> None:
     fmpy = pytest.importorskip("fmpy")
     law = fl.discretize_pid(pid(), 0.01, **LAW)
@@ -409,6 +420,7 @@ def test_proofs(tmp_path: Path) -> None:
 # --- command line -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     plant = "1/(0.8*s**2.2 + 0.5*s**0.9 + 1)"
@@ -430,6 +442,7 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 # --- in python-control ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_laws_in_python_control() -> None:
     """Against the block's own response, with real modes, a complex pair, and a PID's integral."""
     pytest.importorskip("control")

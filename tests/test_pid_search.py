@@ -213,6 +213,7 @@ def test_a_crossover_is_looked_for_below_where_the_delay_alone_turns_half_round(
         problem(1 / (s + 1), gain_crossover=None)
 
 
+@pytest.mark.slow
 def test_infeasible_requests_are_named_by_their_form() -> None:
     with pytest.raises(InfeasibleError, match="no PI controller with a flat phase with gains >= 0") as caught:
         fl.tune_pid(LAG, gain_crossover=3.0, form="PI", phase_margin=fl.deg(60))
@@ -242,6 +243,7 @@ def made() -> fl.PidTuning:
     )
 
 
+@pytest.mark.slow
 def test_a_tuning_lists_what_was_asked_and_what_was_achieved(made: fl.PidTuning) -> None:
     assert made.delay == pytest.approx(0.015)
     assert made.horizon == pytest.approx(40.0 / 3.0)
@@ -267,6 +269,7 @@ def test_a_tuning_lists_what_was_asked_and_what_was_achieved(made: fl.PidTuning)
     assert plain.delay == 0.0
 
 
+@pytest.mark.slow
 def test_a_law_takes_what_the_tuning_was_given(made: fl.PidTuning) -> None:
     law = made.law()
     assert (law.period, law.drive.voltage_limit, law.limits.angle_limit) == (0.01, 50.0, 5.0)  # type: ignore[union-attr]
@@ -357,6 +360,7 @@ def test_the_margins_of_the_shipped_law_count_a_period_of_computation(made: fl.P
     assert found.phase_margin == pytest.approx(float(np.angle(-loop(found.gain_crossover))), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_the_shipped_law_keeps_is_told_by_how_much(made: fl.PidTuning) -> None:
     """The same law on plants that are louder than the one it was tuned for."""
     kept = abs(made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0)).phase_margin)

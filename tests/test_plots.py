@@ -150,6 +150,7 @@ def test_margins_of_a_sampled_loop_end_at_nyquist() -> None:
     assert w[-1] == pytest.approx(math.pi / 0.1)
 
 
+@pytest.mark.slow
 def test_step_is_the_exact_response() -> None:
     axis = plots.step_plot(100 / (s**2 + 2 * s + 100), duration=3.0)
     t, y = axis.get_lines()[0].get_data()
@@ -221,6 +222,7 @@ def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
         assert axis.get_lines()[0].get_xdata()[0] == pytest.approx(4000.0)
 
 
+@pytest.mark.slow
 def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
     rig = fl.Rig.named("paper-2023")
     design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
@@ -234,6 +236,7 @@ def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
         plots.margins_against_payload([])
 
 
+@pytest.mark.slow
 def test_the_phase_budget_falls_from_half_a_turn_to_the_margin() -> None:
     rig = fl.Rig.named("paper-2023")
     design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
@@ -294,6 +297,7 @@ def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign(
 # --- places and limits of what is drawn -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_times_of_a_run_are_counted_in_logarithmic_bins() -> None:
     run: Any = SimpleNamespace(
         period=0.004, latency=np.array([1e-5, 2e-5, 0.0, 0.009]), work=np.full(4, 1e-4)
@@ -448,6 +452,7 @@ def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
     assert not re.search(r'\bd="[^"]*\d\.\d{3,}', text)
 
 
+@pytest.mark.slow
 def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
     from fraclink._show.axes import save_figure
 

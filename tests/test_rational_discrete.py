@@ -96,6 +96,7 @@ def test_feed_forward_operator() -> None:
     assert np.all(np.isfinite(made(np.array([1e-9, 1e-3]))))  # G(0) is finite, unlike s^(−0.08)
 
 
+@pytest.mark.slow
 def test_zero_at_one_is_exact(slow_filter: DiscreteRational) -> None:
     assert slow_filter(0.0) == 0.0
     assert slow_filter(1e-9) == pytest.approx(1e-9j * slow_filter(1e-6).imag / 1e-6, rel=1e-3)

@@ -288,6 +288,7 @@ def test_the_angle_before_a_cut_is_kept_as_far_back_as_it_is_uniform(tmp_path: P
     assert load(save(cut, tmp_path / "cut.npz")) == cut != replace(cut, earlier_angle=None)
 
 
+@pytest.mark.slow
 def test_a_cut_in_mid_motion_needs_no_rest_where_the_motion_before_is_known() -> None:
     def remarks(log: Experiment) -> set[str]:
         return {item.code for item in diagnose(log)}

@@ -220,6 +220,7 @@ def ordinary_signals() -> Iterator[None]:
         signal.signal(number, handler)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.Signals[f"SIG{name}"] for name in ENDING])
 def test_a_signal_stops_the_run_and_python_has_its_handler_back(law: Law, number: signal.Signals) -> None:
     board = Board()
@@ -403,6 +404,7 @@ def test_the_spread_is_that_of_a_sorted_list() -> None:
     assert all(math.isnan(value) for value in Spread.of(np.array([])))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "field"),
     [
@@ -471,6 +473,7 @@ def locked_kilobytes() -> int:
     return int(next(line for line in lines if line.startswith("VmLck")).split()[1])
 
 
+@pytest.mark.slow
 def test_what_it_grants_is_given_back(law: Law) -> None:
     before = os.sched_getscheduler(0)
     seen: list[tuple[int, int]] = []

@@ -156,6 +156,7 @@ def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Pat
     subprocess.run(cxx, cwd=tmp_path / "board", check=True)  # noqa: S603
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_moves(
     fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -224,6 +225,7 @@ def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -
     assert load_study(tmp_path).design is not None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_reference_to_identify_from(fraclink: Command, tmp_path: Path) -> None:
     export_io(tmp_path, force=True)
@@ -235,6 +237,7 @@ def test_a_reference_to_identify_from(fraclink: Command, tmp_path: Path) -> None
     assert run.reference.tolist() == pytest.approx((0.1 * (run.time >= 0.4999)).tolist())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path) -> None:
     export_io(tmp_path, force=True)
@@ -248,6 +251,7 @@ def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path)
     )  # the first read found the arm, the ninth failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("io", "said"),
     [
@@ -318,6 +322,7 @@ def test_a_process_that_crashes_leaves_a_stop_behind(fraclink: Command, tmp_path
     assert not (tmp_path / "closed").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_the_record_has_a_place_before_the_arm_moves_or_nothing_happens(
     fraclink: Command, tmp_path: Path

@@ -338,6 +338,7 @@ def test_with_a_shared_key_both_ends_agree_to_the_last_bit(law: Law, twin: Twin)
     assert keyed.voltage.tobytes() == run.voltage.tobytes()
 
 
+@pytest.mark.slow
 def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port(), key=KEY)
     assert "\\x01" not in repr(way)
@@ -391,6 +392,7 @@ def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None
     assert serving.arm.silences == 0
 
 
+@pytest.mark.slow
 def test_nobody_there_and_somebody_there_already(law: Law, twin: Twin, way: Way) -> None:
     with pytest.raises(FieldError, match=r"silent|served by no arm") as caught:
         run_realtime(law, fl.hold(0.0), way, patience=0.1)

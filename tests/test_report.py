@@ -458,6 +458,7 @@ def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -
     assert beyond.x.low == pytest.approx(-20.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["Curve", "Dots"])
 def test_a_name_stands_at_the_last_value_that_is_drawn(kind: str) -> None:
     from fraclink._show import marks

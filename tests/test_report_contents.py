@@ -66,6 +66,7 @@ def test_a_report_of_a_rig_and_a_log_has_their_parts_alone(contents: Any) -> Non
     assert (nothing["sketch"], nothing["said"], nothing["tables"], nothing["figures"]) == ("", [], {}, {})
 
 
+@pytest.mark.slow
 def test_a_report_of_a_design_has_its_figures_and_what_to_do_next(contents: Any, design: fl.Design) -> None:
     told = contents(fl.Study(rig=RIG, design=design), script=False)
     assert list(told["figures"]) == ["bode", "nyquist", "margins", "budget"]
@@ -80,6 +81,7 @@ def test_a_report_of_a_design_has_its_figures_and_what_to_do_next(contents: Any,
     assert 'aria-label="Where the phase goes at 20 g: ' in told["figures"]["budget"]
 
 
+@pytest.mark.slow
 def test_a_report_of_moves_and_models_shows_them(contents: Any, design: fl.Design) -> None:
     run = fl.simulate(design, fl.smooth_step(0.2, duration=0.5), payload=0.030, duration=1.0)
     told = contents(fl.Study(rig=RIG, runs=(run,)))
@@ -161,6 +163,7 @@ def test_a_map_shows_requests_levels_and_edges() -> None:
     assert loops.map_figure(nothing).key[1:] == ("up to 1", "to 2", "to 3", "above 3")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_margins_over_the_payload_have_a_band_and_the_request(design: fl.Design) -> None:
     drawn = loops.margins_figure(design)
     margin, crossover = drawn.panels
@@ -301,6 +304,7 @@ def test_a_script_is_tightened_to_the_same_meaning(script: str, wanted: str) -> 
 # --- the page of the arm ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_page_of_the_arm_says_what_it_simulates(design: fl.Design) -> None:
     mode = fl.SecondMode(frequency=90.0, gain=0.05, damping_ratio=0.02)
     model = replace(design.model, gauge_delay=0.0025, second_mode=mode)
@@ -331,6 +335,7 @@ def test_the_page_of_the_arm_says_what_it_simulates(design: fl.Design) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_page_that_is_too_large_has_fewer_payloads_and_then_no_twin(
     design: fl.Design, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -68,6 +68,7 @@ def test_a_late_time_does_not_spoil_an_early_one() -> None:
     assert worst(found, link, 0, np.arange(2)) <= found.error_estimate <= 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("G", [MEMORY, 1 / (s**0.9 + 1) ** 5], ids=["order 6.1", "fivefold pole"])
 def test_contours_keep_their_digits_where_residues_cancel(G: FractionalTransferFunction) -> None:
     """The output begins like t^6 while the residues are of order one."""
@@ -173,6 +174,7 @@ def test_the_estimate_of_a_retarded_loop_is_near_its_error(gain: float, delay: f
     assert error <= found.error_estimate <= max(1e4 * error, 1e-4)
 
 
+@pytest.mark.slow
 def test_the_errors_of_several_jumps_add_up() -> None:
     """Found by benchmarks/bench_promises.py, seed 100926: three jumps, each with the error of a step."""
     link = 1.56 / (s**1.7283840909811163 + 0.0002466047329379374 * s**1.1106082016811476 + 48.156444060782455)

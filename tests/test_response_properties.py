@@ -41,6 +41,7 @@ def test_modes_agree_with_contours(G: FractionalTransferFunction, period: float,
     assert error <= 10 * result.error_estimate + 1e-13 * peak
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(
     G=stable_systems(),
@@ -77,6 +78,7 @@ def test_delayed_step_is_the_step_delayed(G: FractionalTransferFunction, delay: 
     np.testing.assert_allclose(late.output, expected, atol=2e-10 * peak + 1e-300)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=20)
 @example(G=1 / (s**1.25 + 2 * s**0.625 + 1), tolerance=1e-4)  # a double pole
 @given(G=stable_systems(), tolerance=st.floats(-12, -4).map(lambda x: 10.0**x))

@@ -135,6 +135,7 @@ PUBLISHED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_published_plants(name: str) -> None:
     plant = PUBLISHED[name]

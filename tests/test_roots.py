@@ -126,6 +126,7 @@ def random_sum(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return (np.abs(coefficients) if seed % 3 == 0 else coefficients), orders
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_iteration_and_bisection_find_the_same_zeros(seed: int) -> None:
     coefficients, orders = random_sum(seed)
@@ -189,6 +190,7 @@ def test_bad_input(coefficients: list[float], orders: list[float], angle: float,
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 def test_thousands_of_zeros_are_refused() -> None:
     with pytest.raises(NotConvergedError):
         log_zeros([1.0, 1.0, 1.0], [30_000.0, 10.0, 0.0], angle=PI)

@@ -77,6 +77,7 @@ HELD: dict[str, Any] = {
 ENDINGS = {"Rig": ".toml", "Experiment": ".npz", "Run": ".npz"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HELD)
 def test_what_a_user_holds_is_saved_and_loaded_equal(name: str, tmp_path: Path) -> None:
     held = HELD[name]()
@@ -101,6 +102,7 @@ def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
     assert fl.load(fl.save(statement, tmp_path / "statement.json")) == statement
 
 
+@pytest.mark.slow
 def test_a_process_that_has_loaded_nothing_reads_every_public_result(tmp_path: Path) -> None:
     place = fl.save(HELD["TimeResponse"](), tmp_path / "response.json")
     command = f"import fraclink as fl; print(type(fl.load({str(place)!r})).__name__)"
@@ -127,6 +129,7 @@ def test_what_is_no_result_is_refused(value: Any, tmp_path: Path) -> None:
         fl.save(value, tmp_path / "nothing.json")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["TimeResponse", "MarginCurve", "DiscreteModes", "Run", "Comparison", "Path"]
 )

@@ -179,6 +179,7 @@ def test_limits_of_speed_and_torque_cost_time(design: fl.Design, known: ShapedMo
     assert soft.settling_time > known.settling_time + 0.05
 
 
+@pytest.mark.slow
 def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch: pytest.MonkeyPatch) -> None:
     small = fl.shape(design, 0.01, payloads=KNOWN, told=True, seeds=1, rivals=False)
     assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
@@ -187,6 +188,7 @@ def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch
     assert [finding.code for finding in tight.findings] == ["W502"]
 
 
+@pytest.mark.slow
 def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -> None:
     arm = Twin.from_rig(RIG)
     sticks = replace(arm, motor=replace(arm.motor, coulomb_torque=0.4))
@@ -194,6 +196,7 @@ def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -
     assert {"W501", "W503"} & {finding.code for finding in found.findings} and not found.passed
 
 
+@pytest.mark.slow
 def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
     def refused(field: str, *move: object, **options: object) -> FieldError:
         with pytest.raises(FieldError) as caught:
@@ -219,6 +222,7 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
 # ── along a path ────────────────────────────────────────────────────────────────────────────────────────────
 
 
+@pytest.mark.slow
 def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
     wanted = fl.SampledReference(0.004, sampled(fl.smooth_step(0.5, 0.5, 0.2), 0.004, 176))
     found = fl.shape(design, wanted, payloads=KNOWN, told=True, seeds=1)
@@ -230,6 +234,7 @@ def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
     assert shaped_figure(found).alone().startswith("<svg")
 
 
+@pytest.mark.slow
 def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
     found = fl.shape(
         design, fl.spline([0.0, 0.1, 0.3], [0.0, 1.0, 0.0]), payloads=KNOWN, seeds=1, rivals=False
@@ -331,6 +336,7 @@ def test_a_saved_move_comes_back_and_moves_the_same(
     assert repr(again).startswith("ShapedMove(") and "<svg" in again._repr_html_()  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_loop_in_real_time_takes_a_table(design: fl.Design, known: ShapedMove) -> None:
     law = design.law()
     table = fl.SampledReference(0.004, sampled(known.reference, 0.004, 100))
@@ -385,6 +391,7 @@ int main(void) {
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_board_takes_it_as_an_array(
     design: fl.Design, known: ShapedMove, tmp_path: Path, precision: str

@@ -381,6 +381,7 @@ def test_the_shortest_settling_is_found_by_bisection() -> None:
     assert np.abs(path.velocity(np.linspace(0, 1, 2001))).max() <= 5.0 * (1 + 1e-3)
 
 
+@pytest.mark.slow
 def test_a_move_that_no_length_allows_is_refused() -> None:
     bounds = MoveBounds({}, velocity=1e-3, acceleration=1e4)
     asked: list[int] = []
@@ -469,6 +470,7 @@ def test_a_move_is_saved_with_all_but_the_time_that_it_took(tmp_path: Path) -> N
     made.save(tmp_path / "move.json")  # over itself
 
 
+@pytest.mark.slow
 def test_a_move_knows_its_amplitude_and_its_first() -> None:
     made = moved(measured())
     assert made.amplitude == pytest.approx(1.0) and made.shaped is made.measured[0]

@@ -101,6 +101,7 @@ def test_every_case_is_tried(motion: Signals) -> None:
     assert tuple(cases(motion)) == NAMES
 
 
+@pytest.mark.slow
 def test_start_takes_a_difference(
     motion: Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> N
     np.testing.assert_allclose(log.output, motion["deflection"], rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "unit", "words"),
     [

@@ -146,6 +146,7 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
     assert levels[0] > levels[1] > levels[2] > levels[3]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.04])
 def test_friction_is_compensated(payload: float) -> None:
     """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11 of the swing."""
@@ -408,6 +409,7 @@ def test_a_law_without_a_motor_loop_is_said() -> None:
     assert simulate(law(), STEP, rig=EXACT, model=MODEL, duration=1.0).about["motor_loop"] == "sampled"
 
 
+@pytest.mark.slow
 def test_a_design_brings_rig_model_and_law() -> None:
     design = fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
     told = simulate(design, STEP, payload=0.02, duration=1.0)

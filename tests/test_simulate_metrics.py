@@ -116,6 +116,7 @@ def test_a_vibration_that_grows_fails_while_it_is_still_within_the_band() -> Non
     assert measured(vibrating(0.004 * np.exp(-0.2 * (TIME - ENDED)))).growth == pytest.approx(-0.2, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_vibration_that_noise_drives_does_not_grow() -> None:
     """A resonance that noise rings has an envelope that wanders, up as often as down."""
     pole = np.exp((-1.0 + 2j * math.pi / VIBRATION) * PERIOD)
@@ -202,6 +203,7 @@ def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_
         assert judged(lost).reason.startswith("unstable")
 
 
+@pytest.mark.slow
 def test_the_verdict_says_how_far_away_the_tip_still_is_and_when() -> None:
     tip = REFERENCE - 0.25 * (TIME > 5.9)
     assert judged(tip).reason == "not settled; the tip is still 0.25 rad away at 6 s"

@@ -141,6 +141,7 @@ def test_more_delay_than_the_delay_margin_destabilises() -> None:
     assert margins(loop.delayed(spare * 1.001)).stable is False
 
 
+@pytest.mark.slow
 def test_a_peak_just_above_one_is_not_missed() -> None:
     """The two crossings beside a peak of 1 + 1e-9 lie 1e-5 apart, far between two points of any grid."""
     plain = link_loop(1.7, gain=1.0)
@@ -320,6 +321,7 @@ def test_bad_input(loop: object, options: dict[str, float], field: str) -> None:
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
     """Two methods: arg(1 + L) along the sweep, and the argument principle on the closed-loop denominator."""
@@ -526,6 +528,7 @@ def test_a_sampled_system_without_a_period_has_no_margins_in_seconds() -> None:
     assert sampled.gain_crossover == pytest.approx(math.acos(1.25 - 0.81) / 2.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_limit_below_all_data_is_refused() -> None:
     data = control.frd([1.0, 0.5j, 0.1], [1.0, 2.0, 3.0])
     for limit in (0.5, 1.0):

@@ -83,6 +83,7 @@ def test_supremum_at_an_end_of_the_axis() -> None:
     assert norm(0 * s, 2) == norm(0 * s, INF) == 0.0
 
 
+@pytest.mark.slow
 def test_delayed_feedback_has_norms_too() -> None:
     closed = (10 / (s + 1)).delayed(0.1).feedback()
     w = mpmath.linspace(7, 25, 20_001)
@@ -155,6 +156,7 @@ def test_a_lightly_damped_sampled_resonance_is_not_missed() -> None:
         assert norm(system, INF) == pytest.approx(exact, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_rational_models_of_a_fractional_system() -> None:
     plant = 100 / (s**1.92 + 100)
     continuous = approximate(plant, (1e-3, 1e4), 8, method="minimax")
@@ -239,6 +241,7 @@ def test_the_relative_degree_that_a_norm_needs() -> None:
         norm((s**1.01 + 3) / (s + 1), INF)
 
 
+@pytest.mark.slow
 def test_the_largest_of_several_peaks() -> None:
     """Two resonances of like height: each is a local supremum, the higher one counts."""
     for small, large in ((0.9, 1.0), (1.0, 0.9)):

@@ -284,6 +284,7 @@ def test_a_neutral_loop_at_its_bound_and_below() -> None:
     assert "gain of 1 or more" in is_stable(1 / (s + 1 + s.delayed(1.0))).reason
 
 
+@pytest.mark.slow
 def test_terms_that_cancel_at_the_origin_are_refused() -> None:
     with pytest.raises(FieldError, match="terms that cancel there"):
         is_stable(1 / (s + 1 - (0 * s + 1).delayed(1.0)))

@@ -324,6 +324,7 @@ def guessed(shape: Shape, path: Path, column: tuple[str, ...] = (), *, assume: b
     return guess_columns(read_table(shape.write(path)), statements(column, None), assume=assume)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", THROUGH)
 def test_a_log_is_taken_for_what_it_is(name: str, tmp_path: Path) -> None:
     shape, column, taken = THROUGH[name]
@@ -466,6 +467,7 @@ def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> No
     assert main(["start", str(turned / "log.csv"), "--out", str(turned)]) == 2
 
 
+@pytest.mark.slow
 def test_other_commands_read_the_rig_file_as_it_is(turned: Path) -> None:
     rig, log = str(turned / "rig.toml"), str(turned / "log.csv")
     assert main(["diagnose", log, "--rig", rig]) == 0
@@ -474,6 +476,7 @@ def test_other_commands_read_the_rig_file_as_it_is(turned: Path) -> None:
     assert again.model == first.model
 
 
+@pytest.mark.slow
 def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
     turned: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -496,6 +499,7 @@ def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
     assert rig.log == draft.log
 
 
+@pytest.mark.slow
 def test_a_rig_file_with_another_fault_is_no_draft(turned: Path, tmp_path: Path) -> None:
     text = (turned / "rig.toml").read_text("utf-8")
     for wrong in (
@@ -507,12 +511,14 @@ def test_a_rig_file_with_another_fault_is_no_draft(turned: Path, tmp_path: Path)
             load_rig_or_draft(tmp_path / "rig.toml")
 
 
+@pytest.mark.slow
 def test_names_from_a_log_cannot_break_the_rig_file(tmp_path: Path) -> None:
     shape = Shape({"t_s": TIME, 'theta\x1b"]#_rad': MOTOR, "torque_Nm": TORQUE})
     found = fl.start(shape.write(tmp_path / "log.csv"), column=['motor_angle=theta\x1b"]#_rad'])
     assert tomllib.loads(found.rig_file)["log"]["motor_angle"]["column"] == 'theta\x1b"]#_rad'
 
 
+@pytest.mark.slow
 def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
     shape = Shape(
         {"t": TIME, "enc1": DEG * MOTOR, "enc2": DEG * (MOTOR - DEFLECTION), "bridge": -1e3 * TORQUE}
@@ -600,6 +606,7 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     assert found.columns.voltage.column == "u_V"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("payload", "source"), [(None, "in the log's header"), (0.03, "as stated")])
 @pytest.mark.parametrize("error", [None, 0.00021])
 def test_what_the_reader_and_the_fit_say_of_a_log(

@@ -45,6 +45,7 @@ def said(weighing: Weighing, part: str) -> Guess | None:
 # --- whole logs ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "wanted"),
     [
@@ -146,6 +147,7 @@ def test_each_guess_says_why_and_how_sure(
     assert {part: found[part] for part in wanted} == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "scale"),
     [("strain in volts", 2.5), ("a bridge without a unit", 1 / 200), ("a laser in millimetres", 1 / 320)],
@@ -162,6 +164,7 @@ def test_what_is_not_calibrated_is_scaled_to_a_gain_of_one(name: str, scale: flo
     assert measures.evidence.startswith("a link of 32" if length else f"{found.columns.output.column} is not")
 
 
+@pytest.mark.slow
 def test_questions_are_asked_in_words_with_choices_and_an_option(tmp_path: Path) -> None:
     def asked(shape: Shape) -> Question:
         return guessed(shape, tmp_path / "log.csv", assume=False).questions[0]
@@ -197,6 +200,7 @@ def test_questions_are_asked_in_words_with_choices_and_an_option(tmp_path: Path)
     assert (two.text, two.choices) == ("Which column is the motor angle?", ("enc1", "enc2"))
 
 
+@pytest.mark.slow
 def test_a_tip_in_metres_tells_the_length_of_the_link(tmp_path: Path) -> None:
     shape = Shape({"t": TIME, "theta_rad": MOTOR, "tip_m": 0.32 * (MOTOR - DEFLECTION)})
     found = guessed(shape, tmp_path / "log.csv")
@@ -438,6 +442,7 @@ def test_a_tip_s_angle_as_the_stated_output_is_refused() -> None:
 # --- statements ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_statements_of_the_call_share_one_output() -> None:
     stated = statements(["torque=g [Nm]", "motor_angle=a"], 0.004)
     assert sorted(stated) == ["motor_angle", "output", "time"]

@@ -355,6 +355,7 @@ def test_weights_of_lines_and_what_was_held_out() -> None:
     assert relative.heldout_nmse == pytest.approx(float(np.mean(np.abs(error) ** 2)), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_figures_of_a_fit_to_a_recording() -> None:
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
     noise = 0.01 * np.random.default_rng(2).normal(size=1000)

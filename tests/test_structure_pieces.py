@@ -555,6 +555,7 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
     assert place.offset == pytest.approx(best[-1] if offset is None else 0.3)
 
 
+@pytest.mark.slow
 def test_standard_errors_of_a_structure_written_out() -> None:
     """σ² (JᵀJ)⁻¹ of differences of the exact response, for lines with white noise."""
     w = np.geomspace(0.05, 50.0, 80)

@@ -69,6 +69,7 @@ def test_recording_without_a_start(expression: str, truth: dict[str, float]) -> 
     assert fit.transfer_function == parse_expression(expression).function(fit.parameters)
 
 
+@pytest.mark.slow
 def test_the_link_structure_is_that_of_identify() -> None:
     """Two engines, one answer: the compiled link kernel and exact responses of an expression."""
     log = fl.read_log(fl.bundled_log("prbs_30g"))
@@ -148,6 +149,7 @@ def test_what_no_transform_back_knows_is_left_to_exact_responses(
     assert coarse is None or not coarse.sharp
 
 
+@pytest.mark.slow
 def test_the_steps_end_where_the_exact_jacobian_leads() -> None:
     """From a place far off, by damped steps on blocks of samples: the end is that of a trust region."""
     data = RecordStart.of(recording(TWO_TERMS, TRUTH), "auto", 2500)
@@ -295,6 +297,7 @@ def test_a_product_of_two_parameters_is_not_two_parameters() -> None:
     assert not fit.passed
 
 
+@pytest.mark.slow
 def test_a_superfluous_scale_is_seen() -> None:
     fit = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k/(c*s**a + w)")
     assert {"k", "c", "w"} <= set(fit.undetermined) | set(fit.at_bound)
@@ -383,6 +386,7 @@ def test_two_channels_of_a_log() -> None:
         fl.Recording(0.1, [1.0, 2.0], [1.0])
 
 
+@pytest.mark.slow
 def test_a_formula_in_place_of_a_link_structure_is_sent_where_it_is_fitted() -> None:
     log = fl.read_log(fl.bundled_log("pulse_30g"))
     with pytest.raises(FieldError, match="identify_structure"):

@@ -76,6 +76,7 @@ def unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
 # --- preview --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_preview_has_the_figures_of_design(subject):
     head, curves = unpacked(preview(subject, ASKED).packed(3, "preview"))
     made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50))
@@ -108,6 +109,7 @@ SANE = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(state=st.one_of(WILD, SANE, VALUES))
 def test_every_state_is_answered_in_numbers_or_refused_in_words(subject, state):
@@ -142,6 +144,7 @@ def test_the_options_are_those_of_the_command_line():
     assert set(NAMES) == set(get_type_hints(DesignOptions))
 
 
+@pytest.mark.slow
 def test_a_refusal_names_the_nearest_that_is_feasible(subject):
     head, _ = unpacked(preview(subject, {**ASKED, "gain_crossover": 9.0}).packed(0, "preview"))
     assert head["condition"].startswith("gain crossover right of the peak")
@@ -175,6 +178,7 @@ def test_a_region_is_entered_by_a_curve_that_crosses_it_between_two_points(subje
         assert violated(made, [region], subject.frequencies) == [truth]
 
 
+@pytest.mark.slow
 def test_a_way_round_the_regions_is_found_or_refused(subject):
     wall = [{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}]
     shown = preview(subject, {**ASKED, "regions": wall}).head
@@ -288,6 +292,7 @@ def made(tmp_path_factory) -> Session:
     return session
 
 
+@pytest.mark.slow
 def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
     _, free = unpacked(PLAY_VERBS["play"](made, MOVED).packed(1, "play"))
     design = made.study.design
@@ -308,6 +313,7 @@ def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
     assert "8 g at 0.30 s" in head["said"]
 
 
+@pytest.mark.slow
 def test_a_red_cell_shows_the_run_that_was_judged(made):
     case = {"fault": "F09", "severity": 1, "payload": 0.03, "phase": "mid"}
     head, curves = unpacked(PLAY_VERBS["fault"](made, case).packed(1, "fault"))
@@ -322,6 +328,7 @@ def test_a_red_cell_shows_the_run_that_was_judged(made):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["payload", "move", "time", "delay", "duration"])
 @pytest.mark.parametrize("value", [None, "x", True, math.inf, 1e300, -5.0])
 def test_a_run_of_impossible_settings_is_refused_in_words(made, name, value):
@@ -332,6 +339,7 @@ def test_a_run_of_impossible_settings_is_refused_in_words(made, name, value):
     assert len(str(why.value)) > 10
 
 
+@pytest.mark.slow
 def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
     design, law = made.study.design, made.study.law
     head, curves = swept(design, law)
@@ -422,6 +430,7 @@ def talked(socket, **message) -> tuple[dict, dict]:
             return head, curves
 
 
+@pytest.mark.slow
 def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
     with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
         socket.send_text(studio.token)
@@ -440,6 +449,7 @@ def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
         assert refused["error"].startswith("verb: unknown")  # never moves a real arm
 
 
+@pytest.mark.slow
 def test_hostile_messages_end_nothing(client, studio):
     rng = np.random.default_rng(0)
     texts = [text for text in BAD if isinstance(text, str) and text.isascii()]
@@ -491,6 +501,7 @@ def test_an_address_for_others_needs_the_word(tmp_path):
 # --- what is kept ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     session = opened(None, out=Path("kept"))
@@ -567,6 +578,7 @@ def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     assert again.state["gain_crossover"] == pytest.approx(session.study.design.gain_crossover)
 
 
+@pytest.mark.slow
 def test_a_file_that_changed_outside_is_not_replaced_unasked(tmp_path):
     session = opened(None, out=tmp_path / "results")
     session.exact(ASKED)
@@ -583,6 +595,7 @@ def test_a_file_that_changed_outside_is_not_replaced_unasked(tmp_path):
         other.keep()
 
 
+@pytest.mark.slow
 def test_what_spoke_for_another_design_does_not_stay_behind(tmp_path):
     folder = tmp_path / "results"
     session = opened(None, out=folder)
@@ -595,6 +608,7 @@ def test_what_spoke_for_another_design_does_not_stay_behind(tmp_path):
     assert fl.load_study(folder).verdict == session.study.verdict
 
 
+@pytest.mark.slow
 def test_a_newer_request_stops_the_older_one(tmp_path):
     session = opened(None, out=tmp_path)
     with pytest.raises(SupersededError):
@@ -602,6 +616,7 @@ def test_a_newer_request_stops_the_older_one(tmp_path):
     assert session.study.design is None
 
 
+@pytest.mark.slow
 def test_a_log_that_is_read_while_a_design_is_made_is_not_lost(tmp_path):
     session = opened(None, out=tmp_path)
 
@@ -616,6 +631,7 @@ def test_a_log_that_is_read_while_a_design_is_made_is_not_lost(tmp_path):
     assert session.study.experiment is not None
 
 
+@pytest.mark.slow
 def test_a_refused_design_leaves_the_one_before(tmp_path):
     session = opened(None, out=tmp_path)
     session.exact(ASKED)
@@ -651,6 +667,7 @@ def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> 
     assert "least 40.0° between" in described(design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0]))
 
 
+@pytest.mark.slow
 def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
     from fraclink._studio.logs import LOG_VERBS
 
@@ -672,6 +689,7 @@ def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
 COLUMNS = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
 
 
+@pytest.mark.slow
 def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
@@ -696,6 +714,7 @@ def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monke
             LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": bad})
 
 
+@pytest.mark.slow
 def test_a_preview_takes_over_the_filter_that_the_second_mode_asked_for(made):
     exact, subject = made.study.design, made.subject
     assert "W406" in [finding.code for finding in exact.findings]
@@ -709,6 +728,7 @@ def test_a_preview_takes_over_the_filter_that_the_second_mode_asked_for(made):
     assert subject.borrowed(checked_request({**ASKED, "mode_gain": 0.4})) == {}
 
 
+@pytest.mark.slow
 def test_a_board_is_told_what_the_law_needs(made):
     board = OUTPUT_VERBS["board"](made, {"precision": "single"}).head
     law = made.study.law.in_precision("single")
@@ -721,6 +741,7 @@ def test_a_board_is_told_what_the_law_needs(made):
     assert OUTPUT_VERBS["board"](made, {"precision": []}).head["board"] == []
 
 
+@pytest.mark.slow
 def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
     campaign = Campaign.of(made.study.rig, made.study.design.model, made.study.law, runs=40)
     curves = moves_of_arms(campaign, (3, 5))
@@ -770,6 +791,7 @@ def test_a_sparkline_fills_its_height():
     assert np.array_equal(_scaled(np.full(4, 7.0)), np.full(4, 0.5))
 
 
+@pytest.mark.slow
 def test_the_spectrum_of_a_log_has_its_lines_where_they_are():
     """Two sines of 5 and 20 Hz, the second a tenth as large; the rest a hundredth of the first."""
     period, time = 0.004, 0.004 * np.arange(5000)

@@ -276,6 +276,7 @@ def test_a_region_is_entered_only_by_what_lies_inside() -> None:
         assert box.entered(w, np.array([gain]), none) is inside, gain
 
 
+@pytest.mark.slow
 def test_the_map_spans_from_half_the_slowest_to_four_times_the_fastest_mode(subject: Subject) -> None:
     found = map_of(subject, {})
     power = 2.0 / subject.model.order
@@ -315,6 +316,7 @@ def _noise_gain(made: fl.Design) -> float:
     return float(cell.noise_gain[0, 0])
 
 
+@pytest.mark.slow
 def test_the_way_round_is_the_nearest_cell_in_round_figures(subject: Subject) -> None:
     wall = checked_regions([{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}])
     found = round_regions(subject, ASKED, wall)
@@ -326,6 +328,7 @@ def test_the_way_round_is_the_nearest_cell_in_round_figures(subject: Subject) ->
     assert found["gain_crossover"] == float(f"{found['gain_crossover']:.3g}")
 
 
+@pytest.mark.slow
 def test_the_fan_has_every_corner_of_the_box_up_to_sixteen(made: Session) -> None:
     from fraclink._arm.box import ParameterBox, arms_of
 
@@ -356,6 +359,7 @@ def test_what_stands_still_while_a_hand_drags(subject: Subject) -> None:
     assert w[0] == pytest.approx(min(0.1 * slowest, 0.01 * math.pi / 0.004))
 
 
+@pytest.mark.slow
 def test_a_preview_has_the_loop_of_its_design_at_three_payloads(subject: Subject, made: Session) -> None:
     answer = preview(subject, ASKED)
     design = made.study.design
@@ -392,6 +396,7 @@ def test_a_preview_has_the_loop_of_its_design_at_three_payloads(subject: Subject
     assert filtered["δ"] == "12.3 ms"
 
 
+@pytest.mark.slow
 def test_the_nearest_request_is_the_same_where_it_is_feasible(subject: Subject) -> None:
     assert nearest(subject, ASKED).head["state"] == checked_request(ASKED)
     far = {**ASKED, "gain_crossover": 9.0}
@@ -408,6 +413,7 @@ def test_the_nearest_request_is_the_same_where_it_is_feasible(subject: Subject) 
 # --- the session ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None:
     design = made.study.design
     fl.save(design, tmp_path / "design.json")
@@ -427,6 +433,7 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
     assert opened(tmp_path / "of").folder == tmp_path / "of"
 
 
+@pytest.mark.slow
 def test_a_session_begins_with_what_its_design_or_its_rig_asks(made: Session, tmp_path: Path) -> None:
     of_rig = Session(fl.Study(rig=RIG), tmp_path).state
     assert (of_rig["payloads"], of_rig["gain_crossover"]) == ((0.02, 0.04), RIG.design.gain_crossover)
@@ -441,6 +448,7 @@ def test_a_session_begins_with_what_its_design_or_its_rig_asks(made: Session, tm
     assert edited.state["gain_crossover"] == RIG.design.gain_crossover and edited.history.states == []
 
 
+@pytest.mark.slow
 def test_the_steps_are_marked_by_what_was_done(made: Session, fitted: Session, tmp_path: Path) -> None:
     fresh = Session(fl.Study(rig=RIG), tmp_path)
     assert fresh.marks() == {
@@ -466,6 +474,7 @@ def test_the_steps_are_marked_by_what_was_done(made: Session, fitted: Session, t
     assert wrong.marks()["log"] == "failed"
 
 
+@pytest.mark.slow
 def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(made: Session, tmp_path: Path) -> None:
     told = made.overview()
     design = made.study.design
@@ -503,6 +512,7 @@ def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(made: Session
     assert spoken._proof_said() == "proved"
 
 
+@pytest.mark.slow
 def test_the_arm_is_sent_once_and_then_only_its_law(made: Session, tmp_path: Path) -> None:
     first = made.arm()
     assert len(first["arm_key"]) == 16 and json.loads(first["arm"])["period"] == 0.004
@@ -512,6 +522,7 @@ def test_the_arm_is_sent_once_and_then_only_its_law(made: Session, tmp_path: Pat
     assert Session(fl.Study(rig=RIG), tmp_path).arm("x") == {"arm_key": "", "arm": None}
 
 
+@pytest.mark.slow
 def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
     made: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -526,6 +537,7 @@ def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
     assert stripped.assumptions == made.study.rig.assumptions and bare(fl.Study()).assumptions == ()
 
 
+@pytest.mark.slow
 def test_a_longer_filter_of_the_second_mode_is_remembered(made: Session) -> None:
     subject = session._subject_of(made.study)
     assert subject is not None
@@ -538,6 +550,7 @@ def test_a_longer_filter_of_the_second_mode_is_remembered(made: Session) -> None
     assert session._subject_of(fl.Study()) is None
 
 
+@pytest.mark.slow
 def test_what_a_step_copies_names_the_files_of_the_folder(made: Session, fitted: Session) -> None:
     told = copies(made)
     assert list(told) == ["log", "channels", "model", "design", "move", "proof", "board"]
@@ -592,6 +605,7 @@ def test_a_copied_log_repeats_what_was_said_of_it(tmp_path: Path) -> None:
 # --- jobs -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_job_needs_its_part_and_its_range(made: Session, tmp_path: Path) -> None:
     fresh = Session(fl.Study(rig=RIG), tmp_path)
     for verb, remedy in (
@@ -616,6 +630,7 @@ def fl_between(low: float, high: float) -> Any:
     return Between(low, high)
 
 
+@pytest.mark.slow
 def test_a_job_that_is_cancelled_or_fails_leaves_the_study(
     made: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -641,6 +656,7 @@ def test_a_job_that_is_cancelled_or_fails_leaves_the_study(
     assert not [path for path in made.draft.iterdir() if path.name.startswith("tmp")]
 
 
+@pytest.mark.slow
 def test_a_jobs_result_is_taken_by_the_study_that_it_began_with(
     made: Session, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -678,6 +694,7 @@ def table() -> FaultTable:
     )
 
 
+@pytest.mark.slow
 def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
     statement = SimpleNamespace(
         modulus=0.35, payload_low=0.02, payload_high=0.04, delay_low=0.002, delay_high=0.008
@@ -713,6 +730,7 @@ def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
     assert work.proof_of(SimpleNamespace(certificate=None, arms=None, faults=None)) == {}  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_worker_does_one_job_in_its_folder(
     made: Session, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -747,6 +765,7 @@ def test_the_worker_does_one_job_in_its_folder(
     assert capsys.readouterr().err == "no signal\n" and len(kept) == 3
 
 
+@pytest.mark.slow
 def test_the_worker_tells_every_fault_that_it_has_run(
     made: Session, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -781,6 +800,7 @@ def test_the_worker_tells_every_fault_that_it_has_run(
     }
 
 
+@pytest.mark.slow
 def test_the_map_about_minus_one_has_its_payloads_and_delays(
     made: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -819,6 +839,7 @@ def test_a_channel_is_told_in_a_line() -> None:
     assert logs._facts(channel, None) == "−1 … 2.5"
 
 
+@pytest.mark.slow
 def test_a_listing_has_every_channel_and_what_it_is_taken_for(fitted: Session) -> None:
     answer = logs.LOG_VERBS["log"](fitted, {})
     told = answer.head["log"]
@@ -844,6 +865,7 @@ def test_a_listing_has_every_channel_and_what_it_is_taken_for(fitted: Session) -
     assert degrees_.max() == pytest.approx(math.degrees(fitted.study.experiment.motor_angle.max()))
 
 
+@pytest.mark.slow
 def test_columns_that_leave_a_question_are_refused_with_it(tmp_path: Path) -> None:
     own = opened(None, out=tmp_path)
     columns = logs.LOG_VERBS["columns"]
@@ -878,6 +900,7 @@ def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(tmp_
     assert own.columns == ("time=t [s]", "motor_angle=a [rad]", "torque=b [Nm]")  # what is copied states all
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "margin", "filter_time"),
     [
@@ -909,6 +932,7 @@ def test_python_states_what_the_command_completes_from_the_rig(
     assert "payloads=(0.02, 0.04)" in copies(fresh)["design"]["python"]
 
 
+@pytest.mark.slow
 def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
     own = Session(fitted.study, tmp_path)
     own.history.add({"gain_crossover": 30.0})
@@ -926,6 +950,7 @@ def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
     assert logs.LOG_VERBS["rig"](bare_, {"name": "upload"}).head["rig"] == "mine"
 
 
+@pytest.mark.slow
 def test_every_fit_is_a_card_with_its_curves(fitted: Session, tmp_path: Path) -> None:
     answer = logs.LOG_VERBS["model"](fitted, {})
     study, log = fitted.study, fitted.study.experiment
@@ -1020,6 +1045,7 @@ def test_what_a_fault_made_of_a_reading_is_replaced_by_the_value_before() -> Non
     assert answer.head == {"ok": True, "said": "said", "payload": 0.03, "move": 57.3}
 
 
+@pytest.mark.slow
 def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(made: Session, tmp_path: Path) -> None:
     asked = {
         "payload": 0.03,
@@ -1048,6 +1074,7 @@ def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(made: Session, tm
 # --- files for a board ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_output_names_its_file_and_its_command(made: Session, tmp_path: Path, monkeypatch: Any) -> None:
     own = Session(made.study, tmp_path / "out")
     monkeypatch.setattr(outputs, "write_arm_page", lambda study, path: _written(path))
@@ -1100,6 +1127,7 @@ def _written(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_law_with_more_modes_takes_eight_instructions_more_for_each(made: Session) -> None:
     rows = outputs.OUTPUT_VERBS["board"](made, {"precision": "single"}).head["board"]
     law = made.study.law
@@ -1260,6 +1288,7 @@ def test_pages_are_counted_while_they_are_open(studio: server.Studio) -> None:
     assert studio.knows(studio.token) and not studio.knows(studio.token + "x") and not studio.knows(None)
 
 
+@pytest.mark.slow
 def test_a_session_that_cannot_be_opened_is_failed() -> None:
     def refused() -> Session:
         raise FieldError("place", "x", "missing", allowed="a folder", remedy="name one")

@@ -356,6 +356,7 @@ def test_a_deflection_log_is_fitted_with_the_rigs_stiffness(monkeypatch: pytest.
     assert stages.identified(Study(rig=RIG, experiment=log()), "UD-FOM").fit is fits["UD-FOM"]
 
 
+@pytest.mark.slow
 def test_a_move_is_what_it_is_asked_to_be() -> None:
     made = fl.design(RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
     law = made.law()
@@ -374,6 +375,7 @@ def test_a_move_is_what_it_is_asked_to_be() -> None:
     assert np.abs(stages.simulate_move(made, 0.03, law=bare, duration=0.5).motor_reference).max() <= 0.1
 
 
+@pytest.mark.slow
 def test_arms_are_tried_in_the_folder_that_is_given(tmp_path: Path) -> None:
     made = fl.design(RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
     study = Study(rig=RIG, design=made, law=made.law())

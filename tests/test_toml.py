@@ -161,6 +161,7 @@ def test_a_mark_and_line_ends_of_other_editors(tmp_path: Path) -> None:
         read_toml(tmp_path / "large.toml")
 
 
+@pytest.mark.slow
 def test_values_read_back_whatever_they_hold() -> None:
     texts = ['a "b" \\ c', "tab\t line\n return\r", "\x1b[31m \u2028 \U000e0001", "°µ"]
     values = {"t": texts[0], "flag": False, "n": 3, "x": 0.1, "list": [1, 0.5, True], "words": texts}

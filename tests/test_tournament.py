@@ -450,6 +450,7 @@ def test_growth_is_the_logarithm_of_the_radius_in_a_second(setting: Setting) -> 
     assert radius > 1 and linear_growth(setting, twin, rival) == pytest.approx(math.log(radius) / PERIOD)
 
 
+@pytest.mark.slow
 def test_the_gain_at_the_second_mode_is_the_largest_around_it(setting: Setting) -> None:
     twin = Twin.from_rig(RIG, link_mass=0.00735, payload=0.030)
     plant, seen = _plant(setting, twin)
@@ -485,6 +486,7 @@ def test_the_collocated_pd_is_a_filtered_derivative(setting: Setting) -> None:
     assert rivals_module._gains(setting, 0.1)[1] == 0.0  # a motor with more friction than that
 
 
+@pytest.mark.slow
 def test_what_rivals_are_tuned_from_says_what_was_assumed() -> None:
     plain = fl.Rig.named("paper-2023")
     found, twin, notes = prepare(

@@ -290,6 +290,7 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
     assert not any((tmp_path / name).exists() for name in ("design.json", "law.json", "certificate.json"))
 
 
+@pytest.mark.slow
 def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
     period, random = 0.004, np.random.default_rng(7)
     moves = random_steps(0.1, 0.3, 0.1, 24, period)[0]
@@ -334,6 +335,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
 
 
+@pytest.mark.slow
 def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -350,6 +352,7 @@ def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     assert not built.passed and any("no law follows this controller" in why for why in built.reasons)
 
 
+@pytest.mark.slow
 def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -76,6 +76,7 @@ def rig_of(stages: Stages, **changes: Any) -> fl.Rig:
     return measured_rig(wiring, link, LIMITS, (0.02, 0.04), 0.030, PERIOD, **given)
 
 
+@pytest.mark.slow
 def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     _, _, wiring, _, link = stages
     rig = rig_of(stages)
@@ -215,6 +216,7 @@ def test_halving_goes_to_the_side_that_is_missed(monkeypatch: pytest.MonkeyPatch
     assert run([(34.0, odd)], lambda _: loud) == ([], [])
 
 
+@pytest.mark.slow
 def test_a_law_that_fails_anywhere_is_told_why(monkeypatch: pytest.MonkeyPatch) -> None:
     made, _ = design_for(RIG)
     certificate = SimpleNamespace(passed=True, verdict="stable")
@@ -391,6 +393,7 @@ def test_the_first_move_is_the_fastest_within_three_fifths_of_the_limits(
     assert len(never) == 21 and never[-1][1] == pytest.approx(usual[1].expected * 1.15**20)
 
 
+@pytest.mark.slow
 def test_two_moves_decide_and_a_third_where_they_do_not(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,6 +432,7 @@ def test_two_moves_decide_and_a_third_where_they_do_not(
     assert all(far < 0 for far, _ in made[:1]) or guard.angle < 0  # back towards where it stood at first
 
 
+@pytest.mark.slow
 def test_a_hand_over_shows_the_first_periods_only(stages: Stages, monkeypatch: pytest.MonkeyPatch) -> None:
     _, _, _, motor, _ = stages
     made = arm()
@@ -474,6 +478,7 @@ def test_what_the_model_promises_is_simulated_on_the_link_that_was_shown(
     assert asked[1]["arm"] == "heavy"
 
 
+@pytest.mark.slow
 def test_laws_that_pass_are_offered_and_the_first_refusal_is_told_where_none_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -319,6 +319,7 @@ def test_the_shortfall_is_the_worst_error_over_what_suffices() -> None:
     assert shortfall(fit) == math.inf  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_links_mass_gives_the_second_mode_that_was_measured() -> None:
     model = replace(RIG.model, order=1.95, payload=0.03)
     made = SimpleNamespace(model=model, rig=RIG, payloads=(0.02, 0.04))
@@ -339,6 +340,7 @@ def test_the_links_mass_gives_the_second_mode_that_was_measured() -> None:
         assert first == pytest.approx(true.beam.modes(1).frequencies[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_delay_below_zero_is_none() -> None:
     assert late_free(replace(RIG.model, gauge_delay=-0.002)).gauge_delay == 0.0
     assert late_free(replace(RIG.model, gauge_delay=0.002)).gauge_delay == 0.002

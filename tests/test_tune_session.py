@@ -575,6 +575,7 @@ ENDS: list[tuple[Callable[[], BaseException], str]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "said"), ENDS)
 def test_however_a_tuning_ends_the_drive_is_off_and_its_reason_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Callable[[], BaseException], said: str

@@ -62,6 +62,7 @@ def stages() -> tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]:
 Stages = tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
 
 
+@pytest.mark.slow
 def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     made, guard, wiring, motor, link = stages
     assert wiring.gain == pytest.approx(RIG.motor.gain, rel=0.12)
@@ -224,6 +225,7 @@ def test_what_suffices_is_a_figure_for_each_parameter() -> None:
         assert shortfall(fit) == pytest.approx(1.0), name
 
 
+@pytest.mark.slow
 def test_the_first_excitation_is_planned_within_the_limits(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -266,6 +268,7 @@ def test_the_first_excitation_is_planned_within_the_limits(
     assert reach == 0.05 and bit == pytest.approx(math.pi / (0.7 * resonance), rel=0.05)
 
 
+@pytest.mark.slow
 def test_an_excitation_grows_until_its_errors_suffice(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -300,6 +303,7 @@ def test_an_excitation_grows_until_its_errors_suffice(
     assert len(found.rounds) == 1 and found.rounds[0][1] == pytest.approx(12.5, abs=1.0)
 
 
+@pytest.mark.slow
 def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -324,6 +328,7 @@ def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
     assert len(found.rounds) == 1  # neither larger nor longer
 
 
+@pytest.mark.slow
 def test_the_motor_is_loaded_by_the_links_torque_where_that_shows_an_inertia(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -373,6 +378,7 @@ def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
     assert guard.count == 8 * round(0.4 / PERIOD) and not made.record[:, 4].any()
 
 
+@pytest.mark.slow
 def test_doublets_grow_by_a_quarter_until_something_answers() -> None:
     sent: list[float] = []
     shown, at = {"angle": 0.0, "torque": 0.0, "from": 3.0}, [0.0]

@@ -24,6 +24,7 @@ def test_check_value_of_the_carbon_rod():
     assert frequencies[2] == pytest.approx(569.8, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.0, 0.001, 0.008, 0.020, 0.030, 0.040])
 @pytest.mark.parametrize("link_mass", [1e-9, 1e-6, 1e-4, 0.00735, 0.0141, 0.05, 0.5])
 def test_first_three_modes_against_exact_roots(payload, link_mass):
@@ -162,6 +163,7 @@ def test_bad_number_of_modes(count):
         ROD.modes(count)
 
 
+@pytest.mark.slow
 def test_results_are_read_only():
     with pytest.raises(ValueError, match="read-only"):
         ROD.modes(1).frequencies[0] = 1.0

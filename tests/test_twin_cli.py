@@ -31,6 +31,7 @@ def test_other_excitations(tmp_path, excitation):
     assert log.read_text(encoding="utf-8").count("\n") > 5001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("option", "value", "field"),
     [

@@ -35,6 +35,7 @@ def _run(law, kind, until=AT + RIG.period, value=None):
     return fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0, events=[fault])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 4.1])
 def test_one_bad_gauge_sample_is_ridden_through(law, clean, value):
     run = _run(law, "gauge value", value=value)
@@ -43,12 +44,14 @@ def test_one_bad_gauge_sample_is_ridden_through(law, clean, value):
     assert np.abs(run.error).max() <= 1.1 * np.abs(clean.error).max()
 
 
+@pytest.mark.slow
 def test_one_nan_encoder_sample_is_ridden_through(law, clean):
     run = _run(law, "encoder value", value=math.nan)
     assert run.flags[ROW] & 1 and set(run.mode.tolist()) == {1}
     assert np.abs(run.error).max() <= 1.1 * np.abs(clean.error).max()
 
 
+@pytest.mark.slow
 def test_frozen_encoder_in_motion_switches_off(law):
     run = _run(law, "encoder frozen", until=AT + 0.5)
     off = np.flatnonzero(run.mode == 4)
@@ -57,11 +60,13 @@ def test_frozen_encoder_in_motion_switches_off(law):
     assert np.all(run.voltage[off[0] + 2 :] == 0.0)
 
 
+@pytest.mark.slow
 def test_gauge_lost_for_good_degrades_and_arrives(law):
     run = _run(law, "gauge value", until=10.0, value=math.nan)
     assert run.mode.max() == 2 and abs(run.error[-1]) < 0.02
 
 
+@pytest.mark.slow
 def test_gains_and_offsets_reach_the_reading(law):
     run = _run(law, "gauge gain", until=10.0, value=1.1)
     late = run.time > AT
@@ -73,12 +78,14 @@ def test_gains_and_offsets_reach_the_reading(law):
     assert run.mode[-1] == 4  # degrees for radians: switched off
 
 
+@pytest.mark.slow
 def test_swapped_channels(law):
     run = _run(law, "channels swapped", until=10.0)
     assert run.motor_angle_measured[ROW] != pytest.approx(run.motor_angle[ROW], abs=0.01)
     assert run.mode[-1] == 4
 
 
+@pytest.mark.slow
 def test_missed_and_repeated_ticks(law, clean):
     missed = _run(law, "tick missed", until=AT + 5 * RIG.period)
     assert np.all(missed.flags[ROW : ROW + 5] == 0)
@@ -91,6 +98,7 @@ def test_missed_and_repeated_ticks(law, clean):
     assert np.abs(twice.error).max() <= 1.1 * np.abs(clean.error).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [

@@ -55,6 +55,7 @@ def test_a_fast_hub_lets_mode_two_fake_a_fractional_order():
     assert _chosen(ROD, "D-IOM", 80.0, 5001).get("D-FOM", 0) > SEEDS / 2
 
 
+@pytest.mark.slow
 def test_the_bundled_log_gives_back_its_order():
     from pathlib import Path
 

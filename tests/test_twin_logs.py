@@ -118,6 +118,7 @@ def test_bad_references(reference):
         simulate_log(ROD, PowerLaw(1.92), reference)
 
 
+@pytest.mark.slow
 def test_a_log_of_a_month_is_refused_before_memory_is_taken():
     huge = np.broadcast_to(0.0, 600_000_000)
     with pytest.raises(SizeError, match="too long"):

@@ -64,6 +64,7 @@ def test_the_design_holds_on_the_twin(law, payload):
     assert run.tip_angle.max() < 1.04
 
 
+@pytest.mark.slow
 def test_noise_free_error_vanishes(law):
     run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=10.0)
     assert abs(run.error[-1]) < 1e-3
@@ -80,6 +81,7 @@ def test_gauge_offset_does_not_stay_in_the_tip(law):
     assert abs(run.error[-1]) < 1e-3  # 0.05 N·m reads as 32 mrad of bend
 
 
+@pytest.mark.slow
 def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     """At rest the hub sticks, whatever the link pulls below stiction: its speed is zero to the bit."""
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
@@ -92,6 +94,7 @@ def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
     assert np.abs(run.torque).max() < twin.breakaway
 
 
+@pytest.mark.slow
 def test_stiction_breaks_above_its_level(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     twin = replace(twin, motor=replace(twin.motor, coulomb_torque=1e-4))
@@ -100,6 +103,7 @@ def test_stiction_breaks_above_its_level(law):
     assert np.abs(run.extras["motor_velocity"]).max() > 0.0
 
 
+@pytest.mark.slow
 def test_free_swing_loses_energy_with_friction(law):
     """A kick, then no voltage: hub and link come to rest, energy falls in every period."""
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
@@ -116,6 +120,7 @@ def test_free_swing_loses_energy_with_friction(law):
     assert energies[-1] < 0.05 * energies[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping", [KelvinVoigt(0.0118), PowerLaw(1.92)], ids=["viscous", "power law"])
 def test_payload_exchange_conserves_shape_and_speed(law, damping):
     twin = quiet(payload=0.040, damping=damping)
@@ -147,6 +152,7 @@ def test_exchange_for_the_same_payload_changes_nothing(law):
     assert vessel.state == pytest.approx(before, rel=1e-9, abs=1e-9 * np.abs(before).max())
 
 
+@pytest.mark.slow
 def test_payload_lost_mid_move(law):
     twin = Twin.from_rig(RIG, payload=0.040, link_mass=LINK_MASS)
     run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[PayloadChange(0.5, 0.008)])
@@ -177,6 +183,7 @@ def test_restart_mid_motion_has_no_bump(law):
     assert abs(run.error[-1]) < 0.02
 
 
+@pytest.mark.slow
 def test_several_moves_in_a_row(law):
     moves = (
         MOVE.then(hold(0.0, duration=1.0)).then(smooth_step(-1.5, duration=1.2)).then(hold(0.0, duration=1.0))
@@ -186,6 +193,7 @@ def test_several_moves_in_a_row(law):
     assert abs(run.error[-1]) < 0.02
 
 
+@pytest.mark.slow
 def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
     """Table 1's J at the gear's output is 0.5 % of the arm: W601, and the loop indeed diverges."""
     rig = fl.Rig.named("paper-2023")
@@ -214,6 +222,7 @@ def test_encoder_counts_and_gauge_steps(law):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_gauge_delay_is_a_delay(law):
     prompt = quiet()
     late = replace(prompt, sensors=Sensors(gauge_delay=0.003))
@@ -223,6 +232,7 @@ def test_gauge_delay_is_a_delay(law):
         assert run.torque_measured[5:] == pytest.approx(fine[5:], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_voltage_saturates(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     weak = replace(twin, motor=replace(twin.motor, voltage_limit=1.0))
@@ -250,6 +260,7 @@ def test_a_rig_that_contradicts_its_model_is_refused():
         Twin.from_rig(replace(RIG, model=other))
 
 
+@pytest.mark.slow
 def test_single_precision_is_the_law_of_the_board(law):
     """The float law runs as float: not the double's bits, but the same move to a float's digits."""
     one = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=2.0)
@@ -283,6 +294,7 @@ def test_refusals(law):
         Twin.from_rig(replace(RIG, model=None))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "field"),
     [

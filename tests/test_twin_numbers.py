@@ -508,6 +508,7 @@ def test_an_estimate_stands_while_the_control_is_missed() -> None:
     )
 
 
+@pytest.mark.slow
 def test_who_estimates_the_payload() -> None:
     design = fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
     bank = estimator_for(design, "estimated")
@@ -546,6 +547,7 @@ def test_runs_of_the_first_release_are_what_was_said_of_them() -> None:
     assert sorted(twin["extras"]) == ["contact_force", "payload"]
 
 
+@pytest.mark.slow
 def test_a_run_with_an_estimator_keeps_what_it_said() -> None:
     twin = Twin.from_rig(GEARED, link_mass=0.00735, payload=0.06)
     design = fl.design(MODEL, GEARED, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
@@ -581,6 +583,7 @@ def test_a_run_knows_its_period_its_error_and_its_about() -> None:
     assert whole.time[-1] == pytest.approx(5.3) and whole.about["payload_given"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_run_of_the_twin_says_what_it_was_told() -> None:
     twin = Twin.from_rig(GEARED, link_mass=0.00735, payload=0.025)
     own = fl.simulate(law(), fl.smooth_step(0.2, 0.3), arm=twin, duration=0.4, told=True)

@@ -214,6 +214,7 @@ def test_chains_are_positive_and_accurate(order, frequency):
     assert abs(chain(1j * frequency) - exact) < 2e-5 * abs(exact)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [0.08, 0.3, 0.7, 0.9])
 def test_chain_accuracy_where_the_first_mode_is(order):
     chain = FractionalKelvinVoigt(1.0, order).chain(1e-8)

@@ -734,6 +734,7 @@ def package_rules() -> list[tuple[str, str, Any]]:
     return [(*place, checked_rule) for place, checked_rule in sorted(found.items())]
 
 
+@pytest.mark.slow
 def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
     """One table of values that scripts hand over by mistake, against the rule of every public argument."""
     every = package_rules()

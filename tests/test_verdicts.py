@@ -73,6 +73,7 @@ def verdicts(loop: FractionalTransferFunction) -> dict[str, bool]:
     return said
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_all_verdicts_about_a_random_loop_agree(seed: int) -> None:
     said = verdicts(random_loop(np.random.default_rng(seed)))
@@ -103,6 +104,7 @@ def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows
     assert settled == is_stable(closed).stable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
     """L(z) with poles inside the unit circle, or one on it or outside: against the closed loop's poles."""

@@ -24,6 +24,7 @@ def made_for(model: fl.LinkModel, crossover: float, margin: float, rig: fl.Rig =
     return fl.design(model, rig, **asked, law=False)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.02])
 @pytest.mark.parametrize("payload", [0.02, 0.04])
 def test_vibration_is_a_root_of_the_characteristic_equation(delay: float, payload: float) -> None:
@@ -100,6 +101,7 @@ def test_the_papers_reading_says_nothing_of_moves() -> None:
     assert "W409" not in {one.code for one in design.findings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("order", "crossover", "margin"), [(1.85, 8.0, 35.0), (1.9, 9.0, 40.0), (1.95, 7.0, 30.0)]
 )
@@ -113,6 +115,7 @@ def test_what_a_refusal_offers_does_not_ring(order: float, crossover: float, mar
         assert made.passed, made.findings
 
 
+@pytest.mark.slow
 def test_the_law_is_looked_at_with_the_pid_that_runs() -> None:
     # A gauge 76 ms late keeps |L| near one up to 140 rad/s, where the PID at 4 ms is not M(s).
     soft = replace(RIG.link, length=0.615, stiffness=0.9035, flexural_rigidity=0.9035 * 0.615 / 3.0, mass=0.0)
@@ -127,6 +130,7 @@ def test_the_law_is_looked_at_with_the_pid_that_runs() -> None:
     assert not run.verdict.passed
 
 
+@pytest.mark.slow
 def test_a_controller_that_no_law_follows_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
     def none(design: fl.Design) -> None:
         raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")

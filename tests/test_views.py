@@ -551,6 +551,7 @@ def test_a_requirement_says_its_bound_its_payload_and_its_slack() -> None:
     assert tables.requirements_table([little]).rows[0][4] == "1.5×10⁻⁹"  # of a small one, 1e-9 at the most
 
 
+@pytest.mark.slow
 def test_a_design_is_told_by_its_controller(design: fl.Design) -> None:
     shown = view(design)
     assert shown.headline == "controller k_d = 0.069876, β = 0.6122, no filter"
@@ -572,6 +573,7 @@ def test_a_design_is_told_by_its_controller(design: fl.Design) -> None:
     assert rows[5][1:] == ("its error from 0.05 to 300 rad/s", f"{decibel:.2g} dB, {degree:.2g}°")
 
 
+@pytest.mark.slow
 def test_margins_are_told_of_both_loops(design: fl.Design) -> None:
     (row,) = tables.margins_table(design, [0.02]).rows
     here, sampled = design.at(0.02), design.sampled_at(0.02)
@@ -1309,6 +1311,7 @@ def test_the_first_power_on_goes_from_the_heaviest_to_the_lightest(design: fl.De
     assert words.power_on(endless)[2].startswith("Voltage limited to a fifth, link off")
 
 
+@pytest.mark.slow
 def test_a_study_in_short_has_a_row_for_all_that_was_done(design: fl.Design) -> None:
     good, late = run(), run()
     late.metrics.settling_time = 0.9162
@@ -1334,6 +1337,7 @@ def test_a_study_in_short_has_a_row_for_all_that_was_done(design: fl.Design) -> 
     assert tables.summary_rows(fl.Study()) == []
 
 
+@pytest.mark.slow
 def test_the_scopes_of_a_verdict_are_told_with_their_reasons() -> None:
     verdict = Verdict(Scope("passed"), Scope("failed", ("a", "b")), Scope("not run"))
     assert tables.verdict_table(verdict).rows == (

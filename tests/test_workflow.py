@@ -25,6 +25,7 @@ def gauged(**gauge: float) -> LinkModel:
     return replace(model, **gauge)
 
 
+@pytest.mark.slow
 def test_a_margin_that_was_stated_is_kept_or_refused() -> None:
     # Nearest to 140° at the usual crossover is 97°: less than was asked for must not come back as passed.
     with pytest.raises(InfeasibleError) as refused:
@@ -32,6 +33,7 @@ def test_a_margin_that_was_stated_is_kept_or_refused() -> None:
     assert refused.value.nearest["phase_margin"] < fl.deg(139)
 
 
+@pytest.mark.slow
 def test_a_crossover_that_nobody_stated_moves_to_keep_the_margin() -> None:
     made, assumed = design_for(SILENT, gauged(gauge_gain=1.4), phase_margin=fl.deg(105))
     assert made.passed
@@ -172,6 +174,7 @@ def test_the_rigs_own_request_completes_what_was_not_asked(monkeypatch: pytest.M
         design_for(replace(SILENT, model=None))
 
 
+@pytest.mark.slow
 def test_a_link_without_a_torque_resonance_is_crossed_above_its_natural_frequency(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
