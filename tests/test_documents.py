@@ -582,3 +582,16 @@ def test_arrays_of_a_json_file_are_read_only() -> None:
     for kind, data in ((NDArray[np.float64], [1.0, 2.0]), (NDArray[np.complex128], [[1.0, -1.0]])):
         values = codec_of(kind).decode(data, "", Storage())
         assert values.dtype.kind in "fc" and not values.flags.writeable
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "words"),
+    [
+        (bytes, "0a", r"^signature: not bytes .*expected bytes"),
+        (fl.Rig, "paper-2023", r"^signature: of another type \(got str\); expected Rig"),
+    ],
+)
+def test_a_field_of_another_type_is_not_written(kind: type, value: object, words: str) -> None:
+    """A frozen dataclass does not check itself: what it was given wrongly must not become a file."""
+    with pytest.raises(FieldError, match=words):
+        codec_of(kind).encode(value, "signature", Storage())

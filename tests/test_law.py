@@ -355,3 +355,12 @@ def test_the_fit_is_centred_where_the_loop_last_falls_through_one() -> None:
 def test_a_fit_meets_both_tolerances_or_none(error: tuple[float, float], slack: float, met: bool) -> None:
     fit = SimpleNamespace(error_db=error[0], error_deg=error[1])
     assert _is_met(fit, slack) is met  # type: ignore[arg-type]
+
+
+def test_a_controller_without_a_period_needs_one() -> None:
+    link = fl.Rig.named("paper-2023").model
+    assert link is not None
+    controller = fl.Controller(gain=0.069876, order=0.612197, link=link)
+    with pytest.raises(FieldError, match=r"^period is required; expected > 0 s\. Give the control period"):
+        fl.discretize(controller)
+    assert fl.discretize(controller, 0.004, order=4).period == 0.004

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink._arm.log_columns import ColumnStatement
 from fraclink._logs import calibration
 from fraclink._logs.channels import Mode
 from fraclink._logs.text import LogTable
 from fraclink._logs.tips import tip_difference
-from fraclink._logs.weighing import Guess, Question, Weighing, guess_time, statements
+from fraclink._logs.weighing import Guess, Question, Weighing, answered, guess_time, statements
 from fraclink.errors import FieldError, LogError
 from test_start import (
     COUNT,
@@ -450,3 +451,9 @@ def test_statements_of_the_call_share_one_output() -> None:
     for column in (["torque=g", "deflection=h"], ["time=t", "time=u"]):
         with pytest.raises(FieldError, match="column: stated twice"):
             statements(column, None)
+
+
+@pytest.mark.parametrize(("text", "sign"), [("-1", -1), (" - ", -1), ("1", 1), ("+1", 1)])
+def test_the_answer_to_a_sign_is_a_sign(text: str, sign: int) -> None:
+    asked = Question("torque", "sign", "Which way?", ("1", "-1"), "", "")
+    assert answered(ColumnStatement("torque"), asked, text).sign == sign

@@ -751,3 +751,35 @@ def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
                 # What passes a range lies in it, as a plain number.
                 if type(plain) in (int, float) and math.isfinite(checked_rule.low):
                     assert checked_rule.low <= plain <= checked_rule.high, (place, name, value)
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("Positive", (5e-324, 1e300), (0.0, -1.0, math.inf)),
+        ("NonNegative", (0.0, 1e300), (-5e-324, math.inf)),
+        ("Fraction", (0.0, 1.0), (-1e-9, 1.0 + 1e-9)),
+        ("Period", (1e-9, 10.0), (0.0, 10.0 + 1e-9)),
+        ("Time", (0.0, 1e6), (-1e-9, 1e6 + 1e-3)),
+        ("Duration", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
+        ("Payload", (1e-9, 1e4), (0.0, 1e4 + 1e-6)),
+        ("Frequency", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
+        ("NaturalFrequency", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
+        ("Angle", (-1e6, 1e6), (-1e6 - 1e-3, 1e6 + 1e-3)),
+        ("PhaseMargin", (1e-9, math.pi - 1e-9), (0.0, math.pi)),
+        ("PhaseMarginDeg", (1e-9, 179.0), (0.0, 179.0 + 1e-6)),
+        ("LinkOrder", (1.0, 2.0), (1.0 - 1e-9, 2.0 + 1e-9)),
+        ("Count", (1, 10**9), (0, 10**9 + 1)),
+        ("Seed", (0, 2**64 - 1), (-1, 2**64)),
+        ("Workers", (1, 1024), (0, 1025)),
+    ],
+)
+def test_the_ranges_that_recur_end_where_the_documentation_says(
+    name: str, inside: tuple[float, ...], outside: tuple[float, ...]
+) -> None:
+    check = rule(getattr(_validate, name)).check
+    for value in inside:
+        assert check("x", value) == value
+    for value in outside:
+        with pytest.raises(FieldError, match=r"^x: "):
+            check("x", value)
