@@ -19,8 +19,9 @@ from xdist.workermanage import WorkerController
 
 # Files whose tests start large processes: browsers, provers, pools of workers, a cluster. One worker runs
 # them all, so that no two of those live at once.
-_BROWSERS = {f"tests/test_{name}.py" for name in ("arm_page", "report", "studio_browser")}
-_LARGE_FILES = _BROWSERS | {"prove/tests/test_prove.py", "tests/test_integrity.py"}
+_FIRST = {f"tests/test_{name}.py" for name in ("arm_page", "report", "studio_browser")}
+_FIRST |= {"prove/tests/test_prove.py"}
+_LARGE_FILES = _FIRST | {"tests/test_integrity.py"}
 _LARGE_FILES |= {f"tests/test_campaign{name}.py" for name in ("", "_cluster", "_resume", "_summary")}
 _LARGE = "large processes"
 
@@ -58,8 +59,8 @@ def _give_back() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Browsers before pools: what a campaign imports (Arrow, Dask) stays in the worker to its end."""
-    items.sort(key=lambda item: item.nodeid.partition("::")[0] not in _BROWSERS)
+    """Browsers and provers before pools: what a campaign imports (Arrow, Dask) stays in the worker."""
+    items.sort(key=lambda item: item.nodeid.partition("::")[0] not in _FIRST)
 
 
 def pytest_collection_finish() -> None:
