@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._logs import read_log
 from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding, worst_first
 
 
 def test_arrays_are_copies_that_cannot_be_written() -> None:
@@ -175,3 +177,16 @@ def test_a_frame_that_is_no_log_is_named(change: dict[str, str], words: str) -> 
     frame["gap"] = np.where(np.arange(500) > 250, TIME + 1.0, TIME)
     with pytest.raises(FieldError, match=words):
         Experiment.from_frame(frame, stated)
+
+
+def test_two_samples_are_a_log_and_one_is_none() -> None:
+    assert Experiment.from_arrays([0.0, 0.004], [0.0, 0.1], [0.0, 0.01]).motor_angle.size == 2
+    with pytest.raises(LogError, match=r"of shape \(1,\)"):
+        Experiment.from_arrays([0.0], [0.0], [0.0])
+
+
+def test_findings_are_told_worst_first_and_else_in_their_order() -> None:
+    kinds: tuple[Literal["info", "warning", "error"], ...] = ("info", "warning", "error")
+    told = [Finding(f"W2{k:02d}", kind, "x", {}, "y") for k, kind in enumerate(kinds * 2)]
+    order = [finding.code for finding in worst_first(told)]
+    assert order == ["W202", "W205", "W201", "W204", "W200", "W203"]
