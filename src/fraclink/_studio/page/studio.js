@@ -12,7 +12,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** what is asked for, under the names of the command line */
-  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '',
+  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', told() {},
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -28,8 +28,8 @@ export const app = {
     const state = {...app.state};
     app.link.drag({state, fan: $('fan').checked}, (answer) => {
       app.shown(answer);
-      // under load the last preview may come behind the exact answer of its state
-      if (app.exactly === JSON.stringify(state) && answer.ok && app.study.design) design.exact(app.study);
+      // under load the last preview may come behind the exact answer of its state, and knows less
+      if (app.exactly === JSON.stringify(state)) app.told();
       requestAnimationFrame(() => {
         performance.measure('drag', {start: at, end: performance.now()});
       });
@@ -61,10 +61,11 @@ export const app = {
   async exact() {
     const asked = JSON.stringify(app.state), answer = await app.ask('exact', {state: app.state, arm: arm.key});
     if (answer.superseded || answer.lost) return;
-    if (!answer.ok) { design.refuse(answer); return; }
     app.exactly = asked;
-    app.took(answer);
-    design.exact(answer);
+    app.told = () => answer.ok ? design.exact(answer) : design.refuse(answer);
+    if (answer.ok) app.took(answer);
+    app.told();
+    if (!answer.ok) return;
     arm.take(answer);
     app.say(answer.spoken);
   },
