@@ -33,22 +33,12 @@ from fraclink._realtime.tune_motion import random_steps
 from fraclink._realtime.tune_moves import _decided
 from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-RIG = fl.Rig.named("paper-2023-geared")
-LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
-PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=RIG.period)
-
-
-def arm(seed: int = 0, **changes: float) -> fl.SimulatedArm:
-    """The paper's arm, or one that differs."""
-    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), RIG.period, seed=seed)  # type: ignore[arg-type]
-
-
-def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
-    return Guard(partial(open_line, connection, RIG.period, clock="none"), limits)
+PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=PERIOD)
 
 
 def wired(made: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1) -> Callback:
@@ -106,10 +96,10 @@ def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> No
     """Seen through friction, a K/J of half made a gauge of 0.7 times the torque one of 0.39 times."""
     twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
     motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
-    made = fl.SimulatedArm(replace(twin, motor=motor), RIG.period)
+    made = fl.SimulatedArm(replace(twin, motor=motor), PERIOD)
     found = check_wiring(guarded(made.callback), RIG)
     assert found.gain == pytest.approx(RIG.motor.gain, rel=0.12)
-    assert round(found.delay / RIG.period) == twin.voltage_delay
+    assert round(found.delay / PERIOD) == twin.voltage_delay
 
 
 @pytest.mark.parametrize(
@@ -170,7 +160,7 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     def serve() -> None:
         try:
             twin = fl.Twin.from_rig(RIG)
-            served.append(fl.serve_arm(twin, way, RIG.period, duration=1.0, priority=0, clock=clock))
+            served.append(fl.serve_arm(twin, way, PERIOD, duration=1.0, priority=0, clock=clock))
         finally:
             clock.leave()
 
@@ -181,16 +171,16 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
         for _ in range(10):
             guard.step(0.5)
         before = guard.count
-        clock.sleep(4.5 * RIG.period)
+        clock.sleep(4.5 * PERIOD)
         guard.step(0.5)
         assert guard.reading.periods in (4, 5) and guard.lost == guard.reading.periods - 1
         assert guard.count == before + guard.reading.periods
         record = guard.record()
         between = np.diff(record.angle[-guard.reading.periods :])
         assert np.ptp(between) < 1e-9  # a line stands for what is missing
-        assert abs(guard.speed) < 1.2 * np.max(np.diff(record.angle)) / RIG.period
+        assert abs(guard.speed) < 1.2 * np.max(np.diff(record.angle)) / PERIOD
         assert "did not come in time" in _lateness(guard)
-        clock.sleep(12.5 * RIG.period)
+        clock.sleep(12.5 * PERIOD)
         with pytest.raises(FraclinkError, match="the link to the arm is lost"):
             guard.step(0.5)
         guard.release()
@@ -318,7 +308,7 @@ def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
 def test_the_command_resumes_with_what_was_asked_for_before(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plan = fl.TuningPlan(LIMITS, 0.030, payloads=(0.021, 0.044), period=RIG.period, rig=RIG)
+    plan = fl.TuningPlan(LIMITS, 0.030, payloads=(0.021, 0.044), period=PERIOD, rig=RIG)
     stopped = fl.tune(wired(arm(), torque=-1), plan, out=tmp_path, clock="none")
     assert stopped.stopped and fl.load(tmp_path / "tuning.json").rig == RIG
     assert main(["tune", "--io", "shm:fraclink-nobody", "--out", str(tmp_path), "--resume"]) == 2
@@ -418,7 +408,7 @@ def running(place: Path, twin: fl.Twin) -> fl.Experiment:
         path, at = path.then(fl.smooth_step(to - at, 0.6, start=0.5)), to
     run = fl.simulate(law, path, arm=twin, told=0.030, duration=12.0)
     return fl.Experiment(
-        period=RIG.period,
+        period=PERIOD,
         motor_angle=run.motor_angle_measured,
         output=run.torque_measured,
         voltage=run.voltage,

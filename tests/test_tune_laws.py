@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,50 +19,25 @@ from fraclink._arm.motor_loop import MotorGain
 from fraclink._design.completed import design_for
 from fraclink._law import Law
 from fraclink._realtime import tune_build, tune_moves
-from fraclink._realtime.line import open_line
 from fraclink._realtime.tune_build import Built, build_law, measured_rig
 from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_link import LinkResult, tune_link
 from fraclink._realtime.tune_motion import Follower, motor_law
-from fraclink._realtime.tune_motor import MotorResult, tune_motor
+from fraclink._realtime.tune_motor import MotorResult
 from fraclink._realtime.tune_moves import FirstMove, _agree, _compared, _moved, first_moves, planned_move
-from fraclink._realtime.tune_wiring import Wiring, check_wiring
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
+from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 Real = NDArray[np.float64]
-RIG = fl.Rig.named("paper-2023-geared")
-PERIOD = RIG.period
-LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
 MOTOR = MotorGain(60.0, 10.0)
 
 
-def arm(seed: int = 1, **changes: float) -> fl.SimulatedArm:
-    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
-
-
-def guard_of(made: fl.SimulatedArm, limits: fl.MotionLimits = LIMITS) -> Guard:
-    return Guard(partial(open_line, made.callback, PERIOD, clock="none"), limits)
-
-
 @pytest.fixture(scope="module")
-def stages() -> tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]:
-    """Wiring, motor and link of the paper's arm, half a second of work."""
-    made = arm()
-    guard = guard_of(made)
-    wiring = check_wiring(guard, RIG)
-    guard.learn(wiring.gain, wiring.delay)
-    motor, begin = tune_motor(guard, wiring)
-    guard.learn(motor.fit.gain, motor.fit.delay)
-    link, _ = tune_link(guard, wiring, motor, 0.030, begin=begin)
-    guard.release()
-    return made, guard, wiring, motor, link
-
-
-Stages = tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
+def stages() -> Stages:
+    return staged()
 
 
 # --- from the measurements to a law ----------------------------------------------------------------------
@@ -398,7 +372,7 @@ def test_two_moves_decide_and_a_third_where_they_do_not(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, _, _, motor, _ = stages
-    guard = guard_of(arm())
+    guard = guarded(arm(seed=1).callback)
     times = iter([1.0, 0.50, 0.62, 0.51])  # the slow one, and three of the full one
     made: list[tuple[float, float]] = []
 
@@ -435,8 +409,8 @@ def test_two_moves_decide_and_a_third_where_they_do_not(
 @pytest.mark.slow
 def test_a_hand_over_shows_the_first_periods_only(stages: Stages, monkeypatch: pytest.MonkeyPatch) -> None:
     _, _, _, motor, _ = stages
-    made = arm()
-    guard = guard_of(made)
+    made = arm(seed=1)
+    guard = guarded(made.callback)
     loop_law = motor_law(motor.gain, motor.loop, guard)
     path = fl.smooth_step(0.1, 0.4)
     begins: list[int] = []

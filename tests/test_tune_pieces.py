@@ -34,13 +34,12 @@ from fraclink._realtime.tune_wiring import (
     _train,
 )
 from fraclink.errors import FieldError
+from tuned_arms import PERIOD, RIG
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 Real = NDArray[np.float64]
-RIG = fl.Rig.named("paper-2023-geared")
-PERIOD = RIG.period
 
 
 # --- the wiring ------------------------------------------------------------------------------------------

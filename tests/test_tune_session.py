@@ -27,12 +27,11 @@ from fraclink._realtime.tune_wiring import Wiring
 from fraclink._realtime.watch import Change, Watch, _moving_time
 from fraclink.errors import FieldError, FraclinkError, LogError
 from fraclink.findings import Scope
+from tuned_arms import LIMITS, RIG
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-RIG = fl.Rig.named("paper-2023-geared")
-LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
 PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=0.004)
 WIRING = Wiring(60.0, 0.1, 0.004, 1.6, 12.0, 0.001, 1e-4, 0.01, 1e-3, 0.4, 0.02, ("a", "b"))
 MOVE = FirstMove(0.3, 0.5, 0.6, 0.62, *(0.001,) * 7, payload=0.030)

@@ -21,45 +21,22 @@ from fraclink._realtime import tune_link as linking
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_link import LinkResult, experiment_of, loaded_motor, shortfall, tune_link
+from fraclink._realtime.tune_link import experiment_of, loaded_motor, shortfall, tune_link
 from fraclink._realtime.tune_motion import Follower, LawTripped, calm, fastest_loop, follow, motor_law
-from fraclink._realtime.tune_motor import MotorResult, tune_motor
-from fraclink._realtime.tune_wiring import Wiring, WiringFault, _grown, check_wiring
+from fraclink._realtime.tune_wiring import WiringFault, _grown, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError, LogError
+from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 Real = NDArray[np.float64]
-RIG = fl.Rig.named("paper-2023-geared")
-PERIOD = RIG.period
-LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
 MOTOR = MotorGain(60.0, 10.0)
 
 
-def arm(seed: int = 1, **changes: float) -> fl.SimulatedArm:
-    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
-
-
-def guard_of(made: fl.SimulatedArm, limits: fl.MotionLimits = LIMITS) -> Guard:
-    return Guard(partial(open_line, made.callback, PERIOD, clock="none"), limits)
-
-
 @pytest.fixture(scope="module")
-def stages() -> tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]:
-    """Wiring, motor and link of the paper's arm, half a second of work."""
-    made = arm()
-    guard = guard_of(made)
-    wiring = check_wiring(guard, RIG)
-    guard.learn(wiring.gain, wiring.delay)
-    motor, begin = tune_motor(guard, wiring)
-    guard.learn(motor.fit.gain, motor.fit.delay)
-    link, _ = tune_link(guard, wiring, motor, 0.030, begin=begin)
-    guard.release()
-    return made, guard, wiring, motor, link
-
-
-Stages = tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
+def stages() -> Stages:
+    return staged()
 
 
 @pytest.mark.slow
@@ -119,7 +96,9 @@ def test_a_delay_that_no_loop_bears_is_named() -> None:
 
 
 def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
-    law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guard_of(arm()), friction=0.2)
+    law = motor_law(
+        MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback), friction=0.2
+    )
     assert law.drive is not None
     assert (law.drive.voltage_limit, law.drive.coulomb_voltage, law.drive.torque_voltage) == (10.0, 0.2, 0.0)
     assert law.drive.loop == MotorLoop(40.0, 1, "sampled", "direct").pid(MOTOR, PERIOD)
@@ -141,7 +120,7 @@ def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
 
 
 def test_an_encoder_that_jumps_ends_the_law_and_a_period_that_was_missed_does_not() -> None:
-    law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guard_of(arm()))
+    law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback))
     runs = Follower(law)
     for periods in (1, 1, 3, 5, 1):
         assert abs(runs.step(0.0, 0.0, 0.0, 0.0, periods)) < 1e-9
@@ -155,8 +134,8 @@ def test_an_encoder_that_jumps_ends_the_law_and_a_period_that_was_missed_does_no
 
 
 def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -> None:
-    made = arm()
-    guard = guard_of(made)
+    made = arm(seed=1)
+    guard = guarded(made.callback)
     loop = fastest_loop(
         MotorGain(RIG.motor.gain, RIG.motor.decay), 0.004, PERIOD, ratios=(1.0,), margin=0.45, most=60.0
     )
@@ -182,8 +161,8 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
 
 def ringing(calmed: bool) -> tuple[float, float]:
     """Largest torque in the last half second, and the seconds it took, of a link that was struck."""
-    made = arm()
-    guard = guard_of(made)
+    made = arm(seed=1)
+    guard = guarded(made.callback)
     gain = MotorGain(RIG.motor.gain, RIG.motor.decay)
     law = motor_law(gain, fastest_loop(gain, 0.004, PERIOD, ratios=(1.0,), margin=0.45, most=60.0), guard)
     grid = PERIOD * np.arange(40)
@@ -206,7 +185,7 @@ def test_a_link_that_rings_is_calmed_by_its_motor() -> None:
 
 
 def test_calming_ends_after_as_long_as_was_said() -> None:
-    guard = guard_of(arm())
+    guard = guarded(arm(seed=1).callback)
     law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guard)
     calm(guard, law, stiffness=1.5, resonance=12.0, noise=1e-9, longest=1.0)
     assert guard.count * PERIOD == pytest.approx(1.0, abs=25 * PERIOD)
@@ -288,7 +267,7 @@ def test_an_excitation_grows_until_its_errors_suffice(
     monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
     monkeypatch.setattr(linking, "shortfall", lambda _: next(shorts))
     monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
-    found, record = tune_link(guard_of(arm()), wiring, motor, 0.030)
+    found, record = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030)
     assert [round(reach, 9) for reach, _, _ in found.rounds] == [0.05, 0.15]  # three times, at most
     assert np.abs(paths[0][0]).max() == pytest.approx(0.05) and np.abs(paths[1][0]).max() == pytest.approx(
         0.15
@@ -299,7 +278,7 @@ def test_an_excitation_grows_until_its_errors_suffice(
     )
     assert record.angle.size == paths[1].shape[1]
     shorts = iter([0.9])
-    found, _ = tune_link(guard_of(arm()), wiring, motor, 0.030, longer=1.5)
+    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=1.5)
     assert len(found.rounds) == 1 and found.rounds[0][1] == pytest.approx(12.5, abs=1.0)
 
 
@@ -320,11 +299,11 @@ def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
     monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
     monkeypatch.setattr(linking, "shortfall", lambda _: 1.3)
     monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
-    found, _ = tune_link(guard_of(arm()), wiring, motor, 0.030)
+    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030)
     assert found.rounds[1][0] == pytest.approx(0.05 * 1.2 / 1.15)
     wanted = 8.0 * (1.2 * 1.3 / (1.2 / 1.15)) ** 2
     assert found.rounds[1][1] == pytest.approx(min(wanted, 16.0) + 0.5, abs=1.2)
-    found, _ = tune_link(guard_of(arm()), wiring, motor, 0.030, longer=2.0)
+    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=2.0)
     assert len(found.rounds) == 1  # neither larger nor longer
 
 
@@ -364,7 +343,7 @@ def test_a_record_is_a_log_that_says_where_it_is_from() -> None:
 
 
 def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
-    made = arm()
+    made = arm(seed=1)
     at = [0.0]
 
     def read() -> tuple[float, float]:

@@ -196,7 +196,8 @@ class Experiment:
     def save(self, path: Path | str) -> None:
         """Write the log as CSV with its notes, in SI units, so that `read_log` gives the same numbers back.
 
-        Findings are not written: reading and `diagnose` find them again.
+        Findings are not written: reading and `diagnose` find them again. Nor is `earlier_angle`, of which a
+        table of samples has no place; `fraclink.save` keeps both.
 
         >>> log = Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], payload=0.03)
         >>> print(log.text())

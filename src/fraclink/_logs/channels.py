@@ -347,10 +347,11 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
         )
     begins = motion_at_start(experiment.motor_angle, experiment.output - offset, spread)
     lead = lead_of(experiment.output)
-    if begins is not None and not _begins_before(experiment, lead):
+    if begins is not None:
+        known = _begins_before(experiment, lead)
         yield Finding(
             "W231",
-            "warning",
+            "info" if known else "warning",
             f"the log does not start at rest: {begins} in its first {lead * experiment.period:.3g} s",
             {
                 "first_output": float(experiment.output[:lead].mean()),
@@ -358,16 +359,18 @@ def rest_at_start(experiment: Experiment, offset: float, spread: float) -> Itera
                 "first_move": float(np.ptp(experiment.motor_angle[:lead])),
                 "time_s": 0.0,
             },
-            "start recording before the motion, or cut the log where the arm is at rest (keep=, --keep): "
-            "models assume rest",
+            "identify starts from what the motor did before the cut; other fits assume rest at the cut"
+            if known
+            else "start recording before the motion, or cut the log where the arm is at rest "
+            "(keep=, --keep): models assume rest",
         )
 
 
 def _begins_before(experiment: Experiment, lead: int) -> bool:
     """Whether the log was cut, and what the motor did before the cut is known from a rest on.
 
-    A fit starts from there. The rest must last as long as that of a log that was not cut: behind a gap in the
-    stamps a few samples that hardly differ are no rest.
+    `identify` starts from there. The rest must last as long as that of a log that was not cut: behind a gap
+    in the stamps a few samples that hardly differ are no rest.
     """
     earlier = experiment.earlier_angle
     still = 0.02 * float(np.ptp(experiment.whole_angle))

@@ -187,7 +187,8 @@ def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArra
         "info",
         f"of {float(since.max()):.4g} s, those from {first:.4g} to {last:.4g} s were read",
         {"from_s": first, "until_s": last},
-        "no check and no fit has seen the rest, but for the motor angle before: the link still swings by it",
+        "the rest is neither checked nor fitted; a fit starts its link from the motor angle before the cut, "
+        "as far back as the stamps are uniform",
     )
 
 

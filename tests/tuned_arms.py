@@ -1,0 +1,40 @@
+"""The paper's arm as a tuning meets it: simulated, guarded, and measured stage by stage."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import fraclink as fl
+from fraclink._realtime.connections import Callback
+from fraclink._realtime.line import open_line
+from fraclink._realtime.tune_guard import Guard
+from fraclink._realtime.tune_link import LinkResult, tune_link
+from fraclink._realtime.tune_motor import MotorResult, tune_motor
+from fraclink._realtime.tune_wiring import Wiring, check_wiring
+
+RIG = fl.Rig.named("paper-2023-geared")
+PERIOD = RIG.period
+LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
+Stages = tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
+
+
+def arm(seed: int = 0, **changes: float) -> fl.SimulatedArm:
+    """The paper's arm, or one that differs."""
+    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
+
+
+def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
+    return Guard(partial(open_line, connection, PERIOD, clock="none"), limits)
+
+
+def staged() -> Stages:
+    """Wiring, motor and link of the paper's arm, half a second of work; the arm and its guard, released."""
+    made = arm(seed=1)
+    guard = guarded(made.callback)
+    wiring = check_wiring(guard, RIG)
+    guard.learn(wiring.gain, wiring.delay)
+    motor, begin = tune_motor(guard, wiring)
+    guard.learn(motor.fit.gain, motor.fit.delay)
+    link, _ = tune_link(guard, wiring, motor, 0.030, begin=begin)
+    guard.release()
+    return made, guard, wiring, motor, link
