@@ -17,9 +17,9 @@ from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-# Files whose tests start large processes: browsers, provers, pools of workers, a cluster. One worker runs
-# them all, so that no two of those live at once.
-_FIRST = {f"tests/test_{name}.py" for name in ("arm_page", "report", "studio_browser")}
+# Files whose tests start large processes: browsers, provers, a fuzzer, pools of workers, a cluster. One
+# worker runs them all, so that no two of those live at once.
+_FIRST = {f"tests/test_{name}.py" for name in ("arm_page", "export_gates", "report", "studio_browser")}
 _FIRST |= {"prove/tests/test_prove.py"}
 _LARGE_FILES = _FIRST | {"tests/test_integrity.py"}
 _LARGE_FILES |= {f"tests/test_campaign{name}.py" for name in ("", "_cluster", "_resume", "_summary")}
@@ -79,3 +79,10 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     if module is not None:
         _forget(module)
     _give_back()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Of what passed keep the name and the time: the words of thirty thousand reports are 40 MB."""
+    if report.passed:
+        report.keywords, report.sections, report.user_properties = {}, [], []

@@ -19,6 +19,7 @@ __all__ = ["loop_values", "windings", "worst_distance"]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
+_ROWS = 32
 _CORNERS = 512  # of a box with more than nine uncertain parameters a random choice
 # Ten of them, or a quarter of the points on the grid, lead to the same place on the bundled rigs.
 _STEPS = 40
@@ -44,7 +45,7 @@ def loop_values(
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
     # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the periodic factors
     # outside.
-    aliases = np.sum([_continuous(statement, w + n * turn, at) for n in ALIASES], axis=0)
+    aliases = sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
     with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
     return np.asarray(outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0)))
 
@@ -123,7 +124,7 @@ def _corners(statement: Statement) -> dict[str, Real]:
 def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, float]]:
     """Return (|1 + L|, place) where a search finds the loop closest to -1: corners, then downhill."""
     w, place = _grid(statement, law, 240), _corners(statement)
-    distance = np.abs(1.0 + loop_values(statement, law, w, place))
+    distance = np.abs(1.0 + _over_corners(statement, law, w, place))
     closest = np.min(distance, axis=1)
     best = (math.inf, {name: float(column[0, 0]) for name, column in place.items()})
     # From three corners: the lowest on the grid need not lead to the lowest of all.
@@ -159,6 +160,17 @@ def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[
     return least, at
 
 
+def _over_corners(statement: Statement, law: Law, w: Real, place: dict[str, Real]) -> Complex:
+    """L, a row for each corner; some rows at a time, as all of a rich box's would take 200 MB and longer."""
+    count = len(place["softness"])
+    return np.concatenate(
+        [
+            loop_values(statement, law, w, {name: column[k : k + _ROWS] for name, column in place.items()})
+            for k in range(0, count, _ROWS)
+        ]
+    )
+
+
 def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     """Return an unstable corner with the ω of the crossing left of -1, None where there is none.
 
@@ -167,7 +179,7 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     # Five times as fine as for the distance: where 1 + L turns by more than π between two points, a turn is
     # lost.
     w, place = _grid(statement, law, 1200), _corners(statement)
-    value = 1.0 + loop_values(statement, law, w, place)
+    value = 1.0 + _over_corners(statement, law, w, place)
     # From 0 to Nyquist 1 + L goes from 1 to a real number: half the encirclements of the whole unit circle.
     turned = np.unwrap(np.angle(value), axis=-1)
     circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0

@@ -42,6 +42,7 @@ _ROOM = 1.002  # between the scan's value of a bound and the true one
 _ORDERS, _FEWER = 21, 11  # a side of the grid; fewer where the slope is free, too
 _SLOPES = (-1.5, -1.0, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.1, 0.25)  # of arg L over ln ω, where it is free
 _CROSSOVERS = 24
+_TOGETHER = 128  # candidates on the scan at once: a thousand take 100 MB, and more time
 _REFUSED = 1e300  # finite: the simplex subtracts its values
 
 
@@ -70,6 +71,10 @@ class Candidates:
             self.crossover[chosen],
             self.filter_time[chosen],
         )
+
+    def split(self) -> list[Candidates]:
+        """The same candidates, `_TOGETHER` at a time."""
+        return [self[np.arange(k, min(k + _TOGETHER, self.count))] for k in range(0, self.count, _TOGETHER)]
 
     def response(self, s: Complex) -> Complex:
         """C at points `s` of the right half-plane, shape (M, K)."""
@@ -177,6 +182,8 @@ class PidProblem:
 
     def admitted(self, found: Candidates) -> Candidates:
         """Those whose closed loop is stable, and that keep every bound, on the scan."""
+        if found.count > _TOGETHER:
+            return _joined([self.admitted(part) for part in found.split()])
         if not found.count:
             return found
         loop = found.response(np.asarray(1j * self.scan)) * self.scanned[None, :]
@@ -258,6 +265,8 @@ def itae(problem: PidProblem, found: Candidates, horizon: float, samples: int = 
     e is the Fourier series of Dubner and Abate on Re s = ln(1e5)/(2 horizon). 1/(s + ω_c) is taken out, so
     that the jump at t = 0 does not ring.
     """
+    if found.count > _TOGETHER:
+        return np.concatenate([itae(problem, part, horizon, samples) for part in found.split()])
     shift = _DAMPING / (2.0 * horizon)
     s = np.asarray(shift + 1j * math.pi / horizon * np.arange(samples // 2 + 1), dtype=np.complex128)
     with np.errstate(all="ignore"):
