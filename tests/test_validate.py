@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import importlib
 import inspect
 import math
 import pickle
 import pkgutil
+import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -207,6 +209,21 @@ def test_a_union_reports_the_member_whose_kind_fits() -> None:
     other = refusal(mixed, [1])
     assert other.problem == "of another type"
     assert other.allowed == "> 0 and <= 10000 kg, given or a Log"
+
+
+def test_a_kind_that_is_tried_in_vain_keeps_no_caller_alive() -> None:
+    """A refusal that lives on in a cycle holds every frame up to the caller's, and the arrays in it."""
+
+    def caller() -> weakref.ref[NDArray[np.float64]]:
+        samples = np.zeros(3)
+        assert rule(int | str | None).convert("a text") == "a text"
+        return weakref.ref(samples)
+
+    gc.disable()
+    try:
+        assert caller()() is None
+    finally:
+        gc.enable()
 
 
 def test_metadata_beside_a_union_narrows_each_member() -> None:

@@ -208,7 +208,9 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
             try:
                 return item.convert(value)
             except Refused as refused:
-                refusals.append(refused)
+                # Without its traceback: that holds this frame, the frame holds this list, and so every array
+                # of every caller would live on until the next search for cycles.
+                refusals.append(refused.with_traceback(None))
         # A member whose kind fits knows the reason; otherwise no member takes such a value.
         for refusal in refusals:
             if not refusal.is_type:
