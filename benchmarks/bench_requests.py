@@ -146,7 +146,9 @@ def kept(design: fl.Design, law: fl.Law, payload: float) -> float:
     """The smallest |angle of −L| over the crossings of |L| = 1 [rad]; π where there is none."""
     top = math.pi / design.rig.period
     scan = np.unique(np.concatenate([np.geomspace(0.05, 0.999 * top, 1500), *_near(design, payload, top)]))
-    value = sampled_loop(design, law, payload, scan)
+    # A part at a time: all aliases of all frequencies are 100 MB.
+    parts = np.array_split(scan, 10)
+    value = np.concatenate([sampled_loop(design, law, payload, part) for part in parts])
     level = np.log(np.abs(value))
     worst = math.pi
     for i in np.flatnonzero((level[:-1] > 0) != (level[1:] > 0)):

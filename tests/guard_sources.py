@@ -14,12 +14,16 @@ PACKAGE = ROOT / "src" / "fraclink"
 
 @dataclass(frozen=True)
 class Source:
-    """One module: its dotted name below ``fraclink``, its path, text and tree."""
+    """One module: its dotted name below ``fraclink``, its path and text."""
 
     name: str
     path: Path
     text: str
-    tree: ast.Module
+
+    @property
+    def tree(self) -> ast.Module:
+        """Parsed anew each time, a second for all: kept, the trees of the package take 100 MB."""
+        return ast.parse(self.text, filename=str(self.path))
 
     @property
     def component(self) -> str:
@@ -34,8 +38,7 @@ def sources() -> tuple[Source, ...]:
     for path in sorted(PACKAGE.rglob("*.py")):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
         parts = parts[:-1] if parts[-1] == "__init__" else parts
-        text = path.read_text(encoding="utf-8")
-        found.append(Source(".".join(parts), path, text, ast.parse(text, filename=str(path))))
+        found.append(Source(".".join(parts), path, path.read_text(encoding="utf-8")))
     return tuple(found)
 
 
@@ -60,8 +63,9 @@ def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
     At its top or inside a function; with `at_once` at its top only.
     """
     names = {item.name for item in sources()}
-    hidden = _typing_only(source.tree) | (_inside_functions(source.tree) if at_once else set())
-    for node in ast.walk(source.tree):
+    tree = source.tree  # one for all three: nodes are told apart by their identity
+    hidden = _typing_only(tree) | (_inside_functions(tree) if at_once else set())
+    for node in ast.walk(tree):
         if id(node) in hidden:
             continue
         if isinstance(node, ast.Import):
