@@ -27,8 +27,17 @@ from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._files import write_npz
 from fraclink._law import MODES, REASONS, Law
-from fraclink._realtime import Callback, Command, RealtimeRun, Spread, VirtualClock, run_realtime
+from fraclink._realtime import (
+    Callback,
+    Command,
+    RealtimeRun,
+    Spread,
+    VirtualClock,
+    loop,
+    run_realtime,
+)
 from fraclink._realtime.line import open_line
+from fraclink._realtime.run import saved
 from fraclink._show.views import view
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 
@@ -261,6 +270,58 @@ def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(law: Law
     assert (run.stopped, len(run.time), seen) == ("finished", 16, [signal.SIGUSR1])
 
 
+@pytest.mark.parametrize("ended", [True, False])
+def test_no_signal_takes_the_record_away(
+    law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: bool
+) -> None:
+    """A second one, as a closed terminal sends, changes nothing; a first one waits for the file."""
+    board, place = Board(), tmp_path / "run.npz"
+
+    def read() -> tuple[float, float]:
+        if ended and board.reads == 4:
+            os.kill(os.getpid(), signal.SIGINT)
+        return board.read()
+
+    def late(value: object, where: Path) -> Path:
+        os.kill(os.getpid(), signal.SIGINT)
+        return saved(value, where)
+
+    monkeypatch.setattr(loop, "saved", late)
+    way = Callback(read, board.write)
+    if ended:
+        assert live(law, way, duration=5.0, out=place).stopped == "signal"
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            live(law, way, duration=0.3, out=place)
+    assert fl.load(place, RealtimeRun).stopped == ("signal" if ended else "finished")
+    assert stopped(board)
+
+
+def test_a_name_that_no_record_can_have_is_found_before_the_arm_moves(law: Law, tmp_path: Path) -> None:
+    board = Board()
+    for place, said in (
+        (tmp_path / "run.csv", r"out: of another kind of file \(got run\.csv\); expected \.npz"),
+        (tmp_path / "run.json", r"out: of another kind of file \(got run\.json\); expected \.npz"),
+        (tmp_path / f"{'r' * 252}.npz", r"out: not writable \(File name too long\); the arm has not moved"),
+        (tmp_path, r"out: not writable \(Is a directory\); the arm has not moved"),
+    ):
+        with pytest.raises(FieldError, match=said):
+            board.run(law, out=place)
+    assert (board.reads, board.commands, list(tmp_path.iterdir())) == (0, [], [])
+
+
+def test_a_process_that_is_killed_leaves_no_file_behind(law: Law, tmp_path: Path) -> None:
+    board = Board()
+    seen: set[str] = set()
+
+    def read() -> tuple[float, float]:
+        seen.update(item.name for item in tmp_path.iterdir())
+        return board.read()
+
+    live(law, Callback(read, board.write), duration=0.3, out=tmp_path / "run.npz")
+    assert (seen, [item.name for item in tmp_path.iterdir()]) == (set(), ["run.npz"])
+
+
 def test_a_place_that_takes_no_record_is_found_before_the_arm_moves(
     law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -299,7 +360,8 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
         return board.read()
 
     board.reads = 30
-    run = live(law, Callback(read, board.write), duration=0.3, out=place / "run.npz")
+    longest = "r" * 251 + ".npz"  # the second place adds to the name, and has no more than 255 bytes either
+    run = live(law, Callback(read, board.write), duration=0.3, out=place / longest)
     assert Path(run.saved).parent == second
     assert fl.load(run.saved, RealtimeRun).tick.tobytes() == run.tick.tobytes()
 

@@ -39,6 +39,7 @@ if not _kernels.REALTIME:
 Command = Callable[[str], tuple[int, str, str]]
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-parameter", "-Werror")
 PERIOD = 0.02
+MANY = 1_000_000
 
 # A motor that follows a voltage or, as a servo, a reference; one sample is lost, the last command is noted.
 BOARD = """
@@ -50,6 +51,12 @@ static double angle;
 static double voltage;
 static double reference;
 static int reads;
+static int deep(int level)
+{
+    volatile char room[4096];
+    room[0] = (char)level;
+    return (level < 0) ? 0 : deep(level + 1) + room[0];
+}
 uint32_t arm_io_version(void) { return VERSION; }
 int arm_open(void) { return OPENED; }
 int arm_read(arm_sample *sample)
@@ -62,6 +69,8 @@ int arm_read(arm_sample *sample)
         return -1;
     if (reads >= CRASH)
         raise(SIGSEGV);
+    if (reads >= DEEP)
+        reads = deep(0);
     return reads == 5;
 }
 int arm_write(const arm_command *command)
@@ -122,7 +131,7 @@ def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
 def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
     (folder / f"{name}.c").write_text(text, encoding="utf-8")
     library = folder / f"{name}.so"
-    given = {"VERSION": "ARM_IO_VERSION", "OPENED": 0, "BROKEN": 1000000, "CRASH": 1000000} | defines
+    given = {"VERSION": "ARM_IO_VERSION", "OPENED": 0, "BROKEN": MANY, "CRASH": MANY, "DEEP": MANY} | defines
     flags = [f"-D{key}={value}" for key, value in given.items()]
     subprocess.run(  # noqa: S603
         [tool("cc", "gcc"), *STRICT, "-shared", "-fPIC", *flags, f"{name}.c", "-o", library],
@@ -313,9 +322,10 @@ CRASHING = """
 
 
 @pytest.mark.slow
-def test_a_process_that_crashes_leaves_a_stop_behind(fraclink: Command, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fault", ["CRASH", "DEEP"])  # a call without end leaves no stack to stop the arm on
+def test_a_process_that_crashes_leaves_a_stop_behind(fraclink: Command, tmp_path: Path, fault: str) -> None:
     export_io(tmp_path, force=True)
-    board = compiled(tmp_path, "arm", BOARD, CRASH=9)
+    board = compiled(tmp_path, "arm", BOARD, **{fault: 9})
     command = [sys.executable, "-c", textwrap.dedent(CRASHING), str(board)]
     assert subprocess.run(command, check=False).returncode == -signal.SIGSEGV  # noqa: S603
     assert (tmp_path / "last").read_text() == "4 0"
@@ -331,6 +341,23 @@ def test_the_record_has_a_place_before_the_arm_moves_or_nothing_happens(
     compiled(tmp_path, "arm", BOARD)
     code, _, err = fraclink("run-realtime design.json --io library:arm.so --out /proc/nope/r.npz")
     assert (code, "the arm has not moved" in err) == (2, True)
+    assert not (tmp_path / "last").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("virtual")
+def test_no_file_of_a_run_is_refused_only_when_it_is_over(fraclink: Command, tmp_path: Path) -> None:
+    export_io(tmp_path, force=True)
+    compiled(tmp_path, "arm", BOARD)
+    run, serve = "run-realtime design.json --io library:arm.so", "serve-arm design.json --io udp:127.0.0.1:5"
+    for line, said in (
+        (f"{run} --log /proc/nope/log.csv", "log: not writable"),
+        (f"{run} --out run.csv", "out: of another kind of file (got run.csv)"),
+        (f"{serve} --out /proc/nope/arm.npz", "out: not writable"),
+        (f"{serve} --out arm.json", "out: of another kind of file (got arm.json)"),
+    ):
+        code, _, err = fraclink(line)
+        assert (code, said in err) == (2, True), err
     assert not (tmp_path / "last").exists()
 
 

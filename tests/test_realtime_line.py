@@ -200,24 +200,32 @@ def test_the_first_sample_is_asked_for_and_its_period_compared() -> None:
 
 
 def test_signals_are_noted_and_given_back() -> None:
-    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-    before = [signal.getsignal(getattr(signal, name)) for name in names]
-    for name in names:
-        with _noted_signals() as noted:
-            assert not noted.is_set()
-            signal.raise_signal(getattr(signal, name))
-            assert noted.is_set()
-        assert [signal.getsignal(getattr(signal, name)) for name in names] == before
+    """Whatever would end or stop the process, as in `run_realtime`: an arm is tuned by the same rules."""
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGALRM", "SIGXCPU")
+    numbers = [signal.Signals[name] for name in names]
+    usual = [signal.signal(number, signal.SIG_DFL) for number in numbers[1:]]  # one that is ignored stays so
+    before = [signal.getsignal(number) for number in numbers]
+
+    def noted_here() -> None:
+        for number in numbers:
+            with _noted_signals() as noted:
+                assert not noted.is_set()
+                signal.raise_signal(number)
+                seen.append(noted.is_set())
+
     seen: list[bool] = []
-
-    def elsewhere() -> None:  # where Python delivers no signals, and none may be asked for
-        with _noted_signals() as noted:
-            seen.append(noted.is_set())
-
-    thread = threading.Thread(target=elsewhere)
-    thread.start()
-    thread.join()
-    assert seen == [False]
+    try:
+        noted_here()
+        thread = threading.Thread(target=noted_here)  # as in a notebook, where Python delivers no signals
+        thread.start()
+        thread.join()
+        assert seen == [True] * 2 * len(names)
+        assert [signal.getsignal(number) for number in numbers] == before
+    finally:
+        for number, handler in zip(numbers[1:], usual, strict=True):
+            signal.signal(number, handler)
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_however_a_line_ends_a_stop_is_sent() -> None:

@@ -300,6 +300,9 @@ void bind_realtime(nb::module_ &m) {
     m.def("realtime_bare", &bare);
     m.def("realtime_serve", &serve);
     m.def("realtime_memory_size", &realtime_memory_size);
+    m.def("realtime_watch_signals", &realtime_watch_signals);
+    m.def("realtime_signalled", &realtime_signalled);
+    m.def("realtime_release_signals", &realtime_release_signals);
     m.attr("REALTIME_COLUMNS") = int(REALTIME_COLUMNS);
     m.attr("REALTIME_MARKS") = int(REALTIME_MARKS);
     m.attr("SERVED_COLUMNS") = int(SERVED_COLUMNS);

@@ -22,6 +22,9 @@ static const realtime_io *volatile faulting_io;
 static const arm_command *volatile faulting_stop;
 static struct sigaction former[NSIG];
 static int taken[NSIG];
+/* Where the handler of a fault runs: a call without end in a user's library leaves no room on the loop's own stack. */
+static unsigned char fault_stack[STACK_BYTES];
+static _Thread_local stack_t former_stack;
 static int watchers;
 static pthread_mutex_t watchers_lock = PTHREAD_MUTEX_INITIALIZER;
 
@@ -43,6 +46,12 @@ static void stop_and_fall(int number)
 
 void realtime_stop_on_fault(const realtime_io *io, const arm_command *stop)
 {
+    /* Given to the calling thread, which is the loop's; back to what it had, as faulthandler has one of its own. */
+    const stack_t own = {.ss_sp = fault_stack, .ss_size = sizeof(fault_stack)};
+    if (io != NULL)
+        sigaltstack(&own, &former_stack);
+    else
+        sigaltstack(&former_stack, NULL);
     faulting_io = NULL;
     faulting_stop = stop;
     faulting_io = io != NULL && io->direct ? io : NULL;
@@ -92,6 +101,7 @@ void realtime_watch_signals(void)
                 continue; /* kept by the C library */
             taken[i] = is_fault(i) || ends_the_run(i, &former[i]);
             action.sa_handler = is_fault(i) ? stop_and_fall : note; /* without SA_RESTART: a sleeping loop wakes up */
+            action.sa_flags = is_fault(i) ? SA_ONSTACK : 0;
             if (taken[i])
                 taken[i] = sigaction(i, &action, NULL) == 0;
         }

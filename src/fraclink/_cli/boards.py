@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal, TypedDict, Unpack
@@ -39,7 +40,7 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._design.pid_tuning import PidTuning
 from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
-from fraclink._files import kind_of, save
+from fraclink._files import kind_of
 from fraclink._law import Law, discretize
 from fraclink._logs.responses import read_recording
 from fraclink.errors import FieldError, LogError, MissingExtraError
@@ -285,17 +286,19 @@ def run_realtime(
     )
     tell(str(awake))
     awake.check()
-    run = realtime.run_realtime(
-        # The loop on this machine is double by default; single shows what a microcontroller's rounding does
-        # to the arm.
-        law.in_precision("single") if single else law,
-        wanted,
-        connection,
-        relative=not absolute,
-        out=out,
-        estimator=estimator,
-        **options,
-    )
+    # The record has its place kept by the loop itself; a log that cannot be written is found as early.
+    with nullcontext() if log is None else realtime.reserved(log, field="log"):
+        run = realtime.run_realtime(
+            # The loop on this machine is double by default; single shows what a microcontroller's rounding
+            # does to the arm.
+            law.in_precision("single") if single else law,
+            wanted,
+            connection,
+            relative=not absolute,
+            out=out,
+            estimator=estimator,
+            **options,
+        )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
     # The record went to a second place: the arm has moved, and its data must not be lost to a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
@@ -348,16 +351,16 @@ def serve_arm(
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
-    served = realtime.serve_arm(
-        arm,
-        connection,
-        made.rig.period,
-        duration=duration,
-        watchdog=watchdog,
-        once=once,
-        seed=seed,
-        priority=priority,
-    )
-    # `Writes` has looked at the name before the arm was served.
-    written = () if out is None else (save(served, out, force=True),)
+    with nullcontext() if out is None else realtime.reserved(out, cls=realtime.ServedArm):
+        served = realtime.serve_arm(
+            arm,
+            connection,
+            made.rig.period,
+            duration=duration,
+            watchdog=watchdog,
+            once=once,
+            seed=seed,
+            priority=priority,
+        )
+    written = () if out is None else (realtime.saved(served, out),)
     return Answer(served, served.passed, remarks=_refused("priority", served.scheduling), written=written)

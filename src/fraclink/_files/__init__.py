@@ -51,13 +51,22 @@ from fraclink._files.containers import (
     write_archive,
     write_text,
 )
-from fraclink._files.kinds import HOMES, Document, Upgrade, document, document_of, registered
+from fraclink._files.kinds import (
+    HOMES,
+    Document,
+    Upgrade,
+    document,
+    document_of,
+    document_of_class,
+    registered,
+)
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
     "HOMES",
     "RENAMED",
     "atomic_write",
+    "check_ending",
     "checked_envelope",
     "checked_path",
     "document",
@@ -116,14 +125,8 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     # First, as it may refuse: nothing is encoded, and no file of that name is touched.
     found.before_save(value)
     place = output_path(path, force=force)
+    found = _fitting(found, place)
     container = found.container
-    if container == "either":
-        container = "npz" if place.suffix == ".npz" else "json"
-    # Only endings that promise another container are refused; a name without one, or with a person's own, is
-    # taken as it is, since `load` looks at the first bytes.
-    if place.suffix in _ENDINGS - {f".{container}"}:
-        allowed, remedy = f".{container}, the ending of a {found.kind}", "change the ending"
-        raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
     if found.own:
         getattr(value, "save")(place)  # noqa: B009 - what such a class offers
         return place
@@ -131,7 +134,7 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
         write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
         return place
     # Encoded whole before the file is opened: a value that does not fit leaves nothing behind.
-    envelope, arrays = _enveloped(value, dataclasses.replace(found, container=container))
+    envelope, arrays = _enveloped(value, found)
     if container == "npz":
         with atomic_write(place, "wb") as stream:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
@@ -143,6 +146,26 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
         raise SizeError(found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy)
     write_text(place, text)
     return place
+
+
+def check_ending(cls: type, place: Path) -> None:
+    """Raise FieldError where `save` would refuse a value of that class for the ending of the name.
+
+    For work that cannot be repeated, such as the motion of an arm: a wrong name is found before it.
+    """
+    _fitting(document_of_class(cls), place)
+
+
+def _fitting(found: Document, place: Path) -> Document:
+    """The document in the container that the ending of the name asks for."""
+    if found.container == "either":
+        found = dataclasses.replace(found, container="npz" if place.suffix == ".npz" else "json")
+    # Only endings that promise another container are refused; a name without one, or with a person's own, is
+    # taken as it is, since `load` looks at the first bytes.
+    if place.suffix in _ENDINGS - {f".{found.container}"}:
+        allowed, remedy = f".{found.container}, the ending of a {found.kind}", "change the ending"
+        raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
+    return found
 
 
 def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

@@ -127,7 +127,11 @@ def document(
 
 def document_of(value: object) -> Document:
     """The document of a value's class; FieldError for one that has no file."""
-    cls = type(value)
+    return document_of_class(type(value))
+
+
+def document_of_class(cls: type) -> Document:
+    """The document of a class; FieldError for one whose values have no file."""
     if cls not in _BY_CLASS:  # of a room below this one, or of none: the refusal names all there are
         for home in sorted(set(HOMES.values())):
             import_module(home)

@@ -20,7 +20,7 @@ from fraclink._realtime.connections import (
 )
 from fraclink._realtime.loop import run_realtime
 from fraclink._realtime.machine import Spread, WakeUps, measure_wake_ups
-from fraclink._realtime.run import RealtimeRun
+from fraclink._realtime.run import RealtimeRun, reserved, saved
 
 __all__ = [
     "Callback",
@@ -36,7 +36,9 @@ __all__ = [
     "WakeUps",
     "measure_wake_ups",
     "parse_connection",
+    "reserved",
     "run_realtime",
+    "saved",
     "serve_arm",
 ]
 

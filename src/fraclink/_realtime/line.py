@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import math
-import signal
-import threading
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from fraclink import _kernels
 from fraclink._realtime.connections import Callback, Command, Connection, controller_end
@@ -22,9 +20,6 @@ _LOOKS = 16  # in a period: the arrival is known to 6 % of it
 _LOST = 5  # samples in a row that may be missing, as law.c rides through
 _NUMBERS = 2**32  # of samples, and then from the beginning
 _STOPS = 3  # one is lost on the way now and then
-# Every signal that a terminal, a shell or a service manager ends or stops a program with. Stopping counts: a
-# process that sleeps behind Ctrl-Z answers no arm.
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
 
 
 class Stopped(FraclinkError):
@@ -49,13 +44,19 @@ class Reading(NamedTuple):
     periods: int
 
 
+class Signals(Protocol):
+    """Whether a signal has asked for the end."""
+
+    def is_set(self) -> bool: ...
+
+
 class ArmLine:
     """An open way to an arm; `exchange` gives a voltage and returns the next sample.
 
     An arm with a clock of its own (udp, shm) sets the pace; the others are read on deadlines of `clock`.
     """
 
-    def __init__(self, way: Any, period: float, clock: Any, signals: threading.Event) -> None:
+    def __init__(self, way: Any, period: float, clock: Any, signals: Signals) -> None:
         self.period = period
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
@@ -176,7 +177,7 @@ def _first_sample(
     period: float | None,
     patience: float,
     clock: Any,
-    signals: threading.Event,
+    signals: Signals,
 ) -> tuple[int, float, float]:
     last, look = clock.now + patience, (period or 0.004) / _LOOKS
     while (found := way.read()) is None or not math.isfinite(found[1]):
@@ -198,20 +199,22 @@ def _first_sample(
     return found  # type: ignore[no-any-return]
 
 
+class _Noted:
+    """Whether a signal has come since they are watched."""
+
+    def is_set(self) -> bool:
+        return bool(_kernels.realtime_signalled())
+
+
 @contextlib.contextmanager
-def _noted_signals() -> Iterator[threading.Event]:
-    """Note signals that would end or stop the process instead of obeying them; elsewhere than in the main
-    thread Python delivers none.
+def _noted_signals() -> Iterator[_Noted]:
+    """Note every signal that would end or stop the process instead of obeying it, in any thread.
+
+    By the loop's own watch: Python's `signal.signal` works in the main thread alone, and a notebook's kernel
+    or a server runs this in a worker. Stopping counts: a process that sleeps behind Ctrl-Z answers no arm.
     """
-    noted = threading.Event()
-    # A notebook's kernel or a server runs this in a worker, where signal.signal raises.
-    if threading.current_thread() is not threading.main_thread():
-        yield noted
-        return
-    numbers = [getattr(signal, name) for name in _SIGNALS]
-    before = {number: signal.signal(number, lambda *_: noted.set()) for number in numbers}
+    _kernels.realtime_watch_signals()
     try:
-        yield noted
+        yield _Noted()
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        _kernels.realtime_release_signals()

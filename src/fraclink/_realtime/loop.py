@@ -16,7 +16,7 @@ from fraclink._arm.reference import Reference, sampled
 from fraclink._law import Law
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._realtime.connections import Connection, controller_end
-from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted, period_ns
+from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted, period_ns, signals_held
 from fraclink._realtime.run import MARKS, SIGNALS, STOPS, RealtimeRun, first_difference, reserved, saved
 from fraclink._simulate.estimates import estimator_for
 from fraclink._validate import Between, checked
@@ -53,7 +53,8 @@ def run_realtime(
     missed period a jump of its tick: the law's guards decide, and trip where the arm stays silent. The last
     thing the arm gets is always a stop (voltage 0, mode 4), whatever ended the run: its time, the law, an
     exception, any signal that can be caught, a fault of the process (not with a `Callback`). After SIGKILL,
-    SIGSTOP or a loss of power the watchdog of the board must switch the drive off.
+    SIGSTOP or a loss of power the watchdog of the board must switch the drive off. Signals are held until the
+    record is kept; one that comes after the loop's end takes its course then.
 
     Parameters
     ----------
@@ -126,34 +127,38 @@ def run_realtime(
     room = (
         contextlib.nullcontext()
         if out is None
-        else reserved(out, record.nbytes + marks.nbytes + _HEADER_BYTES)
+        else reserved(out, record.nbytes + marks.nbytes + _HEADER_BYTES, cls=RealtimeRun)
     )
-    with room, controller_end(connection, patience) as way:
-        outcome = _kernels.realtime_run(
-            way,
-            law.block,
-            law.initial_state(),
-            law.precision == "single",
-            # Angle and acceleration: the law needs no velocity.
-            np.ascontiguousarray(path[[0, 2]]),
-            payload,
-            b"" if estimator is None else estimator.block,
-            b"" if estimator is None else estimator.initial_state(),
-            record,
-            marks,
-            nanoseconds,
-            round(1e9 * patience),
-            relative,
-            priority,
-            lock_memory,
-            clock or _kernels.RealtimeClock(0),
+    with contextlib.ExitStack() as kept:
+        with room, controller_end(connection, patience) as way:
+            obeyed = kept.enter_context(signals_held())
+            outcome = _kernels.realtime_run(
+                way,
+                law.block,
+                law.initial_state(),
+                law.precision == "single",
+                # Angle and acceleration: the law needs no velocity.
+                np.ascontiguousarray(path[[0, 2]]),
+                payload,
+                b"" if estimator is None else estimator.block,
+                b"" if estimator is None else estimator.initial_state(),
+                record,
+                marks,
+                nanoseconds,
+                round(1e9 * patience),
+                relative,
+                priority,
+                lock_memory,
+                clock or _kernels.RealtimeClock(0),
+            )
+        if STOPS[int(outcome["stop"])] == "signal":
+            obeyed.set()
+        # What never began is an error; what began has a record, however it ended.
+        _check_answer(outcome, connection, law.period, patience)
+        run = _gathered(
+            law, estimator, connection, outcome, record, marks, priority, lock_memory, allowed_overruns
         )
-    # What never began is an error; what began has a record, however it ended.
-    _check_answer(outcome, connection, law.period, patience)
-    run = _gathered(
-        law, estimator, connection, outcome, record, marks, priority, lock_memory, allowed_overruns
-    )
-    return run if out is None else replace(run, saved=str(saved(run, out)))
+        return run if out is None else replace(run, saved=str(saved(run, out)))
 
 
 def _checked(estimator: PayloadEstimator | None, law: Law, payload: float) -> PayloadEstimator | None:

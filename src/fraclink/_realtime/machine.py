@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
@@ -25,6 +29,7 @@ __all__ = [
     "granted_priority",
     "measure_wake_ups",
     "period_ns",
+    "signals_held",
 ]
 
 Real = NDArray[np.float64]
@@ -168,6 +173,25 @@ def period_ns(period: float) -> int:
     4000000
     """
     return round(1e9 * _PERIOD.check("period", period))
+
+
+@contextlib.contextmanager
+def signals_held() -> Iterator[threading.Event]:
+    """Hold every signal that would end or stop the process until the block ends, in any thread.
+
+    What came then takes its course, unless the event that this yields was set: it was obeyed already. A
+    closed terminal sends two, some milliseconds apart, and whoever presses Ctrl-C once does so again.
+    """
+    obeyed = threading.Event()
+    _kernels.realtime_watch_signals()
+    try:
+        yield obeyed
+    finally:
+        number = _kernels.realtime_signalled()
+        _kernels.realtime_release_signals()
+    # Not after an exception, which ends what the signal would have ended.
+    if number and not obeyed.is_set():
+        signal.raise_signal(number)
 
 
 def granted(outcome: dict[str, float], priority: int, lock_memory: bool) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import secrets
 import tempfile
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._files import document, save
+from fraclink._files import check_ending, document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._realtime.machine import Spread
@@ -36,6 +37,7 @@ INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "paylo
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
+_PROBE_BYTES = 1 << 20  # of a file whose size is not known beforehand: a minute at 4 ms and more
 _LOST_SHARE = 0.01  # what a reader may fill in too
 
 
@@ -267,30 +269,38 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
 
 
 @contextlib.contextmanager
-def reserved(place: Path, size: int) -> Iterator[None]:
-    """Hold `size` bytes of disk beside `place` until the block ends; FieldError where that cannot be had.
+def reserved(
+    place: Path, size: int = _PROBE_BYTES, *, cls: type | None = None, field: str = "out"
+) -> Iterator[None]:
+    """Hold `size` bytes of disk at `place` until the block ends; FieldError about `field` where that fails.
 
-    A folder that is missing or read-only, or a full disk, is so found before the arm moves.
+    A folder that is missing or read-only, a full disk, a name that a file with a `cls` cannot have: each is
+    so found before the arm moves.
     """
+    if cls is not None:
+        check_ending(cls, place)
     # Beside the place, as another file system may have room where this one has none; hidden and random, so
     # that it meets no file of the user's; cut, as a name has 255 bytes at most.
-    holder = place.with_name(f".{place.name[:100]}.{secrets.token_hex(8)}.reserved")
-    try:
+    holder = place.with_name(f".{place.name[:50]}.{secrets.token_hex(8)}.reserved")
+    with contextlib.ExitStack() as opened:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
-            with holder.open("xb") as stream:
-                # Blocks are taken, which `truncate` would only promise: a full disk says so now.
-                os.posix_fallocate(stream.fileno(), 0, size)
+            # Asked of the name itself, which the holder's does not stand for: one may be too long, or that of
+            # a folder, over which no file is renamed.
+            if place.is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            stream = opened.enter_context(holder.open("xb"))
+            # The open file keeps its blocks without a name, and a process that is killed leaves nothing.
+            holder.unlink()
+            # Blocks are taken, which `truncate` would only promise: a full disk says so now.
+            os.posix_fallocate(stream.fileno(), 0, size)
         except OSError as error:
             problem = f"not writable ({error.strerror}); the arm has not moved"
             allowed = f"a folder with {1e-6 * size:.1f} MB to spare"
             raise FieldError(
-                "out", str(place), problem, allowed=allowed, remedy="name another file"
+                field, str(place), problem, allowed=allowed, remedy="name another file"
             ) from error
         yield
-    finally:
-        with contextlib.suppress(OSError):  # a folder that was never there has nothing to remove
-            holder.unlink()
 
 
 def saved(value: object, place: Path) -> Path:
@@ -301,7 +311,8 @@ def saved(value: object, place: Path) -> Path:
     try:
         return save(value, place, force=True)
     except OSError:
-        name = f"{place.stem}-{secrets.token_hex(4)}{place.suffix}"  # never over another record
+        # never over another record, and never too long for a name that was just short enough
+        name = f"{place.stem[:50]}-{secrets.token_hex(4)}{place.suffix}"
         for folder in (Path(tempfile.gettempdir()), Path.home()):
             with contextlib.suppress(OSError):
                 return save(value, folder / name)
