@@ -16,8 +16,8 @@
 
 /* Fast-math lets a compiler assume that NaN does not exist, and then it removes the tests for NaN below:
  * with clang -Ofast one NaN sample moved the output. Refusing is the only safe answer. */
-#ifdef __FAST_MATH__
-#error "law.c must not be compiled with -ffast-math or -Ofast: its NaN tests would be removed"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "law.c must not be compiled with -ffast-math, -Ofast or -ffinite-math-only: its NaN tests would be removed"
 #endif
 /* Wider intermediates (x87) round differently, so that board and simulation part in the last bit. */
 #if defined(__FLT_EVAL_METHOD__) && (__FLT_EVAL_METHOD__ != 0)
