@@ -336,7 +336,8 @@ def test_a_move_is_shaped_as_asked(line: Line) -> None:
 
 def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
     found = Found()
-    found.blanks, found.experiment, found.fit = 3, "log", "fit"  # type: ignore[attr-defined]
+    fit = SimpleNamespace(model=RIG.model)
+    found.blanks, found.experiment, found.fit = 3, "log", fit  # type: ignore[attr-defined]
     started = line.hear("starting.start_from", found)
     figure = Found()
     drawn = line.hear("starting.fit_figure", figure)
@@ -347,11 +348,14 @@ def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
         "column": ["torque=x"], "period": 0.0025, "payload": 0.03, "resample": True,
         "interpolate": True, "ask": None,
     }  # fmt: skip
-    assert (
-        found.saved == [Path("a")] and figure.saved == [Path("a/fit.svg")] and drawn.given == ("log", "fit")
-    )
+    assert found.saved == [Path("a")] and figure.saved == [Path("a/fit.svg")] and drawn.given == ("log", fit)
     filled = "fill in the 3 blanks of a/rig.toml, then fraclink design --rig a/rig.toml --model a/model.json"
     assert told == (0, "", f"written: a\nwritten: a/fit.svg\nnext: {filled}\n")
+    fit.model = replace(RIG.model, payload=None)
+    again = "fraclink identify log.csv --rig a/rig.toml --payload KG --out a/model.json"
+    assert line("start log.csv --out a").err.endswith(
+        f"next: fill in the 3 blanks of a/rig.toml, then {again}, with the payload of this log for KG\n"
+    )
     found.passed = False
     told = line("start log.csv --out a")
     assert told.code == 1 and told.err.endswith("next: fraclink diagnose log.csv --rig a/rig.toml\n")

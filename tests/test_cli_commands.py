@@ -18,7 +18,8 @@ from command_line import RIG, made_design
 from fraclink._cli import console, options
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Declared, Default, Writes, command
-from fraclink._logs import bundled_log
+from fraclink._identify import identify
+from fraclink._logs import bundled_log, read_log
 from fraclink._show.text import View
 from fraclink._validate import Between
 from fraclink.errors import FieldError
@@ -217,6 +218,15 @@ def test_a_model_comes_from_a_model_or_a_design(tmp_path: Path) -> None:
     # A design carries its model, and another one is put into its rig.
     assert options.load_design(place).rig.model == RIG.model
     assert options.load_design(place, model=place).rig.model == other.model
+    # A fit of a deflection does not know the stiffness: the rig does, for every command that takes both.
+    log = read_log(bundled_log("prbs_30g"), rig=RIG)
+    angles = replace(log, output=log.output / 1.6, output_kind="deflection")
+    fit = identify(angles, "UD-FOM", details=False)
+    fitted = tmp_path / "model.json"
+    fit.save(fitted)
+    assert options.load_link_model(fitted) == fit.model and fit.model.stiffness == 1.0
+    assert options.load_link_model(fitted, RIG) == replace(fit.model, stiffness=1.56)
+    assert options.load_rig("paper-2023", model=fitted).model.stiffness == 1.56  # type: ignore[union-attr]
     bare = tmp_path / "bare.json"
     replace(other, rig=replace(RIG, model=None)).save(bare)
     assert options.load_design(bare).rig.model == other.model

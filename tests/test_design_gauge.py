@@ -100,6 +100,11 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
         fl.design(model, rig, **WANTED, law=False).controller
         == fl.design(MODEL, RIG, **WANTED, law=False).controller
     )
+    # Nor is what its fit leaves open of it: the box holds the tolerance of a gauge that is not late.
+    found = replace(model, intervals=(("gauge_delay", 0.055, 0.059), ("order", 1.91, 1.93)))
+    made = fl.design(found, rig, **WANTED, law=False)
+    assert fl.ParameterBox.of(made.model, rig).gauge_delay == (0.0, rig.tolerances.gauge_delay)
+    assert made.model.interval("order") == (1.91, 1.93)
 
 
 @pytest.mark.slow

@@ -12,6 +12,8 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel, SecondMode
+from fraclink._arm.rig import Rig
+from fraclink._design import design
 from fraclink._identify import (
     Contest,
     Fit,
@@ -359,6 +361,16 @@ def test_the_gain_of_a_deflection_is_one(fit: Fit) -> None:
     assert said(1.51) == said(0.66) == said(-1.51) == ["W320"]
     assert said(1.0, None) == ["W304"]
     assert list(_of_the_sensor(replace(fit, gain=7.0), None)) == []
+    # The stiffness that such a log cannot show is the rig's, in every loop; one that a fit has stays its own.
+    rig = Rig.named("paper-2023")
+    placeholder = replace(fit.model, stiffness=1.0)
+    unknown = tuple(_of_the_sensor(replace(fit, output_kind="deflection", gain=1.0), None))
+    blind = replace(fit, output_kind="deflection", model=placeholder, findings=unknown)
+    assert blind.loop_model(rig) == replace(placeholder, stiffness=1.56)
+    assert replace(blind, findings=()).loop_model(rig) == placeholder
+    wanted = {"payloads": (0.02, 0.04), "gain_crossover": 11.5, "phase_margin": math.radians(40)}
+    named = replace(blind, model=replace(placeholder, payload=0.03))
+    assert design(named, rig, **wanted, filter_time=0.0, law=False).model.stiffness == 1.56
     found = one(_of_the_sensor(replace(fit, output_kind="deflection", gain=7.0), 1.0))
     assert found.evidence == {"gain": 7.0, "least": pytest.approx(2 / 3), "most": 1.5}
 

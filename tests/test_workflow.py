@@ -19,7 +19,7 @@ from fraclink.errors import FieldError, InfeasibleError
 SILENT = replace(Rig.named("paper-2023"), design=None)
 
 
-def gauged(**gauge: float) -> LinkModel:
+def gauged(**gauge: float | None) -> LinkModel:
     model = SILENT.model
     assert model is not None
     return replace(model, **gauge)
@@ -47,6 +47,21 @@ def test_the_usual_margin_is_named_without_a_doubt() -> None:
     made, assumed = design_for(SILENT, gauged(gauge_delay=0.02))
     assert math.degrees(made.phase_margin) == pytest.approx(50.0)
     assert assumed[1] == "phase margin 50°, as neither the rig nor the request states one"
+
+
+@pytest.mark.slow
+def test_a_model_that_states_no_payload_is_taken_from_the_rig_and_that_is_said() -> None:
+    wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+    strange = gauged(natural_frequency=20.0, payload=None)
+    made, assumed = design_for(SILENT, strange, **wanted)
+    own, nothing = design_for(SILENT, gauged(), **wanted)
+    # √(1.56/(0.03·0.65²)) = 11.094: the frequency of the rig's nominal payload, which the rig's model has.
+    assert made.controller == own.controller and nothing == ()
+    assert assumed == (
+        "ω₀ 11.09 at 30 g, from the rig's stiffness and length, as the model's 20 belongs to a payload that "
+        "it does not state",
+    )
+    assert design_for(SILENT, strange, filter_time=0.0)[1][0] == assumed[0]
 
 
 @pytest.mark.parametrize("degrees", [50.0, math.nextafter(50.0, 0.0), math.nextafter(50.0, 60.0)])

@@ -18,13 +18,28 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
 from fraclink.errors import FieldError
 
-__all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "outward"]
+__all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "in_loop", "outward"]
 
 Interval = tuple[float, float]
 Complex = NDArray[np.complex128]
 # Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
 # tenth is a good one, and a second mode moves with the material by a few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
+
+
+def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
+    """Return the model as the control loop meets it: a delay of the logger alone is left out.
+
+    >>> from fraclink._arm.rig_parts import Gauge
+    >>> rig = replace(Rig.named("paper-2023"), gauge=Gauge(delay_in_loop=False))
+    >>> in_loop(LinkModel(1.56, 10.78, order=1.92, gauge_delay=0.02), rig).gauge_delay
+    0.0
+    """
+    if rig.gauge.delay_in_loop:
+        return model
+    # The interval of a delay that is not in the loop would widen what a design has to bear.
+    kept = tuple(row for row in model.intervals if row[0] != "gauge_delay")
+    return replace(model, gauge_delay=0.0, intervals=kept)
 
 
 @dataclass(frozen=True)

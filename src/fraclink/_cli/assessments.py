@@ -189,10 +189,11 @@ def compare(
 
     $ fraclink compare --rig paper-2023 --only fraclink --only PD
     """
+    known = load_rig(rig)
     with steps(15) as begin:
         result = run_rivals(
-            load_rig(rig),
-            model=load_link_model(model),
+            known,
+            model=load_link_model(model, known),
             link_mass=link_mass,
             gain_crossover=gain_crossover,
             phase_margin=math.radians(phase_margin_deg),

@@ -60,7 +60,8 @@ def montecarlo(
     if design is not None:
         made = Design.load(design)
     else:
-        made, _ = design_for(load_rig(rig), load_link_model(model))
+        known = load_rig(rig)
+        made, _ = design_for(known, load_link_model(model, known))
     # Both set the law's payload, and which one acted would not be seen in the summary.
     if told and estimate:
         allowed, remedy = "one of --told and --estimate", "leave --told out to have payloads estimated"
@@ -255,7 +256,8 @@ def _bench(options: BenchOptions) -> Bench:
     if design_file is not None:
         made = load_design(design_file, model=model)
     else:
-        made, _ = design_for(load_rig(rig or ""), load_link_model(model))
+        known = load_rig(rig or "")
+        made, _ = design_for(known, load_link_model(model, known))
     # A rig without a model has no damping for the twin: then the design's own stands in.
     arm = given if given is not None and given.model is not None else made.rig
     return Bench.of(made, arm if gear is None else geared(arm, gear), link_mass=options["link_mass"])

@@ -139,11 +139,8 @@ def design(
 
     $ fraclink design --rig rig.toml --model model.json
     """
-    made, assumptions = design_for(
-        load_rig(rig, link_mass=link_mass),
-        load_link_model(model),
-        **in_radians(request),
-    )
+    known = load_rig(rig, link_mass=link_mass)
+    made, assumptions = design_for(known, load_link_model(model, known), **in_radians(request))
     # Doubts of the fit travel with the design: requirements that are met for a model of nothing do not pass.
     made = made.doubted(load_doubts(model)).with_law()
     made.save(out)
@@ -230,8 +227,9 @@ def certify(
     """
     with steps(1) as begin:
         begin("proving")
-        models = filter(None, map(load_link_model, others or ()))
-        certificate = prove(Design.load(design_file), modulus_margin=modulus_margin, others=models)
+        made = Design.load(design_file)
+        models = filter(None, (load_link_model(other, made.rig) for other in others or ()))
+        certificate = prove(made, modulus_margin=modulus_margin, others=models)
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
         # No file: a certificate that failed must not lie where the next stage looks for one.

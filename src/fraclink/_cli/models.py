@@ -111,6 +111,8 @@ def identify(
         # Each once, in the order in which they were found.
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
+    if fit.model.payload is None:
+        following = "repeat with --payload, the log's payload [kg]: without it `design` takes ω₀ from the rig"
     return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
 
 

@@ -129,7 +129,7 @@ def load_rig(name: str, *, link_mass: float | None = None, model: Path | None = 
     """Return the rig of a file, or the bundled one of that name, with the mass and the model given."""
     rig = Rig.load(Path(name)) if _is_path(name) else Rig.named(name)
     rig = rig if link_mass is None else replace(rig, link=replace(rig.link, mass=link_mass))
-    return rig if model is None else replace(rig, model=load_link_model(model))
+    return rig if model is None else replace(rig, model=load_link_model(model, rig))
 
 
 def _is_path(name: str) -> bool:
@@ -156,12 +156,18 @@ def required_model(rig: Rig) -> LinkModel:
     return rig.model
 
 
-def load_link_model(path: Path | None) -> LinkModel | None:
-    """Return the model of a file of `identify` or `design`; None where none is given."""
+def load_link_model(path: Path | None, rig: Rig | None = None) -> LinkModel | None:
+    """Return the model of a file of `identify` or `design`; None where none is given.
+
+    Of a fit it is the one that the loop of `rig` meets, where that is given (`Fit.loop_model`).
+    """
     if path is None:
         return None
+    kind = kind_of(path)
+    if kind == "fit" and rig is not None:
+        return Fit.load(path).loop_model(rig)
     # A design carries the model it was made for: who kept only design.json can go on.
-    return Design.load(path).model if kind_of(path) == "design" else load_model(path)
+    return Design.load(path).model if kind == "design" else load_model(path)
 
 
 def load_doubts(path: Path | None) -> tuple[Finding, ...]:
@@ -185,7 +191,7 @@ def load_design(path: Path, *, gear: float | None = None, model: Path | None = N
     made = Design.load(path)
     # The model of the option, of the rig, of the design, in this order: the twin takes its damping from it,
     # and a design of a fit may stand on a rig file without one.
-    rig = replace(made.rig, model=load_link_model(model) or made.rig.model or made.model)
+    rig = replace(made.rig, model=load_link_model(model, made.rig) or made.rig.model or made.model)
     return replace(made, rig=rig if gear is None else geared(rig, gear))
 
 

@@ -78,7 +78,13 @@ def _following(found: Start, log: str, out: Path) -> str:
     rig, model = (shlex.quote(str(out / name)) for name in START_FILES)
     if not found.passed:
         return f"fraclink diagnose {shlex.quote(log)} --rig {rig}"
-    return f"fill in the {found.blanks} blanks of {rig}, then fraclink design --rig {rig} --model {model}"
+    fill = f"fill in the {found.blanks} blanks of {rig}, then"
+    if found.fit.model.payload is None:
+        # No number of the rig file says with which payload this log was made; without it `design` could not
+        # use the ω₀ that was found.
+        again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model}"
+        return f"{fill} {again}, with the payload of this log for KG"
+    return f"{fill} fraclink design --rig {rig} --model {model}"
 
 
 def _ask(question: Question) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design.procedure import design
 from fraclink._law.design import Design
@@ -51,11 +52,21 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
         stated = None if rig.design is None else getattr(rig.design, name)
         if stated is not None and not {name, *instead} & set(asked):
             asked[name] = stated
-    if {"gain_crossover", "settling_time"} & set(asked):
-        made, assumed = _completed_margin(link, rig, asked)
-    else:
-        made, assumed = _usual_crossover(link, rig, asked)
-    return made, assumed
+    known = with_payload(link, rig)
+    crossing = {"gain_crossover", "settling_time"} & set(asked)
+    made, assumed = (_completed_margin if crossing else _usual_crossover)(known, rig, asked)
+    return made, (*_assumed_payload(link, known), *assumed)
+
+
+def _assumed_payload(link: LinkModel, known: LinkModel) -> tuple[str, ...]:
+    """What takes the place of the frequency of a log that nobody knows the payload of."""
+    if link.payload is not None or known.payload is None:
+        return ()
+    own, weight = link.natural_frequency, 1e3 * known.payload
+    return (
+        f"ω₀ {known.natural_frequency:.4g} at {weight:g} g, from the rig's stiffness and length, "
+        f"as the model's {own:.4g} belongs to a payload that it does not state",
+    )
 
 
 # What the rig's [design] table completes, and what else in the request takes its place.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.box import ParameterBox, arms_of
+from fraclink._arm.box import ParameterBox, arms_of, in_loop
 from fraclink._arm.controller import Controller
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
@@ -267,11 +267,11 @@ _BOX = "ParameterBox.of(model, rig), or True for it"
 def _link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     """The link of a model or a fit, with the gauge that the control loop has."""
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
-    found = getattr(model, "model", model)
+    # A fit knows what it could not show; anything else that carries a model is taken at its word.
+    found = model.loop_model(rig) if hasattr(model, "loop_model") else getattr(model, "model", model)
     link = checked_noun("model", found, LinkModel, remedy="give a fit, fit.model, or rig.model")
     checked_between("order", link.order, 1.0, 2.0, "(λ)", open_low=True, remedy="λ is 2 for a classical link")
-    # The logger alone may be late, and not the signal that the controller reads.
-    return link if rig.gauge.delay_in_loop else replace(link, gauge_delay=0.0)
+    return in_loop(link, rig)
 
 
 def requirements_of(task: Task, controller: Controller, spec: Specification) -> tuple[Requirement, ...]:

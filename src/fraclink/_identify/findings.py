@@ -264,7 +264,7 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
             "warning",
             "a deflection log cannot show the stiffness; the model carries 1 N·m/rad",
             {},
-            "give stiffness=",
+            "give stiffness=, or let `design` take the rig's",
         )
     size = abs(fit.gain)
     # Of a torque the gain is a stiffness, which may be any.

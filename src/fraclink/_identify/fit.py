@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
 from fraclink._files import document, load, save
 from fraclink._identify.least_squares import Interval
@@ -224,16 +225,17 @@ class Fit:
         return int(self.predicted.size)
 
     def loop_model(self, rig: Rig) -> LinkModel:
-        """Return the model as the control loop meets it.
+        """Return the model as the control loop of this rig meets it.
 
         A delay that belongs to the logger and not to the loop (``[gauge] delay_in_loop = false`` in the
-        rig file) is left out; everything else that was identified stays.
+        rig file) is left out, and the rig's stiffness stands in where the log could show none (W304);
+        everything else that was identified stays.
         """
-        if rig.gauge.delay_in_loop:
-            return self.model
-        # The interval of a delay that is not in the loop would widen what a design has to bear.
-        kept = tuple(row for row in self.model.intervals if row[0] != "gauge_delay")
-        return dataclasses.replace(self.model, gauge_delay=0.0, intervals=kept)
+        model = self.model
+        if any(finding.code == "W304" for finding in self.findings):
+            # The 1 N·m/rad of such a fit is nobody's: it would scale the tip estimate θm − Γ/c of the law.
+            model = dataclasses.replace(model, stiffness=rig.link.stiffness)
+        return in_loop(model, rig)
 
     def save(self, path: Path | str) -> None:
         """Write the fit as JSON, complete or not at all; `load` reads back an equal one.
