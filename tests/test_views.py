@@ -1022,6 +1022,10 @@ def summary(**more: Any) -> Any:
     return made("Summary", **(usual | more))
 
 
+def replace_drivers(metric: Any, correlation: float) -> Any:
+    return SimpleNamespace(**(vars(metric) | {"drivers": (("payload", correlation), ("noise", 0.0))}))
+
+
 def test_a_campaign_tells_quantiles_in_their_units_and_what_drives_them() -> None:
     from fraclink._law import MODES, REASONS
 
@@ -1034,6 +1038,10 @@ def test_a_campaign_tells_quantiles_in_their_units_and_what_drives_them() -> Non
             ("overshoot [%]", "1.23", "10", "payload −0.73"),
         ),
     )
+    # What is one value for all arms is driven by nothing, and no word says that it is.
+    weak, strong = (replace_drivers(summary().metrics[0], r) for r in (-0.149, 0.15))
+    rows = view(summary(metrics=(weak, strong))).tables[0].rows
+    assert [row[-1] for row in rows] == ["–", "payload +0.15"]
     assert shown.notes == ("payload given", f"4 runs: {MODES[2]} ({REASONS[1]})")
     assert view(summary(left_out="1 part", trips=(), passed=True)).notes == ("1 part", "payload given")
     told = to_json(summary())

@@ -17,7 +17,7 @@ from fraclink._campaign.faults import GROUPS, FaultTable, Outcome, fault_named
 from fraclink._show.drawing import Figure, Panel, beside, save_svg
 from fraclink._show.marks import Bars, Cells, Frame, Mark, Upright, escaped, percent
 from fraclink._show.scales import Scale
-from fraclink._show.tables import UNITS
+from fraclink._show.tables import UNITS, WEAK
 from fraclink._show.text import grams, number
 from fraclink._show.views import repeated
 
@@ -121,7 +121,7 @@ def driver_rows(
     for metric in metrics:
         known = dict(metric.drivers)
         cells = tuple(
-            (_correlation(known[name]), int(np.digitize(abs(known[name]), (0.15, 0.4, 0.7))))
+            (_correlation(known[name]), int(np.digitize(abs(known[name]), (WEAK, 0.4, 0.7))))
             for name in names
         )
         rows.append((metric.name.replace("_", " "), cells))

@@ -292,6 +292,11 @@ def metric_text(name: str, value: float) -> str:
     return number(UNITS[name][1] * value, 3) if math.isfinite(value) else "never"
 
 
+# A rank correlation below it explains 2 % of the ranks' variance at most, as chance does in a hundred runs:
+# nothing is said to drive such a metric.
+WEAK = 0.15
+
+
 def spread_table(summary: Summary) -> Table:
     """Quantiles of every metric over the arms of a campaign, and what drives it most."""
     shares = [f"{100 * q.probability:g} %" for q in summary.metrics[0].quantiles]
@@ -299,8 +304,9 @@ def spread_table(summary: Summary) -> Table:
     for metric in summary.metrics:
         values = (metric_text(metric.name, q.value) for q in metric.quantiles)
         # One driver: the strongest. The drawing of all of them is in the campaign's report.
-        driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in metric.drivers[:1])
-        rows.append((metric_name(metric.name), *values, driver.replace("-", "−")))
+        strong = [(name, r) for name, r in metric.drivers[:1] if abs(r) >= WEAK]
+        driver = ", ".join(f"{name.replace('_', ' ')} {r:+.2f}" for name, r in strong)
+        rows.append((metric_name(metric.name), *values, driver.replace("-", "−") or "–"))
     return Table(("metric", *shares, "driven by"), tuple(rows))
 
 
