@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fraclink as fl
 from fraclink._arm.log_columns import ColumnStatement
 from fraclink._logs import calibration
 from fraclink._logs.channels import Mode
@@ -375,6 +376,16 @@ def test_a_voltage_drives_the_motor_s_speed() -> None:
     broken = drive.copy()
     broken[3] = np.nan
     assert calibration.guess_voltage(weigh({"u": broken}), MOTOR) is None
+
+
+@pytest.mark.slow
+def test_a_column_that_is_the_angle_is_no_voltage_as_well(tmp_path: Path) -> None:
+    log = fl.read_log(fl.bundled_log("prbs_30g"))
+    table = np.column_stack([log.time, log.motor_angle, log.output])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="t,u,y", comments="")
+    found = fl.start(tmp_path / "log.csv", column=["motor_angle=u [rad]", "torque=y [Nm]"])
+    assert "voltage" not in {guess.part for guess in found.guesses}
+    assert found.experiment.voltage is None and "voltage" not in found.rig_file
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Literal
 
 import numpy as np
@@ -275,11 +276,15 @@ def _sign(weighing: Weighing, name: str, kind: str, mode: Mode | None) -> Litera
     return sign
 
 
-def guess_voltage(weighing: Weighing, angle: Array) -> Channel | None:
-    """The channel of the amplifier's voltage, where the log has one; a fit of the link does not need it."""
+def guess_voltage(weighing: Weighing, angle: Array, *, taken: Collection[int] = ()) -> Channel | None:
+    """The channel of the amplifier's voltage, where the log has one; a fit of the link does not need it.
+
+    `taken` are the places of angle and output: a column ``u`` that was stated to be one of them is not one.
+    """
     table, statement = weighing.table, weighing.statement("voltage")
     place = weighing.place(statement)
-    found = [p for p, name in enumerate(table.names) if role_of_name(name)[0] == "voltage"]
+    named = (p for p, name in enumerate(table.names) if role_of_name(name)[0] == "voltage")
+    found = [p for p in named if p not in taken]
     if place is None and len(found) == 1:
         place = found[0]
     if place is None or table.values[place].size != angle.size:

@@ -115,7 +115,8 @@ def _columns(weighing: Weighing) -> LogColumns | None:
     if found is None:
         return None
     kind, channel = found
-    return LogColumns(time, angle_channel, channel, kind, guess_voltage(weighing, in_radians))
+    voltage = guess_voltage(weighing, in_radians, taken=(angle, output))
+    return LogColumns(time, angle_channel, channel, kind, voltage)
 
 
 def _stiffness(weighing: Weighing, output: int, angle: Array, raw: Array, period: float) -> float:
