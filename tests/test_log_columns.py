@@ -56,7 +56,12 @@ def test_sign_scale_and_offset_of_a_channel() -> None:
         ("torque = + gauge ch [mNm]", ("torque", "gauge ch", "mNm", 1, None)),
         ("motor_angle=counts * 360/4096 [deg]", ("motor_angle", "counts", "deg", None, 360 / 4096)),
         ("deflection=a*b [rad]", ("deflection", "a*b", "rad", None, None)),  # a name with a star
-        ("torque=* -3 [Nm]", ("torque", "* -3", "Nm", None, None)),
+        ("torque=* -3 [Nm]", ("torque", None, "Nm", -1, 3.0)),
+        # As a laboratory writes its calibration: alpha_deg = -1.301 * strain_V.
+        ("deflection=strain * -1.301 [deg]", ("deflection", "strain", "deg", -1, 1.301)),
+        ("deflection=-strain * -1/4 [deg]", ("deflection", "strain", "deg", 1, 0.25)),
+        ("deflection=strain * +2 [deg]", ("deflection", "strain", "deg", None, 2.0)),
+        ("deflection=a - 2 * b [deg]", ("deflection", "a - 2 * b", "deg", None, None)),
         ("voltage=* 2e-3 [V]", ("voltage", None, "V", None, 2e-3)),
         ("time=#row * 0.004 [s]", ("time", "#row", "s", None, 0.004)),
         ("torque", None),

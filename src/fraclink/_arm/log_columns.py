@@ -192,7 +192,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
 # The factor stands behind a space or the equals sign: "k*2" without them may be a column's name.
 _NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _STATED = re.compile(
-    r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *("
+    r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *([-+]?"
     + _NUMBER
     + "(?:/"
     + _NUMBER
@@ -219,6 +219,8 @@ class ColumnStatement:
 
     >>> ColumnStatement.of("motor_angle=pot * 360/4096 [deg]").scale
     0.087890625
+    >>> ColumnStatement.of("deflection=strain * -1.301 [deg]").sign
+    -1
     """
 
     role: str
@@ -234,7 +236,11 @@ class ColumnStatement:
         if match is None or match[1] not in QUANTITY_OF:
             raise _not_understood(text, "not understood")
         sign: Literal[1, -1] | None = None if not match[2] else -1 if match[2] == "-" else 1
-        return ColumnStatement(match[1], match[3] or None, match[5] or None, sign, _factor(match[4], text))
+        scale = _factor(match[4], text)
+        if scale is not None and scale < 0.0:
+            # A calibration of -1.3 deg/V states the sign as "-strain * 1.3" does.
+            sign, scale = (1 if sign == -1 else -1), -scale
+        return ColumnStatement(match[1], match[3] or None, match[5] or None, sign, scale)
 
 
 def _factor(text: str | None, whole: str) -> float | None:
