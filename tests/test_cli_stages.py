@@ -271,6 +271,12 @@ def test_a_design_is_asked_for_in_radians_and_names_the_next_step(line: Line) ->
     assert {name: value for name, value in asked.last.items() if value is not None} == usual
 
 
+def test_a_gear_is_refused_by_the_name_of_its_option(line: Line) -> None:
+    for ratio in ("0", "-50"):
+        told = line(f"twin design.json --gear {ratio}")
+        assert told.code == 2 and told.err.startswith("error: gear: out of range"), told.err
+
+
 def test_a_study_reads_fits_and_designs_as_the_options_say(line: Line) -> None:
     arms = SimpleNamespace(failure=SimpleNamespace(count=0), failed=(17,))
     study = SimpleNamespace(law="a law", arms=None, verdict=SimpleNamespace(refuted=False))

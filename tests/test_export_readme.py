@@ -175,6 +175,8 @@ def test_claims_proved_failed_and_open() -> None:
     assert "- the loop is stable: not proved. no certificate was given." in words
     assert text.index("Proved") < text.index("does not hold") < text.index("## Not claimed")
     assert text.endswith(NOT_CLAIMED)
+    # The certificate bounds the second mode: what is left open are the modes that it does not name.
+    assert "modes of the link that nothing above names" in NOT_CLAIMED
     assert max(map(len, text.splitlines())) <= 110
     # A rounding that is proved stands among the claims, sharper: not in the table as well.
     shown = "| rounding of Ĉe"

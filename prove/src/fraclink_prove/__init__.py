@@ -46,7 +46,8 @@ def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim
     """State what `certificate` proves; it must be about the block that is exported, to the last bit."""
     claim = Claim("loop", "the sampled loop is stable with a distance from -1", "not proved")
     if certificate is None:
-        return replace(claim, reason="no certificate was given (fraclink._certify makes one from the design)")
+        reason = "no certificate was given (`fraclink certify` makes one from the design)"
+        return replace(claim, reason=reason)
     if not certificate.passed:
         return replace(claim, status="failed", reason=certificate.verdict)
     # By the hash of the block and not by the design: single precision has another one, and another proof.

@@ -36,7 +36,7 @@ DesignFile = Annotated[Path, typer.Argument(metavar="DESIGN"), "Design made by `
 RigName = Annotated[str, typer.Option(metavar="RIG"), "A rig file, or a bundled rig such as paper-2023"]
 ModelFile = Annotated[Path | None, "Model of identify, or a design; default: the rig's or the design's own"]
 LinkMass = Annotated[float | None, "Mass of the link [kg]; default: the rig's"]
-Gear = Annotated[float | None, "Gear ratio to put before the motor; default: the rig's"]
+Gear = Annotated[ranges.Positive | None, "Gear ratio to put before the motor; default: the rig's"]
 PayloadRange = Annotated[
     tuple[float, float] | None, typer.Option(metavar="LOW HIGH"), "Payload range [kg]; default: the rig's"
 ]

@@ -225,8 +225,8 @@ class Proof:
 
 NOT_CLAIMED = """\
 Anything about the compiler; about a motor loop that is not the one designed for; about Coulomb friction,
-modes above the first, saturation, a payload that changes in a move (simulated only); about the physical
-robot.
+modes of the link that nothing above names, saturation, a payload that changes in a move (simulated only);
+about the physical robot.
 """
 
 
