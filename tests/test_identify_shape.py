@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -226,6 +227,39 @@ def searched(log: Experiment, **options: object) -> Search:
 @pytest.fixture(scope="module")
 def log() -> Experiment:
     return made_log(noise=0.05, samples=2501)
+
+
+class Counted:
+    """A kernel whose passes over the data are counted."""
+
+    passes = 0
+
+    def __init__(self, kernel: Any) -> None:
+        self.kernel = kernel
+
+    def costs(self, rows: Any, *options: Any) -> Any:
+        Counted.passes += len(rows)
+        return self.kernel.costs(rows, *options)
+
+    def solve(self, *options: Any) -> Any:
+        found = self.kernel.solve(*options)
+        Counted.passes += found[5]
+        return found
+
+
+def test_evaluations_are_all_passes_of_the_search(log: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = Window.kernel
+    monkeypatch.setattr(Window, "kernel", lambda self, *given, **named: Counted(made(self, *given, **named)))
+    monkeypatch.setattr(Counted, "passes", 0)
+    search = searched(log)
+    first = search.solve("UD-FOM").evaluations
+    assert first == Counted.passes > 0
+    # Of the others the work that they start from is a part: special cases, and a row of undamped links.
+    for name in ("UD-IOM", "D-FOM"):
+        assert search.solve(name).evaluations == Counted.passes > first
+    guess = replace(TRUTH, natural_frequency=9.0)
+    monkeypatch.setattr(Counted, "passes", 0)
+    assert searched(log, guess=guess).solve("UD-FOM").evaluations == Counted.passes
 
 
 def test_limits_follow_the_scan(log: Experiment) -> None:

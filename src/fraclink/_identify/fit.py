@@ -140,7 +140,8 @@ class Fit:
     converged
         whether the optimiser met its tolerance.
     evaluations
-        passes over the data that it took.
+        passes over the data that the search took until it was found, those of the scan and of the structures
+        that it was started from included.
     predicted, residual
         model and output − model, every sample of the log, shape (N,) [unit].
     findings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,10 @@ _PLACES = 9  # over the range of frequencies, where a first fit has failed
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The least-squares point of one structure: coordinates, linear parameters, Gram matrix there."""
+    """The least-squares point of one structure: coordinates, linear parameters, Gram matrix there.
+
+    `evaluations`: passes over the data that the search had taken by then.
+    """
 
     structure: str
     free: tuple[int, ...]
@@ -150,7 +153,7 @@ class Search:
         narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
         if self.start is not None:
             narrow = np.concatenate([narrow, self.start[None, :]])
-            costs = kernel.costs(narrow, self.gain, self.offset)
+            costs = self._costs(kernel, narrow)
         best: Shape = narrow[int(np.argmin(costs))]
         if "delay" in self.fixed:
             return best
@@ -158,8 +161,7 @@ class Search:
         # finds the right frequency with the wrong phase, or another frequency.
         late = np.concatenate([_delayed(near, part) for part in _DELAY_STARTS])
         kernel = self.window.kernel(math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True)
-        late_costs = kernel.costs(late, self.gain, self.offset)
-        self._evaluations += len(late)
+        late_costs = self._costs(kernel, late)
         least = int(np.argmin(late_costs))
         return best if float(np.min(costs)) <= late_costs[least] else np.asarray(late[least])
 
@@ -168,8 +170,11 @@ class Search:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         order = self.fixed.get("order", order)
         rows = np.array([[order, x, 0.0, 1.0, delay] for x in places])
+        return rows, self._costs(kernel, rows)
+
+    def _costs(self, kernel: FitProblem, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         self._evaluations += len(rows)
-        return rows, kernel.costs(rows, self.gain, self.offset)
+        return kernel.costs(rows, self.gain, self.offset)
 
     def limits(self, *, may_lead: bool) -> tuple[Shape, Shape]:
         """Lower and upper limits of the coordinates; `may_lead` admits a delay below zero."""
@@ -200,7 +205,7 @@ class Search:
                     found = self._over_the_jumps(found)
                 elif self.window.is_rough:
                     found = self._over_the_kinks(found)
-            self.solutions[name] = found
+            self.solutions[name] = replace(found, evaluations=self._evaluations)
         return self.solutions[name]
 
     def _from_other_valleys(self, found: Solution) -> Solution:
@@ -311,12 +316,13 @@ class Search:
         status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
             starts, mask_of(free), lower, upper, self.gain, self.offset, _ITERATIONS
         )
+        self._evaluations += evaluations
         if status == 3:
             raise NotConvergedError(
                 f"the fit of {name}", reached=math.inf, wanted=0.0, remedy="examine the log with diagnose"
             )
         return Solution(
-            name, free, shape, gain, offset, cost, gram, lower, upper, status, evaluations + self._evaluations
+            name, free, shape, gain, offset, cost, gram, lower, upper, status, self._evaluations
         )
 
     def _starts(self, name: str) -> Iterable[Shape]:
@@ -346,7 +352,7 @@ class Search:
         reach = min(math.ceil(0.15 / spacing), 60)
         offsets = near[1] + spacing * np.arange(-reach, reach + 1)
         rows = np.array([[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}])
-        costs = self.kernel.costs(rows, self.gain, self.offset)
+        costs = self._costs(self.kernel, rows)
         yield from rows[np.argsort(costs)[:3]]
 
     def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterable[Shape]:
