@@ -460,7 +460,7 @@ def test_blocks_are_as_wide_as_lines_and_samples_allow() -> None:
         (10, 1999, 1),
         (size, 100_000, 1),
     ):
-        assert slopes_._width(count, samples) == wanted, (count, samples)
+        assert slopes_.width(count, samples) == wanted, (count, samples)
 
 
 def test_a_coarse_record_is_near_the_exact_one() -> None:
@@ -482,6 +482,34 @@ def test_a_coarse_record_is_near_the_exact_one() -> None:
     assert rows[0] == pytest.approx(made, rel=1e-6, abs=1e-9)  # k ∂/∂k of what is straight in k
     crude = Rows(data).coarse(own, truth, crude=True)
     assert crude is not None and crude.count <= coarse.count
+
+
+@pytest.mark.parametrize("cut", [1, 1003, 4000])
+def test_of_a_cut_record_the_rows_are_the_end_of_the_whole_ones(cut: int) -> None:
+    whole, own = slow_record(), coordinates("k/(s**a + c*s + w)")
+    late = fl.Recording(0.02, whole.input[cut:] + 5.0, whole.output[cut:])
+    data = RecordStart.of(late, "first", 8000 - cut, whole.input[:cut] + 5.0)
+    assert np.array_equal(data.whole_input, whole.input + 5.0 - 5.0)
+    truth = {"k": 2.0, "a": 1.3, "c": 0.4, "w": 1.0}
+    values = {name: np.array([[value]]) for name, value in truth.items()}
+    assert data.simulated(own.structure, values, 1)[0] == pytest.approx(whole.output[cut:], abs=1e-12)
+    coarse = Rows(data).coarse(own, truth)
+    assert coarse is not None and coarse.sharp
+    rows = coarse.rows(own, truth)
+    assert rows is not None
+    # By differences of the exact response to the whole input: another way than the transform.
+    at = np.array([[float(own.place(name, truth[name])) for name in own.names]])
+    for k, row in enumerate(rows):
+        ends = (own.values(at + sign * 1e-5 * np.eye(4)[k], projected=False) for sign in (1, -1))
+        above, below = (whole.simulated(own.structure, end, 1)[0] for end in ends)
+        wanted = blocks_of((above - below)[cut:] / 2e-5, coarse.width)
+        assert np.linalg.norm(row - wanted) < 5e-3 * np.linalg.norm(wanted)
+
+
+def test_the_band_of_a_cut_record_is_that_of_all_its_input() -> None:
+    u = np.sin(2 * np.pi * 2.5 * 0.01 * np.arange(2000))  # 50 periods, cut at a crest: no step there
+    late = fl.Recording(0.01, u[1010:], u[1010:])
+    assert RecordStart.of(late, "first", 990, u[:1010]).band == pytest.approx((5 * np.pi, 5 * np.pi))
 
 
 def test_an_input_that_jumps_and_a_free_delay_have_no_rows() -> None:

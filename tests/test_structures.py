@@ -48,6 +48,44 @@ def lines(
 # --- recovery -----------------------------------------------------------------------------------------------
 
 
+# From the second pair no start leads there that is ranked as if the cut were a rest, from the third none that
+# is drawn so.
+@pytest.mark.parametrize(("seed", "late"), [(3, 700), (3, 1300), (7, 1300)])
+def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(seed: int, late: int) -> None:
+    truth = {"k": 1.56, "a": 1.92, "w": 100.0, "T": 0.004}
+    text, period = "k*s**a/(s**a + w)*exp(-T*s)", 0.004
+    levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 26)
+    levels[0] = 0.0
+    # 12 ms of a servo: smooth enough for straight lines between the samples.
+    angle = fl.time_response(1 / (0.012 * fl.s + 1) ** 2, np.repeat(levels, 100), period).output + 0.7
+    torque = fl.time_response(
+        parse_expression(text).function(truth), angle - 0.7, period, hold="first"
+    ).output
+    noise = 0.02 * torque.std() * np.random.default_rng(4).standard_normal(torque.size)
+    cut = fl.Experiment(
+        period=period,
+        motor_angle=angle[late:],
+        output=(torque + noise)[late:] + 0.3,
+        earlier_angle=angle[:late],
+    )
+    fit = fl.identify_structure(cut, text, details=False)
+    for name, value in truth.items():
+        assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name], name
+    # Over the whole rest, with what was held out: nothing is missing at the cut.
+    assert np.std(fit.predicted - 0.3 - torque[late:]) < 0.1 * noise.std()
+
+
+def test_a_ring_down_that_was_cut_from_a_move_is_driven_by_the_move() -> None:
+    time = 0.004 * np.arange(1500)
+    angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1)
+    torque = fl.time_response(1.5 * fl.s**1.9 / (fl.s**1.9 + 80), angle, 0.004, hold="first").output
+    still = fl.Experiment(
+        period=0.004, motor_angle=angle[100:], output=torque[100:], earlier_angle=angle[:100]
+    )
+    fit = fl.identify_structure(still, "k*s**a/(s**a + w)", hold="first", heldout=0.0, details=False)
+    assert fit.parameters == pytest.approx({"k": 1.5, "a": 1.9, "w": 80.0}, rel=1e-4)
+
+
 @pytest.mark.parametrize(
     ("expression", "truth"),
     [

@@ -205,6 +205,7 @@ class Search:
                     found = self._over_the_jumps(found)
                 elif self.window.is_rough:
                     found = self._over_the_kinks(found)
+            # The best one need not be the last one: what was tried after it was work, too.
             self.solutions[name] = replace(found, evaluations=self._evaluations)
         return self.solutions[name]
 
@@ -321,9 +322,7 @@ class Search:
             raise NotConvergedError(
                 f"the fit of {name}", reached=math.inf, wanted=0.0, remedy="examine the log with diagnose"
             )
-        return Solution(
-            name, free, shape, gain, offset, cost, gram, lower, upper, status, self._evaluations
-        )
+        return Solution(name, free, shape, gain, offset, cost, gram, lower, upper, status, self._evaluations)
 
     def _starts(self, name: str) -> Iterable[Shape]:
         """Points to start from; only the undamped fractional link, which fits any ring-down, needs a scan."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
@@ -180,13 +180,18 @@ class Samples(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Points s with the transform of input and output there, and the weight of each point's error."""
+    """Points s with the transform of input and output there, and the weight of each point's error.
+
+    `of_constant` is the transform of an offset; of a record that was cut in mid-motion D Y − N U is no zero
+    but the state at the cut, of integer orders a polynomial: `of_state` (2, K) is what its terms are made of.
+    """
 
     points: Complexes
     input: Complexes
     output: Complexes
     weight: Reals
     of_constant: Complexes | None = None
+    of_state: Complexes | None = None
 
     @cached_property
     def measured(self) -> Reals:
@@ -231,19 +236,31 @@ class Lines(Spectrum):
 
 @dataclass(frozen=True, eq=False)
 class RecordStart:
-    """The first samples of a recording, with the response that a candidate would have there."""
+    """The first samples of a recording, with the response that a candidate would have there.
+
+    `earlier` (H,) is the input just before them, of a log that was cut: it moves the output, and nothing is
+    compared with it.
+    """
 
     input: Reals
     output: Reals
     period: float
     hold: Literal["zero", "first"]
+    earlier: Reals = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
-    def of(cls, record: Recording, hold: Hold, count: int) -> RecordStart:
-        """The first `count` samples; the input counts from rest."""
-        moved = np.asarray(record.input, dtype=np.float64) - record.input_at_rest
+    def of(cls, record: Recording, hold: Hold, count: int, earlier: Reals | None = None) -> RecordStart:
+        """The first `count` samples; the input counts from rest, which `earlier` begins with."""
+        before = np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
+        rest = float(before[0]) if before.size else record.input_at_rest
+        moved = np.asarray(record.input, dtype=np.float64) - rest
         chosen = _hold(moved, hold)
-        return cls(moved[:count], np.asarray(record.output)[:count], record.period, chosen)
+        return cls(moved[:count], np.asarray(record.output)[:count], record.period, chosen, before - rest)
+
+    @cached_property
+    def whole_input(self) -> Reals:
+        """The input from before the cut on, shape (H + N,)."""
+        return np.concatenate([self.earlier, self.input])
 
     @property
     def measured(self) -> Reals:
@@ -274,8 +291,8 @@ class RecordStart:
                 del self._latest[next(iter(self._latest))]
             try:
                 found = time_response(
-                    structure.function(values), self.input, self.period, hold=self.hold
-                ).output
+                    structure.function(values), self.whole_input, self.period, hold=self.hold
+                ).output[self.earlier.size :]
             except (FieldError, NotConvergedError):  # improper, a delay below zero, a response beyond doubles
                 found = np.full(self.output.size, np.nan)
             self._latest[key] = found
@@ -291,6 +308,8 @@ class RecordStart:
 
         A damped record has a transform though it ends, and of the damping the response knows: G is evaluated
         at σ + jω. The samples between which a line is drawn have the transform of that line.
+
+        Of a cut log it knows nothing of what was before: starts are drawn from it, and not ranked by it.
         """
         count, period = self.output.size, self.period
         damping = _DECAYS / (count * period)
@@ -301,23 +320,28 @@ class RecordStart:
         spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
         lines = np.unique(np.concatenate([[0], spread]))
         points = damping + 2j * math.pi * lines / (count * period)
-        transforms = [np.fft.rfft(damped * values)[lines] for values in (self.input, self.output)]
+        # From where the cut found it; one that rests behind the cut rings as from a step there.
+        cut = self.earlier.size > 0 and np.ptp(self.input) > 0
+        moved = self.input - self.input[0] if cut else self.input
+        transforms = [np.fft.rfft(damped * values)[lines] for values in (moved, self.output)]
         width = np.gradient(lines.astype(np.float64)) if lines.size > 1 else np.ones(1)
         # The real point stands for half a line's width: its other half is the mirror image at negative ω.
         width[0] = max(width[0] / 2, 0.5)
-        into = held_transform(transforms[0], points, period, self.hold, float(self.input[0]))
+        into = held_transform(transforms[0], points, period, self.hold, float(moved[0]))
         out = held_transform(transforms[1], points, period, "first", float(self.output[0]))
         # Each point stands for the lines around it: evenly in ln ω, yet counted as the whole record would
         # count.
         weight = np.sqrt(width) / math.sqrt(float(np.sum(width * np.abs(out) ** 2)) or 1.0)
-        return Spectrum(points, into, out, weight, 1.0 / points)
+        state = np.stack([np.ones_like(points), points]) if self.earlier.size else None
+        return Spectrum(points, into, out, weight, 1.0 / points, state)
 
     @property
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency [rad/s] at which the input has power."""
         # Of the differences: a step excites all frequencies alike, and would seem to excite the lowest alone.
-        power = np.abs(np.fft.rfft(np.diff(self.input, prepend=0.0)))[1:]
-        frequency = 2 * math.pi * np.arange(1, power.size + 1) / (self.input.size * self.period)
+        moved = self.whole_input
+        power = np.abs(np.fft.rfft(np.diff(moved, prepend=0.0)))[1:]
+        frequency = 2 * math.pi * np.arange(1, power.size + 1) / (moved.size * self.period)
         excited = frequency[power > _EXCITED * power.max()]
         return float(excited[0]), float(excited[-1])
 

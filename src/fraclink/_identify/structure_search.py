@@ -118,7 +118,10 @@ class StructureSearch:
         spectrum = data.spectrum if isinstance(data, RecordStart) else data
         low, high = self.coordinates.box(self.coordinates.moving)
         begin = Starts(self.coordinates, spectrum, self.offset is None).places()
-        draws = self._ranked(spectrum, np.clip(begin, low, high))
+        screen: Samples = spectrum
+        if isinstance(data, RecordStart) and data.earlier.size:
+            screen = self._rows_of(data).screen()
+        draws = self._ranked(screen, np.clip(begin, low, high))
         if start is not None:
             # Before the others and not in their place: a wrong start costs one descent and hides nothing.
             given = [float(self.coordinates.place(name, start[name])) for name in self.coordinates.moving]
@@ -126,10 +129,10 @@ class StructureSearch:
         # Few steps tell a promising descent from a lost one; only the former are worth an end.
         names = self.coordinates.moving
         orders = [k for k, n in enumerate(names) if self.coordinates.structure.roles[n] == "order"]
-        first = _distinct(self._descend(spectrum, draws, low, high, iterations=_FIRST_STEPS), orders)
+        first = _distinct(self._descend(screen, draws, low, high, iterations=_FIRST_STEPS), orders)
         if not first:
             raise self._lost()
-        again = self._descend(spectrum, np.array(first[:_TRIED]), low, high, iterations=60)
+        again = self._descend(screen, np.array(first[:_TRIED]), low, high, iterations=60)
         ranked = _distinct(again, orders)
         if isinstance(data, RecordStart):
             if start is not None:
@@ -143,7 +146,7 @@ class StructureSearch:
                 last = self._over_the_jumps(data, last, low, high)
         else:
             last = self._settled(data, np.array(ranked[:_TRIED]), low, high)
-        last = self._back_from_zero(data, spectrum, last, low, high)
+        last = self._back_from_zero(data, screen, last, low, high)
         order = [k for k in np.argsort(last.costs) if np.isfinite(last.costs[k])]
         return [
             self.place(data, last.places[k], float(last.costs[k]), converged=bool(last.converged[k]))
@@ -176,7 +179,7 @@ class StructureSearch:
         return found
 
     def _back_from_zero(
-        self, data: Samples, spectrum: Spectrum, found: Descent, low: Reals, high: Reals
+        self, data: Samples, screen: Samples, found: Descent, low: Reals, high: Reals
     ) -> Descent:
         """The best place again from larger values of coefficients that vanished.
 
@@ -191,7 +194,7 @@ class StructureSearch:
             # A factor e a step over twelve decades: a valley of a coefficient is wider than that in the
             # logarithm.
             tried[:, k] = np.linspace(max(low[k], -_VANISHED), min(high[k], _VANISHED), _RETURNS)
-            costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, tried), rest)
+            costs = np.einsum("mr,mr->m", rest := self.residuals(screen, tried), rest)
             near = np.flatnonzero(costs <= _RETURNED * np.nanmin(costs))
             begin = tried[near[-_TRIED:]]
             # The transform does not tell them apart as the samples do: each is settled there.
@@ -202,8 +205,7 @@ class StructureSearch:
         """The place that the descent from one set of coordinates, shape (1, p), ends at."""
         low, high = self.coordinates.box(self.coordinates.moving)
         found = self._settled(data, begin, low, high)
-        converged = bool(found.converged[0])
-        return self.place(data, found.places[0], float(found.costs[0]), converged=converged)
+        return self.place(data, found.places[0], float(found.costs[0]), converged=bool(found.converged[0]))
 
     def _lost(self) -> NotConvergedError:
         remedy = "check that the structure is proper (use a frequency response if it is not), or give start"
@@ -277,7 +279,6 @@ class StructureSearch:
             return np.asarray(differences(many, x[None, :], residuals(x)[None, :], low, high)[0].T)
 
         ends, costs, converged = [], [], []
-        power = float(data.measured @ data.measured)
         for place in places:
             begin = np.clip(place, low + 1e-9, high - 1e-9)  # strictly inside, as the method demands
             first = residuals(begin)
@@ -301,13 +302,13 @@ class StructureSearch:
             ends.append(found.x)
             # scipy's cost is half a sum of squares.
             costs.append(2.0 * float(found.cost))
-            least = max(ENOUGH * costs[-1], PERFECT * power)
+            least = max(ENOUGH * costs[-1], PERFECT * float(data.measured @ data.measured))
             converged.append(found.status > 0 and decrement(found) <= least)
         return Descent(np.array(ends), np.array(costs), np.array(converged), 0)
 
-    def _ranked(self, spectrum: Spectrum, draws: Reals) -> Reals:
+    def _ranked(self, screen: Samples, draws: Reals) -> Reals:
         """The best draws."""
-        costs = np.einsum("mr,mr->m", rest := self.residuals(spectrum, draws), rest)
+        costs = np.einsum("mr,mr->m", rest := self.residuals(screen, draws), rest)
         self.evaluations += len(draws)
         return draws[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][:_DESCENTS]
 
@@ -352,8 +353,7 @@ class StructureSearch:
         found = self.blocks(data, place)
         if found is not None and found.sharp:
             return found
-        own = self.coordinates
-        names = own.names
+        own, names = self.coordinates, self.coordinates.names
         at = np.array([[float(own.place(name, place.values[name])) for name in names]])
         low, high = own.box(names)
 

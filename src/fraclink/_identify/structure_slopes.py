@@ -36,6 +36,7 @@ _SHARP = 1e-5  # … so little that a descent may end on such rows: what is left
 _FINER = 4  # samples of a row for each that its lines would need: its blocks are then nearly constant
 _COARSEST = 16
 _FEWEST = 1000  # blocks: a residual's colour is found in so many
+_SCREENED = 3000  # lines at most for a candidate of a search: a millisecond, and 20 rad/s of eight minutes
 _WRONG = 2e-2  # of the output: a transform back that misses it by more is not used
 _CLOSE = 4e-3  # … and one on which a descent may end misses it by less
 
@@ -144,22 +145,27 @@ class _Slopes:
         """Twice the samples: what comes behind the end does not wrap around to the beginning."""
         # A multiple of the coarsest block, so that every width divides it, and of small primes, or the
         # transform is ten times slower.
-        return _COARSEST * int(next_fast_len(-(-2 * self.data.output.size // _COARSEST), real=True))
+        return _COARSEST * int(next_fast_len(-(-2 * self.data.whole_input.size // _COARSEST), real=True))
 
     @cached_property
     def _points(self) -> Complexes:
-        count, period = self.data.output.size, self.data.period
+        count, period = self.data.whole_input.size, self.data.period
         lines = np.arange(self._size // 2 + 1)
         return np.asarray(self.decay / (count * period) + 2j * math.pi / (self._size * period) * lines)
 
     @cached_property
     def _input(self) -> Complexes:
         """Transform of the held input, over the period: that of the output's samples, but for G."""
-        own = self.data
-        damped = own.input * np.exp(-self.decay / own.output.size * np.arange(own.output.size))
+        own, moved = self.data, self.data.whole_input
+        damped = moved * np.exp(-self.decay / moved.size * np.arange(moved.size))
         samples = rfft(damped, self._size)
-        held = held_transform(samples, self._points, own.period, own.hold, float(own.input[0]))
+        held = held_transform(samples, self._points, own.period, own.hold, float(moved[0]))
         return np.asarray(held / own.period)
+
+    @property
+    def highest(self) -> int:
+        """Lines up to |s| Ts = 1, where the line between two samples is no longer the signal."""
+        return max(int(self._size / (2 * math.pi)), 1)
 
     @cached_property
     def _spread(self) -> NDArray[np.int64]:
@@ -187,7 +193,7 @@ class _Slopes:
         last = int(self._spread[needed[-1]]) + 1 if needed.size else self._points.size
         return min(last, self._points.size // 2), aliased
 
-    def _width(self, count: int, samples: int) -> int:
+    def width(self, count: int, samples: int) -> int:
         """Samples of a block, for so many lines."""
         width = _COARSEST
         # Halved until the lines fit below the coarse grid's Nyquist frequency with room, and blocks enough
@@ -198,14 +204,15 @@ class _Slopes:
 
     def back(self, lines: Complexes, width: int) -> Reals:
         """The signals (…, N/width) of transforms at the first lines, one value for each block of samples."""
-        count, size = lines.shape[-1], self.data.output.size
-        middle = 0.5 * (width - 1)
-        # To the middle of each block: its mean is there, and not at its first sample.
+        count, size, span = lines.shape[-1], self.data.output.size, self.data.whole_input.size
+        # To the middle of each block: its mean is there, and not at its first sample. The first block begins
+        # with the first output, behind all that moved it before.
+        middle = span - size + 0.5 * (width - 1)
         turned = lines * np.exp(2j * math.pi * middle / self._size * np.arange(count))
         found = irfft(turned, self._size // width, axis=-1)[..., : size // width]
         # The transform counts the samples of the coarse grid only, each for a block of `width`.
         # The damping that made the transform converge is taken off again: at the end by e^1 or e^4.
-        growth = np.exp(self.decay / size * (middle + width * np.arange(size // width)))
+        growth = np.exp(self.decay / span * (middle + width * np.arange(size // width)))
         return np.asarray(found * (growth / math.sqrt(width)))
 
     def output(self, structure: Expression, values: Mapping[str, Any], count: int, width: int) -> Reals:
@@ -230,7 +237,7 @@ class _Slopes:
             count, aliased = self._enough(own, values, left_out)
             if not aliased <= _ALIASED:
                 return None
-            width = self._width(count, simulated.size)
+            width = self.width(count, simulated.size)
             each = {name: np.array([[value]]) for name, value in values.items()}
             missed = self.output(own.structure, each, count, width)[0] - blocks_of(simulated, width)
             # Against the exact response, once for each place: no error bound of the transform would know of a
@@ -286,6 +293,16 @@ class Rows:
     @cached_property
     def _of_decays(self) -> tuple[_Slopes, ...]:
         return tuple(_Slopes(self.data, decay) for decay in _DECAYS)
+
+    def screen(self) -> Coarse:
+        """The recording for many candidates, none of which is known to be near: as far up as lines are cheap.
+
+        Of a cut log: its transform alone lacks what the output still does by the motion before the cut.
+        """
+        # The more damped line: candidates that hardly decay must not wrap around.
+        slopes = self._of_decays[-1]
+        count = min(_SCREENED, slopes.highest)
+        return Coarse(slopes, count, slopes.width(count, self.data.output.size), sharp=False)
 
     def coarse(
         self, own: StructureCoordinates, values: Mapping[str, float], *, crude: bool = False

@@ -129,6 +129,8 @@ class Starts:
             if self.spectrum.of_constant is not None and self.offset_is_free:
                 # N U + c D/s − D Y: an offset in the output passes the same denominator.
                 columns.append(row * self.spectrum.of_constant * divisor)
+            if self.spectrum.of_state is not None:
+                columns += [row * state for state in self.spectrum.of_state]
             found = _least_squares(np.stack(columns, axis=1), -row * equations[0])[:, : len(names)]
             divisor = bottoms[0] + np.einsum("nmk,mn->mk", bottoms[1:], found)
         return {name: found[:, k] for k, name in enumerate(names)}

@@ -60,7 +60,8 @@ def identify_structure(
     Parameters
     ----------
     data
-        a log (motor angle to output), any two channels as a `Recording`, or a `FrequencyResponse`.
+        a log (motor angle to output, with the angle from before a cut), any two channels as a `Recording`,
+        or a `FrequencyResponse`.
     expression
         numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur several times; what stands
         in an exponent of s is an order, in ``exp`` a delay, elsewhere a coefficient.
@@ -116,7 +117,10 @@ def identify_structure(
     else:
         record = data if isinstance(data, Recording) else Recording.of(data)
         fitted = _fitted(record, heldout)
-        samples, whole = RecordStart.of(record, hold, fitted), RecordStart.of(record, hold, record.input.size)
+        earlier = data.earlier_angle if isinstance(data, Experiment) else None
+        samples, whole = (
+            RecordStart.of(record, hold, count, earlier) for count in (fitted, record.input.size)
+        )
         longest = _LONGEST_DELAY * record.period * fitted
         _check_motion(samples)
     coordinates = _coordinates(structure, known, bounds or {}, longest)
@@ -151,7 +155,7 @@ def _fitted(record: Recording, heldout: float | None) -> int:
 
 def _check_motion(samples: RecordStart) -> None:
     # Not the input's range: a step at the first sample never changes and excites everything.
-    for name, still in (("input", not np.any(samples.input)), ("output", np.ptp(samples.output) == 0)):
+    for name, still in (("input", not np.any(samples.whole_input)), ("output", np.ptp(samples.output) == 0)):
         if still:
             remedy = "check the column, or fit a part in which it moves"
             raise LogError(name, 0.0, "constant over the fitted part", allowed="a motion", remedy=remedy)
