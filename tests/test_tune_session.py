@@ -532,6 +532,34 @@ def test_a_watch_fits_anew_with_the_order_held_and_compares(monkeypatch: pytest.
         fl.watch(short, tuned)
 
 
+def test_the_friction_of_a_cut_record_is_seen_under_the_load_of_the_whole_motion(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loads: list[Any] = []
+
+    def motor_of(voltage: Any, angle: Any, *, torque: Any, **_: Any) -> Any:
+        loads.append(torque)
+        return SimpleNamespace(coulomb_voltage=0.1, standard_errors={"coulomb_voltage": 0.003})
+
+    monkeypatch.setattr(watching, "identify_motor", motor_of)
+    tuned: Any = SimpleNamespace(motor=SimpleNamespace(friction=0.1, fit=SimpleNamespace(delay=0.0)))
+    fit: Any = SimpleNamespace(model=RIG.model)
+    angle = 0.4 * np.clip((0.004 * np.arange(800) - 0.5) / 0.4, 0, 1)
+    log = fl.Experiment(period=0.004, motor_angle=angle, output=0 * angle, voltage=1.0 + 0 * angle)
+    cut = replace(
+        log,
+        motor_angle=angle[200:],
+        output=log.output[200:],
+        voltage=np.ones(600),
+        earlier_angle=angle[:200],
+    )
+    for record in (log, cut):
+        watching._friction(record, fit, tuned)
+    exact = fl.time_response(RIG.model.torque(), angle, 0.004, hold="first").output  # type: ignore[union-attr]
+    assert loads[0] == pytest.approx(exact, abs=1e-6) and loads[1] == pytest.approx(exact[200:], abs=1e-6)
+    assert np.ptp(exact[:200]) > 0.1
+
+
 def test_a_stage_that_is_whole_is_not_made_again(session: _Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wiring and motor, then the link; what the motor's stage recorded plans the link's first excitation."""
     fit = SimpleNamespace(gain=61.0, decay=15.0, delay=0.0041)

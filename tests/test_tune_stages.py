@@ -16,6 +16,7 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
+from fraclink._identify import identify_motor, simulated_torque
 from fraclink._law import Law
 from fraclink._realtime import tune_link as linking
 from fraclink._realtime.connections import Callback, Command
@@ -52,13 +53,37 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     assert motor.loop.pole == 60.0 and motor.rounds >= 2  # one round alone is never believed
     assert link.fit.model.order == pytest.approx(1.92, abs=0.003)
     assert link.fit.passed and shortfall(link.fit) <= 1.0
-    assert link.motor.fit.inertia == pytest.approx(RIG.motor.inertia * RIG.motor.gear_ratio**2, rel=0.25)
+    # In the gauge's units: it reads curvature, and the twin's moment on the hub is D = (jω)^(2−λ) times that.
+    stiffened = 11.9 ** (2 - 1.92)  # at the vibration of 11.9 rad/s
+    hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
+    assert abs(link.fit.model.pole) == pytest.approx(11.9, rel=0.01)
+    assert link.motor.fit.inertia == pytest.approx(hub / stiffened, rel=0.02)
     ((reach, duration, error),) = link.rounds
     assert (reach, error) == (0.1, link.fit.standard_errors["order"]) and 7.0 < duration < 10.0
     record = made.record
     for column, most in ((1, LIMITS.angle), (2, LIMITS.speed), (3, LIMITS.torque), (4, LIMITS.voltage)):
         assert np.abs(record[:, column]).max() <= 0.8 * most
     assert guard.count * PERIOD < 45.0
+
+
+@pytest.mark.slow
+def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(stages: Stages) -> None:
+    """Under D(s) times the gauge's reading, as the twin's equations have it, the motor's fit finds n²J."""
+    _, guard, _, _, link = stages
+    # The moves of the link's stage with the burst of 2 s behind them.
+    record = guard.record(guard.count - round((link.rounds[0][1] + 2.0) / PERIOD))
+    model = link.fit.model  # that of a link with mass, whose ω₀ is below the lumped one of the rig
+    reading = simulated_torque(model, record.angle, PERIOD, hold="first")
+    size = 4 * reading.size  # the material forgets: what wraps around is below a thousandth
+    w = 2 * np.pi * np.fft.rfftfreq(size, PERIOD)
+    moment = np.fft.irfft((1j * w) ** (2 - model.order) * np.fft.rfft(reading, size), size)[: reading.size]
+    hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
+    found = identify_motor(record.voltage, record.angle, period=PERIOD, torque=moment)
+    assert found.inertia == pytest.approx(hub, rel=0.005)
+    # The reading alone is not that moment at all frequencies: it explains a hundred times less.
+    assert (
+        found.nmse < 0.02 * identify_motor(record.voltage, record.angle, period=PERIOD, torque=reading).nmse
+    )
 
 
 # --- the motor's loop and what follows it ----------------------------------------------------------------

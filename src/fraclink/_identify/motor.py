@@ -108,7 +108,9 @@ def identify_motor(
     period
         sampling period [s].
     torque
-        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself.
+        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself, in the
+        torque's units. Of a gauge that reads curvature, on a link of order λ, J is too small by
+        ω^(2−λ) at the vibration: the moment on the hub is so much larger than the reading.
     inertia
         J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
     delay, dead_zone

@@ -97,7 +97,8 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     Parameters
     ----------
     log
-        a record that begins at rest, with the voltage; `RealtimeRun.experiment` makes one.
+        a record that begins at rest, or that knows the angle before its cut, with the voltage;
+        `RealtimeRun.experiment` makes one.
     tuning
         what `tune` found.
 
@@ -166,7 +167,9 @@ def _friction(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
     assert tuning.motor is not None  # noqa: S101  # `watch` looked
     if log.voltage is None:
         return ()
-    torque = simulated_torque(fit.model, log.motor_angle, log.period, hold="first")
+    # All of the angle: a link that swings at a cut loads the motor by what it did before.
+    whole = simulated_torque(fit.model, log.whole_angle, log.period, hold="first")
+    torque = whole[-log.motor_angle.size :]
     try:
         found = identify_motor(
             log.voltage,
