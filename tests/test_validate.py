@@ -455,6 +455,20 @@ def test_what_was_given_is_shown_in_one_line() -> None:
     assert (error.value, error.problem) == (2.0, "out of range (entry the only one)")
 
 
+def test_a_number_out_of_an_array_is_shown_as_it_was_written() -> None:
+    bounded = Annotated[NDArray[np.float64], Array(1), Between(0.0, 2.0)]
+    for entry in (math.nan, -2.5, 3.0):
+        assert f"(got {entry!r})" in str(refusal(bounded, np.array([1.0, entry])))
+    for scalar, words in (
+        (np.float32(0.5), "0.5"),
+        (np.True_, "True"),
+        (np.int64(7), "7"),
+        (np.str_("a"), "a"),
+    ):
+        error = FieldError("x", scalar, "wrong", allowed="another", remedy="")
+        assert str(error) == f"x: wrong (got {words}); expected another."
+
+
 def test_what_to_do_fits_the_kind() -> None:
     assert refusal(float, "x").remedy == "check the value and its unit"
     assert refusal(int, 1.5).remedy == "give a whole number"

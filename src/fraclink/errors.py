@@ -48,6 +48,10 @@ _SENTENCE_LIMIT = 400
 
 def value_text(value: object) -> str:
     """Return repr(value), or its type where Python declines: a whole number of over 4300 digits."""
+    # An entry of an array reads nan and 0.5, not np.float64(nan): the reader wrote no type. By the module's
+    # name, as errors load without NumPy.
+    if type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0:
+        value = getattr(value, "item")()  # noqa: B009 - what every such scalar has
     try:
         return repr(value)
     except ValueError:
