@@ -484,6 +484,15 @@ def test_a_coarse_record_is_near_the_exact_one() -> None:
     assert crude is not None and crude.count <= coarse.count
 
 
+def test_of_a_long_history_three_lengths_of_the_record_count_from_the_first_rest() -> None:
+    u = 2.0 + np.sin(0.3 * np.arange(5000))
+    data = RecordStart.of(fl.Recording(0.02, u[4500:], u[4500:]), "first", 300, u[:4500])
+    assert data.whole_input == pytest.approx(u[3000:4800] - u[0])
+    y = fl.time_response(2 / (fl.s**1.3 + 0.4 * fl.s + 1), u - u[0], 0.02, hold="first").output
+    made = data.simulated(parse_expression("2/(s**a + 0.4*s + 1)"), {"a": np.array([[1.3]])}, 1)[0]
+    assert made == pytest.approx(y[4500:4800], abs=1e-3 * np.ptp(y))
+
+
 @pytest.mark.parametrize("cut", [1, 1003, 4000])
 def test_of_a_cut_record_the_rows_are_the_end_of_the_whole_ones(cut: int) -> None:
     whole, own = slow_record(), coordinates("k/(s**a + c*s + w)")
