@@ -12,6 +12,7 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
+from fraclink._identify import simulated_torque
 from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
 from fraclink._identify.search import Search, Solution, _delayed, _lowest_valleys, special_cases
 from fraclink._identify.shape import (
@@ -260,6 +261,28 @@ def test_evaluations_are_all_passes_of_the_search(log: Experiment, monkeypatch: 
     guess = replace(TRUTH, natural_frequency=9.0)
     monkeypatch.setattr(Counted, "passes", 0)
     assert searched(log, guess=guess).solve("UD-FOM").evaluations == Counted.passes
+
+
+@pytest.mark.parametrize("name", ["UD-IOM", "D-IOM", "D-FOM"])
+def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(log: Experiment, name: str) -> None:
+    search = searched(log)  # of a link of order 1.92, which is what a scan begins with
+    found = search.solve(name)
+    assert found.shape[0] == 2.0
+    assert search._from_other_valleys(found).shape[0] == 2.0
+
+
+def test_of_a_long_history_three_lengths_of_the_log_move_the_link() -> None:
+    angle = np.sin(0.011 * np.arange(6000)) + 0.3 * np.sin(0.05 * np.arange(6000))
+    torque = simulated_torque(TRUTH, angle, PERIOD, hold="first")
+    cut = Experiment(PERIOD, angle[5000:], torque[5000:], earlier_angle=angle[:5000])
+    search = searched(cut, heldout=0.4, hold="first")
+    assert search.window.angle == pytest.approx(angle[2000:5600])
+    assert search.window.output == pytest.approx(torque[5000:5600])
+    # What moved before is forgotten: the link's own parameters, with nothing of it in them.
+    found = model_of(search.solve("UD-FOM").shape, 1.0, None)
+    assert found.natural_frequency == pytest.approx(TRUTH.natural_frequency, rel=1e-4)
+    short = Experiment(PERIOD, angle[4000:], torque[4000:], earlier_angle=angle[:4000])
+    assert searched(short, hold="first").window.angle.size == 6000
 
 
 def test_limits_follow_the_scan(log: Experiment) -> None:

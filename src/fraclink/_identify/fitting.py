@@ -20,6 +20,7 @@ from fraclink._identify.residual import ResidualTests, find_second_mode, residua
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
+    HISTORY,
     ORDER_LIMITS,
     Hold,
     Vector,
@@ -106,9 +107,10 @@ def make_search(
 
 
 def fitted_window(log: Experiment, count: int, hold: Literal["zero", "first"]) -> Window:
-    """The first `count` samples of a log, moved by all that the motor is known to have done."""
-    whole = log.whole_angle
-    return Window(whole[: whole.size - log.output.size + count], log.output[:count], log.period, hold)
+    """The first `count` samples of a log, moved by what the motor is known to have done before."""
+    samples = log.output.size
+    whole = log.whole_angle[-(1 + HISTORY) * samples :]
+    return Window(whole[: whole.size - samples + count], log.output[:count], log.period, hold)
 
 
 def _check_motion(log: Experiment, count: int) -> None:
@@ -237,7 +239,10 @@ def fit_from(
         source=log.source,
         sha256=log.sha256,
     )
-    mode = find_second_mode(search, solution, log.whole_angle, residual) if details else (None, None)
+    mode: tuple[SecondMode | None, float | None] = (None, None)
+    if details:
+        whole = fitted_window(log, log.output.size, window.hold)
+        mode = find_second_mode(search, solution, whole.angle, residual)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
     motion = motion_after(log, window.samples)
     findings = findings_of(fit, solution, errors, stiffness, motion, log)

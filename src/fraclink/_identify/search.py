@@ -217,7 +217,8 @@ class Search:
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         places = np.linspace(low, high, _PLACES)
-        order = self.fixed.get("order", _SCAN_ORDER)
+        # λ where it is not free is the structure's own: a link of order 2 begun at 1.92 would keep that.
+        order = _SCAN_ORDER if 0 in found.free else float(found.shape[0])
         kept = self.seed, self._kernel
         for row in (found.shape, *(np.array([order, x, 0.0, 1.0, 0.0]) for x in places)):
             self._seed, self._kernel = row, None

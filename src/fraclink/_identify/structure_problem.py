@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
-from fraclink._identify.shape import Hold, chosen_hold
+from fraclink._identify.shape import HISTORY, Hold, chosen_hold
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, NotConvergedError
 
@@ -152,9 +152,6 @@ _POINTS = 160  # of the transform: a resonance of ζ = 0.05 is met by three of t
 _DECAYS = 5.0  # e^-5 of what a record does not show is left in its transform
 _HIGHEST = 1.0  # |s| Ts: up to there the line between two samples is the signal to 8 %
 _KEPT = 4  # responses
-# Lengths of a record before its cut: what does not die in three of them shows no damping in one. Of ten
-# seconds cut out of an hour every candidate would else respond to the hour.
-_HISTORY = 3
 _EXCITED = 1e-3  # of the largest line: below, the input does not excite
 
 
@@ -258,7 +255,7 @@ class RecordStart:
         rest = float(before[0]) if before.size else record.input_at_rest
         moved = np.asarray(record.input, dtype=np.float64) - rest
         chosen = _hold(moved, hold)
-        kept = before[-_HISTORY * moved.size :] - rest
+        kept = before[-HISTORY * moved.size :] - rest
         return cls(moved[:count], np.asarray(record.output)[:count], record.period, chosen, kept)
 
     @cached_property
