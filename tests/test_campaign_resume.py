@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ import pytest
 from campaigns import computed, continued, parts_of, small, started
 from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign, summarise
 from fraclink._campaign import run as part_module
+from fraclink._campaign import summary as summary_module
 from fraclink._campaign.run import compute
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
@@ -229,8 +231,61 @@ def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys
     assert found.left_out in (copy / "report.html").read_text("utf-8")
 
 
+def drop_digests(path: Path) -> None:
+    """Edit one number, and take out what would tell."""
+    from pyarrow import parquet
+
+    rewrite(path)
+    table = parquet.read_table(path)
+    told = {key: value for key, value in table.schema.metadata.items() if key != b"digests"}
+    parquet.write_table(table.replace_schema_metadata(told), path, compression="zstd")
+
+
+def state_fewer_runs(path: Path) -> None:
+    about = path.with_name("campaign.json")
+    about.write_text(about.read_text("utf-8").replace('"runs": 2500', '"runs": 2000'), "utf-8")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers, rewrite])
+def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(copy, capsys):
+    """A campaign.json with fewer runs than were computed would hide those that failed."""
+    state_fewer_runs(copy / "part-0000002.parquet")
+    found = summarise(part_module.load_campaign(copy), copy)
+    assert found.damaged == (2,) and not found.passed and found.failure.runs == 2000
+    assert found.left_out.startswith("part-0000002.parquet left out: beyond the 2000 runs that campaign.json")
+    assert main(["campaign", "report", str(copy)]) == 1
+    assert "part-0000002.parquet left out" in " ".join(capsys.readouterr().out.split())
+    assert run_campaign(small(), copy).before == 2500  # its command, given again
+    assert summarise(small(), copy).left_out == ""
+
+
+@pytest.mark.slow
+def test_a_campaign_that_has_just_begun_is_not_asked_for_a_million_parts(copy, monkeypatch):
+    asked = set()
+
+    def noted(campaign, folder, part, **names):
+        asked.add(part)
+        return read_part(campaign, folder, part, **names)
+
+    monkeypatch.setattr(summary_module, "read_part", noted)
+    assert summarise(replace(small(), runs=10**9), copy).failure.runs == 2000  # the last part is a short one
+    assert asked == {0, 1, 2}
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+def test_a_pipe_in_the_place_of_a_part_holds_nobody(tmp_path):
+    pipe = part_module.part_path(tmp_path, 0)
+    os.mkfifo(pipe)
+    with ThreadPoolExecutor() as pool:
+        reading = pool.submit(read_part, small(), tmp_path, 0)
+        done, _ = wait((reading,), timeout=20)
+        if not done:  # let it go, or the test itself waits
+            os.close(os.open(pipe, os.O_WRONLY | os.O_NONBLOCK))
+        assert done and reading.result() is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers, rewrite, drop_digests])
 def test_a_damaged_part_is_done_again(copy, whole, damage):
     kept = identities(copy)
     path = copy / "part-0000001.parquet"

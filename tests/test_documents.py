@@ -15,6 +15,7 @@ import sys
 import threading
 import zipfile
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -334,6 +335,25 @@ def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
         load(tmp_path / "none.json")
     with pytest.raises(FileFormatError):
         load(tmp_path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("ending", ["json", "npz"])
+def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(ending: str, tmp_path: Path) -> None:
+    """Whoever opens a pipe that nobody writes to waits for ever."""
+    os.mkfifo(tmp_path / f"pipe.{ending}")
+    (tmp_path / f"folder.{ending}").mkdir()
+    with ThreadPoolExecutor() as pool:
+        for place in sorted(tmp_path.iterdir()):
+            reading, asking = pool.submit(load, place), pool.submit(kind_of, place)
+            done, _ = wait((reading, asking), timeout=20)
+            if len(done) < 2:  # let them go, or the test itself waits
+                os.close(os.open(place, os.O_WRONLY | os.O_NONBLOCK))
+            assert asking in done and asking.result() == ""
+            assert reading in done
+            error = reading.exception()
+            assert isinstance(error, FileFormatError) and error.problem == "not a file"
+            assert error.value == place.name
 
 
 def test_the_kind_is_known_without_reading_the_rest(tmp_path: Path) -> None:

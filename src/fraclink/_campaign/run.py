@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
+import re
 import sys
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -26,7 +27,16 @@ from fraclink._files import RENAMED, atomic_write, checked_path
 from fraclink._validate import FilePath, Workers, checked
 from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
 
-__all__ = ["Progress", "compute", "part_path", "process_pool", "read_part", "run_campaign", "write_part"]
+__all__ = [
+    "Progress",
+    "compute",
+    "part_path",
+    "parts_there",
+    "process_pool",
+    "read_part",
+    "run_campaign",
+    "write_part",
+]
 
 PATIENCE = (
     5  # pools that die one after the other without a single part done: something kills every one of them
@@ -269,6 +279,14 @@ def part_path(folder: Path, part: int) -> Path:
     return folder / f"part-{part:07d}.parquet"
 
 
+def parts_there(folder: Path) -> list[int]:
+    """Return the numbers of the parts whose names stand in `folder`, whatever the files hold, in order."""
+    # The folder and not the campaign is walked: one of 10⁹ runs that has just begun has a million names to
+    # ask for, 27 s of processor time, and a file too many would never be met.
+    found = (re.fullmatch(r"part-(\d{7,12})\.parquet", file.name) for file in folder.glob("part-*.parquet"))
+    return sorted(int(name[1]) for name in found if name)
+
+
 def write_part(campaign: Campaign, folder: Path, part: int) -> int:
     """Simulate a part and write its file in one step; return its number of runs."""
     pa, parquet = _parquet()
@@ -304,10 +322,11 @@ def read_part(
     damaged or of another campaign.
     """
     pa, parquet = _parquet()
+    place = part_path(folder, part)
+    if not place.is_file():  # a pipe of that name would hold its reader for ever
+        return None
     try:
-        with parquet.ParquetFile(
-            part_path(folder, part), memory_map=False, page_checksum_verification=True
-        ) as file:
+        with parquet.ParquetFile(place, memory_map=False, page_checksum_verification=True) as file:
             schema, rows = file.schema_arrow, file.metadata.num_rows
             own = {RENAMED.get(name, name): name for name in schema.names}
             table = file.read(columns=[own[name] for name in names if name in own] if names else None)
@@ -324,8 +343,10 @@ def read_part(
     if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(part):
         return None
     columns = {name: table[name].to_numpy() for name in table.column_names}
-    if b"digests" in meta:  # not in the parts of release 0.1
-        digests = dict(zip(schema.names, meta[b"digests"].split(b","), strict=False))
+    # The parts of release 0.1 have neither digests nor the later columns; one that has these columns had the
+    # digests, too, and who took them out has edited it.
+    if b"digests" in meta or not _LATER.keys().isdisjoint(own):
+        digests = dict(zip(schema.names, meta.get(b"digests", b"").split(b","), strict=False))
         if any(digests.get(name) != _digest(values).encode() for name, values in columns.items()):
             return None
     columns = {RENAMED.get(name, name): values for name, values in columns.items()}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, betaincinv
 
 from fraclink._campaign.campaign import Campaign
-from fraclink._campaign.run import part_path, read_part
+from fraclink._campaign.run import part_path, parts_there, read_part
 from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 
@@ -102,8 +102,9 @@ class Summary:
     """What `summarise` found: failures, tripped runs by (mode, reason), every metric, and what the law was
     given of the payloads, in words; empty where it was given nothing.
 
-    damaged: numbers of the parts that are there and are not believed: cut, edited, or of another campaign;
-    their runs are in no figure. left_out: what is missing, in words; empty where nothing is.
+    damaged: numbers of the parts that are there and are not believed: cut, edited, of another campaign, or
+    beyond the last run of this one; their runs are in no figure. left_out: what is missing, in words; empty
+    where nothing is.
     """
 
     failure: Failure
@@ -132,7 +133,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
 
     missing = sorted(set(range(campaign.parts)) - set(parts))
-    damaged = tuple(part for part in missing if part_path(place, part).exists())
+    damaged = tuple(sorted(set(parts_there(place)) - set(parts)))
     # One column after the other: a million runs of 25 columns would be 200 MB at once.
     run, passed = column("run"), column("passed").astype(bool)
     failed = run[~passed]
@@ -152,17 +153,27 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
 
 def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]) -> str:
     """Which runs are in no figure, and what brings them back."""
-    if not missing:
-        return ""
-    runs = sum(campaign.part_runs(part) for part in missing)
-    told = f"{runs} of {campaign.runs} runs are left out: "
-    named = ", ".join(part_path(place, part).name for part in damaged[:3])
-    more = f" and {len(damaged) - 3} more" if len(damaged) > 3 else ""
-    parts = [f"{named}{more} damaged or edited"] if damaged else []
-    waiting = len(missing) - len(damaged)
-    if waiting:
-        parts.append(f"{waiting} part{'s' if waiting > 1 else ''} not computed yet")
-    return f"{told}{'; '.join(parts)}. The command that began the campaign computes them"
+    inside = tuple(part for part in damaged if part < campaign.parts)
+    told = []
+    if missing:
+        runs, waiting = sum(campaign.part_runs(part) for part in missing), len(missing) - len(inside)
+        causes = [f"{_named(place, inside)} damaged or edited"] if inside else []
+        causes += [f"{waiting} part{'s' if waiting > 1 else ''} not computed yet"] if waiting else []
+        told.append(
+            f"{runs} of {campaign.runs} runs are left out: {'; '.join(causes)}. "
+            "The command that began the campaign computes them"
+        )
+    if beyond := damaged[len(inside) :]:
+        told.append(
+            f"{_named(place, beyond)} left out: beyond the {campaign.runs} runs that campaign.json states. "
+            "Remove it if it is not of this campaign; else its command, given again, states them all"
+        )
+    return ". ".join(told)
+
+
+def _named(place: Path, parts: tuple[int, ...]) -> str:
+    more = f" and {len(parts) - 3} more" if len(parts) > 3 else ""
+    return ", ".join(part_path(place, part).name for part in parts[:3]) + more
 
 
 def _given(campaign: Campaign) -> str:
@@ -187,7 +198,8 @@ def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArra
 
 def _finished(campaign: Campaign, place: Path) -> list[int]:
     # every column: one that is damaged leaves its part out from the beginning, and not from one figure
-    parts = [part for part in range(campaign.parts) if read_part(campaign, place, part) is not None]
+    there = (part for part in parts_there(place) if part < campaign.parts)
+    parts = [part for part in there if read_part(campaign, place, part) is not None]
     if not parts:
         raise FieldError(
             "parts",

@@ -39,6 +39,7 @@ from fraclink._files.containers import (
     broken,
     checked_path,
     edited,
+    existing_file,
     guarded,
     header_of,
     json_text,
@@ -238,6 +239,8 @@ def kind_of(path: Path | str) -> str:
     place = Path(path)
     if place.suffix == ".toml":
         return "rig"
+    if not place.is_file():
+        return ""
     start = b""
     with contextlib.suppress(OSError), place.open("rb") as stream:
         # Kind and format stand in front of everything in what `save` writes: 200 bytes tell a folder's files
@@ -254,6 +257,7 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the object of a document and its arrays, JSON or NPZ by the file's first bytes."""
     what, archive = "a file of fraclink", False
     arrays: dict[str, NDArray[Any]] = {}
+    existing_file(place, what)
     with contextlib.suppress(OSError), place.open("rb") as stream:
         archive = stream.read(2) == _ZIP
     if archive:

@@ -33,6 +33,7 @@ __all__ = [
     "atomic_write",
     "broken",
     "checked_path",
+    "existing_file",
     "guarded",
     "header_of",
     "json_text",
@@ -148,11 +149,19 @@ def write_text(path: Path | str, text: str) -> None:
         stream.write(text)
 
 
+def existing_file(path: Path | str, what: str) -> Path:
+    """Return `path` after checking that a file of that name is there; FileFormatError otherwise."""
+    place = Path(path)
+    # A pipe without a writer would hold whoever opens it for ever, and a device never ends.
+    if not place.is_file():
+        problem = "not a file" if place.exists() else "not there"
+        raise broken(what, place, problem, "check the path")
+    return place
+
+
 def read_text(path: Path | str, what: str, *, limit: int = JSON_LIMIT) -> str:
     """Return the text of a UTF-8 file of at most `limit` bytes; FileFormatError otherwise."""
-    place = Path(path)
-    if not place.is_file():
-        raise broken(what, place, "not there", "check the path")
+    place = existing_file(path, what)
     try:
         with place.open("rb") as stream:
             # One byte more than is allowed, as a size that is asked for before may be another by now.
@@ -290,9 +299,7 @@ def write_archive(stream: IO[bytes], header: str, arrays: Mapping[str, NDArray[A
 
 def read_archive(path: Path | str, what: str) -> tuple[str, dict[str, NDArray[Any]]]:
     """Return the header's text and the arrays (read-only) of an NPZ archive; FileFormatError otherwise."""
-    place = Path(path)
-    if not place.is_file():
-        raise broken(what, place, "not there", "check the path")
+    place = existing_file(path, what)
     try:
         with zipfile.ZipFile(place) as archive:
             _check_members(archive, what, place)
