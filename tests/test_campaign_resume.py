@@ -355,6 +355,21 @@ def test_the_folder_of_another_campaign_is_refused(copy):
         run_campaign(replace(small(), seed=8), copy)
 
 
+def test_a_folder_with_a_study_is_not_made_a_campaigns(tmp_path):
+    """A kill before campaign.json leaves the same two files: there the campaign goes on."""
+    save_campaign(small(), tmp_path)
+    (tmp_path / "campaign.json").unlink()
+    kept = (tmp_path / "law.json").read_bytes()
+    part_module._claim(small(), tmp_path)
+    assert load_campaign(tmp_path) == small()
+    (tmp_path / "campaign.json").unlink()
+    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text("utf-8") + "# mine", "utf-8")
+    with pytest.raises(FieldError, match=r"a folder with another rig\.toml, which a campaign would replace"):
+        run_campaign(small(), tmp_path)
+    assert (tmp_path / "rig.toml").read_text("utf-8").endswith("# mine")
+    assert (tmp_path / "law.json").read_bytes() == kept and not (tmp_path / "campaign.json").exists()
+
+
 def test_campaigns_read_back_equal(tmp_path):
     save_campaign(small(), tmp_path)
     back = load_campaign(tmp_path)

@@ -193,6 +193,54 @@ def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFi
     assert {path.name: path.read_bytes() for path in told_run.folder.iterdir()} == before
 
 
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("twin D --move-time 0", "move_time: out of range (got 0.0); expected 1e-9 to 1e9 s."),
+        (
+            "simulate D --payload 0.03 --move-time nan",
+            "move_time: not finite (got nan); expected 1e-9 to 1e9 s.",
+        ),
+        ("twin D --gear -7", "gear: out of range (got -7.0); expected > 0."),
+        ("optimise D --least-percent -7", "least_percent: out of range (got -7.0); expected 0 to 100 %."),
+        (
+            "compare --rig paper-2023 --phase-margin-deg -7",
+            "phase_margin_deg: out of range (got -7.0); expected > 0 and <= 179 °.",
+        ),
+    ],
+)
+def test_an_error_about_an_option_has_its_name_and_its_unit(
+    line: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not those of the function behind it: -7 % is no 'least: -0.07', and -7° no 'phase_margin: -0.122'."""
+    monkeypatch.chdir(tmp_path)
+    design_for(Rig.named("paper-2023"), filter_time=0.0)[0].save("D")
+    assert main(line.split()) == 2
+    assert capsys.readouterr().err.startswith(f"error: {told}")
+
+
+@pytest.mark.parametrize(
+    ("line", "files"),
+    [
+        ("run --rig paper-2023 --log demo --out F", ("rig.toml", "law.json", "log.npz", "certificate.json")),
+        ("campaign montecarlo --runs 10 --rig paper-2023 --out F", ("rig.toml", "law.json")),
+        ("campaign faults --rig paper-2023 --only F01 --out F", ("run.npz", "faults.md")),
+        ("compare --rig paper-2023 --out F", ("comparison.json", "comparison.svg")),
+    ],
+)
+def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
+    line: str, files: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in files:
+        folder = tmp_path / name.replace(".", "-")
+        folder.mkdir()
+        (folder / name).write_text("# mine", "utf-8")
+        assert main([*line.split()[:-1], str(folder)]) == 2
+        told = capsys.readouterr().err
+        assert told.startswith("error: out: ") and "hoose another" in told
+        assert [(f.name, f.read_text("utf-8")) for f in folder.iterdir()] == [(name, "# mine")]
+
+
 @pytest.mark.slow
 def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     capsys: pytest.CaptureFixture[str], tmp_path: Path

@@ -113,6 +113,35 @@ def test_what_is_there_needs_force(tmp_path: Path) -> None:
     assert output_path(place, force=True) == place
 
 
+def test_a_place_where_no_file_can_be_made_is_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "text").write_text("mine")
+    for place in (tmp_path / "text" / "x.json", tmp_path / "text" / "new" / "x.json"):
+        with pytest.raises(FieldError, match="below text, which is not a folder") as told:
+            output_path(place, force=True)
+        assert (told.value.field, told.value.value) == ("out", str(place))
+        assert told.value.remedy == "choose another folder"
+    with pytest.raises(FieldError, match="a folder"):
+        output_path(tmp_path, force=True)
+    with pytest.raises(FieldError, match="already there"):
+        output_path("/")
+    assert output_path(tmp_path / "new" / "newer" / "x.json").name == "x.json"
+    monkeypatch.setattr(os, "access", lambda place, _: place != tmp_path)  # root may write everywhere
+    with pytest.raises(FieldError, match=r"not writable \(no permission in "):
+        output_path(tmp_path / "new" / "x.json")
+
+
+def test_an_error_of_the_system_names_the_file_that_was_asked_for() -> None:
+    """And not the temporary one, which nobody knows and which is gone."""
+    missing = Path("/proc/fraclink-test")
+    if not Path("/proc/self").exists():
+        pytest.skip("this system has no /proc, where no file can be made")
+    with pytest.raises(OSError, match="fraclink-test") as told, atomic_write(missing):
+        pass
+    assert told.value.filename == str(missing)
+
+
 def test_the_hash_is_that_of_the_bytes(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1

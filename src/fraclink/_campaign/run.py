@@ -16,6 +16,7 @@ from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -140,6 +141,14 @@ def _claim(campaign: Campaign, place: Path) -> None:
         # longer.
         if known.runs >= campaign.runs:
             return
+    elif (other := _not_ours(campaign, place)) is not None:
+        raise FieldError(
+            "out",
+            str(place),
+            f"a folder with another {other}, which a campaign would replace",
+            allowed="a new folder, or one of the same campaign",
+            remedy="choose another folder",
+        )
     try:
         save_campaign(campaign, place)
     except OSError as error:
@@ -150,6 +159,18 @@ def _claim(campaign: Campaign, place: Path) -> None:
             allowed="a folder that can be written",
             remedy="choose another folder",
         ) from error
+
+
+def _not_ours(campaign: Campaign, place: Path) -> str | None:
+    """The file of a study or a person, in a folder without a campaign, that this campaign would overwrite."""
+    # A kill between the first file and campaign.json leaves the files of this campaign: they are the same.
+    with TemporaryDirectory() as folder:
+        save_campaign(campaign, Path(folder))
+        for name in ("rig.toml", "law.json"):
+            there = place / name
+            if there.is_file() and there.read_bytes() != (Path(folder) / name).read_bytes():
+                return name
+    return None
 
 
 def _is_done(campaign: Campaign, place: Path, part: int) -> bool:

@@ -58,6 +58,7 @@ app = group()
 
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
 _FIGURES, _NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
+_COMPARISON = ("comparison.md", "comparison.json", "comparison.svg")
 _POINTS = 41  # payloads of a curve: the sampled margins take most of the second it costs
 
 
@@ -153,7 +154,9 @@ class BoundOptions(TypedDict):
 def optimise(
     design_file: DesignFile,
     out: Annotated[Path, "File to write the design to", Writes()] = Path("optimised.json"),
-    least_percent: Annotated[float, "Improvement below which the simpler structure is kept"] = 2.0,
+    least_percent: Annotated[
+        float, Between(0.0, 100.0, "%"), "Improvement below which the simpler structure is kept"
+    ] = 2.0,
     **bounds: Unpack[BoundOptions],
 ) -> Answer:
     """Optimise k_d, β, δ and n for the worst payload, from a closed-form design.
@@ -172,7 +175,7 @@ def optimise(
 @command(app)
 def compare(
     rig: RigName,
-    out: Annotated[Path, "Folder for table, figure and figures as JSON", Writes(("comparison.md",))] = Path(
+    out: Annotated[Path, "Folder for table, figure and figures as JSON", Writes(_COMPARISON)] = Path(
         "comparison"
     ),
     only: Annotated[
@@ -181,7 +184,7 @@ def compare(
     model: ModelFile = None,
     link_mass: LinkMass = None,
     gain_crossover: Annotated[float, "Crossover of the design by fraclink [rad/s]"] = 12.0,
-    phase_margin_deg: Annotated[float, "Phase margin of the design by fraclink [°]"] = 50.0,
+    phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin of the design by fraclink"] = 50.0,
     filter_time: FilterTime = None,
     seed: SeedNumber = 0,
 ) -> Answer:

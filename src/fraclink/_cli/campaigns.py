@@ -144,9 +144,9 @@ class BenchOptions(TypedDict):
 
 @command(campaign)
 def faults(
-    out: Annotated[Path, "Folder for the table, its page and figures", Writes(("faults.json",))] = Path(
-        "faults"
-    ),
+    out: Annotated[
+        Path, "Folder for the table, its page and figures", Writes(("faults.json", "faults.md", "run.npz"))
+    ] = Path("faults"),
     only: Annotated[list[str] | None, typer.Option(metavar="FAULT"), "A fault, e.g. F07"] = None,
     severity: Annotated[list[int] | None, typer.Option(metavar="LEVEL"), "1, 2 or 3; default: all"] = None,
     payload: Annotated[

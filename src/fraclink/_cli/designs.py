@@ -51,6 +51,19 @@ from fraclink._simulate import simulate as run_law
 
 app = group()
 
+# What a person may have put there before the first run, and what a run leaves: of all the files of a study
+# these are the ones whose loss would cost something.
+_STUDY = (
+    "model.json",
+    "design.json",
+    "report.html",
+    "rig.toml",
+    "log.npz",
+    "law.json",
+    "certificate.json",
+    "study.json",
+)
+
 Script = Annotated[bool, "With the arm that moves; without it the report holds no script at all"]
 Open = Annotated[bool, "Open the page in a browser when it is written"]
 
@@ -65,9 +78,7 @@ class RunOptions(LogOptions, DesignRequest):
 def run(
     rig: RigName,
     log: Annotated[str, "The log; `demo` is the bundled one"],
-    out: Annotated[Path, "Folder to write to", Writes(("model.json", "design.json", "report.html"))] = Path(
-        "results"
-    ),
+    out: Annotated[Path, "Folder to write to", Writes(_STUDY)] = Path("results"),
     structure: Annotated[str | None, "Structure of the model; default: what the log supports"] = None,
     heldout: HeldOutShare = None,
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,

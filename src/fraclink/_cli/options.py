@@ -209,7 +209,8 @@ def reference_of(
         # Refused rather than dropped: a user who gives a size believes that it counts.
         refuse_beside("--reference", "the move of the file", amplitude=amplitude, move_time=move_time)
         return read_reference(path)
-    time = usual_time if move_time is None else move_time
+    # Under the option's own name: a reference calls it its duration.
+    time = ranges.Between(1e-9, 1e9, "s").check("move_time", usual_time if move_time is None else move_time)
     return smooth_step(1.0 if amplitude is None else amplitude, duration=time)
 
 

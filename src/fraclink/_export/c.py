@@ -13,7 +13,7 @@ from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_cas
 from fraclink._export.data import data_header, exact_flags, exact_sizes, identifier, law_source, title_text
 from fraclink._export.payload import payload_files, payload_readme
 from fraclink._export.selftest import expected, selftest_source
-from fraclink._files import atomic_write
+from fraclink._files import atomic_write, output_path
 from fraclink._law import Law
 from fraclink._law.block import Precision
 from fraclink._law.estimator import PayloadEstimator
@@ -95,6 +95,7 @@ def export_c(
             allowed="a new or an empty folder",
             remedy="choose another name or add --force",
         )
+    output_path(place / "law.c", force=True)  # a folder that cannot be made is told before the work
     # From here on everything is about the law in the precision that is shipped: limits and coefficients are
     # rounded once, here, and the self-test, the bounds and the proof are those of the rounded numbers.
     shipped = law if precision is None else law.in_precision(precision)

@@ -106,10 +106,28 @@ def checked_path(field: str, value: object) -> Path:
 def output_path(path: Path | str, *, force: bool = False) -> Path:
     """Return `path` after checking that it may be written; an existing file needs `force`."""
     place = checked_path("out", path)
+    _check_ground(place)
+    if place.is_dir() and force:  # only a file is replaced by a file
+        remedy = "give a file's name"
+        raise FieldError("out", str(place), "a folder", allowed="the name of a file", remedy=remedy)
     if place.exists() and not force:
         remedy = "choose another name or add --force"
         raise FieldError("out", str(place), "already there", allowed="a new name", remedy=remedy)
     return place
+
+
+def _check_ground(place: Path) -> None:
+    """Refuse a place in which no file can be made before the work, which would be lost there."""
+    # Folders that are missing are made, below the nearest one that is there; the root has none above it.
+    ground = next((folder for folder in place.absolute().parents if os.path.lexists(folder)), place)
+    if not ground.is_dir():
+        problem = f"below {ground.name}, which is not a folder"
+    elif not os.access(ground, os.W_OK | os.X_OK):
+        problem = f"not writable (no permission in {ground})"
+    else:
+        return
+    allowed, remedy = "a place in a folder that can be written", "choose another folder"
+    raise FieldError("out", str(place), problem, allowed=allowed, remedy=remedy)
 
 
 @contextlib.contextmanager
@@ -126,7 +144,12 @@ def atomic_write(path: Path | str, mode: str = "w") -> Iterator[IO[Any]]:
     binary = "b" in mode
     # Mode "x" is O_CREAT | O_EXCL with permissions 0666, from which the kernel takes the umask. Asking for
     # the umask instead means setting it for a moment, in which files of other threads come out as 0666.
-    with temporary.open("xb" if binary else "x", encoding=None if binary else "utf-8") as stream:
+    try:
+        opened = temporary.open("xb" if binary else "x", encoding=None if binary else "utf-8")
+    except OSError as error:
+        error.filename = str(place)  # the name that the user gave, not one that is gone
+        raise
+    with opened as stream:
         try:
             yield stream
             stream.flush()
