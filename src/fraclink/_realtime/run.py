@@ -310,10 +310,10 @@ def saved(value: object, place: Path) -> Path:
     """
     try:
         return save(value, place, force=True)
-    except OSError:
+    except (OSError, FieldError):  # FieldError: a folder that has become a file, or lost its permission
         # never over another record, and never too long for a name that was just short enough
         name = f"{place.stem[:50]}-{secrets.token_hex(4)}{place.suffix}"
         for folder in (Path(tempfile.gettempdir()), Path.home()):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, FieldError):
                 return save(value, folder / name)
         raise
