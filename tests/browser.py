@@ -87,7 +87,8 @@ class Page:
             if self.run(f"Boolean({condition})") if isinstance(condition, str) else condition():
                 return
             time.sleep(0.03)
-        raise AssertionError(f"never: {what or condition}; {self.complaints}")
+        shown = self.run("document.body.innerText")[:4000]
+        raise AssertionError(f"never: {what or condition}; {self.complaints}; the page says\n{shown}")
 
     def open(self, address: str) -> None:
         """Load an address and wait until its script has said that it is ready."""

@@ -20,6 +20,7 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import fraclink as fl
+import fraclink._studio.conversation as conversation
 import fraclink._studio.work as swept_module
 from fraclink._campaign import Campaign, replay_run
 from fraclink._campaign.faults import FaultTable
@@ -418,6 +419,22 @@ def test_a_wrong_token_closes_the_socket(client):
             with pytest.raises(WebSocketDisconnect) as why:
                 socket.receive_bytes()
             assert why.value.code == 1008
+
+
+def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys):
+    """Neither the page nor the task that answers the next request of the same kind."""
+    broken = iter((Reply({"ok": True}, {"gain": np.array([np.nan])}), Reply({"ok": True, "x": math.inf})))
+    own = conversation.preview
+    monkeypatch.setattr(
+        conversation, "preview", lambda *given, **more: next(broken, None) or own(*given, **more)
+    )
+    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+        socket.send_text(studio.token)
+        for seq, defect in ((1, True), (2, None)):
+            socket.send_text(json.dumps({"seq": seq, "verb": "preview", "state": ASKED}))
+            head, _ = unpacked(socket.receive_bytes())
+            assert (head["seq"], head["ok"], head.get("defect")) == (seq, not defect, defect)
+    assert "curve gain is not finite" in capsys.readouterr().err
 
 
 def talked(socket, **message) -> tuple[dict, dict]:

@@ -108,6 +108,47 @@ def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path)
         page.do("Page.removeScriptToEvaluateOnNewDocument", identifier=kept)
 
 
+# A busy machine may answer with the picture of a state long behind the next state: here when it is told to.
+_LATE_PICTURES = """(() => {
+  const hears = Object.getOwnPropertyDescriptor(WebSocket.prototype, 'onmessage');
+  const {send} = WebSocket.prototype;
+  Object.assign(window, {looked: [], late: []});
+  WebSocket.prototype.send = function (text) {
+    if (text.includes('"verb":"look"')) window.looked.push(JSON.stringify(JSON.parse(text).state));
+    send.call(this, text);
+  };
+  Object.defineProperty(WebSocket.prototype, 'onmessage', {set(hear) {
+    hears.set.call(this, (event) => {
+      const size = new DataView(event.data).getUint32(0, true);
+      const {verb} = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
+      if (verb === 'look') window.late.push(() => hear(event)); else hear(event);
+    });
+  }});
+})()"""
+
+
+def test_the_picture_of_a_state_is_asked_for_once(page, tmp_path):
+    """Each time that the strip is drawn, 64 requests were soon waiting, and the studio hung up."""
+    kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=_LATE_PICTURES)["identifier"]
+    try:
+        with studio(tmp_path) as (address, _process):
+            page.open(address)
+            page.key("4")
+            for number, value in enumerate((12.5, 13, 13.5), 2):
+                page.run(
+                    f"(i => {{ i.value = '{value}'; i.dispatchEvent(new Event('change')); }})"
+                    "(document.getElementById('f-gain_crossover'))"
+                )
+                page.until(f"document.querySelectorAll('.thumb').length === {number}")
+            page.until("new Set(window.looked).size === 4", "every state's picture asked for")
+            assert page.run("window.looked.length") == 4
+            page.until("window.late.length === 4", "every picture answered")
+            page.run("window.late.splice(0).forEach((hear) => hear())")
+            page.until("document.querySelectorAll('.thumb path[d]').length === 4", "every picture drawn")
+    finally:
+        page.do("Page.removeScriptToEvaluateOnNewDocument", identifier=kept)
+
+
 def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
     with studio(tmp_path) as (address, process):
         page.open(address)

@@ -207,7 +207,11 @@ class Conversation:
         await self._answered(message, answer)
 
     async def _answered(self, message: Message, answer: Reply) -> None:
-        await self._sent(answer.packed(message.seq, message.verb))
+        try:
+            data = answer.packed(message.seq, message.verb)
+        except Exception:  # noqa: BLE001  # a NaN, say: it must not end the task that answers all of this kind
+            data = _defect().packed(message.seq, message.verb)
+        await self._sent(data)
 
     async def _sent(self, data: bytes) -> None:
         # Answers of three tasks: two sends at once would mix their frames.
@@ -225,5 +229,9 @@ def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
     except FraclinkError as error:
         return refusal(error)
     except Exception:  # noqa: BLE001  # whatever it is, the study in memory must survive it
-        sys.stderr.write(traceback.format_exc())
-        return Reply({"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"})
+        return _defect()
+
+
+def _defect() -> Reply:
+    sys.stderr.write(traceback.format_exc())
+    return Reply({"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"})

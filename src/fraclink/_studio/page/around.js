@@ -88,9 +88,10 @@ export class Around {
 
   // ---- states beside one another ----
   words(state) { return `${plain(state.gain_crossover, 3)} rad/s, ${plain(state.phase_margin_deg, 3)}°`; }
-  async look(state) {
+  /** The promise is kept, not its answer: a state is asked for once, however often the strip is drawn meanwhile. */
+  look(state) {
     const key = JSON.stringify(state);
-    if (!this.pictures.has(key)) this.pictures.set(key, await this.app.ask('look', {state}));
+    if (!this.pictures.has(key)) this.pictures.set(key, this.app.ask('look', {state}));
     return this.pictures.get(key);
   }
   strip() {

@@ -191,6 +191,7 @@ export const proof = new Proof(app, arm);
 async function hello() {
   const answer = await app.ask('hello', {arm: arm.key});
   if (!answer.ok) return;
+  design.around.pictures.clear(); // those under way when the studio was lost
   const first = !app.states.length && app.at < 0;
   if (first || !app.state.margins) {
     app.states = answer.states;
