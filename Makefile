@@ -35,9 +35,14 @@ build: setup
 demo: setup
 	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force
 
+# Their tests start browsers, provers, a fuzzer, a cluster: in a run of their own, which has loaded little else.
+LARGE := tests/test_arm_page.py tests/test_campaign_cluster.py tests/test_export_gates.py tests/test_report.py \
+  tests/test_studio_browser.py prove/tests
+
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 test: setup
-	@$(PY) -m pytest -n 2 --dist loadfile
+	@$(PY) -m pytest $(LARGE); large=$$?; \
+	  $(PY) -m pytest -n 2 --dist loadfile $(LARGE:%=--ignore=%) && exit $$large
 
 # What a contributor runs before every commit: under a minute on two cores.
 quick: setup

@@ -1,7 +1,8 @@
-"""Give memory back: a run of all tests, two workers and a browser, fits into a gigabyte.
+"""Give memory back: a run of all tests, on two workers, fits into a gigabyte.
 
 What a file of tests leaves in its caches is needed by no other, and free memory goes back to the system only
 where the C library is told to: without either, a worker grows to twice what it starts with.
+benchmarks/memory_of_tests.py measures it.
 """
 
 from __future__ import annotations
@@ -15,33 +16,21 @@ from types import ModuleType
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
-from xdist.workermanage import WorkerController
 
-# Files whose tests start large processes: browsers, provers, a fuzzer, pools of workers, a cluster. One
-# worker runs them all, so that no two of those live at once.
-_FIRST = {f"tests/test_{name}.py" for name in ("arm_page", "export_gates", "report", "studio_browser")}
-_FIRST |= {"prove/tests/test_prove.py"}
-_LARGE_FILES = _FIRST | {"tests/test_integrity.py"}
-_LARGE_FILES |= {f"tests/test_campaign{name}.py" for name in ("", "_cluster", "_resume", "_summary")}
-_LARGE = "large processes"
+# One worker runs all tests that start pools of processes, so that no two pools live at once.
+_POOLS = {f"tests/test_campaign{name}.py" for name in ("", "_resume", "_summary")}
+_POOLS |= {"tests/test_integrity.py"}
 
 
 class _Scheduling(LoadFileScheduling):
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return _LARGE if file in _LARGE_FILES else file
-
-    def _assign_work_unit(self, node: WorkerController) -> None:
-        # First of all: a browser's quarter of a gigabyte beside workers that have run nothing yet. It is the
-        # longest unit, too, and a run that began it late would end with one worker idle.
-        if _LARGE in self.workqueue:
-            self.workqueue.move_to_end(_LARGE, last=False)
-        super()._assign_work_unit(node)
+        return "pools" if file in _POOLS else file
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
-    """Keep the tests of a file on one worker, and all of those that start large processes."""
+    """Keep the tests of a file on one worker, and all of those that start pools."""
     return _Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
@@ -64,11 +53,6 @@ def _give_back() -> None:
     gc.collect()
     if hasattr(_LIBC, "malloc_trim"):
         _LIBC.malloc_trim(0)
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Browsers and provers before pools: what a campaign imports (Arrow, Dask) stays in the worker."""
-    items.sort(key=lambda item: item.nodeid.partition("::")[0] not in _FIRST)
 
 
 def pytest_collection_finish() -> None:
