@@ -50,14 +50,27 @@ def page(tmp_path_factory) -> Iterator[Page]:
         yield found
 
 
+# The exact answer to what is asked for now has been shown, and no preview is under way.
+_SETTLED = """import('/studio.js').then(
+  ({app}) => app.exactly === JSON.stringify(app.state) && !app.link.dragging
+)"""
+
+
 def settled(page: Page) -> None:
-    """Wait until the exact design stands: no figure is grey."""
-    page.until("!document.querySelector('#controller').classList.contains('preview')", "an exact design")
+    """Wait until the exact design stands: before it, tables grow and handles move under the hand."""
+    page.until(lambda: bool(page.run(_SETTLED)), "an exact design")
 
 
 def states(place: Path) -> list[dict]:
     lines = (place / "results" / "studio.jsonl").read_text().splitlines()
     return [json.loads(line) for line in lines]
+
+
+def noted(page: Page, place: Path) -> dict:
+    """Wait until what the page asks for is the last state of its history, and return it."""
+    shown = "import('/studio.js').then(({app}) => app.state)"
+    page.until(lambda: states(place)[-1].get("state") == page.run(shown), "the state in the history")
+    return states(place)[-1]["state"]
 
 
 # A busy machine may answer a preview behind the exact design of its state: here it always does, and with a
@@ -157,6 +170,7 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         settled(page)
         first = states(tmp_path)[-1]["state"]
         for number, (handle, (by, option)) in enumerate(HANDLES.items(), 1):
+            settled(page)
             was = page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')")
             page.drag(handle, by, moves=6)
             assert page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')") != was, (
@@ -175,6 +189,7 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         lines = len(states(tmp_path)) + 1
         page.key("z", control=True)
         page.until(lambda: len(states(tmp_path)) == lines, "the undo before")
+        settled(page)
         x, y = page.middle("#h-crossover")
         for kind, dx in (("mousePressed", 0), ("mouseMoved", 20), ("mouseMoved", 40)):
             page.mouse(kind, x + dx, y)
@@ -223,9 +238,11 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.until("!document.querySelector('.keepout')")
         # The map takes both at once; a state lies over another; a name finds what has no key.
         page.until("document.querySelector('#p-map .cells')?.getAttribute('d')", "the map")
-        before = len(states(tmp_path))
+        settled(page)
+        before = noted(page, tmp_path)
         page.drag("#h-map-crossover", (6, 0), moves=3)
-        page.until(lambda: len(states(tmp_path)) > before, "the map's drag in the history")
+        after = noted(page, tmp_path)
+        assert after == {**before, "gain_crossover": after["gain_crossover"]} != before
         page.run("document.querySelector('.thumb .chip').click()")
         page.until("document.querySelectorAll('.curve.other').length === 4", "a state over this one")
         assert "B" in page.run("document.querySelector('#compared thead').textContent")
