@@ -161,7 +161,7 @@ def test_the_loop_in_real_time_gets_what_was_asked_for(line: Line) -> None:
 def test_an_arm_is_served_as_asked(line: Line) -> None:
     served = Run("")
     asked = line.hear("boards.realtime.serve_arm", served)
-    saved = line.hear("boards.save", Path("a.npz"))
+    saved = line.hear("boards.realtime.saved", Path("a.npz"))
     words = "serve-arm design.json --io shm:arm --duration 9 --watchdog 5 --once --seed 3 --priority 20"
     told = line(f"{words} --payload 0.025 --link-mass 0.008 --out a.npz")
     arm, way, period = asked.given
@@ -175,7 +175,7 @@ def test_an_arm_is_served_as_asked(line: Line) -> None:
     assert f"an arm at shm:arm, {1e3 * RIG.period:g} ms\n" in told.err and told.err.endswith(
         "written: a.npz\n"
     )
-    assert saved.given == (served, Path("a.npz")) and saved.last == {"force": True}
+    assert saved.given == (served, Path("a.npz")) and saved.last == {}
     served.passed = False
     assert line("serve-arm design.json --io shm:arm").code == 1 and len(saved) == 1
     assert asked.last == {"duration": 600.0, "watchdog": 10, "once": False, "seed": 0, "priority": 70}
