@@ -279,7 +279,14 @@ def test_a_wrong_word_says_where_the_right_ones_are(capsys: pytest.CaptureFixtur
 
 
 def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is flushed into it again."""
+    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is flushed into it again.
+
+    A verdict that had been reached stands; left before, it is 128 + SIGPIPE, as of any program.
+    """
+
+    def left() -> int:
+        raise BrokenPipeError
+
     with (tmp_path / "pipe").open("w") as pipe:
 
         class Left(io.StringIO):
@@ -290,7 +297,8 @@ def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch
                 return pipe.fileno()
 
         monkeypatch.setattr(sys, "stdout", Left())
-        assert guarded(lambda: 1, as_json=True) == 0
+        codes = [guarded(work, as_json=True) for work in (lambda: None, lambda: 0, lambda: 1, left)]
+        assert codes == [0, 0, 1, 141]
         pipe.write("lost")
     assert (tmp_path / "pipe").read_text() == ""
 

@@ -31,6 +31,7 @@ __all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "tell_writt
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
 DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
+UNREAD = 141  # 128 + SIGPIPE, as of any program whose reader left before it had said all
 
 # Words keep their signs where there are no colours: pipes, NO_COLOR, readers of screens.
 _COLOURS = (
@@ -217,17 +218,20 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     """Run `work` and return its exit code, or the one its error stands for."""
     # typer carries its own copy of click; its base of usage errors is reached through a public name.
     usage_error: type[Exception] = typer.BadParameter.__mro__[2]
+    verdict = UNREAD
     try:
         with _warnings_as_lines():
             code = work()
+        verdict = PASSED if code is None else int(code)
         sys.stdout.flush()
-        return PASSED if code is None else int(code)
+        return verdict
     except usage_error as error:
         code, lines, parts = BAD_INPUT, [f"error: {_usage(error)}"], _describe(error)
     except BrokenPipeError:
-        # The reader of a pipe left (`| head`): no error here, but stdout must not be flushed again.
+        # The reader of a pipe left (`| head`): no error here, but stdout must not be flushed again. Nor is it
+        # a verdict: one that had been reached stands, and none is passed where it had not.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PASSED
+        return verdict
     except (Exception, KeyboardInterrupt) as error:
         # For whoever reports a defect; everybody else reads one line.
         if os.environ.get("FRACLINK_TRACEBACK") == "1":
