@@ -1,4 +1,4 @@
-"""Give memory back: a run of all tests, on two workers, fits into a gigabyte.
+"""Give memory back: `make test` fits into a gigabyte.
 
 What a file of tests leaves in its caches is needed by no other, and free memory goes back to the system only
 where the C library is told to: without either, a worker grows to twice what it starts with.
@@ -73,8 +73,15 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     _give_back()
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Of what passed keep the name and the time: the words of thirty thousand reports are 40 MB."""
-    if report.passed:
-        report.keywords, report.sections, report.user_properties = {}, [], []
+class _Lean:
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Of what passed keep the name and the time: the words of thirty thousand reports are 40 MB."""
+        if report.passed:
+            report.keywords, report.sections, report.user_properties = {}, [], []
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let the process in which the workers' reports come together forget what nobody will read."""
+    if config.getoption("numprocesses", None):
+        config.pluginmanager.register(_Lean())

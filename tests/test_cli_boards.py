@@ -352,7 +352,7 @@ def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
     filled = "fill in the 3 blanks of a/rig.toml, then fraclink design --rig a/rig.toml --model a/model.json"
     assert told == (0, "", f"written: a\nwritten: a/fit.svg\nnext: {filled}\n")
     fit.model = replace(RIG.model, payload=None)
-    again = "fraclink identify log.csv --rig a/rig.toml --payload KG --out a/model.json"
+    again = "fraclink identify log.csv --rig a/rig.toml --payload KG --out a/model.json --force"
     assert line("start log.csv --out a").err.endswith(
         f"next: fill in the 3 blanks of a/rig.toml, then {again}, with the payload of this log for KG\n"
     )

@@ -63,7 +63,7 @@ def test_what_is_wrong_with_a_log_is_told_beside_its_fit(line: Line) -> None:
         assert fit.last == {"heldout": 0.3, "stiffness": None}  # a torque shows the stiffness
         found.model = replace(RIG.model, payload=None)  # type: ignore[attr-defined]
         told = line("identify log.csv --rig paper-2023 --force --out m.json")
-        missing = "repeat with --payload, the log's payload [kg]: without it `design` takes ω₀ from the rig"
+        missing = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
         assert told.err.endswith(f"next: {missing}\n")
         code_of = line("diagnose log.csv --rig paper-2023 --payload 0.04")
         assert code_of.code == code

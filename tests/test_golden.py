@@ -39,7 +39,7 @@ def test_every_recorded_figure_is_made(topic: str) -> None:
 
 
 def test_every_topic_was_recorded_on_one_arithmetic() -> None:
-    """Digests of another are compared nowhere: a topic left behind is checked by its numbers alone."""
+    """Of topics recorded apart, one has digests that no machine compares: its numbers alone are checked."""
     assert len({recorded(topic)["probe"] for topic in TOPICS}) == 1
 
 

@@ -106,6 +106,8 @@ def test_a_model_without_a_payload_gets_the_rigs_nominal_one() -> None:
     known = with_payload(bare, RIG)
     assert known.payload == 0.03 and known.natural_frequency == pytest.approx(11.094, abs=1e-4)
     assert with_payload(PLAIN, RIG) is PLAIN
+    rows = (("natural_frequency", 8.9, 9.1), ("order", 1.9, 1.94))
+    assert with_payload(replace(PLAIN, payload=None, intervals=rows), RIG).intervals == rows[1:]
 
 
 def dense(loop: Loop, w: NDArray[np.float64], w0: float) -> NDArray[np.complex128]:

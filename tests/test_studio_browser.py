@@ -268,10 +268,14 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
                 page.run("document.querySelector('#refused button').click()")
                 page.until("document.querySelector('#refused').hidden")
         # Killed in the middle of a drag: what was kept is there, and the history is back.
+        settled(page)
         bytes_kept, lines = kept.read_bytes(), len(states(tmp_path))
         x, y = page.middle("#h-crossover")
+        value = "document.querySelector('#h-crossover').getAttribute('aria-valuenow')"
+        was = page.run(value)
         page.mouse("mousePressed", x, y)
         page.mouse("mouseMoved", x + 15, y)
+        page.until(f"{value} !== '{was}'", "the drag")
         process.kill()
         page.mouse("mouseReleased", x + 15, y, 0)
         page.until("!document.querySelector('#banner').hidden", "the page says that the studio is gone")

@@ -328,12 +328,15 @@ def test_a_design_needs_a_rig_and_a_model_of_its_link() -> None:
     other = replace(RIG.model, order=1.9)
     made: Any = SimpleNamespace(model=other)
     assert stages.subject(Study(rig=RIG, design=made))[1] is other
-    fit: Any = SimpleNamespace(model=replace(other, payload=None))
+    fit: Any = SimpleNamespace(model=replace(other, payload=None), loop_model=lambda rig: fit.model)
     rig, link, assumed = stages.subject(Study(rig=RIG, design=made, fit=fit))
     assert link.payload == RIG.payloads.nominal and link.order == 1.9
     assert assumed == ("the log was made with the nominal payload, 30 g, as none was stated",)
     fit.model = replace(other, payload=0.021)
     assert stages.subject(Study(rig=RIG, fit=fit)) == (rig, fit.model, ())
+    shown = replace(fit.model, stiffness=RIG.link.stiffness)  # where the log could not show it
+    fit.loop_model = lambda rig: shown if rig is RIG else None
+    assert stages.subject(Study(rig=RIG, fit=fit))[1] is shown
 
 
 def test_a_deflection_log_is_fitted_with_the_rigs_stiffness(monkeypatch: pytest.MonkeyPatch) -> None:

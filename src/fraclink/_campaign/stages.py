@@ -149,7 +149,8 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
     """
     rig = study.rig
     if study.fit is not None:
-        link: LinkModel | None = study.fit.model
+        # Not `fit.model`: of a log that cannot show the stiffness its c is nobody's, and a law divides by it.
+        link: LinkModel | None = study.fit.loop_model(rig) if rig else study.fit.model
     else:
         link = study.design.model if study.design else rig.model if rig else None
     if rig is None or link is None:

@@ -112,7 +112,8 @@ def identify(
         doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
     if fit.model.payload is None:
-        following = "repeat with --payload, the log's payload [kg]: without it `design` takes ω₀ from the rig"
+        # `design` would take ω₀ from the rig.
+        following = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
     return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
 
 

@@ -82,7 +82,7 @@ def _following(found: Start, log: str, out: Path) -> str:
     if found.fit.model.payload is None:
         # No number of the rig file says with which payload this log was made; without it `design` could not
         # use the ω₀ that was found.
-        again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model}"
+        again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model} --force"
         return f"{fill} {again}, with the payload of this log for KG"
     return f"{fill} fraclink design --rig {rig} --model {model}"
 
