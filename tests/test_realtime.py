@@ -37,7 +37,8 @@ from fraclink._realtime import (
     run_realtime,
 )
 from fraclink._realtime.line import open_line
-from fraclink._realtime.run import saved
+from fraclink._realtime.machine import signals_held
+from fraclink._realtime.run import reserved, saved
 from fraclink._show.views import view
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 
@@ -297,7 +298,25 @@ def test_no_signal_takes_the_record_away(
     assert stopped(board)
 
 
-def test_a_name_that_no_record_can_have_is_found_before_the_arm_moves(law: Law, tmp_path: Path) -> None:
+def test_a_signal_that_comes_as_the_others_are_given_back_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+    release = _kernels.realtime_release_signals
+
+    def late() -> None:
+        signal.raise_signal(signal.SIGINT)
+        release()
+
+    monkeypatch.setattr(_kernels, "realtime_release_signals", late)
+    with pytest.raises(KeyboardInterrupt), signals_held():
+        pass
+    with signals_held() as obeyed:
+        obeyed.set()
+
+
+def test_a_name_that_no_record_can_have_is_found_before_the_arm_moves(
+    law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As from Python 3.14 on, which says of a name that is too long that it is no folder.
+    monkeypatch.setattr(Path, "is_dir", lambda path, **_: os.path.isdir(path))  # noqa: PTH112
     board = Board()
     for place, said in (
         (tmp_path / "run.csv", r"out: of another kind of file \(got run\.csv\); expected \.npz"),
@@ -320,6 +339,38 @@ def test_a_process_that_is_killed_leaves_no_file_behind(law: Law, tmp_path: Path
 
     live(law, Callback(read, board.write), duration=0.3, out=tmp_path / "run.npz")
     assert (seen, [item.name for item in tmp_path.iterdir()]) == (set(), ["run.npz"])
+
+
+@pytest.mark.parametrize("ever", [True, False])
+def test_a_file_system_that_unlinks_no_open_file_takes_the_record(
+    law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ever: bool
+) -> None:
+    board, unlink = Board(), Path.unlink
+
+    def refusing(path: Path, missing_ok: bool = False) -> None:
+        opened = {item.resolve() for item in Path("/proc/self/fd").iterdir()}
+        if path.resolve() in opened or not ever:
+            raise OSError(errno.EBUSY, "Device or resource busy")
+        unlink(path, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", refusing)
+    run = live(law, Callback(board.read, board.write), duration=0.3, out=tmp_path / "run.npz")
+    assert (run.stopped, run.saved) == ("finished", str(tmp_path / "run.npz"))
+    left = {item.suffix for item in tmp_path.iterdir()}
+    assert left == ({".npz"} if ever else {".npz", ".reserved"})
+
+
+def test_another_system_is_refused_and_not_its_missing_calls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_kernels, "REALTIME", False)
+    monkeypatch.delattr(os, "posix_fallocate")
+    for name in ("watch_signals", "release_signals", "signalled"):
+        monkeypatch.delattr(_kernels, f"realtime_{name}")
+    for held in (reserved(tmp_path / "run.npz"), signals_held()):
+        with pytest.raises(FieldError, match=r"^system: without clock_nanosleep.*expected Linux"), held:
+            pass
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_place_that_takes_no_record_is_found_before_the_arm_moves(

@@ -182,13 +182,15 @@ def signals_held() -> Iterator[threading.Event]:
     What came then takes its course, unless the event that this yields was set: it was obeyed already. A
     closed terminal sends two, some milliseconds apart, and whoever presses Ctrl-C once does so again.
     """
+    check_machine()
     obeyed = threading.Event()
     _kernels.realtime_watch_signals()
     try:
         yield obeyed
     finally:
-        number = _kernels.realtime_signalled()
         _kernels.realtime_release_signals()
+        # Asked for after the release, which leaves the number: one that came between both would be forgotten.
+        number = _kernels.realtime_signalled()
     # Not after an exception, which ends what the signal would have ended.
     if number and not obeyed.is_set():
         signal.raise_signal(number)

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import secrets
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +20,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._files import check_ending, document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
-from fraclink._realtime.machine import Spread
+from fraclink._realtime.machine import Spread, check_machine
 from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink._validate.equality import compared
@@ -277,6 +278,7 @@ def reserved(
     A folder that is missing or read-only, a full disk, a name that a file with a `cls` cannot have: each is
     so found before the arm moves.
     """
+    check_machine()  # what runs in real time alone needs a place, and only that system can hold one
     if cls is not None:
         check_ending(cls, place)
     # Beside the place, as another file system may have room where this one has none; hidden and random, so
@@ -287,13 +289,16 @@ def reserved(
             place.parent.mkdir(parents=True, exist_ok=True)
             # Asked of the name itself, which the holder's does not stand for: one may be too long, or that of
             # a folder, over which no file is renamed.
-            if place.is_dir():
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            # Not by `is_dir`: from Python 3.14 on that takes a name that is too long for no folder.
+            with contextlib.suppress(FileNotFoundError):
+                if stat.S_ISDIR(place.stat().st_mode):
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            opened.callback(_unlinked, holder)  # once it is closed: some file systems unlink no open file
             stream = opened.enter_context(holder.open("xb"))
-            # The open file keeps its blocks without a name, and a process that is killed leaves nothing.
-            holder.unlink()
             # Blocks are taken, which `truncate` would only promise: a full disk says so now.
             os.posix_fallocate(stream.fileno(), 0, size)
+            # The open file keeps its blocks without a name, and a process that is killed leaves nothing.
+            _unlinked(holder)
         except OSError as error:
             problem = f"not writable ({error.strerror}); the arm has not moved"
             allowed = f"a folder with {1e-6 * size:.1f} MB to spare"
@@ -301,6 +306,12 @@ def reserved(
                 field, str(place), problem, allowed=allowed, remedy="name another file"
             ) from error
         yield
+
+
+def _unlinked(holder: Path) -> None:
+    # Room is what was asked for, and it is there: a name that stays is no reason to refuse the run.
+    with contextlib.suppress(OSError):
+        holder.unlink()
 
 
 def saved(value: object, place: Path) -> Path:
