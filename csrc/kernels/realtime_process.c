@@ -22,7 +22,8 @@ static const realtime_io *volatile faulting_io;
 static const arm_command *volatile faulting_stop;
 static struct sigaction former[NSIG];
 static int taken[NSIG];
-/* Where the handler of a fault runs: a call without end in a user's library leaves no room on the loop's own stack. */
+/* Where the handler of a fault runs: a call without end in a user's library leaves no room on the loop's own stack. One
+ * for the process, like what its handler stops: of loops that run at once in several threads a fault stops one. */
 static unsigned char fault_stack[STACK_BYTES];
 static _Thread_local stack_t former_stack;
 static int watchers;
