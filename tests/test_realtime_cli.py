@@ -25,7 +25,7 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._campaign.study import load_study
-from fraclink._cli import main
+from fraclink._cli import boards, main
 from fraclink._export import export_io
 from fraclink._law import REASONS
 from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
@@ -359,6 +359,48 @@ def test_no_file_of_a_run_is_refused_only_when_it_is_over(fraclink: Command, tmp
         code, _, err = fraclink(line)
         assert (code, said in err) == (2, True), err
     assert not (tmp_path / "last").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("virtual")
+def test_no_signal_takes_the_motion_of_a_served_arm_away(
+    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two of them, as a closed terminal sends: one that ends the serving, and one as it is written."""
+    line = f"serve-arm design.json --io shm:kept-{os.getpid()} --priority 0 --duration 0.2"
+    keep, hold = boards.realtime.saved, boards.realtime.reserved
+
+    def first(*given: Any, **options: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return hold(*given, **options)
+
+    def late(value: object, place: Path) -> Path:
+        signal.raise_signal(signal.SIGINT)
+        return keep(value, place)
+
+    monkeypatch.setattr(boards.realtime, "saved", late)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
+    try:
+        code, _, err = fraclink(f"{line} --out whole.npz")
+        assert (code, len(fl.load("whole.npz", ServedArm).time)) == (0, 10), err
+        monkeypatch.setattr(boards.realtime, "reserved", first)
+        code, _, err = fraclink(f"{line} --out none.npz")
+        assert (code, len(fl.load("none.npz", ServedArm).time)) == (0, 0), err
+    finally:
+        signal.signal(signal.SIGINT, handler)
+
+
+@pytest.mark.slow
+def test_on_another_system_an_arm_is_refused_with_its_file(
+    fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_kernels, "REALTIME", False)
+    monkeypatch.delattr(os, "posix_fallocate")
+    monkeypatch.delattr(_kernels, "realtime_watch_signals")
+    for more in ("", " --out arm.npz"):
+        code, _, err = fraclink(f"serve-arm design.json --io udp:127.0.0.1:5005{more}")
+        assert (code, "system: without clock_nanosleep" in err) == (2, True), err
+    assert [item.name for item in tmp_path.iterdir()] == ["design.json"]
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +28,7 @@ from fraclink._realtime.tune_wiring import Wiring
 from fraclink._realtime.watch import Change, Watch, _moving_time
 from fraclink.errors import FieldError, FraclinkError, LogError
 from fraclink.findings import Scope
-from tuned_arms import LIMITS, RIG
+from tuned_arms import LIMITS, RIG, arm
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -620,3 +621,67 @@ def test_however_a_tuning_ends_the_drive_is_off_and_its_reason_is_kept(
     assert found.stopped == said and told == [f"  {said}"] and guard.released == 1
     assert fl.load(tmp_path / "t" / "tuning.json").stopped == said
     assert fl.load(tmp_path / "t" / "log.npz").motor_angle.size == 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ended", [True, False])
+def test_no_signal_takes_the_record_of_a_tuning_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: bool
+) -> None:
+    """A second one, as a closed terminal sends, changes nothing; a first one waits for the file."""
+    made, keep = arm(), _Session.keep
+
+    def read() -> tuple[float, float]:
+        if ended and len(made.record) == 50:
+            signal.raise_signal(signal.SIGINT)
+        return made.read()
+
+    def wrong(self: Any, guard: Any) -> None:
+        guard.rest(0.5)
+        raise FraclinkError("a limit")
+
+    def late(self: Any, guard: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        keep(self, guard)
+
+    monkeypatch.setattr(_Session, "keep", late)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
+    try:
+        if not ended:
+            monkeypatch.setattr(_Session, "go", wrong)
+        tuned(fl.Callback(read, made.write), tmp_path)
+        interrupted = False
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert interrupted is not ended
+    said = "stopped by a signal; the drive is off" if ended else "a limit"
+    assert fl.load(tmp_path / "tuning.json").stopped == said
+    assert fl.load(tmp_path / "log.npz").motor_angle.size == (50 if ended else 125)
+
+
+@pytest.mark.slow
+def test_a_signal_while_something_is_computed_ends_at_the_next_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A closed terminal then takes nothing of what was recorded before."""
+
+    def computing(self: Any, guard: Any) -> None:
+        guard.rest(0.5)
+        guard.release()
+        signal.raise_signal(signal.SIGHUP)
+        guard.rest(0.5)
+
+    monkeypatch.setattr(_Session, "go", computing)
+    caught: list[int] = []
+    handler = signal.signal(signal.SIGHUP, lambda number, frame: caught.append(number))
+    try:
+        assert tuned(arm().callback, tmp_path).stopped == "stopped by a signal; the drive is off"
+    finally:
+        signal.signal(signal.SIGHUP, handler)
+    assert not caught and fl.load(tmp_path / "log.npz").motor_angle.size == 125
+
+
+def tuned(connection: fl.Callback, out: Path) -> fl.Tuning:
+    return fl.tune(connection, PLAN, out=out, clock="none")

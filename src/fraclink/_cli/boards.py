@@ -351,16 +351,19 @@ def serve_arm(
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
-    with nullcontext() if out is None else realtime.reserved(out, cls=realtime.ServedArm):
-        served = realtime.serve_arm(
-            arm,
-            connection,
-            made.rig.period,
-            duration=duration,
-            watchdog=watchdog,
-            once=once,
-            seed=seed,
-            priority=priority,
-        )
-    written = () if out is None else (realtime.saved(served, out),)
+    with realtime.signals_held() as obeyed:
+        with nullcontext() if out is None else realtime.reserved(out, cls=realtime.ServedArm):
+            served = realtime.serve_arm(
+                arm,
+                connection,
+                made.rig.period,
+                duration=duration,
+                watchdog=watchdog,
+                once=once,
+                seed=seed,
+                priority=priority,
+            )
+        # Every signal asks for the end, which has come: one that comes now has only the file to wait for.
+        obeyed.set()
+        written = () if out is None else (realtime.saved(served, out),)
     return Answer(served, served.passed, remarks=_refused("priority", served.scheduling), written=written)

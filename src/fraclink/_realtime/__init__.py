@@ -19,7 +19,7 @@ from fraclink._realtime.connections import (
     parse_connection,
 )
 from fraclink._realtime.loop import run_realtime
-from fraclink._realtime.machine import Spread, WakeUps, measure_wake_ups
+from fraclink._realtime.machine import Spread, WakeUps, measure_wake_ups, signals_held
 from fraclink._realtime.run import RealtimeRun, reserved, saved
 
 __all__ = [
@@ -40,6 +40,7 @@ __all__ = [
     "run_realtime",
     "saved",
     "serve_arm",
+    "signals_held",
 ]
 
 # Time for tests, in which `threads` loops and their peers take turns; see csrc/kernels/realtime.h.

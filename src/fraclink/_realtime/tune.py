@@ -15,7 +15,8 @@ from fraclink._design import Design
 from fraclink._files import load, output_path, save
 from fraclink._law import Law
 from fraclink._realtime.connections import Connection
-from fraclink._realtime.line import open_line
+from fraclink._realtime.line import Stopped, open_line
+from fraclink._realtime.machine import signals_held
 from fraclink._realtime.tune_build import Built, built_laws, measured_rig
 from fraclink._realtime.tune_guard import Guard, LimitReached
 from fraclink._realtime.tune_link import LinkResult, shortfall, tune_link
@@ -103,19 +104,24 @@ def tune(
     out.mkdir(parents=True, exist_ok=True)
     guard: Guard | None = None
     session = _Session(connection, plan, out, moves, begin, clock, before)
-    try:
-        guard = session.open()
-        session.go(guard)
-    # Whatever a stage can meet ends with a state that is saved. Before the guard there is none: the error is
-    # the caller's.
-    except (FraclinkError, OSError, KeyboardInterrupt) as error:
-        if guard is None:
-            raise
-        session.end((str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard))
-    finally:
-        if guard is not None:
-            guard.release()
-            session.keep(guard)
+    # Until the record is kept, and not only while the arm moves: a closed terminal sends a second signal, and
+    # one that comes while something is computed ends the tuning at the next motion, or after the last.
+    with signals_held() as obeyed:
+        try:
+            guard = session.open()
+            session.go(guard)
+        # Whatever a stage can meet ends with a state that is saved. Before the guard there is none: the error
+        # is the caller's.
+        except (FraclinkError, OSError, KeyboardInterrupt) as error:
+            if guard is None:
+                raise
+            if isinstance(error, Stopped):
+                obeyed.set()
+            session.end((str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard))
+        finally:
+            if guard is not None:
+                guard.release()
+                session.keep(guard)
     return session.state
 
 
