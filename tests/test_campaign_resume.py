@@ -24,7 +24,7 @@ from campaigns import computed, continued, parts_of, small, started
 from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign, summarise
 from fraclink._campaign import run as part_module
 from fraclink._campaign import summary as summary_module
-from fraclink._campaign.run import compute
+from fraclink._campaign.run import compute, parts_there
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 
@@ -257,6 +257,30 @@ def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(copy,
     assert "part-0000002.parquet left out" in " ".join(capsys.readouterr().out.split())
     assert run_campaign(small(), copy).before == 2500  # its command, given again
     assert summarise(small(), copy).left_out == ""
+
+
+@pytest.mark.slow
+def test_fewer_runs_of_a_longer_campaign_are_told_without_doubts_of_the_rest(copy):
+    """`--runs 2000` in the folder of 2500: the third part is another request's, and no damage to this one."""
+    shorter = small(2000)
+    assert run_campaign(shorter, copy).before == 2000
+    found = summarise(shorter, copy)
+    assert (found.damaged, found.left_out, found.failure.runs) == ((), "", 2000)
+    assert found.passed == (not found.failure.count)
+    # A part that neither of the two states is named, with the number of runs that the file states.
+    (copy / "part-0000004.parquet").write_bytes(b"")
+    found = summarise(shorter, copy)
+    assert found.damaged == (4,) and "beyond the 2500 runs that campaign.json" in found.left_out
+    # A file that cannot be read vouches for nothing.
+    (copy / "part-0000004.parquet").unlink()
+    (copy / "campaign.json").write_text("{}", "utf-8")
+    assert summarise(shorter, copy).damaged == (2,)
+
+
+def test_a_part_has_one_name_and_is_counted_once(tmp_path):
+    for name in ("0000001", "00000001", "\u0660\u0660\u0660\u0660\u0660\u0660\u0662", "12345678", "1"):
+        (tmp_path / f"part-{name}.parquet").touch()
+    assert parts_there(tmp_path) == [1, 12345678]
 
 
 @pytest.mark.slow

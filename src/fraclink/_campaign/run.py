@@ -305,7 +305,9 @@ def parts_there(folder: Path) -> list[int]:
     # The folder and not the campaign is walked: one of 10⁹ runs that has just begun has a million names to
     # ask for, 27 s of processor time, and a file too many would never be met.
     found = (re.fullmatch(r"part-(\d{7,12})\.parquet", file.name) for file in folder.glob("part-*.parquet"))
-    return sorted(int(name[1]) for name in found if name)
+    numbers = ((int(name[1]), name[0]) for name in found if name)
+    # A number has one name: with an eighth digit in front, or other digits, a part would be counted twice.
+    return sorted(part for part, name in numbers if part_path(folder, part).name == name)
 
 
 def write_part(campaign: Campaign, folder: Path, part: int) -> int:

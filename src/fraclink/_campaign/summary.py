@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtr, bdtrik, betaincinv
 
-from fraclink._campaign.campaign import Campaign
+from fraclink._campaign.campaign import Campaign, load_campaign
 from fraclink._campaign.run import part_path, parts_there, read_part
 from fraclink._validate.display import displayed
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
 
@@ -103,8 +103,8 @@ class Summary:
     given of the payloads, in words; empty where it was given nothing.
 
     damaged: numbers of the parts that are there and are not believed: cut, edited, of another campaign, or
-    beyond the last run of this one; their runs are in no figure. left_out: what is missing, in words; empty
-    where nothing is.
+    beyond the last run that campaign.json states; their runs are in no figure. left_out: what is missing, in
+    words; empty where nothing is.
     """
 
     failure: Failure
@@ -133,7 +133,10 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         return np.concatenate([_column(campaign, place, part, name) for part in parts])
 
     missing = sorted(set(range(campaign.parts)) - set(parts))
-    damaged = tuple(sorted(set(parts_there(place)) - set(parts)))
+    stated = _stated(campaign, place)
+    # A shorter request of a longer campaign is no reason to doubt the parts that it does not ask for.
+    asked = (part for part in parts_there(place) if not campaign.parts <= part < stated.parts)
+    damaged = tuple(sorted(set(asked) - set(parts)))
     # One column after the other: a million runs of 25 columns would be 200 MB at once.
     run, passed = column("run"), column("passed").astype(bool)
     failed = run[~passed]
@@ -147,11 +150,22 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
         damaged=damaged,
-        left_out=_left_out(campaign, place, missing, damaged),
+        left_out=_left_out(campaign, place, missing, damaged, stated.runs),
     )
 
 
-def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]) -> str:
+def _stated(campaign: Campaign, place: Path) -> Campaign:
+    """The campaign that the folder states where it is a longer one of the same; else this one."""
+    try:
+        known = load_campaign(place)
+    except (FraclinkError, OSError):  # what cannot be read vouches for no part
+        return campaign
+    return known if known.fingerprint == campaign.fingerprint and known.runs > campaign.runs else campaign
+
+
+def _left_out(
+    campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...], stated: int
+) -> str:
     """Which runs are in no figure, and what brings them back."""
     inside = tuple(part for part in damaged if part < campaign.parts)
     told = []
@@ -165,7 +179,7 @@ def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tupl
         )
     if beyond := damaged[len(inside) :]:
         told.append(
-            f"{_named(place, beyond)} left out: beyond the {campaign.runs} runs that campaign.json states. "
+            f"{_named(place, beyond)} left out: beyond the {stated} runs that campaign.json states. "
             "Remove it if it is not of this campaign; else its command, given again, states them all"
         )
     return ". ".join(told)
