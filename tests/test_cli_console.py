@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import subprocess
 import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TextIO
 
 import pytest
 
@@ -301,6 +303,58 @@ def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch
         assert codes == [0, 0, 1, 141]
         pipe.write("lost")
     assert (tmp_path / "pipe").read_text() == ""
+
+
+def left_pipe(*, buffered: bool) -> TextIO:
+    """A stream into a pipe whose reader has left; unbuffered as with PYTHONUNBUFFERED=1."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    raw = os.fdopen(writer, "wb", -1 if buffered else 0)
+    return io.TextIOWrapper(raw, "utf-8", write_through=not buffered)
+
+
+@pytest.mark.parametrize("buffered", [False, True])
+@pytest.mark.parametrize(
+    ("words", "codes"),
+    [
+        ("design --rig paper-2023", (0, 0)),  # the verdict that had been reached
+        ("design --rig paper-2023 --json", (0, 0)),
+        ("help all", (141, 0)),  # read or not: in the buffer all had been said
+        ("help design", (141, 141)),
+        ("design --rig nope --json", (2, 2)),
+    ],
+)
+@pytest.mark.parametrize("both", [False, True])
+def test_the_exit_code_outlives_the_reader_of_a_pipe(
+    words: str,
+    codes: tuple[int, int],
+    buffered: bool,
+    both: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """`fraclink ... | true`, and with `2>&1`: what typer makes of it, 1, would be a verdict."""
+    stream = left_pipe(buffered=buffered)
+    monkeypatch.chdir(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        if both:
+            patch.setattr(sys, "stderr", stream)
+        assert main(words.split()) == codes[buffered]
+        assert sys.stdout is stream  # typer's wrapping is undone
+    stream.close()  # as the interpreter does at its end: nothing is left that nobody takes
+
+
+def test_a_process_whose_reader_left_ends_as_any_program_does() -> None:
+    for unbuffered, code in (("1", 141), ("", 0)):
+        with left_pipe(buffered=False) as pipe:
+            done = subprocess.run(
+                [sys.executable, "-m", "fraclink", "--version"],
+                stdout=pipe,
+                stderr=subprocess.PIPE,
+                env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
+            )
+        assert (done.returncode, done.stderr) == (code, b"")
 
 
 def test_a_manual_page_holds_texts_as_roff_reads_them_back() -> None:

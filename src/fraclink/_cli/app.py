@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Annotated, Any
@@ -187,15 +188,24 @@ def run(arguments: Sequence[str]) -> int:
     """Run the command line with `arguments` and return the exit code."""
     given = list(arguments) or ["--help"]
     # Words and not an option: it stands where the name of a command does.
-    if given == ["help", "all"]:
-        emit(_everything())
-        return 0
+    everything = given == ["help", "all"]
     if given[0] == "help":
         given = [*given[1:], "--help"]
 
     def work() -> int | None:
-        # Not standalone: click would print errors in its own words and end the process, also that of a test.
-        result = application()(args=given, standalone_mode=False, prog_name="fraclink")
+        if everything:
+            emit(_everything())
+            return None
+        streams = sys.stdout, sys.stderr
+        try:
+            # Not standalone: click would print errors in its own words and end the process, also of a test.
+            result = application()(args=given, standalone_mode=False, prog_name="fraclink")
+        except SystemExit as end:
+            # Where a pipe's reader left typer exits with 1, which is a verdict, and wraps both streams.
+            if not isinstance(end.__context__, BrokenPipeError):
+                raise
+            sys.stdout, sys.stderr = streams
+            raise end.__context__ from None
         # --help and --version return what click makes of them: nothing went wrong.
         return result if isinstance(result, int) else None
 

@@ -22,7 +22,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.models import OptionInfo, ParameterInfo
 
-from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, tell_written, width
+from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, tell_written, unread_allowed, width
 from fraclink._files import output_path
 from fraclink._show.records import to_json
 from fraclink._show.text import View, plain_text
@@ -171,7 +171,8 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
                 # Before the work and not when it is written: what cannot be kept is not computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
-        (_show_json if json else _show_text)(answer)
+        with unread_allowed():
+            (_show_json if json else _show_text)(answer)
         if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
             tell(f"no browser was found; open {answer.opened} yourself")
         # Doubts are errors of the input: a result that rests on them shows nothing, however well it came out.

@@ -26,7 +26,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from fraclink._show.text import folded, option
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
 
-__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "tell_written", "watching", "width"]
+__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "tell_written", "unread_allowed"]
+__all__ += ["watching", "width"]
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
 DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
@@ -214,6 +215,25 @@ def _warnings_as_lines() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def unread_allowed() -> Iterator[None]:
+    """Print what is inside to whoever reads: the exit code is known, and no reader who leaves changes it."""
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _let_go()
+
+
+def _let_go() -> None:
+    """Send to nobody what a reader who left did not take: the interpreter flushes it again at its end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
 def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     """Run `work` and return its exit code, or the one its error stands for."""
     # typer carries its own copy of click; its base of usage errors is reached through a public name.
@@ -230,7 +250,7 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     except BrokenPipeError:
         # The reader of a pipe left (`| head`): no error here, but stdout must not be flushed again. Nor is it
         # a verdict: one that had been reached stands, and none is passed where it had not.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _let_go()
         return verdict
     except (Exception, KeyboardInterrupt) as error:
         # For whoever reports a defect; everybody else reads one line.
@@ -241,8 +261,11 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         if faults := getattr(error, "faults", ()):  # a rig file lists all its faults at once: a line for each
             lines = [f"error: {fault}" for fault in faults]
             parts = parts | {"faults": [_describe(fault) for fault in faults]}
-    for line in lines:
-        tell(_line(line))
-    if as_json:
-        emit_json({"exit": code, "error": parts})
+    # Each by itself: who reads the one stream may be there when nobody reads the other.
+    with unread_allowed():
+        for line in lines:
+            tell(_line(line))
+    with unread_allowed():
+        if as_json:
+            emit_json({"exit": code, "error": parts})
     return code
