@@ -52,7 +52,8 @@ from fraclink._simulate import simulate as run_law
 app = group()
 
 # What a person may have put there before the first run, and what a run leaves: of all the files of a study
-# these are the ones whose loss would cost something.
+# these are the ones whose loss would cost something. The moves and the models of other structures (run-*.npz,
+# model-*.json) come again from these, and are replaced.
 _STUDY = (
     "model.json",
     "design.json",
