@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink._campaign import load_campaign, read_part, run_campaign, save_campaign, summarise
+from fraclink._campaign import columns, load_campaign, read_part, run_campaign, save_campaign, summarise
 from fraclink._campaign import run as part_module
 from fraclink._campaign import summary as summary_module
 from fraclink._campaign.run import compute, parts_there
@@ -275,6 +275,20 @@ def test_fewer_runs_of_a_longer_campaign_are_told_without_doubts_of_the_rest(cop
     (copy / "part-0000004.parquet").unlink()
     (copy / "campaign.json").write_text("{}", "utf-8")
     assert summarise(shorter, copy).damaged == (2,)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("runs", [1500, 500])
+def test_fewer_runs_that_end_within_a_part_are_its_first(copy, runs):
+    run_campaign(small(runs), copy)
+    found = summarise(small(runs), copy)
+    assert (found.damaged, found.left_out, found.failure.runs) == ((), "", runs)
+    numbers, passed = columns(small(runs), copy, "run", "passed")
+    assert numbers.tolist() == list(range(runs)) and found.failure.count == int((passed == 0).sum())
+    # In a file that states no more than is asked for, the same part may hide runs that failed.
+    about = copy / "campaign.json"
+    about.write_text(about.read_text("utf-8").replace('"runs": 2500', '"runs": 2400'), "utf-8")
+    assert summarise(load_campaign(copy), copy).damaged == (2,)
 
 
 def test_a_part_has_one_name_and_is_counted_once(tmp_path):

@@ -213,7 +213,7 @@ def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArra
 def _finished(campaign: Campaign, place: Path) -> list[int]:
     # every column: one that is damaged leaves its part out from the beginning, and not from one figure
     there = (part for part in parts_there(place) if part < campaign.parts)
-    parts = [part for part in there if read_part(campaign, place, part) is not None]
+    parts = [part for part in there if _read(campaign, place, part) is not None]
     if not parts:
         raise FieldError(
             "parts",
@@ -225,8 +225,18 @@ def _finished(campaign: Campaign, place: Path) -> list[int]:
     return parts
 
 
+def _read(campaign: Campaign, place: Path, part: int, *names: str) -> dict[str, NDArray[np.generic]] | None:
+    """A finished part; the first runs of it where it is the last one of a shorter request."""
+    found = read_part(campaign, place, part, names=names)
+    if found is not None or part != campaign.parts - 1:
+        return found
+    # Only where campaign.json states more runs: a part that is longer than the file says may hide failures.
+    longer = read_part(_stated(campaign, place), place, part, names=names)
+    return longer and {name: values[: campaign.part_runs(part)] for name, values in longer.items()}
+
+
 def _column(campaign: Campaign, place: Path, part: int, name: str) -> NDArray[np.generic]:
-    columns = read_part(campaign, place, part, names=(name,))
+    columns = _read(campaign, place, part, name)
     if columns is None:
         raise FieldError(
             "part", part, "gone while it was read", allowed="a finished part", remedy="run the campaign again"
