@@ -150,7 +150,7 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
         damaged=damaged,
-        left_out=_left_out(campaign, place, missing, damaged, stated.runs),
+        left_out=_left_out(campaign, place, missing, damaged),
     )
 
 
@@ -163,9 +163,7 @@ def _stated(campaign: Campaign, place: Path) -> Campaign:
     return known if known.fingerprint == campaign.fingerprint and known.runs > campaign.runs else campaign
 
 
-def _left_out(
-    campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...], stated: int
-) -> str:
+def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]) -> str:
     """Which runs are in no figure, and what brings them back."""
     inside = tuple(part for part in damaged if part < campaign.parts)
     told = []
@@ -178,6 +176,7 @@ def _left_out(
             "The command that began the campaign computes them"
         )
     if beyond := damaged[len(inside) :]:
+        stated = _stated(campaign, place).runs
         told.append(
             f"{_named(place, beyond)} left out: beyond the {stated} runs that campaign.json states. "
             "Remove it if it is not of this campaign; else its command, given again, states them all"
