@@ -303,8 +303,10 @@ def test_a_cut_in_mid_motion_is_no_warning_where_the_motion_before_is_known() ->
     moving = int(np.argmax(np.abs(np.diff(cut.earlier_angle))))
     late = cut.earlier_angle[moving - 1 :]
     assert late.size > 100
-    # None, too short to be a rest, itself in mid-motion.
-    for earlier in (None, cut.earlier_angle[-5:], late):
+    rest, swing = np.full(200_000, cut.earlier_angle[0]), np.sin(0.01 * np.arange(200_000))
+    assert begins(replace(cut, earlier_angle=np.concatenate([rest, cut.earlier_angle])))[0] == "info"
+    # None, too short to be a rest, itself in mid-motion, and in mid-motion where the fit begins with it.
+    for earlier in (None, cut.earlier_angle[-5:], late, np.concatenate([cut.earlier_angle, swing])):
         severity, remedy = begins(replace(cut, earlier_angle=earlier))
         assert severity == "warning" and remedy.endswith("models assume rest")
 

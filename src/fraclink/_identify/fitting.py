@@ -20,7 +20,6 @@ from fraclink._identify.residual import ResidualTests, find_second_mode, residua
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
-    HISTORY,
     ORDER_LIMITS,
     Hold,
     Vector,
@@ -28,6 +27,7 @@ from fraclink._identify.shape import (
     chosen_hold,
     columns_of,
     model_of,
+    moving_angle,
     shape_of,
 )
 from fraclink._identify.uncertainty import Uncertainty, profile_interval, uncertainty
@@ -108,9 +108,8 @@ def make_search(
 
 def fitted_window(log: Experiment, count: int, hold: Literal["zero", "first"]) -> Window:
     """The first `count` samples of a log, moved by what the motor is known to have done before."""
-    samples = log.output.size
-    whole = log.whole_angle[-(1 + HISTORY) * samples :]
-    return Window(whole[: whole.size - samples + count], log.output[:count], log.period, hold)
+    angle = moving_angle(log)
+    return Window(angle[: angle.size - log.output.size + count], log.output[:count], log.period, hold)
 
 
 def _check_motion(log: Experiment, count: int) -> None:

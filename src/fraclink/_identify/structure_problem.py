@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
-from fraclink._identify.shape import HISTORY, Hold, chosen_hold
+from fraclink._identify.shape import Hold, chosen_hold, last_of
 from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, NotConvergedError
 
@@ -42,6 +42,9 @@ Limits = tuple[float, float]
 # nothing.
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (1e-12, 1e12)
+# As `shape.HISTORY`, and shorter: every candidate is a response to all of it, and a search behind 50 000
+# samples takes half a second.
+_HISTORY = 50_000
 # Three points s in general position: two functions of one form that agree there agree everywhere.
 GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
 
@@ -250,13 +253,15 @@ class RecordStart:
 
     @classmethod
     def of(cls, record: Recording, hold: Hold, count: int, earlier: Reals | None = None) -> RecordStart:
-        """The first `count` samples; the input counts from rest, which `earlier` begins with."""
+        """The first `count` samples; the input counts from rest, with which the used part of `earlier` begins."""
+        own = np.asarray(record.input, dtype=np.float64)
         before = np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
-        rest = float(before[0]) if before.size else record.input_at_rest
-        moved = np.asarray(record.input, dtype=np.float64) - rest
-        chosen = _hold(moved, hold)
-        kept = before[-HISTORY * moved.size :] - rest
-        return cls(moved[:count], np.asarray(record.output)[:count], record.period, chosen, kept)
+        kept = last_of(before, own.size, _HISTORY)
+        # Not from where a longer history began: the input would jump from there to here, as no motor did. The
+        # output from here on is another by a constant at most, and `offset` is that of a rest here.
+        rest = float(kept[0]) if kept.size else record.input_at_rest
+        chosen = _hold(own, hold)
+        return cls(own[:count] - rest, np.asarray(record.output)[:count], record.period, chosen, kept - rest)
 
     @cached_property
     def whole_input(self) -> Reals:

@@ -60,8 +60,8 @@ def identify_structure(
     Parameters
     ----------
     data
-        a log (motor angle to output, with the angle from before a cut), any two channels as a `Recording`,
-        or a `FrequencyResponse`.
+        a log (motor angle to output, with the angle from before a cut: of a very long one the last 50 000
+        samples), any two channels as a `Recording`, or a `FrequencyResponse`.
     expression
         numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur several times; what stands
         in an exponent of s is an order, in ``exp`` a delay, elsewhere a coefficient.

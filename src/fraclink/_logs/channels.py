@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._identify.columns import lead_of, motion_at_start
+from fraclink._identify.shape import moving_angle
 from fraclink._logs.columns import converter_step
 from fraclink.findings import Finding
 
@@ -372,9 +373,9 @@ def _begins_before(experiment: Experiment, lead: int) -> bool:
     `identify` starts from there. The rest must last as long as that of a log that was not cut: behind a gap
     in the stamps a few samples that hardly differ are no rest.
     """
-    earlier = experiment.earlier_angle
-    still = 0.02 * float(np.ptp(experiment.whole_angle))
-    return earlier is not None and earlier.size >= lead and float(np.ptp(earlier[:lead])) <= still
+    angle = moving_angle(experiment)  # of a very long history its end
+    still = 0.02 * float(np.ptp(angle))
+    return angle.size - experiment.output.size >= lead and float(np.ptp(angle[:lead])) <= still
 
 
 def quantisation(experiment: Experiment, mode: Mode | None) -> Iterator[Finding]:
