@@ -36,10 +36,11 @@ from fraclink._identify.compare import (
 from fraclink._identify.findings import (
     _no_signal,
     _of_outliers,
+    _of_the_gain,
     _of_the_optimum,
     _of_the_prediction,
     _of_the_residual,
-    _of_the_sensor,
+    _of_the_stiffness,
     _of_the_vibration,
     signal_of,
 )
@@ -354,25 +355,34 @@ def test_an_angle_of_more_than_a_turn() -> None:
 
 
 def test_the_gain_of_a_deflection_is_one(fit: Fit) -> None:
-    def said(gain: float, stiffness: float | None = 1.5) -> list[str]:
-        return codes(_of_the_sensor(replace(fit, output_kind="deflection", gain=gain), stiffness))
+    def said(gain: float) -> list[str]:
+        return codes(_of_the_gain(replace(fit, output_kind="deflection", gain=gain)))
 
     assert said(1.0) == said(-1.0) == said(1.49) == said(0.67) == []
     assert said(1.51) == said(0.66) == said(-1.51) == ["W320"]
-    assert said(1.0, None) == ["W304"]
-    assert list(_of_the_sensor(replace(fit, gain=7.0), None)) == []
-    # The stiffness that such a log cannot show is the rig's, in every loop; one that a fit has stays its own.
+    assert list(_of_the_gain(replace(fit, gain=7.0))) == []
+    found = one(_of_the_gain(replace(fit, output_kind="deflection", gain=7.0)))
+    assert found.evidence == {"gain": 7.0, "least": pytest.approx(2 / 3), "most": 1.5}
+
+
+def test_the_stiffness_that_a_deflection_cannot_show_is_the_rigs(fit: Fit) -> None:
+    deflected = replace(fit, output_kind="deflection", gain=1.0)
+    assert codes(_of_the_stiffness(deflected, None)) == ["W304"]
+    assert list(_of_the_stiffness(deflected, 1.5)) == list(_of_the_stiffness(fit, None)) == []
+    # In every loop; one that a fit has stays its own.
     rig = Rig.named("paper-2023")
     placeholder = replace(fit.model, stiffness=1.0)
-    unknown = tuple(_of_the_sensor(replace(fit, output_kind="deflection", gain=1.0), None))
-    blind = replace(fit, output_kind="deflection", model=placeholder, findings=unknown)
+    unknown = tuple(_of_the_stiffness(deflected, None))
+    blind = replace(deflected, model=placeholder, findings=unknown)
     assert blind.loop_model(rig) == replace(placeholder, stiffness=1.56)
     assert replace(blind, findings=()).loop_model(rig) == placeholder
     wanted = {"payloads": (0.02, 0.04), "gain_crossover": 11.5, "phase_margin": math.radians(40)}
     named = replace(blind, model=replace(placeholder, payload=0.03))
     assert design(named, rig, **wanted, filter_time=0.0, law=False).model.stiffness == 1.56
-    found = one(_of_the_sensor(replace(fit, output_kind="deflection", gain=7.0), 1.0))
-    assert found.evidence == {"gain": 7.0, "least": pytest.approx(2 / 3), "most": 1.5}
+    noise = np.random.default_rng(0).normal(size=1500)
+    deaf = identify(replace(made_log(samples=1500), output=noise, output_kind="deflection"), details=False)
+    assert {"W313", "W304"} <= {item.code for item in deaf.findings}
+    assert deaf.loop_model(rig).stiffness == 1.56
 
 
 def delayed(fit: Fit, delay: float, error: float | None = 1e-4, **changes: Any) -> list[Finding]:

@@ -12,7 +12,7 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._identify import identify, simulated_torque
+from fraclink._identify import identify
 from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
 from fraclink._identify.search import Search, Solution, _delayed, _lowest_valleys, special_cases
 from fraclink._identify.shape import (

@@ -58,7 +58,9 @@ def findings_of(
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
-        *(_of_the_sensor(fit, stiffness) if heard else ()),
+        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is said to be nobody's.
+        *_of_the_stiffness(fit, stiffness),
+        *(_of_the_gain(fit) if heard else ()),
         *(_of_the_delay(fit, solution) if heard else ()),
         *_of_the_residual(fit),
     ]
@@ -257,7 +259,7 @@ def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
         )
 
 
-def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
+def _of_the_stiffness(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
     if fit.output_kind == "deflection" and stiffness is None:
         yield Finding(
             "W304",
@@ -266,6 +268,9 @@ def _of_the_sensor(fit: Fit, stiffness: float | None) -> Iterator[Finding]:
             {},
             "give stiffness=, or let `design` take the rig's",
         )
+
+
+def _of_the_gain(fit: Fit) -> Iterator[Finding]:
     size = abs(fit.gain)
     # Of a torque the gain is a stiffness, which may be any.
     if fit.output_kind == "deflection" and not GAIN_RANGE[0] < size < GAIN_RANGE[1]:
