@@ -12,7 +12,7 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._identify import identify
+from fraclink._identify import identify, identify_structure, simulated_torque
 from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
 from fraclink._identify.search import Search, Solution, _delayed, _lowest_valleys, special_cases
 from fraclink._identify.shape import (
@@ -296,6 +296,25 @@ def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(seed
     assert fit.passed and fit.structure == "D-IOM"
     assert delay.low < 0.0 < delay.high and delay.high - delay.low < 2e-3
     assert fit.model.natural_frequency == pytest.approx(10.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("hold", ["first", "zero"])
+def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> None:
+    time = PERIOD * np.arange(2500)
+    angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1) if hold == "first" else 0.4 * (time > 0.2)
+    torque = simulated_torque(TRUTH, angle, PERIOD, hold=hold)
+    torque += 0.01 * torque.std() * np.random.default_rng(0).standard_normal(time.size)
+    cut = Experiment(PERIOD, angle[100:], torque[100:], earlier_angle=angle[:100])
+    fit = identify(cut)
+    # Between samples the input does what it did in the move: of an angle at rest nothing is seen of that.
+    assert fit.passed and fit.hold == hold
+    assert fit.model.order == pytest.approx(TRUTH.order, abs=2e-3)
+    assert abs(fit.delay) < 1e-3
+    structured = identify_structure(cut, "k*s**a/(s**a + w)", details=False)
+    assert structured.hold == hold
+    assert structured.parameters["a"] == pytest.approx(TRUTH.order, abs=2e-3)
+    with pytest.raises(LogError, match="motor_angle: constant over the fitted part"):
+        identify(replace(cut, earlier_angle=np.full(100, 0.4)))
 
 
 def test_limits_follow_the_scan(log: Experiment) -> None:

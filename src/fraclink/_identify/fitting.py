@@ -96,8 +96,9 @@ def make_search(
         # In a deflection log the gain is the gauge's own, whatever the link's stiffness.
         values.setdefault("gain", stiffness)
     count = fitted_samples(log) if heldout is None else log.output.size - round(heldout * log.output.size)
-    _check_motion(log, count)
-    window = fitted_window(log, count, chosen_hold(log.motor_angle, hold))
+    # What moved before the cut is motion, too: a ring-down behind it says all of the link.
+    window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
+    _check_motion(window)
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
@@ -112,12 +113,12 @@ def fitted_window(log: Experiment, count: int, hold: Literal["zero", "first"]) -
     return Window(angle[: angle.size - log.output.size + count], log.output[:count], log.period, hold)
 
 
-def _check_motion(log: Experiment, count: int) -> None:
-    if count < _LEAST_SAMPLES:
+def _check_motion(window: Window) -> None:
+    if window.samples < _LEAST_SAMPLES:
         least, remedy = f">= {_LEAST_SAMPLES}", "record a longer log"
-        raise LogError("output", count, "too few samples to fit", allowed=least, remedy=remedy)
-    for name, values in (("motor_angle", log.motor_angle), ("output", log.output)):
-        if np.ptp(values[:count]) == 0:
+        raise LogError("output", window.samples, "too few samples to fit", allowed=least, remedy=remedy)
+    for name, values in (("motor_angle", window.angle), ("output", window.output)):
+        if np.ptp(values) == 0:
             problem = "constant over the fitted part"
             remedy = "check the wiring, or fit a part in which the arm moves"
             raise LogError(name, float(values[0]), problem, allowed="a motion", remedy=remedy)

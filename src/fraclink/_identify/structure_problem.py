@@ -253,14 +253,14 @@ class RecordStart:
 
     @classmethod
     def of(cls, record: Recording, hold: Hold, count: int, earlier: Reals | None = None) -> RecordStart:
-        """The first `count` samples; the input counts from rest, with which the used part of `earlier` begins."""
+        """The first `count` samples; the input counts from rest: where the used part of `earlier` begins."""
         own = np.asarray(record.input, dtype=np.float64)
         before = np.zeros(0) if earlier is None else np.asarray(earlier, dtype=np.float64)
         kept = last_of(before, own.size, _HISTORY)
         # Not from where a longer history began: the input would jump from there to here, as no motor did. The
         # output from here on is another by a constant at most, and `offset` is that of a rest here.
         rest = float(kept[0]) if kept.size else record.input_at_rest
-        chosen = _hold(own, hold)
+        chosen = _hold(np.concatenate([kept, own]), hold)
         return cls(own[:count] - rest, np.asarray(record.output)[:count], record.period, chosen, kept - rest)
 
     @cached_property
