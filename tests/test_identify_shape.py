@@ -14,20 +14,23 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import identify, identify_structure, simulated_torque
 from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
-from fraclink._identify.search import Search, Solution, _delayed, _lowest_valleys, special_cases
+from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
     Window,
     chosen_hold,
     columns_of,
     damping_and_square,
+    delayed,
     free_coordinates,
     largest_ratio,
+    lowest_valleys,
     mask_of,
     model_gradients,
     model_of,
     moving_angle,
     shape_of,
+    special_cases,
     undamped_as_damped,
 )
 from fraclink._identify.uncertainty import _basis, _Profile, inverted, profile_interval, reduced, uncertainty
@@ -188,14 +191,14 @@ def test_special_cases_of_the_structures() -> None:
     }
 
 
-def test_the_lowest_valleys() -> None:
+def test_thelowest_valleys() -> None:
     costs = np.array([1.0, 3.0, 2.0, 5.0, 5.0, 0.5, 4.0, 3.5])
-    assert _lowest_valleys(costs, 2).tolist() == [5, 0]
-    assert _lowest_valleys(costs, 9).tolist() == [5, 0, 2, 7]
+    assert lowest_valleys(costs, 2).tolist() == [5, 0]
+    assert lowest_valleys(costs, 9).tolist() == [5, 0, 2, 7]
 
 
 def test_a_delay_as_a_part_of_the_period() -> None:
-    rows = _delayed(np.array([[2.0, math.log(4.0), 0.0, 1.0, 9.0]]), 0.25)
+    rows = delayed(np.array([[2.0, math.log(4.0), 0.0, 1.0, 9.0]]), 0.25)
     assert rows.tolist() == [[2.0, math.log(4.0), 0.0, 1.0, pytest.approx(0.25 * 2 * math.pi / 4.0)]]
 
 
@@ -287,7 +290,7 @@ def test_of_a_long_history_what_a_fit_can_afford_moves_the_link() -> None:
     assert moving_angle(replace(cut(5000), earlier_angle=None)).size == 370_000 - 5001
 
 
-@pytest.mark.parametrize("seed", [0, 2, 8])
+@pytest.mark.parametrize("seed", [0, 2, 3, 4, 6])
 def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(seed: int) -> None:
     """The last 2 s of 32 s at ζ = 0.02: by 6 s before the cut alone the delay is up to 9 ms off."""
     cut = late_cut(seed)

@@ -13,8 +13,8 @@ from fraclink._arm.link import structure as structure_row
 from fraclink._files import document
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
-from fraclink._identify.search import Search, special_cases
-from fraclink._identify.shape import Hold
+from fraclink._identify.search import Search
+from fraclink._identify.shape import Hold, special_cases
 from fraclink._identify.uncertainty import Uncertainty, structure_criteria, uncertainty
 from fraclink._validate import checked
 from fraclink._validate.display import displayed

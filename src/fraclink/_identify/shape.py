@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel, structure
+from fraclink._arm.link import FRACTIONAL, STRUCTURES, LinkModel, structure
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 
@@ -45,7 +45,7 @@ ALPHA_LIMITS = (1e-4, 1.9)
 
 # Samples before a cut that move the link, or three lengths of the log where that is more. The bound is one
 # of cost, as none of physics is short enough: of a link of ζ = 0.02 cut to its last 2 s of 32 s the delay is
-# 15 ms off if three lengths move it. A fit of 2000 samples takes 0.1 s of CPU behind 50 000 samples and 0.2 s
+# 15 ms off if three lengths move it. A fit of 2000 samples takes 1 s of CPU behind 50 000 samples and 2 s
 # behind 200 000.
 HISTORY = 200_000
 
@@ -66,6 +66,38 @@ def free_coordinates(name: str) -> tuple[int, ...]:
 def mask_of(free: Sequence[int]) -> int:
     """Bits of the free coordinates, as the kernel wants them."""
     return sum(1 << i for i in free)
+
+
+def special_cases(name: str) -> list[str]:
+    """Structures that are special cases of this one, in the order of the table.
+
+    The undamped link of order λ is one of every link with a free α: see `undamped_as_damped`.
+    """
+    free = set(structure(name).free)
+    return [
+        row.name
+        for row in STRUCTURES.values()
+        if set(row.free) < free or ("damping_order" in free and row.name == FRACTIONAL)
+    ]
+
+
+def embedded(shape: Shape, name: str) -> Shape:
+    """The shape of a special case in the coordinates of the structure `name`."""
+    return undamped_as_damped(shape) if shape[0] < 2 and "order" not in structure(name).free else shape
+
+
+def delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
+    """The rows with a delay of `part` of their vibration's period."""
+    result = rows.copy()
+    result[:, 4] = part * 2 * math.pi / np.exp(rows[:, 1])
+    return result
+
+
+def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
+    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum is not another."""
+    padded = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
+    return np.asarray(valleys[np.argsort(costs[valleys])][:count])
 
 
 def damping_and_square(shape: Shape) -> tuple[float, float]:
