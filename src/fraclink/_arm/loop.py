@@ -48,8 +48,7 @@ def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
     if model.payload is not None:
         return model
     nominal, own = rig.payloads.nominal, rig.natural_frequency(rig.payloads.nominal)
-    # The interval of the ω₀ that is replaced says nothing of the rig's: a box would reach from one to the
-    # other.
+    # Without the interval of the ω₀ that is replaced: a box would reach from there to the rig's.
     kept = tuple(row for row in model.intervals if row[0] != "natural_frequency")
     return replace(model, natural_frequency=own, payload=nominal, intervals=kept)
 
