@@ -35,9 +35,10 @@ build: setup
 demo: setup
 	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force
 
-# Their tests start browsers, solvers, a fuzzer, a cluster: in a run of their own, which has loaded little else.
-LARGE := tests/test_arm_page.py tests/test_campaign_cluster.py tests/test_export_gates.py tests/test_report.py \
-  tests/test_studio_browser.py prove/tests
+# Their tests start browsers, solvers, compilers, a fuzzer, a cluster: in a run of their own, which has loaded
+# little else.
+LARGE := tests/test_arm_page.py tests/test_campaign_cluster.py tests/test_engine.py tests/test_export_fmu_sources.py \
+  tests/test_export_gates.py tests/test_report.py tests/test_studio_browser.py prove/tests
 
 # Two workers share nothing but the processor; a file's tests stay together, because their fixtures are dear.
 # 1 is pytest's code for tests that failed: the others are tried, too. What interrupted it ends all.
