@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -73,93 +73,86 @@ def noted(page: Page, place: Path) -> dict:
     return states(place)[-1]["state"]
 
 
-# A busy machine may answer a preview behind the exact design of its state: here it always does, and with a
-# filter that it borrows from the last design it may know of no nearest request.
-_LATE_PREVIEWS = """(() => {
-  const own = Object.getOwnPropertyDescriptor(WebSocket.prototype, 'onmessage');
-  Object.defineProperty(WebSocket.prototype, 'onmessage', {set(hear) {
-    own.set.call(this, (event) => {
-      const size = new DataView(event.data).getUint32(0, true);
-      const head = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
-      if (head.verb !== 'preview') return hear(event);
-      const text = new TextEncoder().encode(JSON.stringify({...head, nearest: {}}));
-      const data = new ArrayBuffer(4 + text.length);
-      new DataView(data).setUint32(0, text.length, true);
-      new Uint8Array(data, 4).set(text);
-      (window.late ||= []).push(() => {
-        window.refusals = (window.refusals || 0) + !head.ok;
-        hear(head.ok ? event : {data});
-      });
-    });
-  }});
-})()"""
-
-
-def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path):
-    kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=_LATE_PREVIEWS)["identifier"]
-    try:
-        with studio(tmp_path) as (address, _process):
-            page.open(address)
-            page.key("4")
-
-            def handed_on(condition: str) -> bool:
-                page.run("(window.late || []).splice(0).forEach((hear) => hear())")
-                return bool(page.run(f"Boolean({condition})"))
-
-            page.until(
-                lambda: handed_on("!document.querySelector('#controller').classList.contains('preview')")
-            )
-            page.run(
-                "(i => { i.value = '9'; i.dispatchEvent(new Event('change')); })"
-                "(document.getElementById('f-gain_crossover'))"
-            )
-            page.until("document.querySelector('#refused button')", "the nearest")
-            page.until(lambda: handed_on("window.refusals"), "the preview")
-            refused = "document.querySelector('#refused')"
-            assert page.run(f"!{refused}.hidden && Boolean({refused}.querySelector('button'))")
-    finally:
-        page.do("Page.removeScriptToEvaluateOnNewDocument", identifier=kept)
-
-
-# A busy machine may answer with the picture of a state long behind the next state: here when it is told to.
-_LATE_PICTURES = """(() => {
+# A busy machine may answer long after the next request: here when the test says so (`window.late`).
+_LATE = """((verb, changed) => {
   const hears = Object.getOwnPropertyDescriptor(WebSocket.prototype, 'onmessage');
   const {send} = WebSocket.prototype;
-  Object.assign(window, {looked: [], late: []});
+  Object.assign(window, {asked: [], late: [], refusals: 0});
   WebSocket.prototype.send = function (text) {
-    if (text.includes('"verb":"look"')) window.looked.push(JSON.stringify(JSON.parse(text).state));
+    if (text.includes(`"verb":"${verb}"`)) window.asked.push(JSON.stringify(JSON.parse(text).state));
     send.call(this, text);
   };
   Object.defineProperty(WebSocket.prototype, 'onmessage', {set(hear) {
     hears.set.call(this, (event) => {
       const size = new DataView(event.data).getUint32(0, true);
-      const {verb} = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
-      if (verb === 'look') window.late.push(() => hear(event)); else hear(event);
+      const head = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, size)));
+      if (head.verb === verb) window.late.push(() => hear(changed(head, event))); else hear(event);
     });
   }});
-})()"""
+})"""
+# With a filter that it borrows from the last design, a refused preview may know of no nearest request.
+_KNOWS_LESS = """(head, event) => {
+  if (head.ok) return event;
+  window.refusals += 1;
+  const text = new TextEncoder().encode(JSON.stringify({...head, nearest: {}}));
+  const data = new ArrayBuffer(4 + text.length);
+  new DataView(data).setUint32(0, text.length, true);
+  new Uint8Array(data, 4).set(text);
+  return {data};
+}"""
+
+
+@contextmanager
+def held_back(
+    page: Page, verb: str, changed: str = "(head, event) => event"
+) -> Iterator[Callable[[], object]]:
+    """Hold back the answers to `verb` in pages that are opened; what this yields hands them on."""
+    source = f"{_LATE}('{verb}', {changed})"
+    kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=source)["identifier"]
+    try:
+        yield lambda: page.run("window.late.splice(0).forEach((hear) => hear())")
+    finally:
+        page.do("Page.removeScriptToEvaluateOnNewDocument", identifier=kept)
+
+
+def ask_for(page: Page, crossover: str) -> None:
+    """Type a gain crossover into its field, or empty it."""
+    page.run(
+        f"(i => {{ i.value = '{crossover}'; i.dispatchEvent(new Event('change')); }})"
+        "(document.getElementById('f-gain_crossover'))"
+    )
+
+
+def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path):
+    with held_back(page, "preview", _KNOWS_LESS) as hand_on, studio(tmp_path) as (address, _process):
+        page.open(address)
+        page.key("4")
+
+        def handed_on(condition: str) -> bool:
+            hand_on()
+            return bool(page.run(f"Boolean({condition})"))
+
+        page.until(lambda: handed_on("!document.querySelector('#controller').classList.contains('preview')"))
+        ask_for(page, "9")
+        page.until("document.querySelector('#refused button')", "the nearest")
+        page.until(lambda: handed_on("window.refusals"), "the preview")
+        refused = "document.querySelector('#refused')"
+        assert page.run(f"!{refused}.hidden && Boolean({refused}.querySelector('button'))")
 
 
 def test_the_picture_of_a_state_is_asked_for_once(page, tmp_path):
     """Each time that the strip is drawn, 64 requests were soon waiting, and the studio hung up."""
-    kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=_LATE_PICTURES)["identifier"]
-    try:
-        with studio(tmp_path) as (address, _process):
-            page.open(address)
-            page.key("4")
-            for number, value in enumerate((12.5, 13, 13.5), 2):
-                page.run(
-                    f"(i => {{ i.value = '{value}'; i.dispatchEvent(new Event('change')); }})"
-                    "(document.getElementById('f-gain_crossover'))"
-                )
-                page.until(f"document.querySelectorAll('.thumb').length === {number}")
-            page.until("new Set(window.looked).size === 4", "every state's picture asked for")
-            assert page.run("window.looked.length") == 4
-            page.until("window.late.length === 4", "every picture answered")
-            page.run("window.late.splice(0).forEach((hear) => hear())")
-            page.until("document.querySelectorAll('.thumb path[d]').length === 4", "every picture drawn")
-    finally:
-        page.do("Page.removeScriptToEvaluateOnNewDocument", identifier=kept)
+    with held_back(page, "look") as hand_on, studio(tmp_path) as (address, _process):
+        page.open(address)
+        page.key("4")
+        for number, value in enumerate(("12.5", "13", "13.5"), 2):
+            ask_for(page, value)
+            page.until(f"document.querySelectorAll('.thumb').length === {number}")
+        page.until("new Set(window.asked).size === 4", "every state's picture asked for")
+        assert page.run("window.asked.length") == 4
+        page.until("window.late.length === 4", "every picture answered")
+        hand_on()
+        page.until("document.querySelectorAll('.thumb path[d]').length === 4", "every picture drawn")
 
 
 def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
@@ -257,10 +250,7 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         # A request that cannot be met: pale curves, a sentence, and the nearest that can.
         page.key("4")
         for value in ("9", ""):
-            page.run(
-                "(i => { i.value = '" + value + "'; i.dispatchEvent(new Event('change')); })"
-                "(document.getElementById('f-gain_crossover'))"
-            )
+            ask_for(page, value)
             if value:
                 page.until("!document.querySelector('#refused').hidden")
                 assert "lies left of the peak" in page.run("document.querySelector('#refused').textContent")

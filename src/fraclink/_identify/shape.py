@@ -45,7 +45,7 @@ ALPHA_LIMITS = (1e-4, 1.9)
 
 # Samples before a cut that move the link, or three lengths of the log where that is more. The bound is one
 # of cost, as none of physics is short enough: of a link of ζ = 0.02 cut to its last 2 s of 32 s the delay is
-# 15 ms off if three lengths move it. A fit of 2000 samples takes 1 s of CPU behind 50 000 samples and 2 s
+# 15 ms off if three lengths move it. A fit of 2000 samples takes 1.2 s of CPU behind 50 000 samples and 3.4 s
 # behind 200 000.
 HISTORY = 200_000
 

@@ -44,7 +44,7 @@ class Reading(NamedTuple):
     periods: int
 
 
-class Signals(Protocol):
+class SignalWatch(Protocol):
     """Whether a signal has asked for the end."""
 
     def is_set(self) -> bool: ...
@@ -56,7 +56,7 @@ class ArmLine:
     An arm with a clock of its own (udp, shm) sets the pace; the others are read on deadlines of `clock`.
     """
 
-    def __init__(self, way: Any, period: float, clock: Any, signals: Signals) -> None:
+    def __init__(self, way: Any, period: float, clock: Any, signals: SignalWatch) -> None:
         self.period = period
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
@@ -177,7 +177,7 @@ def _first_sample(
     period: float | None,
     patience: float,
     clock: Any,
-    signals: Signals,
+    signals: SignalWatch,
 ) -> tuple[int, float, float]:
     last, look = clock.now + patience, (period or 0.004) / _LOOKS
     while (found := way.read()) is None or not math.isfinite(found[1]):

@@ -212,8 +212,8 @@ def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
     """The motor with the inertia that the link's torque shows, in the gauge's units.
 
     A gauge reads curvature, and the moment on the hub is D(s) times that: of a power law |jω|^(2−λ), 1.22 at
-    the 11.9 rad/s of the paper's arm. The inertia comes out smaller by it, 0.142 for 0.172 kg·m², and Γ/J,
-    which the law compensates, is what acts on the hub at the vibration.
+    the 11.9 rad/s of the paper's arm. The inertia comes out smaller by it, and Γ/J, which the law
+    compensates, is what acts on the hub at the vibration.
 
     The torque is the model's, which is neither noisy nor late: a regressor with errors loses part of its
     slope, and the inertia would come out small.
