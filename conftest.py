@@ -1,8 +1,8 @@
 """Give memory back: `make test` fits into a gigabyte.
 
-What a file of tests leaves in its caches is needed by no other, and free memory goes back to the system only
-where the C library is told to: without either, a worker grows to twice what it starts with.
-benchmarks/memory_of_tests.py measures it.
+What a file of tests leaves in its caches is needed by no other, and free memory goes
+back to the system only where the C library is told to: without either, a worker grows
+to twice what it starts with. benchmarks/memory_of_tests.py measures it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 
-# One worker runs all tests that start pools of processes, so that no two pools live at once.
+# One worker runs all tests that start pools of processes, so that no two pools live at
+# once.
 _POOLS = {f"tests/test_campaign{name}.py" for name in ("", "_resume", "_summary")}
 _POOLS |= {"tests/test_integrity.py"}
 
@@ -29,23 +30,30 @@ class _Scheduling(LoadFileScheduling):
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadFileScheduling | None:
+def pytest_xdist_make_scheduler(
+    config: pytest.Config, log: Producer
+) -> LoadFileScheduling | None:
     """Keep the tests of a file on one worker, and all of those that start pools."""
     return _Scheduling(config, log) if config.getvalue("dist") == "loadfile" else None
 
 
 def _forget(module: ModuleType) -> None:
-    """Empty the caches of the functions that a module has or uses; the package's own are bounded."""
+    """Empty the caches of the functions that a module has or uses; the package's own
+    are bounded.
+    """
     for value in vars(module).values():
-        if hasattr(value, "cache_clear") and not str(value.__module__).startswith("fraclink."):
+        if hasattr(value, "cache_clear") and not str(value.__module__).startswith(
+            "fraclink."
+        ):
             value.cache_clear()
 
 
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 if hasattr(_LIBC, "mallopt"):
-    # An array of some megabytes goes back when it is freed. Left alone, the GNU C library raises this limit
-    # to the largest block freed so far, up to 32 MB: smaller ones then stay in the worker, below what lives.
+    # An array of some megabytes goes back when it is freed. Left alone, the GNU C
+    # library raises this limit to the largest block freed so far, up to 32 MB: smaller
+    # ones then stay in the worker, below what lives.
     _LIBC.mallopt(_MMAP_THRESHOLD, 4 * 2**20)
 
 
@@ -56,7 +64,9 @@ def _give_back() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave modules and collected tests out of every later search for garbage: they stay."""
+    """Leave modules and collected tests out of every later search for garbage: they
+    stay.
+    """
     linecache.clearcache()  # every source in which an example was looked for
     _give_back()
     gc.freeze()
@@ -76,12 +86,16 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 class _Lean:
     @pytest.hookimpl(trylast=True)
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Of what passed keep the name and the time: the words of thirty thousand reports are 40 MB."""
+        """Of what passed keep the name and the time: the words of thirty thousand
+        reports are 40 MB.
+        """
         if report.passed:
             report.keywords, report.sections, report.user_properties = {}, [], []
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let the process in which the workers' reports come together forget what nobody will read."""
+    """Let the process in which the workers' reports come together forget what nobody
+    will read.
+    """
     if config.getoption("numprocesses", None):
         config.pluginmanager.register(_Lean())

@@ -1,9 +1,10 @@
-"""The box of a certificate: every claim against an own dense search for the worst point; leaves and times.
+"""The box of a certificate: every claim against an own dense search for the worst
+point; leaves and times.
 
-The search evaluates the sampled loop of `fraclink._arm.sampled`, every alias summed, at random points and
-corners of each box and goes downhill from the closest by Nelder and Mead's method: it shares the law's
-coefficients with the proof and nothing else. Designs and boxes are random with a stated seed. Times are CPU
-seconds.
+The search evaluates the sampled loop of `fraclink._arm.sampled`, every alias summed, at
+random points and corners of each box and goes downhill from the closest by Nelder and
+Mead's method: it shares the law's coefficients with the proof and nothing else. Designs
+and boxes are random with a stated seed. Times are CPU seconds.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ RIG = Rig.named("paper-2023")
 SEED, CASES = 15, 60
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-# Of a case's point: payload [kg] and delay [s], and beside them the parameters of the box in its own order.
+# Of a case's point: payload [kg] and delay [s], and beside them the parameters of the
+# box in its own order.
 PARAMETERS = tuple(ParameterBox.__dataclass_fields__)
 
 
@@ -52,7 +54,11 @@ class Case:
     @property
     def ends(self) -> tuple[Real, Real]:
         """Lower and upper ends of (payload, delay, the box's parameters)."""
-        pairs = [self.design.payloads, self.delay, *(getattr(self.box, name) for name in PARAMETERS)]
+        pairs = [
+            self.design.payloads,
+            self.delay,
+            *(getattr(self.box, name) for name in PARAMETERS),
+        ]
         low, high = np.array(pairs, dtype=float).T
         return low, high
 
@@ -67,12 +73,24 @@ class Case:
 def distance(case: Case, point: Real, frequency: Real) -> Real:
     """|1 + L| of the sampled loop at one point of the box, every alias summed."""
     design, rig = case.design, case.design.rig
-    payload, delay, softness, order, damping, gain, late, motor, mode_frequency, mode_gain = map(float, point)
+    (
+        payload,
+        delay,
+        softness,
+        order,
+        damping,
+        gain,
+        late,
+        motor,
+        mode_frequency,
+        mode_gain,
+    ) = map(float, point)
     model = design.model
     second = model.second_mode
     if second is not None:
         second = replace(second, frequency=mode_frequency, gain=mode_gain)
-    # What the law takes off per torque, times the true gauge: the compliance that ships is not exactly 1/c.
+    # What the law takes off per torque, times the true gauge: the compliance that ships
+    # is not exactly 1/c.
     read = gain * model.stiffness * float(case.law.coefficients["compliance"])  # type: ignore[arg-type]
     known = replace(model, payload=design.payload(model.natural_frequency))
     link = replace(
@@ -85,18 +103,30 @@ def distance(case: Case, point: Real, frequency: Real) -> Real:
     )
     loop = replace(design.motor_loop, kind="ideal")
     if design.motor_loop.kind == "ideal":
-        plant = sampled_plant(link, replace(loop, pole=loop.pole * motor), rig.motor, rig.period)
+        plant = sampled_plant(
+            link, replace(loop, pole=loop.pole * motor), rig.motor, rig.period
+        )
         plant = replace(plant, delay=delay)
     else:
         ideal = sampled_plant(link, loop, rig.motor, rig.period)
         plant = on_motor(case, ideal, delay, rig.motor.gain * motor)
-    return np.asarray(np.abs(1.0 + case.law.frequency_response(frequency) * plant(frequency)))
+    return np.asarray(
+        np.abs(1.0 + case.law.frequency_response(frequency) * plant(frequency))
+    )
 
 
-def on_motor(case: Case, plant: SampledPlant, delay: float, gain: float) -> SampledPlant:
-    """The link behind the PID of the rig, around a motor of this gain, late by any part of a period."""
+def on_motor(
+    case: Case, plant: SampledPlant, delay: float, gain: float
+) -> SampledPlant:
+    """The link behind the PID of the rig, around a motor of this gain, late by any part
+    of a period.
+    """
     rig, settings = case.design.rig, case.design.motor_loop
-    pid, decay, pole = settings.sampled(rig.motor, rig.period), rig.motor.decay, settings.pole
+    pid, decay, pole = (
+        settings.sampled(rig.motor, rig.period),
+        rig.motor.decay,
+        settings.pole,
+    )
 
     def motor(s: Complex) -> Complex:
         return np.asarray(gain / (s * (s + decay)))
@@ -116,14 +146,22 @@ def on_motor(case: Case, plant: SampledPlant, delay: float, gain: float) -> Samp
 # ---- the search -------------------------------------------------------------------------------------------
 
 
-def worst(case: Case, rng: np.random.Generator, *, points: int = 150, starts: int = 2) -> tuple[float, Real]:
-    """(smallest |1 + L| found, its point with ω at the end): corners, random points, then downhill."""
+def worst(
+    case: Case, rng: np.random.Generator, *, points: int = 150, starts: int = 2
+) -> tuple[float, Real]:
+    """(smallest |1 + L| found, its point with ω at the end): corners, random points,
+    then downhill.
+    """
     low, high = case.ends
     nyquist = math.pi / case.law.period
-    grid = np.unique(np.concatenate([np.geomspace(1.0, nyquist, 60), np.linspace(4.0, 60.0, 40)]))
+    grid = np.unique(
+        np.concatenate([np.geomspace(1.0, nyquist, 60), np.linspace(4.0, 60.0, 40)])
+    )
     mode = case.box.mode_frequency
     if mode[1]:
-        grid = np.unique(np.concatenate([grid, np.linspace(0.98 * mode[0], 1.02 * mode[1], 40)]))
+        grid = np.unique(
+            np.concatenate([grid, np.linspace(0.98 * mode[0], 1.02 * mode[1], 40)])
+        )
     grid = grid[grid <= nyquist]
     shares = np.concatenate(
         [
@@ -141,7 +179,9 @@ def worst(case: Case, rng: np.random.Generator, *, points: int = 150, starts: in
 
     def at(place: Real) -> float:
         point = low + np.clip(place[:-1], 0.0, 1.0) * (high - low)
-        return float(distance(case, point, np.exp(np.minimum(place[-1:], math.log(nyquist))))[0])
+        return float(
+            distance(case, point, np.exp(np.minimum(place[-1:], math.log(nyquist))))[0]
+        )
 
     best = found[0]
     for _, start in found[:starts]:
@@ -161,7 +201,12 @@ def _downhill(at, start: Real, varied: NDArray[np.bool_]) -> tuple[float, Real]:
     steps = np.where(start[free] > 0.5, -0.2, 0.2)
     steps[-1] = 0.02
     simplex = np.vstack([start[free], start[free] + np.diag(steps)])
-    options = {"initial_simplex": simplex, "maxfev": 60 * size, "xatol": 1e-4, "fatol": 1e-6}
+    options = {
+        "initial_simplex": simplex,
+        "maxfev": 60 * size,
+        "xatol": 1e-4,
+        "fatol": 1e-6,
+    }
     result = minimize(value, start[free], method="Nelder-Mead", options=options)
     place = start.copy()
     place[free] = result.x
@@ -172,13 +217,17 @@ def _downhill(at, start: Real, varied: NDArray[np.bool_]) -> tuple[float, Real]:
 
 
 def random_case(rng: np.random.Generator) -> Case:
-    """A design for a random rig, link and request, and a box from tiny to larger than the large one."""
+    """A design for a random rig, link and request, and a box from tiny to larger than
+    the large one.
+    """
     while True:
         light = float(rng.uniform(0.012, 0.030))
         inner = ("ideal", "ideal", "sampled", "direct")[int(rng.integers(4))]
         second = None
         if rng.random() < 0.4:
-            second = SecondMode(float(rng.uniform(120, 260)), float(rng.uniform(0.005, 0.05)), 0.02)
+            second = SecondMode(
+                float(rng.uniform(120, 260)), float(rng.uniform(0.005, 0.05)), 0.02
+            )
         damped = rng.random() < 0.5
         rig = replace(
             RIG,
@@ -188,7 +237,9 @@ def random_case(rng: np.random.Generator) -> Case:
         model = LinkModel(
             rig.link.stiffness,
             float(rng.uniform(10.0, 13.0)),
-            order=2.0 if damped and rng.random() < 0.3 else float(rng.uniform(1.86, 1.97)),
+            order=2.0
+            if damped and rng.random() < 0.3
+            else float(rng.uniform(1.86, 1.97)),
             damping=float(rng.uniform(0.1, 1.0)) if damped else 0.0,
             damping_order=float(rng.uniform(0.7, 1.0)),
             payload=0.03,
@@ -204,8 +255,11 @@ def random_case(rng: np.random.Generator) -> Case:
             "placement": "direct" if inner == "direct" else "tustin",
         }
         design = nearest_design(model, rig, wanted)
-        # Without a filter a correction of β > 0.9 amplifies noise without bound: its limits act at once.
-        if design is None or (not design.controller.filter_time and design.controller.order > 0.9):
+        # Without a filter a correction of β > 0.9 amplifies noise without bound: its
+        # limits act at once.
+        if design is None or (
+            not design.controller.filter_time and design.controller.order > 0.9
+        ):
             continue
         size = 10.0 ** rng.uniform(-1.5, 0.1)
         longest = float(rng.uniform(0.2, 1.0)) * rig.period
@@ -215,7 +269,9 @@ def random_case(rng: np.random.Generator) -> Case:
 
 
 def nearest_design(model: LinkModel, rig: Rig, wanted: dict[str, Any]) -> Design | None:
-    """The design asked for, or the nearest one that its refusal offers; None where it offers none."""
+    """The design asked for, or the nearest one that its refusal offers; None where it
+    offers none.
+    """
     for _ in range(2):
         try:
             return fl.design(model, rig, **wanted)
@@ -227,7 +283,9 @@ def nearest_design(model: LinkModel, rig: Rig, wanted: dict[str, Any]) -> Design
 
 
 def box_around(design: Design, size: float) -> ParameterBox:
-    """The large box of this project times `size`: λ ±0.04, ω₀² ±5 %, gauge ±10 % and 4 ms, motor ±20 %."""
+    """The large box of this project times `size`: λ ±0.04, ω₀² ±5 %, gauge ±10 % and 4
+    ms, motor ±20 %.
+    """
     model = design.model
     mode = model.second_mode
 
@@ -257,16 +315,22 @@ def figure(name: str, value: str, wanted: str, good: bool) -> None:
 def against_search(count: int, seed: int) -> None:
     """Every claim beside the truth that the search finds."""
     gaps, unproved = [], 0
-    print(f"{count} random designs and boxes, seed {seed}: claim, truth, leaves, CPU seconds")
+    print(
+        f"{count} random designs and boxes, seed {seed}: claim, truth, leaves, CPU seconds"
+    )
     for number in range(count):
-        rng = np.random.default_rng([seed, number])  # every case by itself, so that one can be made again
+        rng = np.random.default_rng(
+            [seed, number]
+        )  # every case by itself, so that one can be made again
         case = random_case(rng)
         begin = time.process_time()
         certificate = case.certified()
         spent = time.process_time() - begin
         claim = certificate.statement.modulus
         if "stable" in certificate.verdict and not certificate.passed:
-            print(f"  {number:2d} {case.name:<26} {certificate.verdict[:80]}", flush=True)
+            print(
+                f"  {number:2d} {case.name:<26} {certificate.verdict[:80]}", flush=True
+            )
             continue
         truth, _ = worst(case, rng)
         if certificate.passed:
@@ -280,10 +344,17 @@ def against_search(count: int, seed: int) -> None:
             f"leaves {certificate.leaves:6d} {spent:6.2f} s  {note}",
             flush=True,
         )
-    figure("truth below the claim", str(sum(gap < 0 for gap in gaps)), "0", min(gaps) >= 0)
+    figure(
+        "truth below the claim", str(sum(gap < 0 for gap in gaps)), "0", min(gaps) >= 0
+    )
     far = sum(gap > 0.02 for gap in gaps)
     figure("claim farther than 0.02 from the truth", str(far), "0", far == 0)
-    figure("largest distance of a claim from the truth", f"{max(gaps):.4f}", "<= 0.02", max(gaps) <= 0.02)
+    figure(
+        "largest distance of a claim from the truth",
+        f"{max(gaps):.4f}",
+        "<= 0.02",
+        max(gaps) <= 0.02,
+    )
     figure("not proved", str(unproved), "0", unproved == 0)
 
 
@@ -300,7 +371,11 @@ def load_checker() -> ModuleType:
 def named_boxes() -> None:
     """Leaves and seconds for the moderate and the large box."""
     checker = load_checker()
-    wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(58)}
+    wanted = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(58),
+    }
     design = fl.design(RIG.model, RIG, **wanted, filter_time=0.0)
     law = design.law()
     boxes = {"moderate": (ParameterBox.of(design.model, RIG), 5_000, 3.0)}
@@ -309,16 +384,30 @@ def named_boxes() -> None:
         begin = time.process_time()
         made = certify(design, law=law, box=box)
         spent = time.process_time() - begin
-        figure(f"{name} box, proved modulus", f"{made.statement.modulus:.3f}", "proved", made.passed)
-        figure(f"{name} box, leaves", str(made.leaves), f"<= {most}", made.passed and made.leaves <= most)
-        figure(f"{name} box, CPU seconds", f"{spent:.2f}", f"<= {limit:g}", spent <= limit)
+        figure(
+            f"{name} box, proved modulus",
+            f"{made.statement.modulus:.3f}",
+            "proved",
+            made.passed,
+        )
+        figure(
+            f"{name} box, leaves",
+            str(made.leaves),
+            f"<= {most}",
+            made.passed and made.leaves <= most,
+        )
+        figure(
+            f"{name} box, CPU seconds", f"{spent:.2f}", f"<= {limit:g}", spent <= limit
+        )
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "certificate.json"
             made.save(place)
             begin = time.process_time()
             checker.check(str(place), law.digest)
             spent = time.process_time() - begin
-        figure(f"{name} box, CPU seconds to check", f"{spent:.2f}", "<= 10", spent <= 10.0)
+        figure(
+            f"{name} box, CPU seconds to check", f"{spent:.2f}", "<= 10", spent <= 10.0
+        )
 
 
 def main() -> None:

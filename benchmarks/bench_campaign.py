@@ -1,4 +1,5 @@
-"""Figures of campaigns: speed of the loop with its law, set-up, scaling, memory, and what Python adds.
+"""Figures of campaigns: speed of the loop with its law, set-up, scaling, memory, and
+what Python adds.
 
     python benchmarks/bench_campaign.py [--runs 2000]
 
@@ -38,10 +39,19 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
 
 
 def campaign(runs: int, *, ticks: int = 1001) -> Campaign:
-    """The paper's arm under our own order-4 law with all its guards, motor loop and friction included."""
+    """The paper's arm under our own order-4 law with all its guards, motor loop and
+    friction included.
+    """
     rig = fl.Rig.named("paper-2023")
-    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
-    return replace(Campaign.of(rig, rig.model, law, runs=runs, seed=7), duration=(ticks - 1) * law.period)
+    law = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        rig.period,
+        order=4,
+    )
+    return replace(
+        Campaign.of(rig, rig.model, law, runs=runs, seed=7),
+        duration=(ticks - 1) * law.period,
+    )
 
 
 def seconds(work: Callable[[], object]) -> float:
@@ -74,12 +84,16 @@ def speed(runs: int) -> None:
     try:
         for _ in range(5):
             links.clear(), measure.clear()
-            total = seconds(lambda: [simulate_part(asked, part) for part in range(asked.parts)])
+            total = seconds(
+                lambda: [simulate_part(asked, part) for part in range(asked.parts)]
+            )
             whole.append((total, sum(links), sum(measure)))
     finally:
         part_module.batch_links, part_module.measure_many = before
     scale = 10_000 / runs
-    total, setup, metrics = (statistics.median(column) * scale for column in zip(*whole, strict=True))
+    total, setup, metrics = (
+        statistics.median(column) * scale for column in zip(*whole, strict=True)
+    )
     spread = (max(w[0] for w in whole) - min(w[0] for w in whole)) * scale
     line(
         "10 000 runs x 5000 ticks, guards, noise, 10 friction substeps, one core",
@@ -105,7 +119,9 @@ def speed(runs: int) -> None:
 
 
 def scaling() -> None:
-    """One worker against two, wall clock, interleaved; what it means when others use the machine is told."""
+    """One worker against two, wall clock, interleaved; what it means when others use
+    the machine is told.
+    """
     asked = campaign(8000, ticks=TICKS)
     ratios, loads = [], os.getloadavg()[0]
     for _ in range(3):
@@ -114,10 +130,16 @@ def scaling() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 finished: list[float] = []
                 run_campaign(
-                    asked, folder, workers=workers, watch=lambda _, f=finished: f.append(time.monotonic())
+                    asked,
+                    folder,
+                    workers=workers,
+                    watch=lambda _, f=finished: f.append(time.monotonic()),
                 )
-                # From the first part on: the start of processes is a constant of 2 s, whatever the campaign.
-                took[workers] = (finished[-1] - finished[workers - 1]) / (len(finished) - workers)
+                # From the first part on: the start of processes is a constant of 2 s,
+                # whatever the campaign.
+                took[workers] = (finished[-1] - finished[workers - 1]) / (
+                    len(finished) - workers
+                )
         ratios.append(took[1] / took[2])
     spread = f"{min(ratios):.2f} ... {max(ratios):.2f} of 3"
     line(
@@ -141,7 +163,9 @@ print(time.thread_time() - began)
 
 
 def implied() -> None:
-    """The same by processor time, which others disturb less: one process against two at once."""
+    """The same by processor time, which others disturb less: one process against two at
+    once.
+    """
     from fraclink._campaign import save_campaign
 
     with tempfile.TemporaryDirectory() as folder:
@@ -152,10 +176,12 @@ def implied() -> None:
             for count in (1, 2):
                 line_ = [sys.executable, "-c", ALONE, folder]
                 running = [
-                    subprocess.Popen(line_, stdout=subprocess.PIPE)  # noqa: S603 - our own interpreter
+                    subprocess.Popen(line_, stdout=subprocess.PIPE)  # noqa: S603
                     for _ in range(count)
                 ]
-                took[count] = max(float(process.communicate()[0]) for process in running)
+                took[count] = max(
+                    float(process.communicate()[0]) for process in running
+                )
             ratios.append(2.0 * took[1] / took[2])
     spread = f"{min(ratios):.2f} ... {max(ratios):.2f} of 3"
     line(
@@ -176,7 +202,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def memory() -> None:
-    """Largest resident memory of a worker after 1 and after 20 parts of a campaign of a million runs."""
+    """Largest resident memory of a worker after 1 and after 20 parts of a campaign of a
+    million runs.
+    """
     from fraclink._campaign import save_campaign
 
     with tempfile.TemporaryDirectory() as folder:
@@ -184,7 +212,7 @@ def memory() -> None:
         peaks = []
         for parts in ("1", "20"):
             command = [sys.executable, "-c", MEMORY, folder, parts]
-            told = subprocess.run(command, capture_output=True, check=True)  # noqa: S603 - our own
+            told = subprocess.run(command, capture_output=True, check=True)  # noqa: S603
             peaks.append(int(told.stdout) / 1024)
     line(
         "memory of a worker after 20 parts",
@@ -235,7 +263,9 @@ int main(int argc, char **argv) {
 
 
 def plain_c() -> None:
-    """The loop, one run at a time, from a C program and from Python, on the same numbers, in turns."""
+    """The loop, one run at a time, from a C program and from Python, on the same
+    numbers, in turns.
+    """
     asked = campaign(64, ticks=TICKS)
     drawn = {name: column[:64] for name, column in draw(asked.draws, 7, 0, 64).items()}
     arms, chosen = part_module.block_of(asked, drawn, 0)
@@ -243,29 +273,52 @@ def plain_c() -> None:
     shared = part_module.shared_rig(asked.rig, asked.law, asked.motor_loop)
     links = alone.links
     angle, acceleration = alone.amplitude[0] * path[chosen[0]]
-    pieces = [links.first[0], links.decay[0], links.weight[0], links.pair[0].real, links.pair[0].imag]
-    pieces += [links.pair_weight[0].real, links.pair_weight[0].imag, angle, acceleration, alone.stiffness]
+    pieces = [
+        links.first[0],
+        links.decay[0],
+        links.weight[0],
+        links.pair[0].real,
+        links.pair[0].imag,
+    ]
+    pieces += [
+        links.pair_weight[0].real,
+        links.pair_weight[0].imag,
+        angle,
+        acceleration,
+        alone.stiffness,
+    ]
 
     def from_python(repeats: int) -> float:
         for seed in range(repeats):
             arm = replace(alone, seed=np.array([seed], dtype=np.uint64))
-            signals, _ = part_module.run_lumped(asked.law, shared, arm, path, chosen[:1], everything=True)
+            signals, _ = part_module.run_lumped(
+                asked.law, shared, arm, path, chosen[:1], everything=True
+            )
         return float(signals[0, 0, -1])
 
     with tempfile.TemporaryDirectory() as folder:
         program = compiled(Path(folder))
         head = np.array(
-            [TICKS, links.decay.shape[1], links.pair.shape[1], len(asked.law.block)], dtype=np.int64
+            [TICKS, links.decay.shape[1], links.pair.shape[1], len(asked.law.block)],
+            dtype=np.int64,
         )
         rig = rig_bytes(asked, alone)
         data = b"".join(
-            [head.tobytes(), rig, *(np.ascontiguousarray(p).tobytes() for p in pieces), asked.law.block]
+            [
+                head.tobytes(),
+                rig,
+                *(np.ascontiguousarray(p).tobytes() for p in pieces),
+                asked.law.block,
+            ]
         )
         (Path(folder) / "data").write_bytes(data)
         ratios = []
         for _ in range(7):
             out = subprocess.run(  # noqa: S603
-                [program, str(Path(folder) / "data"), "200"], capture_output=True, check=True, text=True
+                [program, str(Path(folder) / "data"), "200"],
+                capture_output=True,
+                check=True,
+                text=True,
             ).stdout.split()
             took = seconds(lambda: from_python(200))
             assert float(out[1]) == from_python(200), "C and Python disagree"
@@ -280,12 +333,31 @@ def plain_c() -> None:
 
 
 def rig_bytes(asked: Campaign, arm: LumpedArms) -> bytes:
-    """The C struct loop_rig of an arm: three ints, padding, doubles, room for the weights."""
+    """The C struct loop_rig of an arm: three ints, padding, doubles, room for the
+    weights.
+    """
     rig, law = asked.rig, asked.law
     own = (arm.motor_gain, arm.motor_decay, arm.friction)
-    gauge = (rig.gauge.limit, rig.gauge.quantum, float(arm.gauge_delay[0]), float(arm.gauge_gain[0]))
-    reals = [law.period, law.inner_pole, *(float(value[0]) for value in own), 0.0, rig.encoder.resolution]
-    reals += [float(arm.gauge_offset[0]), float(arm.noise[0]), *gauge, float(arm.payload_given[0]), 0.0]
+    gauge = (
+        rig.gauge.limit,
+        rig.gauge.quantum,
+        float(arm.gauge_delay[0]),
+        float(arm.gauge_gain[0]),
+    )
+    reals = [
+        law.period,
+        law.inner_pole,
+        *(float(value[0]) for value in own),
+        0.0,
+        rig.encoder.resolution,
+    ]
+    reals += [
+        float(arm.gauge_offset[0]),
+        float(arm.noise[0]),
+        *gauge,
+        float(arm.payload_given[0]),
+        0.0,
+    ]
     return struct.pack("@3i4x15d24x", 1, SUBSTEPS, int(arm.delay_samples[0]), *reals)
 
 
@@ -297,8 +369,23 @@ def compiled(folder: Path) -> str:
         ["-I", str(ROOT / "csrc"), "-I", str(ROOT / "csrc" / "kernels")],
     )
     options = ["-ffp-contract=off", "-fPIC", "-DWITHOUT_ESTIMATOR"]
-    fast = ["-O3", "-std=gnu11", "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math", *options]
-    law = ["-O2", "-std=c99", *options, "-c", str(ROOT / "csrc" / "law.c"), "-o", str(folder / "law.o")]
+    fast = [
+        "-O3",
+        "-std=gnu11",
+        "-fopenmp-simd",
+        "-fno-math-errno",
+        "-fno-trapping-math",
+        *options,
+    ]
+    law = [
+        "-O2",
+        "-std=c99",
+        *options,
+        "-c",
+        str(ROOT / "csrc" / "law.c"),
+        "-o",
+        str(folder / "law.o"),
+    ]
     subprocess.run(["cc", *law], check=True)  # noqa: S603, S607
     sources = [
         str(folder / "driver.c"),
@@ -308,7 +395,10 @@ def compiled(folder: Path) -> str:
         str(kernels / "weights.c"),
         str(folder / "law.o"),
     ]
-    subprocess.run(["cc", *fast, *common, *sources, "-lm", "-o", str(folder / "driver")], check=True)  # noqa: S603, S607
+    subprocess.run(  # noqa: S603
+        ["cc", *fast, *common, *sources, "-lm", "-o", str(folder / "driver")],  # noqa: S607
+        check=True,
+    )
     return str(folder / "driver")
 
 

@@ -1,7 +1,7 @@
 """Design and certificates: every figure beside what is wanted.
 
-Times are medians of CPU seconds of repeated calls; margins are compared with a loop computed once more, in
-mpmath at 30 digits with aliases summed one by one.
+Times are medians of CPU seconds of repeated calls; margins are compared with a loop
+computed once more, in mpmath at 30 digits with aliases summed one by one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ from fraclink._design.alternatives import compare_at_equal_sensitivity, feasibil
 from fraclink._design.assess import PRINTED, match_at
 
 RIG = Rig.named("paper-2023")
-WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+WANTED = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+}
 
 
 def figure(name: str, value: str, wanted: str, good: bool, error: str = "") -> None:
@@ -42,7 +46,13 @@ def figure(name: str, value: str, wanted: str, good: bool, error: str = "") -> N
 
 def near(name: str, value: float, wanted: float, tolerance: float) -> None:
     gap = abs(value - wanted)
-    figure(name, f"{value:.8g}", f"{wanted:g} ± {tolerance:g}", gap <= tolerance, f"error {gap:.1e}")
+    figure(
+        name,
+        f"{value:.8g}",
+        f"{wanted:g} ± {tolerance:g}",
+        gap <= tolerance,
+        f"error {gap:.1e}",
+    )
 
 
 def seconds(work: Callable[[], object], repeats: int) -> list[float]:
@@ -58,7 +68,13 @@ def timed(name: str, work: Callable[[], object], repeats: int, limit: float) -> 
     times = seconds(work, repeats)
     middle = statistics.median(times)
     spread = f"{min(times) * 1e3:.3g} … {max(times) * 1e3:.3g} ms"
-    figure(name, f"{middle * 1e3:.3g} ms", f"<= {limit * 1e3:g} ms", middle <= limit, spread)
+    figure(
+        name,
+        f"{middle * 1e3:.3g} ms",
+        f"<= {limit * 1e3:g} ms",
+        middle <= limit,
+        spread,
+    )
 
 
 def paper() -> None:
@@ -95,9 +111,9 @@ def paper() -> None:
     matched = match_at(link, 11.54, nominal.gain_crossover, nominal.phase_margin)
     near("β' (λ = 2, matched)", matched.order, 0.786021, 5e-7)
     near("k_d'", matched.gain, 0.208339, 5e-7)
-    pole = closed_loop_poles(PRINTED["(58)"], replace(RIG.model, natural_frequency=11.547), inner_pole=80.0)[
-        0
-    ]
+    pole = closed_loop_poles(
+        PRINTED["(58)"], replace(RIG.model, natural_frequency=11.547), inner_pole=80.0
+    )[0]
     near("(58) printed: Re of its pole at 30 g", pole.real, 0.106, 5e-4)
     near("(58) printed: |Im|", abs(pole.imag), 12.89, 5e-3)
 
@@ -126,7 +142,9 @@ def default() -> Design:
 
 
 def independent_margin(design: Design, payload: float) -> float:
-    """Phase margin of the sampled loop with Ĉ(jω), in mpmath: 400 aliases, no closed tail."""
+    """Phase margin of the sampled loop with Ĉ(jω), in mpmath: 400 aliases, no closed
+    tail.
+    """
     from mpmath import mp
 
     mp.dps = 30
@@ -140,7 +158,11 @@ def independent_margin(design: Design, payload: float) -> float:
             s = mp.mpc(0, w + 2 * mp.pi * k / period)
             total += spring / (s**order + spring) / (1 + s / pole) ** 2 / s
         x = mp.expj(-w * period)
-        outer = c.gain * mp.mpc(0, w) ** c.order / (1 + c.filter_time * mp.mpc(0, w)) ** c.filter_order
+        outer = (
+            c.gain
+            * mp.mpc(0, w) ** c.order
+            / (1 + c.filter_time * mp.mpc(0, w)) ** c.filter_order
+        )
         return outer * (1 - x) / period * x * total
 
     guess = design.at(payload).gain_crossover
@@ -151,8 +173,15 @@ def independent_margin(design: Design, payload: float) -> float:
 def margins(design: Design) -> None:
     for payload in (0.020, 0.040):
         exact = independent_margin(design, payload)
-        found = math.degrees(design.sampled_at(payload, realisation="exact").phase_margin)
-        near(f"sampled margin against mpmath, {payload * 1e3:g} g [deg]", found, exact, 0.01)
+        found = math.degrees(
+            design.sampled_at(payload, realisation="exact").phase_margin
+        )
+        near(
+            f"sampled margin against mpmath, {payload * 1e3:g} g [deg]",
+            found,
+            exact,
+            0.01,
+        )
         near(
             f"margin the design claims, {payload * 1e3:g} g [deg]",
             math.degrees(design.at(payload).phase_margin),
@@ -160,8 +189,16 @@ def margins(design: Design) -> None:
             0.01,
         )
     sampled = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0, inner="sampled")
-    gap = sampled.at(0.020).phase_margin - sampled.sampled_at(0.020, realisation="exact").phase_margin
-    near("the same, sampled motor loop, 20 g: difference [deg]", math.degrees(gap), 0.0, 0.01)
+    gap = (
+        sampled.at(0.020).phase_margin
+        - sampled.sampled_at(0.020, realisation="exact").phase_margin
+    )
+    near(
+        "the same, sampled motor loop, 20 g: difference [deg]",
+        math.degrees(gap),
+        0.0,
+        0.01,
+    )
 
 
 def speed() -> None:
@@ -170,7 +207,11 @@ def speed() -> None:
 
     def call(**options: str) -> Design:
         crossover = 12.0 + 1e-3 * next(asked)
-        wanted = {"gain_crossover": crossover, "phase_margin": fl.deg(50), "payloads": (0.020, 0.040)}
+        wanted = {
+            "gain_crossover": crossover,
+            "phase_margin": fl.deg(50),
+            "payloads": (0.020, 0.040),
+        }
         return fl.design(RIG.model, RIG, **wanted, **options)
 
     timed("design call, rule's filter", call, 41, 5e-3)
@@ -198,35 +239,69 @@ def load_checker() -> ModuleType:
 
 def certificates() -> None:
     checker = load_checker()
-    for inner, placement in (("ideal", "tustin"), ("sampled", "tustin"), ("sampled", "direct")):
-        design = fl.design(RIG.model, RIG, **WANTED, filter_time=0.0, inner=inner, placement=placement)
+    for inner, placement in (
+        ("ideal", "tustin"),
+        ("sampled", "tustin"),
+        ("sampled", "direct"),
+    ):
+        design = fl.design(
+            RIG.model, RIG, **WANTED, filter_time=0.0, inner=inner, placement=placement
+        )
         law = design.law()
         name = f"{inner} motor loop" + (f", {placement}" if inner == "sampled" else "")
         found: list[Certificate] = []
 
         def make() -> None:
-            found.append(certify(design, law=law, modulus_margin=0.35))  # noqa: B023  # called at once
+            # called at once
+            certificate = certify(design, law=law, modulus_margin=0.35)  # noqa: B023
+            found.append(certificate)  # noqa: B023
 
         timed(f"certificate |1+L| > 0.35, {name}: make", make, 3, 5.0)
         with tempfile.TemporaryDirectory() as folder:
             place = Path(folder) / "certificate.json"
             found[0].save(place)
-            timed(f"certificate, {name}: check", partial(checker.check, str(place), law.digest), 3, 5.0)
-        figure(f"certificate, {name}: leaves", str(found[0].leaves), "proved", found[0].passed)
+            timed(
+                f"certificate, {name}: check",
+                partial(checker.check, str(place), law.digest),
+                3,
+                5.0,
+            )
+        figure(
+            f"certificate, {name}: leaves",
+            str(found[0].leaves),
+            "proved",
+            found[0].passed,
+        )
         exact = replace(found[0].statement, delay_low=0.004)
         enclosed = enclose_phase_margin(exact, law)
         limit = 0.05 if inner == "ideal" else 1.0
         width = math.degrees(enclosed.high - enclosed.low)
-        figure(f"worst margin enclosed, {name} [deg]", f"{width:.4f}", "<= 0.01", width <= 0.0100001)
+        figure(
+            f"worst margin enclosed, {name} [deg]",
+            f"{width:.4f}",
+            "<= 0.01",
+            width <= 0.0100001,
+        )
         again = partial(enclose_phase_margin, exact, law)
         timed(f"worst margin enclosed, {name}", again, 5, limit)
-    refused = certify(PRINTED["(58)"], model=RIG.model, rig=RIG, payloads=(0.020, 0.040))
-    figure("(58) as printed", refused.verdict[:60], "refused as unstable", "unstable" in refused.verdict)
+    refused = certify(
+        PRINTED["(58)"], model=RIG.model, rig=RIG, payloads=(0.020, 0.040)
+    )
+    figure(
+        "(58) as printed",
+        refused.verdict[:60],
+        "refused as unstable",
+        "unstable" in refused.verdict,
+    )
 
 
 def comparison(design: Design) -> None:
-    print("\nat equal worst Ms = 1.55, 20–40 g, no filter (printed controllers as they are):")
-    print(f"{'controller':<22}{'β':>8}{'k_d':>10}{'stable':>8}{'ω_c':>8}{'φ_m':>8}{'noise':>9}")
+    print(
+        "\nat equal worst Ms = 1.55, 20–40 g, no filter (printed controllers as they are):"
+    )
+    print(
+        f"{'controller':<22}{'β':>8}{'k_d':>10}{'stable':>8}{'ω_c':>8}{'φ_m':>8}{'noise':>9}"
+    )
     for rival in compare_at_equal_sensitivity(design, max_sensitivity=1.55):
         c = rival.controller
         print(

@@ -1,7 +1,9 @@
-"""What it costs to come in: `import fraclink` beside `import numpy`, `make demo` after set-up, the results.
+"""What it costs to come in: `import fraclink` beside `import numpy`, `make demo` after
+set-up, the results.
 
-Every process is timed in processor seconds of itself and its children, so that other work on the machine
-does not count; the two imports are interleaved, in a fresh interpreter each.
+Every process is timed in processor seconds of itself and its children, so that other
+work on the machine does not count; the two imports are interleaved, in a fresh
+interpreter each.
 """
 
 from __future__ import annotations
@@ -16,16 +18,28 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROUNDS = 15
-# Public names are loaded when they are first used, so the root alone costs less than numpy does.
+# Public names are loaded when they are first used, so the root alone costs less than
+# numpy does.
 SESSION = "import fraclink as fl; fl.Rig, fl.read_log, fl.identify, fl.design, fl.Law, fl.simulate, fl.s"
 
 
 def seconds(command: Sequence[str]) -> float:
     """Processor seconds of a command."""
     before = os.times()
-    subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+    subprocess.run(  # noqa: S603
+        command,
+        cwd=ROOT,
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     after = os.times()
-    return after.children_user - before.children_user + after.children_system - before.children_system
+    return (
+        after.children_user
+        - before.children_user
+        + after.children_system
+        - before.children_system
+    )
 
 
 def row(figure: str, measured: float, spread: str, wanted: str, holds: bool) -> None:
@@ -38,11 +52,19 @@ def row(figure: str, measured: float, spread: str, wanted: str, holds: bool) -> 
 
 def imports() -> None:
     """`import fraclink` and what the session needs first, against `import numpy`."""
-    spent: dict[str, list[float]] = {"pass": [], "import numpy": [], "import fraclink": [], SESSION: []}
+    spent: dict[str, list[float]] = {
+        "pass": [],
+        "import numpy": [],
+        "import fraclink": [],
+        SESSION: [],
+    }
     for _ in range(ROUNDS):
         for code, values in spent.items():
             values.append(seconds([sys.executable, "-c", code]))
-    ratios = [f / n for f, n in zip(spent["import fraclink"], spent["import numpy"], strict=True)]
+    ratios = [
+        f / n
+        for f, n in zip(spent["import fraclink"], spent["import numpy"], strict=True)
+    ]
     ratio = statistics.median(ratios)
     low, high = statistics.quantiles(ratios, n=4)[::2]
     row(
@@ -65,8 +87,19 @@ def imports() -> None:
 def demo() -> None:
     """The main job on the bundled log, as `make demo` runs it after set-up."""
     with tempfile.TemporaryDirectory() as folder:
-        command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", folder, "--force"]
-        spent = [seconds([sys.executable, "-m", "fraclink", *command]) for _ in range(3)]
+        command = [
+            "run",
+            "--rig",
+            "paper-2023",
+            "--log",
+            "demo",
+            "--out",
+            folder,
+            "--force",
+        ]
+        spent = [
+            seconds([sys.executable, "-m", "fraclink", *command]) for _ in range(3)
+        ]
     value = statistics.median(spent)
     row(
         "fraclink run on the bundled log [s]",

@@ -1,7 +1,9 @@
-"""The payload estimated while running: what it finds and when, what the moves gain, contacts, a real log.
+"""The payload estimated while running: what it finds and when, what the moves gain,
+contacts, a real log.
 
-Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1 rad in 0.5 s; law for
-20 to 40 g. Figures are the worst of 20 seeds where nothing else is said.
+Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1
+rad in 0.5 s; law for 20 to 40 g. Figures are the worst of 20 seeds where nothing else
+is said.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ def designed() -> Design:
     return fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **request)
 
 
-def on_twin(design: Design, payload: float, told: object, seed: int, **options: object) -> Run:
+def on_twin(
+    design: Design, payload: float, told: object, seed: int, **options: object
+) -> Run:
     arm = Twin.from_rig(RIG, payload=payload)
     given = {"gauge_offset": 0.05, "duration": 3.0} | options
     return fl.simulate(design, MOVE, arm=arm, seed=seed, told=told, **given)  # type: ignore[arg-type]
@@ -51,17 +55,24 @@ def found_at(run: Run, payload: float) -> float:
 
 
 def first_moves(design: Design, bank: PayloadEstimator) -> None:
-    print("first move: settling not told, told, estimated; within 10 % after; error at the end; 95 % covers")
+    print(
+        "first move: settling not told, told, estimated; within 10 % after; error at the end; 95 % covers"
+    )
     covered = []
     for payload in PAYLOADS:
         runs = [on_twin(design, payload, bank, seed) for seed in range(SEEDS)]
         settled = [
-            max(on_twin(design, payload, told, seed).metrics.settling_time for seed in range(SEEDS))
+            max(
+                on_twin(design, payload, told, seed).metrics.settling_time
+                for seed in range(SEEDS)
+            )
             for told in (False, True)
         ]
         settled.append(max(run.metrics.settling_time for run in runs))
         when = max(found_at(run, payload) for run in runs)
-        error = max(abs(float(run.extras["payload_estimate"][-1]) / payload - 1) for run in runs)
+        error = max(
+            abs(float(run.extras["payload_estimate"][-1]) / payload - 1) for run in runs
+        )
         inside = np.concatenate([covers(run, payload) for run in runs])
         covered.append(inside.mean())
         print(
@@ -70,30 +81,42 @@ def first_moves(design: Design, bank: PayloadEstimator) -> None:
             f"{100 * error:.1f} %;  {100 * inside.mean():.1f} %",
             flush=True,
         )
-    print(f"  all payloads alike: the 95 % interval covers in {100 * np.mean(covered):.1f} % of the periods")
+    print(
+        f"  all payloads alike: the 95 % interval covers in {100 * np.mean(covered):.1f} % of the periods"
+    )
 
 
 def covers(run: Run, payload: float) -> NDArray[np.bool_]:
-    """Whether the interval holds the payload, in every period with an estimate for the law."""
+    """Whether the interval holds the payload, in every period with an estimate for the
+    law.
+    """
     x = run.extras
     shown = x["payload_given"] > 0
-    return np.asarray((x["payload_low"] <= payload) & (payload <= x["payload_high"]))[shown]
+    return np.asarray((x["payload_low"] <= payload) & (payload <= x["payload_high"]))[
+        shown
+    ]
 
 
 def settling(run: Run, start: float, target: float) -> float:
-    """Time [s] from `start` after which the tip stays within 2 % of `target` until the next move."""
+    """Time [s] from `start` after which the tip stays within 2 % of `target` until the
+    next move.
+    """
     part = (run.time >= start - 1e-9) & (run.time < start + REST + 0.5 - 1e-9)
     off = np.flatnonzero(np.abs(run.tip_angle[part] - target) > 0.02)
     return 0.004 * (off[-1] + 1) if off.size else 0.0
 
 
 def changes(design: Design, bank: PayloadEstimator) -> None:
-    """Two moves, another payload while the arm stands, three more: every pair of the eight payloads."""
+    """Two moves, another payload while the arm stands, three more: every pair of the
+    eight payloads.
+    """
     path = MOVE
     for i in range(1, 5):
         path = path.then(fl.smooth_step((-1.0) ** i, 0.5, REST))
     starts = [i * (REST + 0.5) for i in range(5)]
-    print(f"payload changed at rest, all {len(PAYLOADS) * (len(PAYLOADS) - 1)} pairs, 20 seeds each")
+    print(
+        f"payload changed at rest, all {len(PAYLOADS) * (len(PAYLOADS) - 1)} pairs, 20 seeds each"
+    )
     worst: dict[tuple[float, float], Real] = {}
     for before, after in permutations(PAYLOADS, 2):
         event = PayloadChange(starts[2] - 0.3, after)
@@ -101,22 +124,48 @@ def changes(design: Design, bank: PayloadEstimator) -> None:
         times = []
         for seed in range(SEEDS):
             run = fl.simulate(
-                design, path, arm=arm, gauge_offset=0.05, seed=seed, told=bank, events=[event], duration=17.4
+                design,
+                path,
+                arm=arm,
+                gauge_offset=0.05,
+                seed=seed,
+                told=bank,
+                events=[event],
+                duration=17.4,
             )
-            times.append([settling(run, at, 1.0 - i % 2) for i, at in enumerate(starts)])
+            times.append(
+                [settling(run, at, 1.0 - i % 2) for i, at in enumerate(starts)]
+            )
         worst[before, after] = np.max(times, axis=0)
     table = np.array(list(worst.values()))
-    names = ("first of all", "second", "with the surprise", "second after it", "third after it")
+    names = (
+        "first of all",
+        "second",
+        "with the surprise",
+        "second after it",
+        "third after it",
+    )
     for name, times in zip(names, table.T, strict=True):
         pair = list(worst)[int(np.argmax(times))]
-        print(f"  {name:18}: {times.max():.2f} s, {1e3 * pair[0]:.0f} to {1e3 * pair[1]:.0f} g", flush=True)
+        print(
+            f"  {name:18}: {times.max():.2f} s, {1e3 * pair[0]:.0f} to {1e3 * pair[1]:.0f} g",
+            flush=True,
+        )
 
 
 def contacts(design: Design, bank: PayloadEstimator) -> None:
-    """A stop of 2 kN/m in the way at 0.3, 0.6 and 0.9 rad; healthy moves of 0.4, 0.5 and 1 s."""
+    """A stop of 2 kN/m in the way at 0.3, 0.6 and 0.9 rad; healthy moves of 0.4, 0.5
+    and 1 s.
+    """
     seconds, missed, false = [], 0, 0
     for payload, angle in ((p, a) for p in PAYLOADS for a in (0.3, 0.6, 0.9)):
-        run = on_twin(design, payload, bank, 0, events=[Obstacle(0.0, 9.0, angle=angle, stiffness=2000.0)])
+        run = on_twin(
+            design,
+            payload,
+            bank,
+            0,
+            events=[Obstacle(0.0, 9.0, angle=angle, stiffness=2000.0)],
+        )
         touched = run.time[np.argmax(np.abs(run.extras["contact_force"]) > 0)]
         flagged = run.time[flags(run, _kernels.PAYLOAD_CONTACT)]
         missed += flagged.size == 0
@@ -145,8 +194,12 @@ def flags(run: Run, bit: int) -> NDArray[np.bool_]:
 
 
 def recorded() -> Iterator[str]:
-    """The log of a real link: the frequency of the estimate against that of the offline fit."""
-    folder = Path(os.environ.get("FRACLINK_SHARED", str(ROOT.parent / "shared" / "data")))
+    """The log of a real link: the frequency of the estimate against that of the offline
+    fit.
+    """
+    folder = Path(
+        os.environ.get("FRACLINK_SHARED", str(ROOT.parent / "shared" / "data"))
+    )
     file = folder / "quanser_rfl_merced" / "merced_rfl.csv"
     if not file.exists():
         yield f"Merced log: not there ({file.name}); set FRACLINK_SHARED"
@@ -154,11 +207,18 @@ def recorded() -> Iterator[str]:
     rig = fl.Rig.load(ROOT / "tests" / "rigs" / "merced.toml")
     log = fl.read_log(file, rig=rig, payload=0.0158)
     link = fl.identify(log).model
-    law = discretize_controller(fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig)
+    law = discretize_controller(
+        fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig
+    )
     time = log.period * np.arange(len(log.output))
-    for what, doubt in (("gauge gain as identified", None), ("gauge gain known to 30 %", 0.3)):
+    for what, doubt in (
+        ("gauge gain as identified", None),
+        ("gauge gain known to 30 %", 0.3),
+    ):
         bank = payload_estimator(link, rig, law, (0.0158, 0.0158), gain_doubt=doubt)
-        _, found = bank.run(bank.initial_state(), log.motor_angle, link.stiffness * log.output)
+        _, found = bank.run(
+            bank.initial_state(), log.motor_angle, link.stiffness * log.output
+        )
         nominal, own = masses_of(link, rig)
         late = (time >= 0.5) & (found.given > 0)
         off = np.abs(np.sqrt(nominal / (found.estimate[late] + own)) - 1)

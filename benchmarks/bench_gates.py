@@ -1,4 +1,5 @@
-"""What may be relied on of an identification: structure, gates, second mode, coverage under coloured noise.
+"""What may be relied on of an identification: structure, gates, second mode, coverage
+under coloured noise.
 
     python benchmarks/bench_gates.py [--logs 510] [--first 0] [--only structures]
 
@@ -28,15 +29,26 @@ def name_of(colour: float) -> str:
 
 
 def structures(seeds: range) -> None:
-    """How often the structure that is used is a wrong one, and W322 does not say that the log cannot tell."""
+    """How often the structure that is used is a wrong one, and W322 does not say that
+    the log cannot tell.
+    """
     said: Counter[tuple[float, str]] = Counter()
     for seed in seeds:
         truth = STRUCTURES[seed // len(COLOURS) % 2]
         made = random_log(seed, truth)
         fit = identify(made.log, details=False)
         open_ones = [finding for finding in fit.findings if finding.code == "W322"]
-        answer = "cannot tell" if open_ones else "right" if fit.structure == truth else "wrong"
-        if open_ones and truth not in (fit.structure, *open_ones[0].message.replace(":", " ").split()):
+        answer = (
+            "cannot tell"
+            if open_ones
+            else "right"
+            if fit.structure == truth
+            else "wrong"
+        )
+        if open_ones and truth not in (
+            fit.structure,
+            *open_ones[0].message.replace(":", " ").split(),
+        ):
             answer = "wrong"
         said[made.colour, answer] += 1
     for colour in (*COLOURS, None):
@@ -59,7 +71,12 @@ def fractional_damping(seeds: range) -> None:
         for colour in (0.0, 0.9):
             found = sum(
                 identify(
-                    random_log(seed, "D-FOM", colour=colour, samples=round(seconds / PERIOD) + 1).log,
+                    random_log(
+                        seed,
+                        "D-FOM",
+                        colour=colour,
+                        samples=round(seconds / PERIOD) + 1,
+                    ).log,
                     details=False,
                 ).structure
                 == "D-FOM"
@@ -75,13 +92,17 @@ def fractional_damping(seeds: range) -> None:
 
 
 def good_logs(seeds: range) -> None:
-    """Good logs of all structures and colours, noise of 1 to 30 %: none may fail a gate."""
+    """Good logs of all structures and colours, noise of 1 to 30 %: none may fail a
+    gate.
+    """
     failed = []
     for seed in seeds:
         truth = ("D-IOM", "UD-FOM", "D-FOM", "UD-FOM")[seed // len(COLOURS) % 4]
         fit = identify(random_log(seed, truth).log)
         if not fit.passed:
-            failed.append(f"{seed}: {', '.join(f.code for f in fit.findings if f.severity == 'error')}")
+            failed.append(
+                f"{seed}: {', '.join(f.code for f in fit.findings if f.severity == 'error')}"
+            )
     line(
         f"good logs that fail a gate, of {len(seeds)}",
         f"{len(failed)} {'; '.join(failed)}".strip(),
@@ -93,16 +114,24 @@ def good_logs(seeds: range) -> None:
 def coverage(seeds: range) -> None:
     """Share of 95 % intervals that contain the truth under noise that wanders."""
     angle, torque = clean_log(delay=0.003)
-    truth = {"order": TRUTH.order, "natural_frequency": TRUTH.natural_frequency, "delay": 0.003}
+    truth = {
+        "order": TRUTH.order,
+        "natural_frequency": TRUTH.natural_frequency,
+        "delay": 0.003,
+    }
     for colour in COLOURS[1:]:
         inside: Counter[str] = Counter()
         for seed in seeds:
-            noise = 0.05 * coloured(np.random.default_rng(1000 + seed), colour, torque.size)
+            noise = 0.05 * coloured(
+                np.random.default_rng(1000 + seed), colour, torque.size
+            )
             log = Experiment(period=PERIOD, motor_angle=angle, output=torque + noise)
             fit = identify(log, "UD-FOM", heldout=0)
             for name, value in truth.items():
                 inside[name] += fit.intervals[name].contains(value)
-            inside["gain"] += abs(fit.gain - TRUTH.stiffness) <= 1.96 * fit.standard_errors["gain"]
+            inside["gain"] += (
+                abs(fit.gain - TRUTH.stiffness) <= 1.96 * fit.standard_errors["gain"]
+            )
         for name, hits in inside.items():
             share = 100 * hits / len(seeds)
             line(
@@ -114,11 +143,15 @@ def coverage(seeds: range) -> None:
 
 
 def second_mode() -> None:
-    """The second mode of links with mass, in logs of the twin: found or not, and its frequency.
+    """The second mode of links with mass, in logs of the twin: found or not, and its
+    frequency.
 
-    Told apart by its damping ratio: above 0.15 it hardly resonates, and above 0.2 it is not looked for.
+    Told apart by its damping ratio: above 0.15 it hardly resonates, and above 0.2 it is
+    not looked for.
     """
-    bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(PERIOD * np.arange(5001))
+    bits = prbs(0.1, 0.24, bits=83, register=9, start=0.5).angle(
+        PERIOD * np.arange(5001)
+    )
     for noise in (0.01, 0.03, 0.1):
         # (found, logs, worst error) of the modes up to and above 0.15
         seen = {False: [0, 0, 0.0], True: [0, 0, 0.0]}
@@ -127,23 +160,39 @@ def second_mode() -> None:
                 for payload in (0.01, 0.03, 0.06):
                     beam = Beam(0.65, 0.338, mass, payload)
                     modes = beam.modes(2).frequencies
-                    for damping in (PowerLaw(1.92), KelvinVoigt.from_ratio(0.02, frequency=float(modes[0]))):
-                        clean = [simulate_log(beam, damping, bits, servo_pole=pole, modes=n) for n in (1, 2)]
+                    for damping in (
+                        PowerLaw(1.92),
+                        KelvinVoigt.from_ratio(0.02, frequency=float(modes[0])),
+                    ):
+                        clean = [
+                            simulate_log(beam, damping, bits, servo_pole=pole, modes=n)
+                            for n in (1, 2)
+                        ]
                         torque = clean[1].torque
                         share = np.std(torque - clean[0].torque) / torque.std()
                         fast = float(modes[1]) > 0.8 * np.pi / PERIOD
                         if share < 0.01 or fast:
                             continue
                         rng = np.random.default_rng([k, int(pole), int(1e4 * payload)])
-                        output = torque + noise * torque.std() * rng.standard_normal(torque.size)
-                        log = Experiment(period=PERIOD, motor_angle=clean[1].motor_angle, output=output)
+                        output = torque + noise * torque.std() * rng.standard_normal(
+                            torque.size
+                        )
+                        log = Experiment(
+                            period=PERIOD,
+                            motor_angle=clean[1].motor_angle,
+                            output=output,
+                        )
                         mode = identify(log).model.second_mode
                         viscous = isinstance(damping, KelvinVoigt)
-                        group = seen[viscous and 0.02 * float(modes[1] / modes[0]) > 0.15]
+                        group = seen[
+                            viscous and 0.02 * float(modes[1] / modes[0]) > 0.15
+                        ]
                         group[1] += 1
                         if mode is not None:
                             group[0] += 1
-                            error = abs(mode.frequency / mode_frequency(beam, damping) - 1)
+                            error = abs(
+                                mode.frequency / mode_frequency(beam, damping) - 1
+                            )
                             group[2] = max(group[2], error)
         for damped, (found, logs, worst) in seen.items():
             line(
@@ -158,14 +207,19 @@ def second_mode() -> None:
 def mode_frequency(beam: Beam, damping: object) -> float:
     """Frequency of the second mode as a log shows it [rad/s]."""
     undamped = float(beam.modes(2).frequencies[1])
-    # Under a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω² |D(s)|.
-    return undamped ** (2 / damping.order) if isinstance(damping, PowerLaw) else undamped
+    # Under a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω²
+    # |D(s)|.
+    return (
+        undamped ** (2 / damping.order) if isinstance(damping, PowerLaw) else undamped
+    )
 
 
 FIGURES = {
     "structures": lambda seeds: structures(seeds),
     "good_logs": lambda seeds: good_logs(seeds),
-    "fractional_damping": lambda seeds: fractional_damping(seeds[: max(len(seeds) // 5, 1)]),
+    "fractional_damping": lambda seeds: fractional_damping(
+        seeds[: max(len(seeds) // 5, 1)]
+    ),
     "coverage": lambda seeds: coverage(seeds[: max(len(seeds) // 2, 1)]),
     "second_mode": lambda seeds: second_mode(),
 }
@@ -175,7 +229,9 @@ def main() -> None:
     """Print every figure."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--logs", type=int, default=510)
-    parser.add_argument("--first", type=int, default=0, help="first seed; others are other logs")
+    parser.add_argument(
+        "--first", type=int, default=0, help="first seed; others are other logs"
+    )
     parser.add_argument("--only", choices=FIGURES)
     options = parser.parse_args()
     seeds = range(options.first, options.first + options.logs)

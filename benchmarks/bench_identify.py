@@ -1,7 +1,8 @@
 """Every figure of identification, measured beside the value that is wanted.
 
-R is one `scipy.fft.rfft` of length 2N in the same run, N = 5000; timings are medians of interleaved calls, in
-processor time of the thread, so that other work on the machine does not count.
+R is one `scipy.fft.rfft` of length 2N in the same run, N = 5000; timings are medians of
+interleaved calls, in processor time of the thread, so that other work on the machine
+does not count.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from made_logs import example_motor_log
 
 
-def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+def interleaved(
+    calls: dict[str, Callable[[], object]], rounds: int
+) -> dict[str, np.ndarray]:
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
@@ -77,7 +80,9 @@ def kernel_and_fits() -> None:
         ("guess", "UD-FOM fit from Python, guess λ 1.3, ω₀ 25", 40.0),
     ):
         value, spread = ratio(spent, name)
-        line(title, f"{value:.2f} ± {spread:.2f} R", f"<= {wanted:g} R", value <= wanted)
+        line(
+            title, f"{value:.2f} ± {spread:.2f} R", f"<= {wanted:g} R", value <= wanted
+        )
     whole = interleaved({"R": lambda: compare_structures(log, heldout=0.4)}, 7)["R"]
     value = float(np.median(whole))
     line(
@@ -109,14 +114,25 @@ def random_starts(count: int) -> None:
     )
     missed = 0
     for _ in range(count):
-        order, frequency = float(generator.uniform(1.001, 2.0)), 10.02 * 3 ** float(generator.uniform(-1, 1))
+        order, frequency = (
+            float(generator.uniform(1.001, 2.0)),
+            10.02 * 3 ** float(generator.uniform(-1, 1)),
+        )
         guess = LinkModel(1.0, frequency ** (order / 1.92), order=order)
-        fit = identify(log, "UD-FOM", heldout=0, details=False, guess=guess, stiffness=1.56)
+        fit = identify(
+            log, "UD-FOM", heldout=0, details=False, guess=guess, stiffness=1.56
+        )
         missed += abs(fit.model.order - 1.92) > 4 * fit.standard_errors["order"]
     found = f"{100 * (1 - missed / count):.2f} % within 4 standard errors"
-    line("the same with a known gain, which saves the scan", found, "100 %", missed == 0)
+    line(
+        "the same with a known gain, which saves the scan", found, "100 %", missed == 0
+    )
     missed = sum(
-        abs(identify(noisy_log(seed), "UD-FOM", heldout=0, details=False).model.order - 1.92) > 0.01
+        abs(
+            identify(noisy_log(seed), "UD-FOM", heldout=0, details=False).model.order
+            - 1.92
+        )
+        > 0.01
         for seed in range(60)
     )
     line("60 logs without a guess", f"{60 - missed} found", "60", missed == 0)
@@ -125,16 +141,24 @@ def random_starts(count: int) -> None:
 def coverage(count: int) -> None:
     angle, torque = clean_log(delay=0.003)
     inside = {"order": 0, "natural_frequency": 0, "delay": 0, "normal order": 0}
-    truth = {"order": TRUTH.order, "natural_frequency": TRUTH.natural_frequency, "delay": 0.003}
+    truth = {
+        "order": TRUTH.order,
+        "natural_frequency": TRUTH.natural_frequency,
+        "delay": 0.003,
+    }
     errors, orders = [], []
     for seed in range(count):
         noise = np.random.default_rng(1000 + seed).normal(0, NOISE, torque.size)
         fit = identify(
-            Experiment(period=PERIOD, motor_angle=angle, output=torque + noise), "UD-FOM", heldout=0
+            Experiment(period=PERIOD, motor_angle=angle, output=torque + noise),
+            "UD-FOM",
+            heldout=0,
         )
         for name, value in truth.items():
             inside[name] += fit.intervals[name].contains(value)
-        inside["normal order"] += abs(fit.model.order - 1.92) <= 1.96 * fit.standard_errors["order"]
+        inside["normal order"] += (
+            abs(fit.model.order - 1.92) <= 1.96 * fit.standard_errors["order"]
+        )
         errors.append(fit.standard_errors["order"])
         orders.append(fit.model.order)
     for name, title in (
@@ -151,21 +175,32 @@ def coverage(count: int) -> None:
             93 <= share <= 97,
         )
     bias = abs(float(np.mean(orders)) - 1.92) / float(np.mean(errors))
-    line("bias of λ over these logs", f"{bias:.3f} standard errors", "<= 0.1", bias <= 0.1)
+    line(
+        "bias of λ over these logs",
+        f"{bias:.3f} standard errors",
+        "<= 0.1",
+        bias <= 0.1,
+    )
 
 
-def _short_motion(kind: str, resonance: float, count: int, random: np.random.Generator) -> np.ndarray:
+def _short_motion(
+    kind: str, resonance: float, count: int, random: np.random.Generator
+) -> np.ndarray:
     """A motion with little in it: one move, or a narrow band around the resonance."""
     time_ = PERIOD * np.arange(count)
     if kind == "smooth move":
-        return smooth_step(0.5, min(0.8 * time_[-1], random.uniform(1.0, 2.5))).angle(time_)
+        return smooth_step(0.5, min(0.8 * time_[-1], random.uniform(1.0, 2.5))).angle(
+            time_
+        )
     if kind == "short step":
         return smooth_step(0.3, random.uniform(0.2, 0.6)).angle(time_)
     return 0.2 * np.sin(np.cumsum(resonance * (0.9 + 0.2 * time_ / time_[-1])) * PERIOD)
 
 
 def valleys(count: int) -> None:
-    """Short logs on which λ and the delay trade: the optimum, and what their intervals cover."""
+    """Short logs on which λ and the delay trade: the optimum, and what their intervals
+    cover.
+    """
     for kind in ("smooth move", "short step", "narrow chirp"):
         lost, inside, of = 0, {"white": 0, "coloured": 0}, {"white": 0, "coloured": 0}
         for seed in range(count):
@@ -179,21 +214,35 @@ def valleys(count: int) -> None:
             link = LinkModel(1.5, resonance ** (order / 2), order=order)
             angle = _short_motion(kind, resonance, samples, random)
             clean = simulated_torque(link, angle, PERIOD, delay=delay, hold="first")
-            noise, colour = random.normal(size=samples), "coloured" if seed % 2 else "white"
+            noise, colour = (
+                random.normal(size=samples),
+                "coloured" if seed % 2 else "white",
+            )
             if colour == "coloured":  # AR(1) with ρ = 0.9
                 for k in range(1, samples):
                     noise[k] = 0.9 * noise[k - 1] + np.sqrt(1 - 0.81) * noise[k]
             torque = clean + 10 ** random.uniform(-2, -0.3) * np.std(clean) * noise
             log = Experiment(period=PERIOD, motor_angle=angle, output=torque)
             fit = identify(log, "UD-FOM", hold="first")
-            given = identify(log, "UD-FOM", hold="first", details=False, fixed={"delay": delay})
+            given = identify(
+                log, "UD-FOM", hold="first", details=False, fixed={"delay": delay}
+            )
             # Six: less is not told from the same by any test.
             lost += fit.fitted_samples * np.log(fit.mse / given.mse) > 6.0
-            truth = {"order": order, "natural_frequency": link.natural_frequency, "delay": delay}
+            truth = {
+                "order": order,
+                "natural_frequency": link.natural_frequency,
+                "delay": delay,
+            }
             for name in fit.intervals.keys() & truth.keys() if fit.passed else ():
                 of[colour] += 1
                 inside[colour] += fit.intervals[name].contains(truth[name])
-        line(f"{count} logs of a {kind}: a better fit with the delay given", f"{lost}", "0", lost == 0)
+        line(
+            f"{count} logs of a {kind}: a better fit with the delay given",
+            f"{lost}",
+            "0",
+            lost == 0,
+        )
         for colour in of:
             share = 100 * inside[colour] / max(of[colour], 1)
             title = f"coverage of λ, ω₀, delay, {kind}, {colour} noise, {of[colour]} intervals"
@@ -217,13 +266,17 @@ def delay_story() -> None:
 
 
 def cut_in_mid_motion() -> None:
-    """Delays of the bundled log from six places on, with the angle before the cut and without."""
+    """Delays of the bundled log from six places on, with the angle before the cut and
+    without.
+    """
     path, known, unknown = bundled_log("prbs_30g"), [], []
     whole = identify(read_log(path), details=False).delay
     for begin in (1.0, 2.3, 3.8, 5.1, 7.0, 9.0):
         log = read_log(path, keep=(begin, 20.0))
         known.append(identify(log, details=False).delay - whole)
-        unknown.append(identify(replace(log, earlier_angle=None), details=False).delay - whole)
+        unknown.append(
+            identify(replace(log, earlier_angle=None), details=False).delay - whole
+        )
     largest, other = 1e3 * max(map(abs, known)), 1e3 * max(map(abs, unknown))
     line(
         "bundled log cut in mid-motion: delay off by at most, with the angle before / without",
@@ -234,17 +287,23 @@ def cut_in_mid_motion() -> None:
 
 
 def against_the_usual_way() -> None:
-    """Grünwald–Letnikov (compiled) and finite differences, as the paper's Algorithm 1 would be written."""
+    """Grünwald–Letnikov (compiled) and finite differences, as the paper's Algorithm 1
+    would be written.
+    """
     log = noisy_log(5)
     angle, torque = log.motor_angle, log.output
     start = LinkModel(1.56, 12.0, order=1.7)
 
     def usual() -> np.ndarray:
         def errors(x: np.ndarray) -> np.ndarray:
-            link = LinkModel(TRUTH.stiffness, float(x[1]), order=float(np.clip(x[0], 1, 2)))
+            link = LinkModel(
+                TRUTH.stiffness, float(x[1]), order=float(np.clip(x[0], 1, 2))
+            )
             return grunwald_letnikov(link.torque(), angle, PERIOD) - torque
 
-        return np.asarray(least_squares(errors, [1.7, 12.0], bounds=([1, 0.5], [2, 60])).x)
+        return np.asarray(
+            least_squares(errors, [1.7, 12.0], bounds=([1, 0.5], [2, 60])).x
+        )
 
     def ours() -> Fit:
         return identify(
@@ -283,7 +342,9 @@ def together() -> None:
         for seed, mass in enumerate((0.02, 0.03, 0.04)):
             log = noisy_log(seed, 0.05, model=model.at_payload(mass))
             logs.append(replace(log, payload=mass))
-        spent = interleaved({"R": lambda logs=logs, name=name: identify_payloads(logs, name)}, 15)["R"]
+        spent = interleaved(
+            {"R": lambda logs=logs, name=name: identify_payloads(logs, name)}, 15
+        )["R"]
         fit = identify_payloads(logs, name)
         found = (
             f"λ {fit.models[0].order:.4f}"

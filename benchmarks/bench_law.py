@@ -1,10 +1,10 @@
-"""The law: what a period costs from Python, in plain C and without guards; orders, exactness at DC.
+"""The law: what a period costs from Python, in plain C and without guards; orders,
+exactness at DC.
 
-Times are CPU seconds, interleaved in one run, ratios of medians. The plain C program is the package's own loop.c,
-normal.c and law.c, compiled by gcc with the package's flags; "without guards" replaces law_step by its own
-parts without a single check.
+Times are CPU seconds, interleaved in one run, ratios of medians. The plain C program is
+the package's own loop.c, normal.c and law.c, compiled by gcc with the package's flags;
+"without guards" replaces law_step by its own parts without a single check.
 """
-# ruff: noqa: E501 - C text, in the 120 columns of csrc/
 
 from __future__ import annotations
 
@@ -28,7 +28,13 @@ from fraclink._simulate.links import LinkWeights, link_weights
 ROOT = Path(__file__).resolve().parents[1]
 RIG = fl.Rig.named("paper-2023")
 PERIODS, ROUNDS = 200_000, 7
-KERNEL = ("-O3", "-ffp-contract=off", "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math")
+KERNEL = (
+    "-O3",
+    "-ffp-contract=off",
+    "-fopenmp-simd",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+)
 
 BARE = """
 #include "law.c"
@@ -102,7 +108,7 @@ int main(int count, char **words)
     printf("%.9f %.17g\\n", (double)(clock() - begin) / CLOCKS_PER_SEC, o[total - 1]);
     return 0;
 }
-"""
+"""  # noqa: E501
 
 
 def figure(name: str, value: str, wanted: str, good: bool, error: str = "") -> None:
@@ -111,7 +117,9 @@ def figure(name: str, value: str, wanted: str, good: bool, error: str = "") -> N
 
 
 def fit_time() -> None:
-    controller = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), law=False).controller
+    controller = fl.design(
+        RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
+    ).controller
     taken = []
     for _ in range(5):
         fit_correction.cache_clear()
@@ -119,7 +127,11 @@ def fit_time() -> None:
         made = discretize_controller(controller, RIG.period)
         taken.append(time.process_time() - begin)
     figure(
-        "fit of a law, CPU time", f"{min(taken):.3f} s", "<= 0.1 s", min(taken) <= 0.1, f"order {made.order}"
+        "fit of a law, CPU time",
+        f"{min(taken):.3f} s",
+        "<= 0.1 s",
+        min(taken) <= 0.1,
+        f"order {made.order}",
     )
 
 
@@ -132,7 +144,9 @@ def default_law(precision: str = "double") -> Law:
 
 def accuracy() -> None:
     for delta, wanted in ((0.16, 4), (0.016, 6)):
-        controller = fl.Controller(gain=0.148, order=0.65, filter_time=delta, filter_order=2, link=RIG.model)
+        controller = fl.Controller(
+            gain=0.148, order=0.65, filter_time=delta, filter_order=2, link=RIG.model
+        )
         made = discretize_controller(controller, RIG.period, band=(0.05, 600.0))
         db, deg = made.correction_error
         figure(
@@ -148,14 +162,21 @@ def accuracy() -> None:
         True,
         f"{db:.3f} dB, {deg:.3f}°",
     )
-    bare = discretize_controller(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), RIG.period)
+    bare = discretize_controller(
+        fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), RIG.period
+    )
     rows = np.zeros((4, 50_000))
     rows[3, 10:] = 0.078
     last = [
         float(law.run(law.initial_state(), *rows)[1].motor_reference[-1])
         for law in (bare, bare.in_precision("single"))
     ]
-    figure("Ĉ of a constant error, double and single", str(last), "exactly 0", last == [0.0, 0.0])
+    figure(
+        "Ĉ of a constant error, double and single",
+        str(last),
+        "exactly 0",
+        last == [0.0, 0.0],
+    )
 
 
 def _inputs(law: Law) -> tuple[object, ...]:
@@ -178,9 +199,14 @@ def _rig(**changed: object) -> dict[str, object]:
     } | changed  # fmt: skip
 
 
-def from_python(law: Law, weights: LinkWeights, reference: np.ndarray) -> tuple[float, float]:
+def from_python(
+    law: Law, weights: LinkWeights, reference: np.ndarray
+) -> tuple[float, float]:
     r = _rig()
-    numbers = {name: np.array([float(r[name])]) for name in ("noise", "gauge_delay", "gauge_gain")}
+    numbers = {
+        name: np.array([float(r[name])])
+        for name in ("noise", "gauge_delay", "gauge_gain")
+    }
     numbers["payload_given"] = np.array([float(r["payload"])])
     arm = LumpedArms(
         links=weights, stiffness=np.array([1.56]), motor_gain=np.array([r["gain"]]),
@@ -188,10 +214,14 @@ def from_python(law: Law, weights: LinkWeights, reference: np.ndarray) -> tuple[
         gauge_offset=np.array([r["offset"]]), delay_samples=np.array([1.0]), amplitude=np.array([1.0]),
         seed=np.array([1], dtype=np.uint64), **numbers,
     )  # fmt: skip
-    shared = shared_rig(replace(RIG, gauge=replace(RIG.gauge, limit=4.0)), law, "sampled")
+    shared = shared_rig(
+        replace(RIG, gauge=replace(RIG.gauge, limit=4.0)), law, "sampled"
+    )
     first = np.zeros(1, dtype=np.int32)
     begin = time.process_time()
-    signals, _ = run_lumped(law, shared, arm, reference[None, [0, 2]], first, everything=True)
+    signals, _ = run_lumped(
+        law, shared, arm, reference[None, [0, 2]], first, everything=True
+    )
     return time.process_time() - begin, float(signals[0, 0, -1])
 
 
@@ -214,7 +244,9 @@ def _written(folder: Path, weights: object, reference: np.ndarray) -> Path:
         w.pair_weight.real,
         w.pair_weight.imag,
     ]
-    flat = np.concatenate([np.ravel(part) for part in (*parts, reference[0], reference[2])])
+    flat = np.concatenate(
+        [np.ravel(part) for part in (*parts, reference[0], reference[2])]
+    )
     place = folder / "loop.bin"
     sizes = struct.pack("<iii", w.decay.size, w.pair.size, PERIODS)
     place.write_bytes(sizes + rig + flat.astype("<f8").tobytes())
@@ -226,14 +258,23 @@ def speed() -> None:
     weights, reference = _inputs(law)
     gcc = shutil.which("gcc")
     if gcc is None:
-        figure("a period from Python against plain C", "gcc is not installed", "<= 1.1", False)
+        figure(
+            "a period from Python against plain C",
+            "gcc is not installed",
+            "<= 1.1",
+            False,
+        )
         return
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         export_c(law, folder / "law")
         (folder / "bench.c").write_text(BARE, encoding="utf-8")
         data = _written(folder, weights, reference)
-        include = (f"-I{folder / 'law'}", f"-I{ROOT / 'csrc'}", f"-I{ROOT / 'csrc' / 'kernels'}")
+        include = (
+            f"-I{folder / 'law'}",
+            f"-I{ROOT / 'csrc'}",
+            f"-I{ROOT / 'csrc' / 'kernels'}",
+        )
         for name, define in (("guarded", "-DGUARDED"), ("bare", "-DWITHOUT_GUARDS")):
             command = [
                 gcc,
@@ -261,8 +302,13 @@ def speed() -> None:
                 ends[name] = float(answer[1])
     middle = {name: statistics.median(values) for name, values in times.items()}
     apart = abs(ends["python"] - ends["guarded"])
-    each = ", ".join(f"{name} {1e9 * value / PERIODS:.0f} ns" for name, value in middle.items())
-    plain, without = middle["python"] / middle["guarded"], middle["python"] / middle["bare"]
+    each = ", ".join(
+        f"{name} {1e9 * value / PERIODS:.0f} ns" for name, value in middle.items()
+    )
+    plain, without = (
+        middle["python"] / middle["guarded"],
+        middle["python"] / middle["bare"],
+    )
     figure(
         "a period from Python / plain C",
         f"{plain:.2f}",
@@ -270,7 +316,13 @@ def speed() -> None:
         plain <= 1.1,
         f"{each}; tips differ {apart:.1e}",
     )
-    figure("a period from Python / plain C without guards", f"{without:.2f}", "<= 2", without <= 2.0, each)
+    figure(
+        "a period from Python / plain C without guards",
+        f"{without:.2f}",
+        "<= 2",
+        without <= 2.0,
+        each,
+    )
 
 
 def main() -> None:

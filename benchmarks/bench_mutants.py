@@ -1,18 +1,21 @@
-"""Whether the tests notice: random mutants of fraclink's Python, each run against the tests that touch it.
+"""Whether the tests notice: random mutants of fraclink's Python, each run against the
+tests that touch it.
 
     python benchmarks/bench_mutants.py record [TEST ...]   # the blocks each test runs, and its time
     python benchmarks/bench_mutants.py run --seed 1 --count 300 --minutes 9   # again until all are judged
     python benchmarks/bench_mutants.py report --seed 1
     python benchmarks/bench_mutants.py run --seed 1 --count 40 --only _logs   # of one room
 
-Without arguments: all three. A mutant is drawn by room (the packages of src/fraclink, the modules beside
-them, and prove), at least `FEWEST` from each and the rest by the number of places; then by operator, each as
-likely; then by place. It is killed when a test fails that passes alone without it, or when the tests need far
-more than their time. A change inside a function replaces the function's code in a process that has collected
-all the tests; a change of what runs at import is made in a process that has not imported fraclink. The
-sources on the disk are never touched, and child processes of a test run the mutant too. Left out: csrc
-(tests/law_mutants.py mutates law.c), tests that read the sources rather than run them, tests of more than
-`LONGEST` seconds and, of slow ones, all but `SLOW_CASES` of their parameters. All times are processor times.
+Without arguments: all three. A mutant is drawn by room (the packages of src/fraclink,
+the modules beside them, and prove), at least `FEWEST` from each and the rest by the
+number of places; then by operator, each as likely; then by place. It is killed when a
+test fails that passes alone without it, or when the tests need far more than their
+time. A change inside a function replaces the function's code in a process that has
+collected all the tests; a change of what runs at import is made in a process that has
+not imported fraclink. The sources on the disk are never touched, and child processes of
+a test run the mutant too. Left out: csrc (tests/law_mutants.py mutates law.c), tests
+that read the sources rather than run them, tests of more than `LONGEST` seconds and, of
+slow ones, all but `SLOW_CASES` of their parameters. All times are processor times.
 """
 
 from __future__ import annotations
@@ -55,13 +58,16 @@ LONGEST = 20.0  # s of processor time a test may need to take part
 SLOW_CASES = 2  # of a slow test with many parameters
 COLD_FILES = 10
 BUDGET = 20.0  # s of processor time of the tests of one mutant
-# Tests of files, guards and pages: they read sources, or start what never runs the mutant.
+# Tests of files, guards and pages: they read sources, or start what never runs the
+# mutant.
 UNCONCERNED = (
     "test_docs", "test_guards", "test_architecture", "test_studio_browser", "test_benchmarks_run",
     "test_readme", "test_reproduce", "test_examples", "test_export_gates", "test_export_firmware",
     "test_export_fmu_sources", "test_palette", "test_readers_mutants", "test_mutation",
 )  # fmt: skip
-INTERFACE = "tests/test_interface.py"  # asks for every default and range, whatever it runs
+INTERFACE = (
+    "tests/test_interface.py"  # asks for every default and range, whatever it runs
+)
 # What a process needs to run a module's changed code although it starts anew.
 SITE = f"""
 import builtins, json, marshal, mmap, os
@@ -79,11 +85,20 @@ SourceFileLoader.get_code = get_code
 
 
 def files() -> list[Path]:
-    return sorted(path for tree in TREES for path in tree.rglob("*.py") if path.name != "__main__.py")
+    return sorted(
+        path
+        for tree in TREES
+        for path in tree.rglob("*.py")
+        if path.name != "__main__.py"
+    )
 
 
 def room(path: Path) -> str:
-    inside = path.relative_to(ROOT / "src" / "fraclink") if path.is_relative_to(ROOT / "src") else None
+    inside = (
+        path.relative_to(ROOT / "src" / "fraclink")
+        if path.is_relative_to(ROOT / "src")
+        else None
+    )
     if inside is None:
         return "prove"
     return inside.parts[0] if len(inside.parts) > 1 else "(top)"
@@ -103,7 +118,9 @@ def processor_time() -> float:
 
 
 class Recorder:
-    """A pytest plugin that notes the blocks each passed test ran, fixtures and cached helpers included."""
+    """A pytest plugin that notes the blocks each passed test ran, fixtures and cached
+    helpers included.
+    """
 
     def __init__(self, hits: np.ndarray) -> None:
         self.hits, self.rows, self.costs = hits, {}, {}
@@ -122,12 +139,16 @@ class Recorder:
             self.hits |= before
 
     def cache(self, maxsize: Any = 128, typed: bool = False) -> Any:
-        """`functools.lru_cache` for this repository's functions: who is served from it has run it, too."""
+        """`functools.lru_cache` for this repository's functions: who is served from it
+        has run it, too.
+        """
         if callable(maxsize):
             return self.cache(None)(maxsize)
 
         def decorate(function: Callable[..., Any]) -> Any:
-            if not getattr(function, "__code__", CACHE_CODE).co_filename.startswith(str(ROOT)):
+            if not getattr(function, "__code__", CACHE_CODE).co_filename.startswith(
+                str(ROOT)
+            ):
                 return ORIGINAL_CACHE(maxsize, typed)(function)
 
             @ORIGINAL_CACHE(maxsize, typed)
@@ -204,7 +225,9 @@ def install(codes: dict[str, types.CodeType], place: Path, count: int) -> None:
         (place / "hits").write_bytes(bytes(count))
     (place / "site" / "sitecustomize.py").write_text(SITE, encoding="utf-8")
     os.environ["FRACLINK_MUTATION"] = str(place)
-    os.environ["PYTHONPATH"] = os.pathsep.join([str(place / "site"), os.environ.get("PYTHONPATH", "")])
+    os.environ["PYTHONPATH"] = os.pathsep.join(
+        [str(place / "site"), os.environ.get("PYTHONPATH", "")]
+    )
     original = SourceFileLoader.get_code
 
     def get_code(self: Any, name: str) -> Any:
@@ -214,17 +237,33 @@ def install(codes: dict[str, types.CodeType], place: Path, count: int) -> None:
 
 
 def options(*more: str) -> list[str]:
-    return ["-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:cov", "-q", "--hypothesis-seed=0", *more]
+    return [
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:randomly",
+        "-p",
+        "no:cov",
+        "-q",
+        "--hypothesis-seed=0",
+        *more,
+    ]
 
 
 def chosen_files(only: list[str]) -> list[str]:
-    every = sorted((ROOT / "tests").glob("test_*.py")) + sorted((ROOT / "prove" / "tests").glob("test_*.py"))
-    tests = [str(p.relative_to(ROOT)) for p in every if not p.stem.startswith(UNCONCERNED)]
+    every = sorted((ROOT / "tests").glob("test_*.py")) + sorted(
+        (ROOT / "prove" / "tests").glob("test_*.py")
+    )
+    tests = [
+        str(p.relative_to(ROOT)) for p in every if not p.stem.startswith(UNCONCERNED)
+    ]
     return only or [*tests, "src/fraclink"]
 
 
 def record(only: list[str], *, marks: str) -> None:
-    """Run the tests once with noted blocks; with names of files, replace those in what is recorded."""
+    """Run the tests once with noted blocks; with names of files, replace those in what
+    is recorded.
+    """
     codes, firsts, count = {}, {}, 0
     for path in files():
         firsts[str(path.relative_to(ROOT))] = count
@@ -238,7 +277,10 @@ def record(only: list[str], *, marks: str) -> None:
     begin = processor_time()
     pytest.main(options("-m", marks, *chosen_files(only)), plugins=[recorder])
     names, costs = list(recorder.rows), [recorder.costs[name] for name in recorder.rows]
-    rows = np.packbits(np.array([recorder.rows[name] for name in names], np.uint8).reshape(-1, count), axis=1)
+    rows = np.packbits(
+        np.array([recorder.rows[name] for name in names], np.uint8).reshape(-1, count),
+        axis=1,
+    )
     if only and (PLACE / "record.npz").exists():
         kept = load_record()
         old = [k for k, name in enumerate(kept["names"]) if name not in recorder.rows]
@@ -248,16 +290,26 @@ def record(only: list[str], *, marks: str) -> None:
     with (PLACE / "record.npz").open("wb") as stream:
         places = json.dumps(firsts)
         np.savez_compressed(
-            stream, names=names, costs=costs, rows=rows, count=count, digest=digest(), firsts=places
+            stream,
+            names=names,
+            costs=costs,
+            rows=rows,
+            count=count,
+            digest=digest(),
+            firsts=places,
         )
-    print(f"{len(names)} tests noted, {processor_time() - begin:.0f} s of processor time")
+    print(
+        f"{len(names)} tests noted, {processor_time() - begin:.0f} s of processor time"
+    )
 
 
 def load_record() -> dict[str, Any]:
     with np.load(PLACE / "record.npz") as stored:
         kept = {name: stored[name] for name in stored.files}
     if str(kept["digest"]) != digest():
-        raise SystemExit("the sources have changed since they were recorded: run `record` again")
+        raise SystemExit(
+            "the sources have changed since they were recorded: run `record` again"
+        )
     return kept | {"firsts": json.loads(str(kept["firsts"]))}
 
 
@@ -266,16 +318,21 @@ def load_record() -> dict[str, Any]:
 
 def draw(seed: int, count: int, only: str = "") -> list[tuple[str, int]]:
     """(file, index of the change) of `count` mutants, of one room where it is named."""
-    rng = random.Random(seed)  # noqa: S311 - a draw that can be repeated
-    places: dict[str, dict[str, dict[Any, list[tuple[str, int]]]]] = collections.defaultdict(
-        lambda: collections.defaultdict(lambda: collections.defaultdict(list))
+    rng = random.Random(seed)  # noqa: S311
+    places: dict[str, dict[str, dict[Any, list[tuple[str, int]]]]] = (
+        collections.defaultdict(
+            lambda: collections.defaultdict(lambda: collections.defaultdict(list))
+        )
     )
     for path in files():
         if only and room(path) != only:
             continue
         name = str(path.relative_to(ROOT))
         for k, site in enumerate(sites(path)[1]):
-            ends = [getattr(site.node, end, 0) for end in ("col_offset", "end_lineno", "end_col_offset")]
+            ends = [
+                getattr(site.node, end, 0)
+                for end in ("col_offset", "end_lineno", "end_col_offset")
+            ]
             where = (name, site.line, *ends)
             places[room(path)][site.kind][where].append((name, k))
     sizes = {name: sum(map(len, kinds.values())) for name, kinds in places.items()}
@@ -305,7 +362,11 @@ def mentions() -> dict[str, set[int]]:
                 continue
             first = max(first, block + 1)
             for part in ast.walk(node):
-                name = part.id if isinstance(part, ast.Name) else getattr(part, "attr", None)
+                name = (
+                    part.id
+                    if isinstance(part, ast.Name)
+                    else getattr(part, "attr", None)
+                )
                 if isinstance(name, str):
                     found[name].add(block)
     return found
@@ -325,7 +386,9 @@ class Choice:
         if site.block is not None:
             touched = self.rows[:, site.block] > 0
         else:
-            blocks = sorted({b for name in site.names for b in self.mentions.get(name, ())})
+            blocks = sorted(
+                {b for name in site.names for b in self.mentions.get(name, ())}
+            )
             starts = sorted([*self.firsts.values(), self.rows.shape[1]])
             own = range(self.firsts[file], starts[starts.index(self.firsts[file]) + 1])
             inside = self.rows[:, own].any(axis=1)
@@ -333,8 +396,11 @@ class Choice:
             if not touched.any():
                 touched = inside
             touched |= np.array([name.startswith(INTERFACE) for name in self.names])
-        every = sorted((float(self.costs[k]), self.names[k]) for k in np.flatnonzero(touched))
-        # One of each file first: ten cheap tests of one file ask the same thing ten times.
+        every = sorted(
+            (float(self.costs[k]), self.names[k]) for k in np.flatnonzero(touched)
+        )
+        # One of each file first: ten cheap tests of one file ask the same thing ten
+        # times.
         turn: collections.Counter[str] = collections.Counter()
         ranked = []
         for cost, name in every:
@@ -344,7 +410,10 @@ class Choice:
         chosen, spent = [], 0.0
         for _, name, cost in sorted(ranked):
             # Each file of tests is collected anew for a change at import.
-            many = site.block is None and len({test.split("::")[0] for test, _ in chosen}) >= COLD_FILES
+            many = (
+                site.block is None
+                and len({test.split("::")[0] for test, _ in chosen}) >= COLD_FILES
+            )
             new = name.split("::")[0] not in {test.split("::")[0] for test, _ in chosen}
             if spent + cost <= BUDGET and not (many and new):
                 chosen.append((name, cost))
@@ -359,7 +428,9 @@ def fates_file(seed: int, only: str) -> Path:
 # --- judging ------------------------------------------------------------------------------------------
 
 
-def in_a_fork(work: Callable[[Callable[[str], None]], None], limit: float) -> tuple[str, str, float]:
+def in_a_fork(
+    work: Callable[[Callable[[str], None]], None], limit: float
+) -> tuple[str, str, float]:
     """("failed", "passed" or "stopped", what the child said last, its processor time)."""
     board, begin = mmap.mmap(-1, 4096), time.monotonic()
 
@@ -380,14 +451,20 @@ def in_a_fork(work: Callable[[Callable[[str], None]], None], limit: float) -> tu
     done, status, usage = 0, 0, None
     while not done:
         done, status, usage = os.wait4(child, os.WNOHANG)
-        if not done and time.monotonic() - begin > 30.0 + 15.0 * limit:  # who sleeps uses no processor time
+        if (
+            not done and time.monotonic() - begin > 30.0 + 15.0 * limit
+        ):  # who sleeps uses no processor time
             os.killpg(child, signal.SIGKILL)
             done, status, usage = os.wait4(child, 0)
         elif not done:
             time.sleep(0.005)
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # what it left behind
-    fate = "stopped" if os.WIFSIGNALED(status) else ("failed" if os.WEXITSTATUS(status) else "passed")
+    fate = (
+        "stopped"
+        if os.WIFSIGNALED(status)
+        else ("failed" if os.WEXITSTATUS(status) else "passed")
+    )
     seconds = usage.ru_utime + usage.ru_stime if usage else 0.0
     return fate, bytes(board).rstrip(b"\0").decode(errors="replace"), seconds
 
@@ -410,10 +487,14 @@ class Watch:
 
 
 class Judge:
-    """A pytest plugin that, once the tests are collected, tries every mutant in a fork of its own."""
+    """A pytest plugin that, once the tests are collected, tries every mutant in a fork
+    of its own.
+    """
 
     def __init__(
-        self, work: list[tuple[str, Callable[[], None], list[tuple[str, float]]]], tell: Any
+        self,
+        work: list[tuple[str, Callable[[], None], list[tuple[str, float]]]],
+        tell: Any,
     ) -> None:
         self.work, self.tell = work, tell
         self.failed = False
@@ -444,14 +525,22 @@ class Judge:
         for key, change, tests in self.work:
             some = [items[name] for name, _ in tests if name in items]
 
-            def run(say: Callable[[str], None], some: Any = some, change: Any = change) -> None:
-                for kept in [o for o in gc.get_objects(2) + gc.get_objects() if isinstance(o, CACHED)]:
+            def run(
+                say: Callable[[str], None], some: Any = some, change: Any = change
+            ) -> None:
+                for kept in [
+                    o
+                    for o in gc.get_objects(2) + gc.get_objects()
+                    if isinstance(o, CACHED)
+                ]:
                     kept.cache_clear()
                 if change is not None:
                     change()
                 for item, following in zip(some, [*some[1:], None], strict=True):
                     say(item.nodeid)
-                    item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+                    item.config.hook.pytest_runtest_protocol(
+                        item=item, nextitem=following
+                    )
                     if self.failed:
                         raise Failed
 
@@ -494,7 +583,9 @@ def silence() -> None:
 def run(seed: int, count: int, minutes: float, only: str = "") -> None:
     """Judge the mutants that are not yet judged, for so many minutes of processor time."""
     place = fates_file(seed, only)
-    fates: dict[str, Any] = json.loads(place.read_text(encoding="utf-8")) if place.exists() else {}
+    fates: dict[str, Any] = (
+        json.loads(place.read_text(encoding="utf-8")) if place.exists() else {}
+    )
     choice, end = Choice(), 60.0 * minutes
     cold, warm, told = [], [], {}
     for file, index in draw(seed, count, only):
@@ -508,7 +599,12 @@ def run(seed: int, count: int, minutes: float, only: str = "") -> None:
             "function": site.function,
         }  # fmt: skip
         if not tests:
-            fates[key] = told[key] | {"fate": "no test", "by": "", "seconds": 0.0, "tests": 0}
+            fates[key] = told[key] | {
+                "fate": "no test",
+                "by": "",
+                "seconds": 0.0,
+                "tests": 0,
+            }
         elif site.block is None:
             cold.append((key, (str(ROOT / file), code), tests))
         else:
@@ -516,7 +612,12 @@ def run(seed: int, count: int, minutes: float, only: str = "") -> None:
 
     def tell(key: str, tests: int, fate: str, by: str, seconds: float) -> None:
         words = {"passed": "survived", "failed": "killed", "stopped": "out of time"}
-        fates[key] = told[key] | {"fate": words[fate], "by": by, "seconds": round(seconds, 2), "tests": tests}
+        fates[key] = told[key] | {
+            "fate": words[fate],
+            "by": by,
+            "seconds": round(seconds, 2),
+            "tests": tests,
+        }
         place.write_text(json.dumps(fates, indent=1), encoding="utf-8")
         if processor_time() > end:
             os._exit(3)
@@ -529,30 +630,41 @@ def run(seed: int, count: int, minutes: float, only: str = "") -> None:
         names = [name for name, _ in tests]
         fate = in_a_fork(functools.partial(run_anew, dict([change]), names), limit)
         while fate[0] == "failed":
-            by = [fate[1]] if "::" in fate[1] else names[:1]  # else what was imported failed
+            by = (
+                [fate[1]] if "::" in fate[1] else names[:1]
+            )  # else what was imported failed
             if by[0] not in trusted:
-                trusted[by[0]] = in_a_fork(functools.partial(run_anew, {}, by), 30.0)[0] == "passed"
+                trusted[by[0]] = (
+                    in_a_fork(functools.partial(run_anew, {}, by), 30.0)[0] == "passed"
+                )
             if trusted[by[0]] or len(names) == 1:
                 break
             names.remove(by[0])
             fate = in_a_fork(functools.partial(run_anew, dict([change]), names), limit)
         tell(key, len(tests), *fate)
     if warm:
-        needed = sorted({name.split("::")[0] for _, _, tests in warm for name, _ in tests})
-        work = [(key, functools.partial(change_and_tell, *change), tests) for key, change, tests in warm]
+        needed = sorted(
+            {name.split("::")[0] for _, _, tests in warm for name, _ in tests}
+        )
+        work = [
+            (key, functools.partial(change_and_tell, *change), tests)
+            for key, change, tests in warm
+        ]
         judge = Judge(work, tell)
         silence()
         pytest.main(options(*needed), plugins=[judge])
 
 
-def run_anew(codes: dict[str, types.CodeType], names: list[str], say: Callable[[str], None]) -> None:
+def run_anew(
+    codes: dict[str, types.CodeType], names: list[str], say: Callable[[str], None]
+) -> None:
     """Import fraclink with these codes and run these tests up to the first that fails."""
     place = PLACE / f"cold-{os.getpid()}"
     install(codes, place, 0)
     silence()
     watch = Watch(say)
-    # Where a docstring's example is among the tests, pytest would rewrite that module's assertions, from the
-    # file and not from the mutant's code.
+    # Where a docstring's example is among the tests, pytest would rewrite that module's
+    # assertions, from the file and not from the mutant's code.
     ended = pytest.main(options("--assert=plain", "-x", *names), plugins=[watch])
     shutil.rmtree(place, ignore_errors=True)
     if watch.failed or ended != pytest.ExitCode.OK:
@@ -567,7 +679,15 @@ def change_and_tell(path: str, code: types.CodeType) -> None:
 
 def preload() -> None:
     """Import once what every fork needs, but nothing of fraclink."""
-    for name in ("scipy.optimize", "scipy.signal", "scipy.linalg", "pydantic", "typer", "rich", "mpmath"):
+    for name in (
+        "scipy.optimize",
+        "scipy.signal",
+        "scipy.linalg",
+        "pydantic",
+        "typer",
+        "rich",
+        "mpmath",
+    ):
         __import__(name)
 
 
@@ -576,7 +696,9 @@ DEAD = ("killed", "out of time")
 
 def report(seed: int, only: str = "") -> None:
     """Print the shares by operator and by room, and every mutant that no test noticed."""
-    fates = list(json.loads(fates_file(seed, only).read_text(encoding="utf-8")).values())
+    fates = list(
+        json.loads(fates_file(seed, only).read_text(encoding="utf-8")).values()
+    )
     shares: dict[str, dict[str, list[str]]] = {"kind": {}, "room": {}}
     for by, table in shares.items():
         for fate in fates:
@@ -589,12 +711,20 @@ def report(seed: int, only: str = "") -> None:
     for fate in sorted(fates, key=lambda f: (f["file"], f["line"])):
         if fate["fate"] not in DEAD:
             where = f"{fate['file']}:{fate['line']} {fate['kind']}"
-            print(f"{fate['fate']:8s} {where}: {fate['change']} ({fate['tests']} tests)")
+            print(
+                f"{fate['fate']:8s} {where}: {fate['change']} ({fate['tests']} tests)"
+            )
     dead = sum(f["fate"] in DEAD for f in fates)
-    worst = min(sum(e in DEAD for e in ends) / len(ends) for ends in shares["room"].values())
+    worst = min(
+        sum(e in DEAD for e in ends) / len(ends) for ends in shares["room"].values()
+    )
     mark = "ok  " if dead >= 0.9 * len(fates) else "MISS"
-    print(f"{mark} mutants killed, seed {seed}   {dead} of {len(fates)}   wanted >= 90 %")
-    print(f"{'ok  ' if worst >= 0.8 else 'MISS'} killed in the worst room   {worst:.0%}   wanted >= 80 %")
+    print(
+        f"{mark} mutants killed, seed {seed}   {dead} of {len(fates)}   wanted >= 90 %"
+    )
+    print(
+        f"{'ok  ' if worst >= 0.8 else 'MISS'} killed in the worst room   {worst:.0%}   wanted >= 80 %"
+    )
     print(f"        {sum(f['seconds'] for f in fates):.0f} s of processor time")
 
 
@@ -604,8 +734,12 @@ def main() -> None:
     parser.add_argument("tests", nargs="*")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--count", type=int, default=COUNT)
-    parser.add_argument("--only", default="", metavar="ROOM", help="mutants of this room alone")
-    parser.add_argument("--marks", default="", help="record these tests only, such as 'not slow'")
+    parser.add_argument(
+        "--only", default="", metavar="ROOM", help="mutants of this room alone"
+    )
+    parser.add_argument(
+        "--marks", default="", help="record these tests only, such as 'not slow'"
+    )
     parser.add_argument("--minutes", type=float, default=60.0)
     given = parser.parse_args()
     PLACE.mkdir(parents=True, exist_ok=True)
@@ -619,9 +753,17 @@ def main() -> None:
         report(given.seed, given.only)
     else:
         for step in ("record", "run", "report"):
-            line = [sys.executable, __file__, step, "--seed", str(given.seed), "--count", str(given.count)]
+            line = [
+                sys.executable,
+                __file__,
+                step,
+                "--seed",
+                str(given.seed),
+                "--count",
+                str(given.count),
+            ]
             line += ["--only", given.only]
-            subprocess.run(line, check=True)  # noqa: S603 - this script under the running interpreter
+            subprocess.run(line, check=True)  # noqa: S603
 
 
 if __name__ == "__main__":

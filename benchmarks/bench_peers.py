@@ -1,12 +1,15 @@
-"""The same three problems in fraclink and in the tools that a reader may know, errors side by side.
+"""The same three problems in fraclink and in the tools that a reader may know, errors
+side by side.
 
-Problems of the paper: the step response of the link 100/(s^1.92 + 100), the phase margin of the loop
-0.148 s^0.65 around it, the dominant pole of the loop that the default design closes. True values come from
-mpmath at 50 digits: the power series of the step response, roots of |L| = 1 and of the characteristic sum.
+Problems of the paper: the step response of the link 100/(s^1.92 + 100), the phase
+margin of the loop 0.148 s^0.65 around it, the dominant pole of the loop that the
+default design closes. True values come from mpmath at 50 digits: the power series of
+the step response, roots of |L| = 1 and of the characteristic sum.
 
-MATLAB is not run. What FOMCON and the CRONE toolbox do is taken from their published sources and computed
-here by the same method, and is called so: a method, not the program. Octave (Debian: octave,
-octave-control) and numfracpy (PyPI) run where they are installed.
+MATLAB is not run. What FOMCON and the CRONE toolbox do is taken from their published
+sources and computed here by the same method, and is called so: a method, not the
+program. Octave (Debian: octave, octave-control) and numfracpy (PyPI) run where they are
+installed.
 
     python benchmarks/bench_peers.py            print
     python benchmarks/bench_peers.py --write    write the table of docs/explanation/how-we-differ.md
@@ -44,8 +47,8 @@ LINK = SQUARE / (fl.s**ORDER + SQUARE)
 LOOP = 0.148 * fl.s**0.65 * LINK
 PERIOD, DURATION = 0.004, 2.0
 TIME = np.arange(round(DURATION / PERIOD) + 1) * PERIOD
-# FOMCON's defaults: Oustaloup's filter of order 5 over 0.001 … 1000 rad/s is 2·5 + 1 pairs; a frequency
-# response of 1000 points over ten decades; orders rounded to 0.01.
+# FOMCON's defaults: Oustaloup's filter of order 5 over 0.001 … 1000 rad/s is 2·5 + 1
+# pairs; a frequency response of 1000 points over ten decades; orders rounded to 0.01.
 BAND, PAIRS = (0.001, 1000.0), 11
 GRID = np.logspace(-5, 5, 1000)
 COMMENSURATE = 0.01
@@ -64,19 +67,25 @@ class Row:
 
 
 def digit(error: float, unit: str = "") -> str:
-    """One digit; below a billionth it is rounding, which another machine does otherwise."""
+    """One digit; below a billionth it is rounding, which another machine does
+    otherwise.
+    """
     return f"< 1e-9{unit}" if error < 1e-9 else f"{error:.1g}{unit}"
 
 
 def true_step() -> Real:
-    """y(t) = −Σ (−100 t^1.92)^k/Γ(1.92 k + 1), k ≥ 1, in digits enough for terms of 10^120."""
+    """y(t) = −Σ (−100 t^1.92)^k/Γ(1.92 k + 1), k ≥ 1, in digits enough for terms of
+    10^120.
+    """
     with mpmath.workdps(200):
         order, square = mpmath.mpf(ORDER), mpmath.mpf(SQUARE)
         gammas = [mpmath.gamma(order * k + 1) for k in range(1, 400)]
         values = []
         for instant in TIME:
             x = -square * mpmath.mpf(float(instant)) ** order
-            values.append(float(-sum(x ** (k + 1) / gamma for k, gamma in enumerate(gammas))))
+            values.append(
+                float(-sum(x ** (k + 1) / gamma for k, gamma in enumerate(gammas)))
+            )
     return np.array(values)
 
 
@@ -86,9 +95,16 @@ def true_margin() -> float:
 
         def loop(w: mpmath.mpf) -> mpmath.mpc:
             s = mpmath.mpc(0, w)
-            return mpmath.mpf(0.148) * s ** mpmath.mpf(0.65) * SQUARE / (s ** mpmath.mpf(ORDER) + SQUARE)
+            return (
+                mpmath.mpf(0.148)
+                * s ** mpmath.mpf(0.65)
+                * SQUARE
+                / (s ** mpmath.mpf(ORDER) + SQUARE)
+            )
 
-        crossing = mpmath.findroot(lambda w: abs(loop(w)) - 1, (10.5, 14.0), solver="anderson")
+        crossing = mpmath.findroot(
+            lambda w: abs(loop(w)) - 1, (10.5, 14.0), solver="anderson"
+        )
         return float(180 + mpmath.degrees(mpmath.arg(loop(crossing))))
 
 
@@ -96,7 +112,12 @@ def default_loop() -> fl.FractionalTransferFunction:
     """1/(1 + ĈG) of the design for 20 g … 40 g, 12 rad/s and 50°, at 30 g."""
     rig = fl.Rig.named("paper-2023")
     design = fl.design(
-        rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), margins="ideal"
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        margins="ideal",
     )
     return 1 / (1 + design.controller.correction() * rig.model.tip())
 
@@ -107,15 +128,26 @@ def step_rows() -> list[Row]:
     problem = "step response"
 
     def row(tool: str, output: Real) -> Row:
-        return Row(problem, tool, digit(100 * np.abs(output - exact).max() / np.abs(exact).max(), " %"))
+        return Row(
+            problem,
+            tool,
+            digit(100 * np.abs(output - exact).max() / np.abs(exact).max(), " %"),
+        )
 
     ones = np.ones(len(TIME))
     rows = [
         row("fraclink, `step_response`", fl.step_response(LINK, TIME).output),
-        row("Grünwald–Letnikov sums (FOMCON's `lsim`, CRONE's \"Grunwald\"; our code)", grunwald(1)),
-        row("the same of second order (FOMCON's `GL_Order = 2`; our code)", grunwald(2)),
+        row(
+            "Grünwald–Letnikov sums (FOMCON's `lsim`, CRONE's \"Grunwald\"; our code)",
+            grunwald(1),
+        ),
+        row(
+            "the same of second order (FOMCON's `GL_Order = 2`; our code)", grunwald(2)
+        ),
     ]
-    assert np.allclose(grunwald(1)[1:], grunwald_letnikov(LINK, ones, PERIOD)[1:], rtol=0, atol=1e-9)
+    assert np.allclose(
+        grunwald(1)[1:], grunwald_letnikov(LINK, ones, PERIOD)[1:], rtol=0, atol=1e-9
+    )
     for pairs in (5, PAIRS):
         system = stand_in(LINK, pairs)
         rows.append(
@@ -125,18 +157,34 @@ def step_rows() -> list[Row]:
             )
         )
     if octave_control():
-        output = in_octave("printf('%.17g ', step(G, 0:0.004:2))", stand_in(LINK, PAIRS))
-        rows.append(row(f"Octave {octave_version()}, the same filter of {PAIRS} pairs", np.array(output)))
+        output = in_octave(
+            "printf('%.17g ', step(G, 0:0.004:2))", stand_in(LINK, PAIRS)
+        )
+        rows.append(
+            row(
+                f"Octave {octave_version()}, the same filter of {PAIRS} pairs",
+                np.array(output),
+            )
+        )
     if importlib.util.find_spec("numfracpy"):
         from numfracpy import FODE
 
-        _, output = FODE(lambda t, y: SQUARE * (1 - y), [0.0, 0.0], [0.0, DURATION], PERIOD, ORDER)
-        rows.append(row(f"numfracpy {version('numfracpy')}, predictor and corrector", np.array(output)))
+        _, output = FODE(
+            lambda t, y: SQUARE * (1 - y), [0.0, 0.0], [0.0, DURATION], PERIOD, ORDER
+        )
+        rows.append(
+            row(
+                f"numfracpy {version('numfracpy')}, predictor and corrector",
+                np.array(output),
+            )
+        )
     return rows
 
 
 def grunwald(order: int) -> Real:
-    """The sums by a generating function of the given order, (3/2 − 2z + z²/2)^a for the second."""
+    """The sums by a generating function of the given order, (3/2 − 2z + z²/2)^a for the
+    second.
+    """
     step = {1: [1.0, -1.0], 2: [1.5, -2.0, 0.5]}[order]
     weights = power_series(step, ORDER, len(TIME)) * PERIOD**-ORDER
     weights[0] += SQUARE
@@ -147,7 +195,9 @@ def grunwald(order: int) -> Real:
 
 
 def power_series(base: list[float], exponent: float, count: int) -> Real:
-    """Coefficients of (Σ base_j z^j)^exponent by the recurrence of its logarithmic derivative."""
+    """Coefficients of (Σ base_j z^j)^exponent by the recurrence of its logarithmic
+    derivative.
+    """
     series = np.zeros(count)
     series[0] = base[0] ** exponent
     for k in range(1, count):
@@ -166,9 +216,14 @@ def margin_rows() -> list[Row]:
         return Row(problem, tool, digit(abs(value - exact), "°"))
 
     rows = [row("fraclink, `margins`", math.degrees(fl.margins(LOOP).phase_margin))]
-    for name, grid in (("50 points over two decades", np.geomspace(1, 100, 50)), ("FOMCON's default", GRID)):
+    for name, grid in (
+        ("50 points over two decades", np.geomspace(1, 100, 50)),
+        ("FOMCON's default", GRID),
+    ):
         data = control.frd(LOOP(1j * grid), grid)
-        rows.append(row(f"python-control, `margin` of data, {name}", control.margin(data)[1]))
+        rows.append(
+            row(f"python-control, `margin` of data, {name}", control.margin(data)[1])
+        )
     for pairs in (5, PAIRS):
         rows.append(
             row(
@@ -177,8 +232,12 @@ def margin_rows() -> list[Row]:
             )
         )
     if octave_control():
-        value = in_octave("[g, p] = margin(G); printf('%.17g ', p)", stand_in(LOOP, PAIRS))[0]
-        rows.append(row(f"Octave {octave_version()}, the same filter of {PAIRS} pairs", value))
+        value = in_octave(
+            "[g, p] = margin(G); printf('%.17g ', p)", stand_in(LOOP, PAIRS)
+        )[0]
+        rows.append(
+            row(f"Octave {octave_version()}, the same filter of {PAIRS} pairs", value)
+        )
     return rows
 
 
@@ -190,7 +249,8 @@ def pole_rows() -> list[Row]:
     with mpmath.workdps(50):
         exact = complex(
             mpmath.findroot(
-                lambda s: mpmath.fsum(c * s ** mpmath.mpf(order) for c, order in terms), mpmath.mpc(found)
+                lambda s: mpmath.fsum(c * s ** mpmath.mpf(order) for c, order in terms),
+                mpmath.mpc(found),
             )
         )
     problem = f"dominant pole, {exact.real:.3f} + {exact.imag:.3f}j"
@@ -212,13 +272,20 @@ def pole_rows() -> list[Row]:
             f"orders rounded to {COMMENSURATE}, roots of degree {max(whole)} (FOMCON's `isstable`; our code)",
             nearest(principal ** (1 / COMMENSURATE)),
         ),
-        row(f"python-control, Oustaloup's filter, {len(rational)} poles", nearest(rational)),
+        row(
+            f"python-control, Oustaloup's filter, {len(rational)} poles",
+            nearest(rational),
+        ),
     ]
 
 
 def stand_in(system: fl.FractionalTransferFunction, pairs: int) -> control.StateSpace:
     """A rational system for a tool that knows no other."""
-    return control.ss(*fl.approximate(system, band=BAND, order=pairs, method="oustaloup").state_space())
+    return control.ss(
+        *fl.approximate(
+            system, band=BAND, order=pairs, method="oustaloup"
+        ).state_space()
+    )
 
 
 def in_octave(command: str, system: control.StateSpace) -> list[float]:
@@ -258,13 +325,17 @@ def table(rows: list[Row]) -> str:
     lines = ["| problem | tool or method | error |", "|---|---|---|"]
     previous = ""
     for row in rows:
-        lines.append(f"| {row.problem if row.problem != previous else ''} | {row.tool} | {row.error} |")
+        lines.append(
+            f"| {row.problem if row.problem != previous else ''} | {row.tool} | {row.error} |"
+        )
         previous = row.problem
     return "\n".join(lines) + "\n"
 
 
 def cost() -> Row:
-    """Processor time of 10 001 samples: the sums over processor time of our recursion, in the same run."""
+    """Processor time of 10 001 samples: the sums over processor time of our recursion,
+    in the same run.
+    """
     ones = np.ones(10_001)
 
     def spent(call: Callable[[], object]) -> float:
@@ -278,7 +349,9 @@ def cost() -> Row:
         for _ in range(5)
     ]
     return Row(
-        "10 001 samples", "Grünwald–Letnikov sums in C over `time_response`", f"{np.median(ratios):.0f}×"
+        "10 001 samples",
+        "Grünwald–Letnikov sums in C over `time_response`",
+        f"{np.median(ratios):.0f}×",
     )
 
 
@@ -291,15 +364,21 @@ def rows() -> list[Row]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name}; needs every tool")
+    parser.add_argument(
+        "--write", action="store_true", help=f"write {PAGE.name}; needs every tool"
+    )
     wanted = parser.parse_args()
     found = rows()
     print(*found, cost(), sep="\n")
     if wanted.write:
         absent = [] if octave_control() else ["octave with octave-control"]
-        absent += [tool for tool in ("numfracpy",) if not importlib.util.find_spec(tool)]
+        absent += [
+            tool for tool in ("numfracpy",) if not importlib.util.find_spec(tool)
+        ]
         if absent:
-            raise SystemExit(f"not installed: {', '.join(absent)}; the table would lose its rows")
+            raise SystemExit(
+                f"not installed: {', '.join(absent)}; the table would lose its rows"
+            )
         write_text(PAGE, table(found))
 
 

@@ -1,7 +1,9 @@
-"""Rounding: the law in both precisions against the exact law, in ball arithmetic, over a million periods.
+"""Rounding: the law in both precisions against the exact law, in ball arithmetic, over
+a million periods.
 
-The exact law has the coefficients of double precision; samples are numbers of single precision, as those of a
-converter are. Its recursion runs in balls of 160 bits, whose radius stands beside the figures.
+The exact law has the coefficients of double precision; samples are numbers of single
+precision, as those of a converter are. Its recursion runs in balls of 160 bits, whose
+radius stands beside the figures.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ def exact_correction(law: Law, torque: Real) -> tuple[Real, float]:
             output = direct * change
             for gain, state in zip(gains, states, strict=True):
                 output += gain * state
-            states = [pole * state + change for pole, state in zip(poles, states, strict=True)]
+            states = [
+                pole * state + change for pole, state in zip(poles, states, strict=True)
+            ]
             result[k], radius = float(output.mid()), max(radius, float(output.rad()))
         return result, radius
     finally:
@@ -43,21 +47,29 @@ def exact_correction(law: Law, torque: Real) -> tuple[Real, float]:
 
 
 def signals() -> dict[str, Real]:
-    """Return torques [N·m]: what the arm of the paper does all day, and slow swings with little on top."""
+    """Return torques [N·m]: what the arm of the paper does all day, and slow swings
+    with little on top.
+    """
     noise = np.random.default_rng(3).standard_normal(PERIODS)
     smooth = np.convolve(noise, np.ones(25) / 25, mode="same")
     smooth /= smooth.std()
     swing = np.sin(np.pi * RIG.period * np.arange(PERIODS))
-    # Small enough for the motor's speed limit: a limited output is right in every precision.
+    # Small enough for the motor's speed limit: a limited output is right in every
+    # precision.
     torques = {
         "0.005 rad rms, to 250 rad/s": 1.56 * 0.005 * smooth,
         "0.2 rad at 0.5 Hz": 1.56 * (0.2 * swing + 0.002 * smooth),
     }
-    return {name: torque.astype(np.float32).astype(np.float64) for name, torque in torques.items()}
+    return {
+        name: torque.astype(np.float32).astype(np.float64)
+        for name, torque in torques.items()
+    }
 
 
 def main() -> None:
-    law = discretize_controller(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), RIG.period)
+    law = discretize_controller(
+        fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), RIG.period
+    )
     for name, torque in signals().items():
         exact, radius = exact_correction(law, torque)
         rows = np.zeros((4, PERIODS))
@@ -66,7 +78,9 @@ def main() -> None:
             made = law.in_precision(precision)  # type: ignore[arg-type]
             run = made.run(made.initial_state(), *rows)[1]
             limited = np.count_nonzero(run.flags[1:])
-            rms = float(np.sqrt(np.mean((run.motor_reference - exact) ** 2) / np.mean(exact**2)))
+            rms = float(
+                np.sqrt(np.mean((run.motor_reference - exact) ** 2) / np.mean(exact**2))
+            )
             note = f"{name}; radius of the exact law {radius:.0e} rad; {limited} periods limited"
             figure(
                 f"{precision} against exact, {PERIODS} periods, rms",

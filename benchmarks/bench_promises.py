@@ -1,9 +1,10 @@
-"""Whether `error_estimate` keeps its promise: random responses of random functions against mpmath.
+"""Whether `error_estimate` keeps its promise: random responses of random functions
+against mpmath.
 
-Every call is checked at a few of its times with an inversion of its own, in 50 digits and more: Talbot's
-contour with two numbers of nodes, the residues of the poles outside it added, repeated with more nodes until
-both agree. The true error must never exceed the estimate, and the estimate should be at most 100 times the
-true error in the median.
+Every call is checked at a few of its times with an inversion of its own, in 50 digits
+and more: Talbot's contour with two numbers of nodes, the residues of the poles outside
+it added, repeated with more nodes until both agree. The true error must never exceed
+the estimate, and the estimate should be at most 100 times the true error in the median.
 
     python benchmarks/bench_promises.py [calls] [seed]
 """
@@ -20,7 +21,14 @@ from typing import Any
 import numpy as np
 from mpmath import mp, mpf
 
-from fraclink import FractionalTransferFunction, errors, impulse_response, poles, step_response, time_response
+from fraclink import (
+    FractionalTransferFunction,
+    errors,
+    impulse_response,
+    poles,
+    step_response,
+    time_response,
+)
 from fraclink import s as laplace
 from fraclink._systems.terms import Term
 
@@ -39,13 +47,18 @@ class UnknownError(Exception):
 def total(terms: Terms, log: Any, derivative: bool = False) -> Any:
     """Σ c s^a at s = e^log, or its derivative by ln s."""
     return mp.fsum(
-        mpf(t.coefficient) * (mpf(t.order) if derivative else 1) * mp.exp(mpf(t.order) * log) for t in terms
+        mpf(t.coefficient)
+        * (mpf(t.order) if derivative else 1)
+        * mp.exp(mpf(t.order) * log)
+        for t in terms
     )
 
 
 @dataclass(frozen=True)
 class Exact:
-    """N/D without delays, its impulse (n = 0, less the δ), step (1) or ramp (2) response in many digits."""
+    """N/D without delays, its impulse (n = 0, less the δ), step (1) or ramp (2)
+    response in many digits.
+    """
 
     top: Terms
     bottom: Terms
@@ -84,7 +97,9 @@ class Exact:
         raise UnknownError
 
     def _talbot(self, t: Any, degree: int, nodes: int) -> Any:
-        """Fixed Talbot (Abate and Valkó, 2004) plus the residues of the poles that it leaves outside."""
+        """Fixed Talbot (Abate and Valkó, 2004) plus the residues of the poles that it
+        leaves outside.
+        """
         scale = mpf(2) * nodes / (5 * t)
         direct = mpf(0)
         if degree == 0 and self.top[0].order == self.bottom[0].order:
@@ -92,7 +107,9 @@ class Exact:
 
         def value(z: Any) -> Any:
             log = mp.log(z)
-            return (total(self.top, log) / total(self.bottom, log) - direct) * mp.exp(-degree * log)
+            return (total(self.top, log) / total(self.bottom, log) - direct) * mp.exp(
+                -degree * log
+            )
 
         result = mp.exp(scale * t) * value(mp.mpc(scale)).real / 2
         for k in range(1, nodes):
@@ -105,16 +122,24 @@ class Exact:
         for log in self.logs:
             p = mp.exp(log)
             angle = p.imag / scale
-            outside = angle >= mp.pi or p.real > (scale * angle * mp.cot(angle) if angle else scale)
+            outside = angle >= mp.pi or p.real > (
+                scale * angle * mp.cot(angle) if angle else scale
+            )
             if outside:
-                residue = total(self.top, log) / total(self.bottom, log, derivative=True)
+                residue = total(self.top, log) / total(
+                    self.bottom, log, derivative=True
+                )
                 part = residue * mp.exp((1 - degree) * log + t * p)
                 result += part.real if abs(p.imag) < mpf(10) ** -30 else 2 * part.real
         return result
 
 
-def delay_series(G: FractionalTransferFunction, horizon: float) -> Iterator[tuple[float, Exact]]:
-    """(delay, delay-free function) pairs that add up to G up to `horizon`: 1/(A + B) = Σ (−B)^k / A^(k+1)."""
+def delay_series(
+    G: FractionalTransferFunction, horizon: float
+) -> Iterator[tuple[float, Exact]]:
+    """(delay, delay-free function) pairs that add up to G up to `horizon`: 1/(A + B) =
+    Σ (−B)^k / A^(k+1).
+    """
     free = tuple(t for t in G.denominator if not t.delay)
     late = tuple(t for t in G.denominator if t.delay)
     summands, power = (
@@ -141,7 +166,12 @@ def response(parts: list[tuple[float, Exact]], t: Any, degree: int) -> Any:
         late = mpf(t) - mpf(delay)
         if late > 0:
             value += exact.at(late, degree)
-        elif late == 0 and degree == 1 and exact.top and exact.top[0].order == exact.bottom[0].order:
+        elif (
+            late == 0
+            and degree == 1
+            and exact.top
+            and exact.top[0].order == exact.bottom[0].order
+        ):
             value += mpf(exact.top[0].coefficient) / mpf(exact.bottom[0].coefficient)
     return value
 
@@ -153,7 +183,9 @@ def power(order: float) -> FractionalTransferFunction:
     return FractionalTransferFunction.power(order)
 
 
-def lag(g: np.random.Generator, order: float, decades: float = 3.0) -> FractionalTransferFunction:
+def lag(
+    g: np.random.Generator, order: float, decades: float = 3.0
+) -> FractionalTransferFunction:
     constant = 10.0 ** g.uniform(-decades, decades)
     return constant / (power(order) + constant)
 
@@ -165,12 +197,16 @@ def link(g: np.random.Generator) -> FractionalTransferFunction:
 
 
 def near_integer(g: np.random.Generator) -> FractionalTransferFunction:
-    order = int(g.integers(1, 3)) + float(g.choice([-1.0, 1.0])) * 10.0 ** g.uniform(-6, -1)
+    order = int(g.integers(1, 3)) + float(g.choice([-1.0, 1.0])) * 10.0 ** g.uniform(
+        -6, -1
+    )
     return lag(g, order)
 
 
 def polynomial(g: np.random.Generator) -> FractionalTransferFunction:
-    """A product of lags with a common factor multiplied out: up to order 6, poles of any kind."""
+    """A product of lags with a common factor multiplied out: up to order 6, poles of
+    any kind.
+    """
     bottom = power(0.0)
     while bottom.numerator[0].order < 4.2:
         bottom = bottom * (power(g.uniform(0.2, 1.9)) + 10.0 ** g.uniform(-2, 2))
@@ -183,27 +219,37 @@ def unstable(g: np.random.Generator) -> FractionalTransferFunction:
         return 1 / (power(g.uniform(0.3, 1.5)) - 10.0 ** g.uniform(-2, 1))
     if kind == 1:
         return lag(g, g.uniform(2.01, 6.1), 2.0)
-    return 1 / (laplace**2 - 10.0 ** g.uniform(-3, 0) * laplace + 10.0 ** g.uniform(-1, 2))
+    return 1 / (
+        laplace**2 - 10.0 ** g.uniform(-3, 0) * laplace + 10.0 ** g.uniform(-1, 2)
+    )
 
 
 def biproper(g: np.random.Generator) -> FractionalTransferFunction:
     order = g.uniform(0.1, 1.95)
-    return (g.uniform(0.2, 3) * power(order) + g.uniform(0, 5)) / (power(order) + 10.0 ** g.uniform(-2, 3))
+    return (g.uniform(0.2, 3) * power(order) + g.uniform(0, 5)) / (
+        power(order) + 10.0 ** g.uniform(-2, 3)
+    )
 
 
 def singular(g: np.random.Generator) -> FractionalTransferFunction:
-    return lag(g, g.uniform(0.1, 1.9)) / power(g.uniform(0.02, 2.5)) * (1 + g.integers(0, 2) / laplace)
+    return (
+        lag(g, g.uniform(0.1, 1.9))
+        / power(g.uniform(0.02, 2.5))
+        * (1 + g.integers(0, 2) / laplace)
+    )
 
 
 def stiff(g: np.random.Generator) -> FractionalTransferFunction:
     orders = g.uniform(0.3, 1.5, 2)
-    return lag(g, orders[0]) * 1e6 / (power(orders[1]) + 10.0 ** g.uniform(3, 6)) + g.integers(0, 2) * lag(
-        g, 1.0
-    )
+    return lag(g, orders[0]) * 1e6 / (
+        power(orders[1]) + 10.0 ** g.uniform(3, 6)
+    ) + g.integers(0, 2) * lag(g, 1.0)
 
 
 def multiple(g: np.random.Generator) -> FractionalTransferFunction:
-    return 1 / (power(g.choice([0.3, 0.5, 0.9, 1.0])) + 10.0 ** g.uniform(-1, 1)) ** int(g.integers(2, 5))
+    return 1 / (
+        power(g.choice([0.3, 0.5, 0.9, 1.0])) + 10.0 ** g.uniform(-1, 1)
+    ) ** int(g.integers(2, 5))
 
 
 def loop(g: np.random.Generator) -> FractionalTransferFunction:
@@ -212,7 +258,9 @@ def loop(g: np.random.Generator) -> FractionalTransferFunction:
 
 
 def delayed(g: np.random.Generator) -> FractionalTransferFunction:
-    return link(g).delayed(10.0 ** g.uniform(-3, 0)) + float(g.integers(0, 2)) * lag(g, g.uniform(0.2, 1.9))
+    return link(g).delayed(10.0 ** g.uniform(-3, 0)) + float(g.integers(0, 2)) * lag(
+        g, g.uniform(0.2, 1.9)
+    )
 
 
 def retarded(g: np.random.Generator) -> FractionalTransferFunction:
@@ -264,10 +312,20 @@ def attempt(kind: str, mode: str, seed: int) -> Outcome:
     return _sampled(kind, mode, seed, G, g)
 
 
-def _fixed(kind: str, mode: str, seed: int, G: FractionalTransferFunction, g: np.random.Generator) -> Outcome:
+def _fixed(
+    kind: str,
+    mode: str,
+    seed: int,
+    G: FractionalTransferFunction,
+    g: np.random.Generator,
+) -> Outcome:
     degree = 1 if mode == "step" else 0
     if kind == "retarded loop":
-        found = step_response(G, 10.0 ** g.uniform(-1, 1), 10.0 ** g.uniform(-3, -2)) if degree else None
+        found = (
+            step_response(G, 10.0 ** g.uniform(-1, 1), 10.0 ** g.uniform(-3, -2))
+            if degree
+            else None
+        )
         if found is None:
             return _sampled(kind, "held", seed, G, g)
         chosen = g.integers(0, len(found.time), 3)
@@ -282,21 +340,30 @@ def _fixed(kind: str, mode: str, seed: int, G: FractionalTransferFunction, g: np
         times = [mpf(given[k]) for k in chosen]
     parts = list(delay_series(G, float(max(times))))
     true = [
-        abs(mpf(found.output[k]) - response(parts, t, degree)) for k, t in zip(chosen, times, strict=True)
+        abs(mpf(found.output[k]) - response(parts, t, degree))
+        for k, t in zip(chosen, times, strict=True)
     ]
     return _outcome(kind, mode, found, float(max(true)), G, seed)
 
 
 def _sampled(
-    kind: str, mode: str, seed: int, G: FractionalTransferFunction, g: np.random.Generator
+    kind: str,
+    mode: str,
+    seed: int,
+    G: FractionalTransferFunction,
+    g: np.random.Generator,
 ) -> Outcome:
     """Inputs with a few changes of value (held) or of slope (linear) at random samples."""
-    hold = "first" if mode == "linear" or (mode == "long" and g.random() < 0.5) else "zero"
+    hold = (
+        "first" if mode == "linear" or (mode == "long" and g.random() < 0.5) else "zero"
+    )
     exponent = g.uniform(5, 6) if mode == "long" else g.uniform(0.3, 3.5)
     count, period = max(2, int(10.0**exponent)), 10.0 ** g.uniform(-5, -1)
     if kind == "retarded loop":
         count, period = int(10.0 ** g.uniform(0.5, 3)), 10.0 ** g.uniform(-3, -1)
-    changes = np.unique(np.concatenate([[0], g.integers(0, count, int(g.integers(0, 3)))]))
+    changes = np.unique(
+        np.concatenate([[0], g.integers(0, count, int(g.integers(0, 3)))])
+    )
     sizes = g.uniform(-1, 1, len(changes))
     k = np.arange(count)
     u = np.zeros(count)
@@ -312,7 +379,9 @@ def _sampled(
         exact = mpf(0)
         if hold == "zero":
             exact = mp.fsum(
-                mpf(steps[j]) * response(parts, (int(i) - int(j)) * mpf(period), 1) for j in changes if j <= i
+                mpf(steps[j]) * response(parts, (int(i) - int(j)) * mpf(period), 1)
+                for j in changes
+                if j <= i
             )
         else:
             exact = mpf(start) * response(parts, int(i) * mpf(period), 1)
@@ -322,15 +391,20 @@ def _sampled(
                 if j < i
             )
         true.append(abs(mpf(found.output[i]) - exact))
-    # The slopes of a linear input are known to the rounding of its values only: what G makes of that.
+    # The slopes of a linear input are known to the rounding of its values only: what G
+    # makes of that.
     return _outcome(kind, mode, found, float(max(true)), G, seed)
 
 
-def _outcome(kind: str, mode: str, found: Any, true: float, G: Any, seed: int) -> Outcome:
+def _outcome(
+    kind: str, mode: str, found: Any, true: float, G: Any, seed: int
+) -> Outcome:
     finite = found.output[np.isfinite(found.output)]
     peak = float(np.max(np.abs(finite), initial=0.0)) or 1.0
     about = f"{G} (seed {seed}, {len(found.output)} times to {found.time[-1]:.3g} s)"
-    return Outcome(kind, mode, found.method, true / peak, found.error_estimate / peak, about)
+    return Outcome(
+        kind, mode, found.method, true / peak, found.error_estimate / peak, about
+    )
 
 
 def main(calls: int, seed: int) -> None:
@@ -345,7 +419,9 @@ def main(calls: int, seed: int) -> None:
         except UnknownError:
             left[f"{kind}: the oracle's contours disagree"] += 1
         except (errors.FieldError, errors.NotConvergedError) as error:
-            left[f"{kind}: refused, {getattr(error, 'problem', type(error).__name__)[:60]}"] += 1
+            left[
+                f"{kind}: refused, {getattr(error, 'problem', type(error).__name__)[:60]}"
+            ] += 1
     report(done, left, time.process_time() - begin)
 
 
@@ -362,11 +438,15 @@ def report(done: list[Outcome], left: collections.Counter[str], seconds: float) 
                 f"largest true/claimed {worst:9.3g}, median true {np.median([o.true for o in these]):.1e}"
             )
     for o in sorted(broken, key=lambda o: -o.true / max(o.claimed, 1e-300))[:40]:
-        print(f"broken  {o.mode} {o.method}: true {o.true:.2e} claimed {o.claimed:.2e}: {o.about[:150]}")
+        print(
+            f"broken  {o.mode} {o.method}: true {o.true:.2e} claimed {o.claimed:.2e}: {o.about[:150]}"
+        )
     for reason, count in left.most_common():
         print(f"left    {count:4d} {reason}")
     mark = "ok  " if not broken and done else "MISS"
-    print(f"{mark} calls whose true error exceeds the estimate   {len(broken)} of {len(done)}   wanted 0")
+    print(
+        f"{mark} calls whose true error exceeds the estimate   {len(broken)} of {len(done)}   wanted 0"
+    )
     ratio = float(np.median([o.claimed / max(o.true, tiny) for o in done]))
     print(
         f"{'ok  ' if ratio <= 100 else 'MISS'} estimate over true error, median   {ratio:.3g}   wanted <= 100"

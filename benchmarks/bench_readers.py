@@ -1,7 +1,9 @@
-"""Readers and diagnosis: cost against numpy's parser, and what faults of the time base do to a fit.
+"""Readers and diagnosis: cost against numpy's parser, and what faults of the time base
+do to a fit.
 
-Timings are ratios against a peer in the same run, interleaved; the faults are what the limits of
-`fraclink._arm.timebase` stand on: jitter is harmless, lost samples taken as uniform are not.
+Timings are ratios against a peer in the same run, interleaved; the faults are what the
+limits of `fraclink._arm.timebase` stand on: jitter is harmless, lost samples taken as
+uniform are not.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ def seconds(*jobs: Callable[[], object], rounds: int = 5) -> list[float]:
     return [statistics.median(times) for times in taken]
 
 
-def line(figure: str, measured: float, unit: str, limit: float | None, error: str = "") -> bool:
+def line(
+    figure: str, measured: float, unit: str, limit: float | None, error: str = ""
+) -> bool:
     """Print one figure; return whether it keeps its limit."""
     holds = limit is None or abs(measured) <= limit
     wanted = "" if limit is None else f"wanted <= {limit:g} {unit}"
@@ -51,7 +55,9 @@ def costs(folder: Path) -> None:
     from scipy.io import savemat
 
     rng = np.random.default_rng(0)
-    table = np.column_stack((1e-3 * np.arange(150_000), rng.standard_normal((150_000, 3))))
+    table = np.column_stack(
+        (1e-3 * np.arange(150_000), rng.standard_normal((150_000, 3)))
+    )
     text, mat = folder / "a.csv", folder / "a.mat"
     np.savetxt(text, table, delimiter=",", header="a,b,c,d", comments="", fmt="%.17g")
     savemat(mat, {"a": table})
@@ -63,17 +69,23 @@ def costs(folder: Path) -> None:
     same = float(np.abs(read_columns(text)["b"] - table[:, 1]).max())
     line("CSV, 150 000 × 4, against np.loadtxt", ours / peer, "×", 3, f"error {same:g}")
     same = float(np.abs(read_columns(mat)["a(:,2)"] - table[:, 1]).max())
-    line("MAT, the same, child process included", child / peer, "×", 4, f"error {same:g}")
+    line(
+        "MAT, the same, child process included", child / peer, "×", 4, f"error {same:g}"
+    )
     log = read_log(bundled_log("prbs_30g"))
     padded = np.random.default_rng(0).standard_normal(2 * log.output.size)
-    peer, ours = seconds(lambda: [np.fft.rfft(padded) for _ in range(100)], lambda: diagnose(log))
+    peer, ours = seconds(
+        lambda: [np.fft.rfft(padded) for _ in range(100)], lambda: diagnose(log)
+    )
     line("diagnose, 5001 samples, against rfft of 2N", 100 * ours / peer, "×", 400)
 
 
 def faults() -> None:
     """What jitter, lost samples and a late gauge do to ω₀, in percent."""
     count, rng = 5000, np.random.default_rng(6)
-    fine = 4  # the truth is sampled four times as often as the log, so that stamps may lie anywhere
+    # the truth is sampled four times as often as the log, so that stamps may lie
+    # anywhere
+    fine = 4
     model = LinkModel(stiffness=1.56, natural_frequency=10.31, order=1.92)
     reference = prbs(0.2, 0.1, bits=200, register=9)
     dense_time = PERIOD / fine * np.arange(fine * count)
@@ -103,7 +115,10 @@ def faults() -> None:
         return 100 * (value / clean - 1)
 
     line(
-        "jitter of 0.5 ms rms taken as uniform: shift of ω₀", shift(frequency(*sampled(jittered))), "%", 0.05
+        "jitter of 0.5 ms rms taken as uniform: shift of ω₀",
+        shift(frequency(*sampled(jittered))),
+        "%",
+        0.05,
     )
     line(
         "1 % of samples lost, taken as uniform (refused): shift of ω₀",
@@ -111,7 +126,12 @@ def faults() -> None:
         "%",
         None,
     )
-    line("the same, resampled on its stamps: shift of ω₀", shift(frequency(*bridged)), "%", 0.05)
+    line(
+        "the same, resampled on its stamps: shift of ω₀",
+        shift(frequency(*bridged)),
+        "%",
+        0.05,
+    )
 
 
 def smooth(angle: np.ndarray, period: float) -> np.ndarray:

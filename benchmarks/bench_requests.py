@@ -1,14 +1,19 @@
-"""Random requests to `design`: nothing is promised in silence, and what a refusal offers is feasible.
+"""Random requests to `design`: nothing is promised in silence, and what a refusal
+offers is feasible.
 
     python benchmarks/bench_requests.py [how many]
 
-Every request draws a rig, a link as a log may show it (a late gauge, a wrong gauge gain, a second mode,
-damping), a payload range and options of `design`. Each ends as one of:
+Every request draws a rig, a link as a log may show it (a late gauge, a wrong gauge
+gain, a second mode, damping), a payload range and options of `design`. Each ends as one
+of:
 
-- a design whose shipped law, measured here on the sampled loop with every alias summed one by one, keeps what
-  was asked at every payload looked at, or a design that says what is missing;
-- a refusal whose ``nearest`` is feasible when it is asked for in place of what was refused;
-- a refusal that offers nothing, or a value that contradicts the rig (counted, not judged).
+- a design whose shipped law, measured here on the sampled loop with every alias summed
+  one by one, keeps what was asked at every payload looked at, or a design that says
+  what is missing;
+- a refusal whose ``nearest`` is feasible when it is asked for in place of what was
+  refused;
+- a refusal that offers nothing, or a value that contradicts the rig (counted, not
+  judged).
 
 Anything else is an exception to the rule and is printed with its seed.
 """
@@ -58,16 +63,22 @@ def random_request(seed: int) -> Request:
             pole=float(draw.choice([40.0, 60.0, 80.0, 150.0])),
             delay_samples=int(draw.integers(0, 3)),
         )
-        rig = replace(rig, period=float(draw.choice([1e-3, 2e-3, 4e-3, 5e-3])), motor_loop=loop)
+        rig = replace(
+            rig, period=float(draw.choice([1e-3, 2e-3, 4e-3, 5e-3])), motor_loop=loop
+        )
     model = _random_link(rig.model, draw)
     light = 10.0 ** draw.uniform(-2.2, -1.5)
     payloads = light, light * 10.0 ** draw.uniform(0.02, 0.6)
     heavy = model.at_payload(payloads[1])
     options: dict[str, Any] = {"payloads": payloads}
     crossover = heavy.natural_frequency ** (2.0 / model.order) * draw.uniform(0.9, 2.2)
-    options |= _one(draw, gain_crossover=crossover, settling_time=2.0 * math.pi / crossover)
     options |= _one(
-        draw, phase_margin=math.radians(draw.uniform(20, 80)), max_sensitivity=draw.uniform(1.2, 2.5)
+        draw, gain_crossover=crossover, settling_time=2.0 * math.pi / crossover
+    )
+    options |= _one(
+        draw,
+        phase_margin=math.radians(draw.uniform(20, 80)),
+        max_sensitivity=draw.uniform(1.2, 2.5),
     )
     if draw.random() < 0.3:
         options |= _one(
@@ -80,7 +91,10 @@ def random_request(seed: int) -> Request:
     if model.second_mode is not None and draw.random() < 0.4:
         options["mode_gain"] = float(draw.uniform(0.1, 1.0))
     if draw.random() < 0.2:
-        options |= {"inner": "sampled", "placement": str(draw.choice(["tustin", "direct"]))}
+        options |= {
+            "inner": "sampled",
+            "placement": str(draw.choice(["tustin", "direct"])),
+        }
     if draw.random() < 0.1:
         options["margins"] = "ideal"
     return Request(seed, rig, model, options)
@@ -100,15 +114,21 @@ def _random_link(known: LinkModel, draw: np.random.Generator) -> LinkModel:
     model = replace(known, order=order, natural_frequency=frequency, payload=0.03)
     if draw.random() < 0.2:
         model = replace(
-            model, damping=float(draw.uniform(0.1, 3.0)), damping_order=float(draw.uniform(0.5, 1.0))
+            model,
+            damping=float(draw.uniform(0.1, 3.0)),
+            damping_order=float(draw.uniform(0.5, 1.0)),
         )
     if draw.random() < 0.35:
-        model = replace(model, gauge_delay=float(draw.choice([0.002, 0.005, 0.01, 0.02, 0.04])))
+        model = replace(
+            model, gauge_delay=float(draw.choice([0.002, 0.005, 0.01, 0.02, 0.04]))
+        )
     if draw.random() < 0.3:
         model = replace(model, gauge_gain=float(draw.uniform(0.7, 1.3)))
     if draw.random() < 0.35:
         mode = SecondMode(
-            float(draw.uniform(40.0, 150.0)), float(draw.uniform(0.005, 0.05)), float(draw.uniform(0.01, 0.2))
+            float(draw.uniform(40.0, 150.0)),
+            float(draw.uniform(0.005, 0.05)),
+            float(draw.uniform(0.01, 0.2)),
         )
         model = replace(model, second_mode=mode)
     return model
@@ -117,8 +137,12 @@ def _random_link(known: LinkModel, draw: np.random.Generator) -> LinkModel:
 # ---- the sampled loop, once more --------------------------------------------------------------------------
 
 
-def sampled_loop(design: fl.Design, law: fl.Law, payload: float, w: np.ndarray) -> np.ndarray:
-    """The loop of the shipped law at ω [rad/s]: the alias sum as it is defined, no tail in closed form."""
+def sampled_loop(
+    design: fl.Design, law: fl.Law, payload: float, w: np.ndarray
+) -> np.ndarray:
+    """The loop of the shipped law at ω [rad/s]: the alias sum as it is defined, no tail
+    in closed form.
+    """
     rig, model = design.rig, design.model
     period, spring = rig.period, design.natural_frequency(payload) ** 2
     motor = design.motor_loop
@@ -143,9 +167,15 @@ def sampled_loop(design: fl.Design, law: fl.Law, payload: float, w: np.ndarray) 
 
 
 def kept(design: fl.Design, law: fl.Law, payload: float) -> float:
-    """The smallest |angle of −L| over the crossings of |L| = 1 [rad]; π where there is none."""
+    """The smallest |angle of −L| over the crossings of |L| = 1 [rad]; π where there is
+    none.
+    """
     top = math.pi / design.rig.period
-    scan = np.unique(np.concatenate([np.geomspace(0.05, 0.999 * top, 1500), *_near(design, payload, top)]))
+    scan = np.unique(
+        np.concatenate(
+            [np.geomspace(0.05, 0.999 * top, 1500), *_near(design, payload, top)]
+        )
+    )
     # A part at a time: all aliases of all frequencies are 100 MB.
     parts = np.array_split(scan, 10)
     value = np.concatenate([sampled_loop(design, law, payload, part) for part in parts])
@@ -169,9 +199,14 @@ def _near(design: fl.Design, payload: float, top: float) -> list[np.ndarray]:
     first = design.natural_frequency(payload) ** (2.0 / model.order)
     places = [(first, 0.3)]
     if model.second_mode is not None:
-        places.append((model.second_mode.frequency, 8.0 * model.second_mode.damping_ratio))
+        places.append(
+            (model.second_mode.frequency, 8.0 * model.second_mode.damping_ratio)
+        )
     spread = np.sinh(np.linspace(-4.0, 4.0, 120)) / math.sinh(4.0)
-    return [w[w < 0.999 * top] for w in (place * np.exp(width * spread) for place, width in places)]
+    return [
+        w[w < 0.999 * top]
+        for w in (place * np.exp(width * spread) for place, width in places)
+    ]
 
 
 # ---- one request ------------------------------------------------------------------------------------------
@@ -202,14 +237,22 @@ def _designed(design: fl.Design) -> tuple[str, str]:
         return "kept", ""
     if "W404" in told:
         return "says what is missing", ""
-    return "SILENT", f"the shipped law keeps {math.degrees(lost):.2f}° less than was asked"
+    return (
+        "SILENT",
+        f"the shipped law keeps {math.degrees(lost):.2f}° less than was asked",
+    )
 
 
 def _refused(request: Request, error: InfeasibleError) -> tuple[str, str]:
     if not error.nearest:
         return "refused, nothing near", error.condition
     try:
-        offered = fl.design(request.model, request.rig, **{**request.options, **error.nearest}, law=False)
+        offered = fl.design(
+            request.model,
+            request.rig,
+            **{**request.options, **error.nearest},
+            law=False,
+        )
     except (FieldError, InfeasibleError) as again:
         return "NOT FEASIBLE", f"{error.condition}: {error.nearest} ends in {again}"
     if not offered.passed:
@@ -240,7 +283,9 @@ def main() -> None:
         print(f"     {what:<32} {times:>5}")
     print(f"     {time.process_time() - begin:.0f} s of CPU")
     mark, exceptions = "MISS" if broken else "ok  ", f"{len(broken)} of {many}"
-    print(f"{mark} {'requests, exceptions to the rule':<52} {exceptions:<28} wanted 0 of 500")
+    print(
+        f"{mark} {'requests, exceptions to the rule':<52} {exceptions:<28} wanted 0 of 500"
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Every figure of the time responses, measured beside the value that is wanted.
 
-R is one `scipy.fft.rfft` of length 2N in the same run; timings are medians of interleaved calls in CPU time
-(everything here runs on one thread; a busy machine's other work does not count), beside half their
-interquartile range. Errors are relative to the peak of the signal.
+R is one `scipy.fft.rfft` of length 2N in the same run; timings are medians of
+interleaved calls in CPU time (everything here runs on one thread; a busy machine's
+other work does not count), beside half their interquartile range. Errors are relative
+to the peak of the signal.
 """
 
 from __future__ import annotations
@@ -33,10 +34,15 @@ LINK = 10.02**2 / (s**1.92 + 10.02**2)
 
 
 def line(figure: str, measured: str, wanted: str, holds: bool) -> None:
-    print(f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}", flush=True)
+    print(
+        f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}",
+        flush=True,
+    )
 
 
-def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, np.ndarray]:
+def interleaved(
+    calls: dict[str, Callable[[], object]], rounds: int
+) -> dict[str, np.ndarray]:
     spent: dict[str, list[float]] = {name: [] for name in calls}
     for _ in range(rounds):
         for name, call in calls.items():
@@ -47,7 +53,9 @@ def interleaved(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str
 
 
 def ratio(spent: dict[str, np.ndarray], name: str, base: str) -> tuple[float, float]:
-    """Median of the ratio to `base` of the same round, and half its interquartile range."""
+    """Median of the ratio to `base` of the same round, and half its interquartile
+    range.
+    """
     values = spent[name] / spent[base]
     low, high = np.percentile(values, [25, 75])
     return float(np.median(values)), float(high - low) / 2
@@ -62,11 +70,15 @@ def transfer(case: list[str]) -> FractionalTransferFunction:
 
 
 def accuracy() -> None:
-    """Step responses over 100 s at 4 ms, from the recursion that simulates, against 40-digit values."""
+    """Step responses over 100 s at 4 ms, from the recursion that simulates, against
+    40-digit values.
+    """
     by_case: dict[tuple[str, ...], list[tuple[int, float]]] = {}
     for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["values"]:
         index = round(float(entry["time"]) / PERIOD)
-        by_case.setdefault(tuple(entry["case"]), []).append((index, float.fromhex(entry["hex"])))
+        by_case.setdefault(tuple(entry["case"]), []).append(
+            (index, float.fromhex(entry["hex"]))
+        )
     u, worst = np.ones(25_001), {"UD-FOM": 0.0, "D-FOM": 0.0}
     for case, values in by_case.items():
         output = time_response(transfer(list(case)), u, PERIOD).output
@@ -87,7 +99,10 @@ def accuracy() -> None:
 def cost() -> None:
     samples = 1_000_000
     generator = np.random.default_rng(0)
-    signal, u = generator.standard_normal(2 * samples), generator.standard_normal(samples)
+    signal, u = (
+        generator.standard_normal(2 * samples),
+        generator.standard_normal(samples),
+    )
     modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD, tolerance=1e-11)
     fine = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
     calls: dict[str, Callable[[], object]] = {
@@ -100,7 +115,10 @@ def cost() -> None:
     error = _step_error(modes, samples)
     for name, title in (
         ("modes", f"recursion, N = 1e6, {modes.count} states, step error {error:.0e}"),
-        ("fine", f"recursion, N = 1e6, {fine.count} states, step error {_step_error(fine, samples):.0e}"),
+        (
+            "fine",
+            f"recursion, N = 1e6, {fine.count} states, step error {_step_error(fine, samples):.0e}",
+        ),
         ("all", "time_response, N = 1e6, set-up, checks and copies included"),
     ):
         value, spread = ratio(spent, name, "R")
@@ -108,7 +126,9 @@ def cost() -> None:
 
 
 def _step_error(modes: DiscreteModes, samples: int) -> float:
-    """Error of the recursion's step response at 12 times, against one contour integral for each."""
+    """Error of the recursion's step response at 12 times, against one contour integral
+    for each.
+    """
     index = np.unique(np.geomspace(1, samples - 1, 12).astype(int))
     output = modes.respond(np.ones(samples))
     exact = np.array([step_response(LINK, [k * PERIOD]).output[0] for k in index])
@@ -129,7 +149,12 @@ def linearity() -> None:
         beyond = float(np.median(times["y"]) - np.median(times["start"]))
         spent.append(beyond / (size - 16) * 1e9 / modes.count)
     text = ", ".join(f"{value:.2f}" for value in spent)
-    line("ns per sample and state at N = 1e3, 1e4 … 1e7", text, "flat within 2", max(spent) <= 2 * min(spent))
+    line(
+        "ns per sample and state at N = 1e3, 1e4 … 1e7",
+        text,
+        "flat within 2",
+        max(spent) <= 2 * min(spent),
+    )
 
 
 def against_full_memory() -> None:
@@ -139,7 +164,9 @@ def against_full_memory() -> None:
     begin = time.thread_time()
     full = grunwald_letnikov(LINK, u, PERIOD)
     long = time.thread_time() - begin
-    short = float(np.median(interleaved({"y": lambda: time_response(LINK, u, PERIOD)}, 15)["y"]))
+    short = float(
+        np.median(interleaved({"y": lambda: time_response(LINK, u, PERIOD)}, 15)["y"])
+    )
     error = float(np.max(np.abs(full - exact)) / np.max(np.abs(exact)))
     ours = _square_wave_error(exact, samples)
     line(
@@ -148,21 +175,38 @@ def against_full_memory() -> None:
         ">= 1000",
         long >= 1e3 * short,
     )
-    line("the same, error", f"{error:.1e} / {ours:.1e} = {error / ours:.1e}", ">= 1e8", error >= 1e8 * ours)
+    line(
+        "the same, error",
+        f"{error:.1e} / {ours:.1e} = {error / ours:.1e}",
+        ">= 1e8",
+        error >= 1e8 * ours,
+    )
 
 
 def full_memory_errors() -> None:
     """What the docs say of Grünwald-Letnikov on this link at 4 ms."""
     generator = np.random.default_rng(0)
-    inputs = {"step": np.ones(5000), "random binary": np.repeat(generator.choice([-1.0, 1.0], 200), 25)}
+    inputs = {
+        "step": np.ones(5000),
+        "random binary": np.repeat(generator.choice([-1.0, 1.0], 200), 25),
+    }
     for name, u in inputs.items():
         exact = time_response(LINK, u, PERIOD).output
-        error = np.max(np.abs(grunwald_letnikov(LINK, u, PERIOD) - exact)) / np.max(np.abs(exact))
-        line(f"Grünwald-Letnikov at 4 ms, 20 s, {name}", f"{error:.1%} of full scale", "(for the docs)", True)
+        error = np.max(np.abs(grunwald_letnikov(LINK, u, PERIOD) - exact)) / np.max(
+            np.abs(exact)
+        )
+        line(
+            f"Grünwald-Letnikov at 4 ms, 20 s, {name}",
+            f"{error:.1%} of full scale",
+            "(for the docs)",
+            True,
+        )
 
 
 def _square_wave_error(output: np.ndarray, samples: int) -> float:
-    """Error at 20 samples against the sum of step responses of the jumps, each from a contour integral."""
+    """Error at 20 samples against the sum of step responses of the jumps, each from a
+    contour integral.
+    """
     u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
     jumps = np.flatnonzero(np.diff(u, prepend=0.0))
     gaps = []
@@ -181,19 +225,26 @@ def against_oustaloup() -> None:
     exact = time_response(LINK, u, PERIOD).output
 
     def system() -> control.StateSpace:
-        """ω₀²/s^1.92 as ω₀²/s · (s^-0.92 by Oustaloup, 1e-3 … 1e5 rad/s) in modal form, closed, sampled.
+        """ω₀²/s^1.92 as ω₀²/s · (s^-0.92 by Oustaloup, 1e-3 … 1e5 rad/s) in modal form,
+        closed, sampled.
 
-        In modal form, because as a transfer function of order 16 its coefficients span 40 decades.
+        In modal form, because as a transfer function of order 16 its coefficients span
+        40 decades.
         """
         low, high, order = 1e-3, 1e5, -0.92
         index = (np.arange(15)[:, None] + 0.5 * (1 + np.array([[-order, order]]))) / 15
         zeros, poles = (-low * (high / low) ** index).T
         residues = [
-            high**order * np.prod(p - zeros) / np.prod(p - np.delete(poles, k)) for k, p in enumerate(poles)
+            high**order * np.prod(p - zeros) / np.prod(p - np.delete(poles, k))
+            for k, p in enumerate(poles)
         ]
-        power = control.ss(np.diag(poles), np.ones((15, 1)), np.array([residues]), [[high**order]])
+        power = control.ss(
+            np.diag(poles), np.ones((15, 1)), np.array([residues]), [[high**order]]
+        )
         integrator = control.ss([[0.0]], [[1.0]], [[10.02**2]], [[0.0]])
-        return control.sample_system(control.feedback(power * integrator), PERIOD, method="zoh")
+        return control.sample_system(
+            control.feedback(power * integrator), PERIOD, method="zoh"
+        )
 
     sampled, times = system(), np.arange(samples) * PERIOD
     modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
@@ -202,7 +253,10 @@ def against_oustaloup() -> None:
         "theirs": lambda: control.forced_response(sampled, times, u),
         "ours": lambda: modes.respond(u),
         "their all": lambda: control.forced_response(system(), times, u),
-        "our all": lambda: (held_quotient.cache_clear(), time_response(LINK, u, PERIOD)),
+        "our all": lambda: (
+            held_quotient.cache_clear(),
+            time_response(LINK, u, PERIOD),
+        ),
         "our next": lambda: time_response(LINK, u, PERIOD),
     }
     spent = interleaved(calls, 15)
@@ -220,7 +274,12 @@ def against_oustaloup() -> None:
         )
     error = float(np.max(np.abs(theirs - exact)) / np.max(np.abs(exact)))
     ours = _square_wave_error(exact, samples)
-    line("the same, error", f"{error:.1e} / {ours:.1e} = {error / ours:.1e}", ">= 1e6", error >= 1e6 * ours)
+    line(
+        "the same, error",
+        f"{error:.1e} / {ours:.1e} = {error / ours:.1e}",
+        ">= 1e6",
+        error >= 1e6 * ours,
+    )
 
 
 def memory() -> None:

@@ -1,12 +1,15 @@
-"""From a log that nobody has described to a first model: logs of many shapes through `start`.
+"""From a log that nobody has described to a first model: logs of many shapes through
+`start`.
 
     python benchmarks/bench_start.py [words of a shape's name]
 
-Every made log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad, 0.32 m), so that the
-script knows what each column is: it compares the period, motor angle, output, voltage, units, signs, delay,
-frequency and order that `start` ends with. Where `start` refuses, its sentence must name the option, the line
-or the command that mends it; the script fills in the number that only the laboratory has and goes on as told,
-so that each answer is a decision. Bundled and recorded logs are compared with what their rig files state.
+Every made log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad, 0.32
+m), so that the script knows what each column is: it compares the period, motor angle,
+output, voltage, units, signs, delay, frequency and order that `start` ends with. Where
+`start` refuses, its sentence must name the option, the line or the command that mends
+it; the script fills in the number that only the laboratory has and goes on as told, so
+that each answer is a decision. Bundled and recorded logs are compared with what their
+rig files state.
 """
 
 from __future__ import annotations
@@ -57,21 +60,34 @@ def compared(shape: Shape, found: fl.Start) -> Iterator[str]:
     if log.output_kind != shape.kind:
         yield f"output taken for a {log.output_kind}"
     of = shape.of
-    output = "late" if shape.late else "torque" if shape.kind == "torque" else "deflection"
+    output = (
+        "late" if shape.late else "torque" if shape.kind == "torque" else "deflection"
+    )
     pairs = [("motor angle", log.motor_angle, true[of + "angle"], shape.any_radius)]
     pairs.append(("output", log.output, true[of + output], shape.raw))
     if shape.voltage != (log.voltage is not None):
-        yield "voltage not found" if shape.voltage else "voltage found where there is none"
+        yield (
+            "voltage not found"
+            if shape.voltage
+            else "voltage found where there is none"
+        )
     elif log.voltage is not None:
         pairs.append(("voltage", log.voltage, true["voltage"], False))
     for name, taken, known, scaled in pairs:
         x, y = taken - taken.mean(), known[: taken.size] - known[: taken.size].mean()
         factor = float(x @ y / (y @ y))
         rest = float(np.std(x - factor * y) / np.std(x))
-        if rest > 0.1 or factor <= 0 or not (scaled or abs(factor / shape.times - 1) < 0.03):
+        if (
+            rest > 0.1
+            or factor <= 0
+            or not (scaled or abs(factor / shape.times - 1) < 0.03)
+        ):
             yield f"{name}: {factor:.3g} of the true one, {100 * rest:.2g} % besides"
     model = found.fit.model
-    if abs(model.natural_frequency ** (2 / model.order) / FREQUENCY ** (2 / ORDER) - 1) > 0.01:
+    if (
+        abs(model.natural_frequency ** (2 / model.order) / FREQUENCY ** (2 / ORDER) - 1)
+        > 0.01
+    ):
         yield f"resonance {model.natural_frequency ** (2 / model.order):.4g} rad/s"
     if found.fit.structure == "UD-FOM" and abs(model.order - ORDER) > 0.02:
         yield f"λ {model.order:.4g}"
@@ -81,13 +97,25 @@ def compared(shape: Shape, found: fl.Start) -> Iterator[str]:
 
 def gone_on(said: str, answer: str, path: Path) -> list[str]:
     """Run the command that a refusal names; return what it did wrong."""
-    named = re.search(re.escape(answer.strip()) + r"[^;]*?(?=, fraclink|[ .]*$| where )", said)
+    named = re.search(
+        re.escape(answer.strip()) + r"[^;]*?(?=, fraclink|[ .]*$| where )", said
+    )
     if named is None:
         return [f"names no command: {said}"]
     words = shlex.split(named[0].replace("RIG", "paper-2023"))
-    with contextlib.redirect_stdout(io.StringIO()) as output, contextlib.redirect_stderr(output):
+    with (
+        contextlib.redirect_stdout(io.StringIO()) as output,
+        contextlib.redirect_stderr(output),
+    ):
         code = command(
-            [*words[1:], *(() if words[1] != "identify-structure" else ("--out", str(path) + ".json"))]
+            [
+                *words[1:],
+                *(
+                    ()
+                    if words[1] != "identify-structure"
+                    else ("--out", str(path) + ".json")
+                ),
+            ]
         )
     text = output.getvalue()
     if code:
@@ -103,12 +131,21 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
 
 
 def pasted(said: str, answer: str, path: Path) -> Path:
-    """Run the line for the shell that a refusal prints behind `answer`; return the file that is then read."""
-    text = said[said.index(answer) + (0 if answer == "python" else len(answer)) :].rstrip(".")
+    """Run the line for the shell that a refusal prints behind `answer`; return the file
+    that is then read.
+    """
+    text = said[
+        said.index(answer) + (0 if answer == "python" else len(answer)) :
+    ].rstrip(".")
     text = text.split(" and read ")[0]
     if "$d'" in text:
         text += f" {shlex.quote(path.name)}"
-    subprocess.run(text.replace("python ", f"{sys.executable} ", 1), shell=True, check=True, cwd=path.parent)  # noqa: S602
+    subprocess.run(  # noqa: S602
+        text.replace("python ", f"{sys.executable} ", 1),
+        shell=True,
+        check=True,
+        cwd=path.parent,
+    )
     made = path.with_suffix(".npy")
     return made if made.exists() else path
 
@@ -160,11 +197,17 @@ def made(wanted: str) -> tuple[dict[str, Outcome], int]:
             except ImportError as error:
                 print(f"     {name}: needs {error.name}")
                 continue
-            except Exception as error:  # noqa: BLE001 - a traceback is what is counted
+            except Exception as error:  # noqa: BLE001
                 broken += 1
                 found[name] = Outcome(faults=[f"{type(error).__name__}: {error}"])
         outcome = found[name]
-        way = "fitted" if outcome.fitted else "command or remedy named" if outcome.mended else "STUCK"
+        way = (
+            "fitted"
+            if outcome.fitted
+            else "command or remedy named"
+            if outcome.mended
+            else "STUCK"
+        )
         print(
             f"     {name:<44} {outcome.decisions} decisions, {way}",
             *outcome.faults,
@@ -175,12 +218,16 @@ def made(wanted: str) -> tuple[dict[str, Outcome], int]:
 
 
 def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
-    """Bundled and recorded logs: the file, what only its laboratory knows, the log as its rig states it."""
+    """Bundled and recorded logs: the file, what only its laboratory knows, the log as
+    its rig states it.
+    """
     for name in fl.bundled_logs():
         path = fl.bundled_log(name)
         yield name, path, (), fl.read_log(path)
     tests = Path(__file__).resolve().parents[1] / "tests"
-    data = Path(os.environ.get("FRACLINK_SHARED", str(tests.parents[1] / "shared" / "data")))
+    data = Path(
+        os.environ.get("FRACLINK_SHARED", str(tests.parents[1] / "shared" / "data"))
+    )
     recorded = {
         "ist_flexbar/2_lab_a05_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
         "ist_flexbar/2_lab_a10_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
@@ -189,14 +236,21 @@ def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
     }
     for name, (rig, stated) in recorded.items():
         if (data / name).exists():
-            known = fl.read_log(data / name, rig=fl.Rig.load(tests / "rigs" / f"{rig}.toml"))
+            known = fl.read_log(
+                data / name, rig=fl.Rig.load(tests / "rigs" / f"{rig}.toml")
+            )
             yield name, data / name, stated, known
 
 
 def compared_with(found: fl.Start, known: fl.Experiment) -> Iterator[str]:
-    """Where `start` took a log otherwise than its rig; a gauge that is not calibrated may have any factor."""
+    """Where `start` took a log otherwise than its rig; a gauge that is not calibrated
+    may have any factor.
+    """
     log = found.experiment
-    pairs = [("motor angle", log.motor_angle, known.motor_angle), ("output", log.output, known.output)]
+    pairs = [
+        ("motor angle", log.motor_angle, known.motor_angle),
+        ("output", log.output, known.output),
+    ]
     if known.voltage is not None and log.voltage is not None:
         pairs.append(("voltage", log.voltage, known.voltage))
     if log.period != known.period or log.output_kind != known.output_kind:
@@ -205,9 +259,14 @@ def compared_with(found: fl.Start, known: fl.Experiment) -> Iterator[str]:
         x, y = taken - taken.mean(), true - true.mean()
         factor = float(x @ y / (y @ y))
         raw = name == "output" and any(
-            g.certainty == "assumed" and g.part == "output measures" for g in found.guesses
+            g.certainty == "assumed" and g.part == "output measures"
+            for g in found.guesses
         )
-        if np.std(x - factor * y) > 1e-6 * np.std(x) or factor <= 0 or not (raw or abs(factor - 1) < 1e-6):
+        if (
+            np.std(x - factor * y) > 1e-6 * np.std(x)
+            or factor <= 0
+            or not (raw or abs(factor - 1) < 1e-6)
+        ):
             yield f"{name}: {factor:.3g} of the known one"
 
 
@@ -224,20 +283,37 @@ def known() -> tuple[int, int, list[str]]:
         fitted += 1
         faults = list(compared_with(found, log))
         wrong += [f"{name}: {fault}" for fault in faults]
-        print(f"     {name:<44} {len(stated)} decisions, fitted", *faults, sep="\n         ", flush=True)
+        print(
+            f"     {name:<44} {len(stated)} decisions, fitted",
+            *faults,
+            sep="\n         ",
+            flush=True,
+        )
     return count, fitted, wrong
 
 
 def speed() -> None:
-    """`fraclink start` in a fresh process on 20 s at 250 Hz, to fit and picture: clock and processor."""
+    """`fraclink start` in a fresh process on 20 s at 250 Hz, to fit and picture: clock
+    and processor.
+    """
     folder = Path(tempfile.mkdtemp())
-    words = [sys.executable, "-m", "fraclink", "start", str(fl.bundled_log("prbs_30g")), "--out", str(folder)]
+    words = [
+        sys.executable,
+        "-m",
+        "fraclink",
+        "start",
+        str(fl.bundled_log("prbs_30g")),
+        "--out",
+        str(folder),
+    ]
     clock, processor = [], []
     for _ in range(5):
         begin, before = time.perf_counter(), os.times()
         subprocess.run([*words, "--force"], check=True, capture_output=True)  # noqa: S603
         clock.append(time.perf_counter() - begin)
-        processor.append(sum(b - a for a, b in zip(before[2:4], os.times()[2:4], strict=True)))
+        processor.append(
+            sum(b - a for a, b in zip(before[2:4], os.times()[2:4], strict=True))
+        )
     shutil.rmtree(folder)
     line(
         "`fraclink start` on 20 s at 250 Hz, to fit and picture: clock [s]",
@@ -267,7 +343,12 @@ def main(wanted: str = "") -> None:
         through + mended == len(found) >= FEWEST_SHAPES,
     )
     line("tracebacks", str(broken), "0", not broken)
-    line("made shapes with a guess that is wrong", f"{len(wrong)} {', '.join(wrong)}", "0", not wrong)
+    line(
+        "made shapes with a guess that is wrong",
+        f"{len(wrong)} {', '.join(wrong)}",
+        "0",
+        not wrong,
+    )
     counts = [o.decisions for o in found.values()]
     line(
         "decisions until the fit: most, median",
@@ -276,11 +357,26 @@ def main(wanted: str = "") -> None:
         max(counts) <= MOST_DECISIONS,
     )
     physical = sum(o.physical for o in found.values())
-    line("numbers of motor, link or payload among the answers", str(physical), "0", not physical)
+    line(
+        "numbers of motor, link or payload among the answers",
+        str(physical),
+        "0",
+        not physical,
+    )
     if not wanted:
         count, fitted, faults = known()
-        line("bundled and recorded logs fitted", f"{fitted} of {count}", "all", fitted == count)
-        line("of these taken otherwise than their rig files state", "; ".join(faults) or "0", "0", not faults)
+        line(
+            "bundled and recorded logs fitted",
+            f"{fitted} of {count}",
+            "all",
+            fitted == count,
+        )
+        line(
+            "of these taken otherwise than their rig files state",
+            "; ".join(faults) or "0",
+            "0",
+            not faults,
+        )
         speed()
 
 

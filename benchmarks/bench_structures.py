@@ -1,18 +1,21 @@
-"""Any fractional structure: ten documented examples with noise and no start value, beside difference schemes.
+"""Any fractional structure: ten documented examples with noise and no start value,
+beside difference schemes.
 
-A parameter is recovered where it is within 1 % of the truth or the truth lies in its 95 % interval.
-A source stands for the function; where it leaves parameters free, their values are chosen here.
+A parameter is recovered where it is within 1 % of the truth or the truth lies in its 95
+% interval. A source stands for the function; where it leaves parameters free, their
+values are chosen here.
 
-The peer is what FOMCON does: least squares on the Grünwald–Letnikov scheme with full memory, here the
-compiled one of this package, begun 20 % off the truth (it has no start of its own), with the same
-parameters. Its error is of first order in the step, so two figures are printed: its time on the same
-samples, whatever its answer is worth; and its time where every sample of a shorter recording is split
-into eight steps, which brings it nearer to the truth. It knows neither a delay nor an improper function:
-those two examples have no such column. Seconds are processor time of one thread, so that other work on the
-machine does not count.
+The peer is what FOMCON does: least squares on the Grünwald–Letnikov scheme with full
+memory, here the compiled one of this package, begun 20 % off the truth (it has no start
+of its own), with the same parameters. Its error is of first order in the step, so two
+figures are printed: its time on the same samples, whatever its answer is worth; and its
+time where every sample of a shorter recording is split into eight steps, which brings
+it nearer to the truth. It knows neither a delay nor an improper function: those two
+examples have no such column. Seconds are processor time of one thread, so that other
+work on the machine does not count.
 
-`--samples N` is the length of the recordings, `--seeds S` draws S noises for every example, `--example K`
-runs one of the ten alone.
+`--samples N` is the length of the recordings, `--seeds S` draws S noises for every
+example, `--example K` runs one of the ten alone.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from __future__ import annotations
 import argparse
 import os
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded: both sides on one core, whoever shares it
+os.environ["OPENBLAS_NUM_THREADS"] = (
+    "1"  # before numpy is loaded: both sides on one core, whoever shares it
+)
 
 import time
 from dataclasses import dataclass, field
@@ -38,13 +43,16 @@ NOISE = 0.02  # of the output's standard deviation; of each line of a frequency 
 
 @dataclass(frozen=True)
 class Example:
-    """A function from the literature, the structure that is given, and how it is excited."""
+    """A function from the literature, the structure that is given, and how it is
+    excited.
+    """
 
     source: str
     expression: str
     truth: dict[str, float]
     period: float  # [s]; 0: a frequency response
-    bit: float = 0.0  # [s] of the random binary input; or the lowest frequency [rad/s] of the response
+    # [s] of the random binary input; or the lowest frequency [rad/s] of the response
+    bit: float = 0.0
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -128,21 +136,31 @@ def binary(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray:
     return np.repeat(rng.choice([-1.0, 1.0], samples // hold + 1), hold)[:samples]
 
 
-def measured(example: Example, samples: int, seed: int) -> fl.Recording | fl.FrequencyResponse:
+def measured(
+    example: Example, samples: int, seed: int
+) -> fl.Recording | fl.FrequencyResponse:
     """What a laboratory would have: the exact response with noise."""
     rng = np.random.default_rng(seed)
     G = parse_expression(example.expression).function(example.truth)
     if example.period == 0.0:
         w = np.geomspace(example.bit, 1000 * example.bit, 120)
         noise = rng.standard_normal((2, w.size))
-        return fl.FrequencyResponse(w, G(1j * w) * (1 + NOISE * (noise[0] + 1j * noise[1]) / np.sqrt(2)))
+        return fl.FrequencyResponse(
+            w, G(1j * w) * (1 + NOISE * (noise[0] + 1j * noise[1]) / np.sqrt(2))
+        )
     u = binary(rng, samples, round(example.bit / example.period))
     y = fl.time_response(G, u, example.period).output
-    return fl.Recording(example.period, u, y + NOISE * y.std() * rng.standard_normal(samples))
+    return fl.Recording(
+        example.period, u, y + NOISE * y.std() * rng.standard_normal(samples)
+    )
 
 
-def difference_fit(example: Example, record: fl.Recording, split: int = 1) -> tuple[float, float, int]:
-    """Seconds, worst relative error and simulations of a Grünwald–Letnikov fit, begun 20 % off."""
+def difference_fit(
+    example: Example, record: fl.Recording, split: int = 1
+) -> tuple[float, float, int]:
+    """Seconds, worst relative error and simulations of a Grünwald–Letnikov fit, begun
+    20 % off.
+    """
     structure = parse_expression(example.expression)
     names = list(example.truth)
     truth = np.array([example.truth[name] for name in names])
@@ -154,27 +172,38 @@ def difference_fit(example: Example, record: fl.Recording, split: int = 1) -> tu
         count += 1
         G = structure.function(dict(zip(names, (x * truth).tolist(), strict=True)))
         output = fl.grunwald_letnikov(G, finer, record.period / split)
-        # A held input jumps behind its sample, the scheme's at it: the sample before the jump is compared.
+        # A held input jumps behind its sample, the scheme's at it: the sample before
+        # the jump is compared.
         return np.asarray(output[split - 1 :: split][:-1] - record.output[1:])
 
     start = time.process_time()
-    found = least_squares(residual, begin, x_scale="jac", ftol=1e-8, xtol=1e-8, max_nfev=40)
+    found = least_squares(
+        residual, begin, x_scale="jac", ftol=1e-8, xtol=1e-8, max_nfev=40
+    )
     return time.process_time() - start, float(np.max(np.abs(found.x - 1))), count
 
 
 def seconds_of(
     example: Example, data: fl.Recording | fl.FrequencyResponse, *, details: bool
 ) -> tuple[float, fl.StructureFit]:
-    heldout = 0.0 if isinstance(data, fl.Recording) else None  # a response has nothing to hold out
+    heldout = (
+        0.0 if isinstance(data, fl.Recording) else None
+    )  # a response has nothing to hold out
     start = time.process_time()
     fit = fl.identify_structure(
-        data, example.expression, bounds=example.bounds, heldout=heldout, details=details
+        data,
+        example.expression,
+        bounds=example.bounds,
+        heldout=heldout,
+        details=details,
     )
     return time.process_time() - start, fit
 
 
 def recovered(example: Example, samples: int, seeds: int) -> tuple[bool, float]:
-    """Whether all parameters of all seeds are recovered, and the seconds without profile intervals."""
+    """Whether all parameters of all seeds are recovered, and the seconds without
+    profile intervals.
+    """
     good, worst, known, spent, whole = True, 0.0, True, [], []
     for seed in range(seeds):
         data = measured(example, samples, seed)
@@ -188,7 +217,9 @@ def recovered(example: Example, samples: int, seeds: int) -> tuple[bool, float]:
             worst = max(worst, error)
             if error > 0.01 and not (interval is not None and interval.contains(value)):
                 good = False
-                print(f"     {name}: {fit.parameters[name]:.6g} for {value:g}, seed {seed}, {interval}")
+                print(
+                    f"     {name}: {fit.parameters[name]:.6g} for {value:g}, seed {seed}, {interval}"
+                )
     told = "all determined" if known else "some not determined"
     print(f"{'ok  ' if good else 'MISS'} {example.source}: {example.expression}")
     times = f"{np.median(spent):.3f} s, {np.median(whole):.2f} s with profiles"
@@ -197,14 +228,18 @@ def recovered(example: Example, samples: int, seeds: int) -> tuple[bool, float]:
 
 
 def peers(example: Example, samples: int, seconds: float) -> tuple[float, float]:
-    """How much longer the difference scheme takes: on the same samples, and split into eight steps each."""
+    """How much longer the difference scheme takes: on the same samples, and split into
+    eight steps each.
+    """
     took, error, count = difference_fit(example, measured(example, samples, 0))
     told = f"error {100 * error:.2g} %, ratio {took / seconds:.0f}"
     print(f"     differences: {took:.1f} s, {count} simulations, {told}")
     short = measured(example, samples // SPLIT, 0)
     own, fit = seconds_of(example, short, details=False)
     split, error, count = difference_fit(example, short, SPLIT)
-    ours = max(abs(fit.parameters[name] / value - 1) for name, value in example.truth.items())
+    ours = max(
+        abs(fit.parameters[name] / value - 1) for name, value in example.truth.items()
+    )
     print(
         f"     N = {samples // SPLIT}: {own:.3f} s, error {100 * ours:.2g} %; each step split into {SPLIT}:"
     )
@@ -218,17 +253,31 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--no-peer", action="store_true")
-    parser.add_argument("--example", type=int, choices=range(1, 11), help="one of the ten alone")
+    parser.add_argument(
+        "--example", type=int, choices=range(1, 11), help="one of the ten alone"
+    )
     given = parser.parse_args()
     good, ratios = 0, []
-    chosen = EXAMPLES if given.example is None else EXAMPLES[given.example - 1 : given.example]
+    chosen = (
+        EXAMPLES
+        if given.example is None
+        else EXAMPLES[given.example - 1 : given.example]
+    )
     for example in chosen:
         found, seconds = recovered(example, given.samples, given.seeds)
         good += found
         if not given.no_peer and example.period and "exp" not in example.expression:
             ratios.append(peers(example, given.samples, seconds))
-    line("examples recovered, no start value", f"{good} of {len(chosen)}", "all", good == len(chosen))
-    names = (f"N = {given.samples}", f"N = {given.samples // SPLIT}, each step split into {SPLIT}")
+    line(
+        "examples recovered, no start value",
+        f"{good} of {len(chosen)}",
+        "all",
+        good == len(chosen),
+    )
+    names = (
+        f"N = {given.samples}",
+        f"N = {given.samples // SPLIT}, each step split into {SPLIT}",
+    )
     for name, column in zip(names, np.array(ratios).reshape(-1, 2).T, strict=True):
         if not column.size:
             continue

@@ -1,10 +1,12 @@
-"""The studio in Chromium: how soon a drag is seen, what it costs, sizes, start, memory, hostile messages.
+"""The studio in Chromium: how soon a drag is seen, what it costs, sizes, start, memory,
+hostile messages.
 
     python benchmarks/bench_studio.py [path of axe.min.js]
 
-Every line: what was measured | value | wanted | error beside it. Pointer to painted is from the event's own
-time stamp to the frame behind its drawing, of moves that come every 16 ms. With a copy of axe-core (npm's
-package axe-core), violations are counted in 7 steps, 2 themes and 3 widths.
+Every line: what was measured | value | wanted | error beside it. Pointer to painted is
+from the event's own time stamp to the frame behind its drawing, of moves that come
+every 16 ms. With a copy of axe-core (npm's package axe-core), violations are counted in
+7 steps, 2 themes and 3 widths.
 """
 
 from __future__ import annotations
@@ -35,7 +37,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from browser import Page, browser
 
 MOVES = 100
-DRAGS = (("#h-crossover", (10, 0)), ("#h-margin-phase", (0, -10)), ("#h-payload-0", (25, 0)))
+DRAGS = (
+    ("#h-crossover", (10, 0)),
+    ("#h-margin-phase", (0, -10)),
+    ("#h-payload-0", (25, 0)),
+)
 # Frames in two seconds, halved.
 FRAMES = """new Promise((done) => {
   let n = 0, begin = 0;
@@ -57,11 +63,17 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
 def previews() -> None:
     """CPU of the Python of a drag."""
     rig = fl.Rig.named("paper-2023")
-    made = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    made = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
+    )
     subject = Subject(rig, rig.model, made.law())
     taken = []
     for k in range(200):
-        state = {"gain_crossover": 12.0 + 0.01 * k, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
+        state = {
+            "gain_crossover": 12.0 + 0.01 * k,
+            "phase_margin_deg": 50.0,
+            "payloads": [0.02, 0.04],
+        }
         begin = time.process_time()
         size = len(preview(subject, state).packed(k, "preview"))
         taken.append(1e3 * (time.process_time() - begin))
@@ -75,7 +87,11 @@ def sizes() -> None:
         studio = Studio(lambda: opened(None, out=Path(place)), hosts=["127.0.0.1:1"])
         client = TestClient(application(studio), base_url="http://127.0.0.1:1")
         names = [path.name for path in (files("fraclink._studio") / "page").iterdir()]
-        own = sum(len(client.get(f"/{name}").content) for name in names if name.endswith(".js"))
+        own = sum(
+            len(client.get(f"/{name}").content)
+            for name in names
+            if name.endswith(".js")
+        )
         arm = len(client.get("/arm_box.js").content)
         rest = len(client.get("/").content) + len(client.get("/studio.css").content)
     line(
@@ -89,14 +105,25 @@ def sizes() -> None:
         line("extra [studio]", "not measured", "<= 6 MB", "wsproto is not installed")
         return
     total = sum(
-        f.locate().stat().st_size for p in packages for f in installed(p) or () if f.locate().is_file()
+        f.locate().stat().st_size
+        for p in packages
+        for f in installed(p) or ()
+        if f.locate().is_file()
     )
     line("extra [studio]", f"{total / 1e6:.1f} MB", "<= 6 MB", ", ".join(packages))
 
 
 def started(place: Path) -> tuple[subprocess.Popen[str], str, float]:
     begin = time.perf_counter()
-    command = [sys.executable, "-m", "fraclink", "studio", "--no-open", "--out", str(place / "results")]
+    command = [
+        sys.executable,
+        "-m",
+        "fraclink",
+        "studio",
+        "--no-open",
+        "--out",
+        str(place / "results"),
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)  # noqa: S603
     assert process.stdout is not None
     return process, process.stdout.readline().strip(), time.perf_counter() - begin
@@ -120,16 +147,26 @@ def drags(page: Page, process: int) -> None:
         before = cpu(process)
         took = page.drag(handle, by, moves=MOVES)
         used = cpu(process) - before
-        page.until("!document.querySelector('#controller').classList.contains('preview')", "an exact design")
-        assert page.run("document.querySelector('#refused').hidden"), "a drag to where nothing is feasible"
-        seen = sorted(page.run("performance.getEntriesByName('drag').map(e => e.duration)"))
+        page.until(
+            "!document.querySelector('#controller').classList.contains('preview')",
+            "an exact design",
+        )
+        assert page.run("document.querySelector('#refused').hidden"), (
+            "a drag to where nothing is feasible"
+        )
+        seen = sorted(
+            page.run("performance.getEntriesByName('drag').map(e => e.duration)")
+        )
         median, late = np.median(seen), np.quantile(seen, 0.95)
         wanted = "<= 35 ms, p95 <= 70 ms; >= 20 redraws/s"
         value = f"{median:.0f} ms, p95 {late:.0f} ms; {len(seen) / took:.0f} redraws/s"
         load = float(Path("/proc/loadavg").read_text().split()[0])
         cost = 1e3 * used / max(len(seen), 1)
         line(
-            f"pointer to painted, {handle}", value, wanted, f"server {cost:.1f} ms a redraw, load {load:.1f}"
+            f"pointer to painted, {handle}",
+            value,
+            wanted,
+            f"server {cost:.1f} ms a redraw, load {load:.1f}",
         )
 
 
@@ -146,12 +183,21 @@ def violations(page: Page, axe: str) -> None:
                     "axe.run().then(r => r.violations.map(v => [v.id, v.nodes.map(n => n.target[0])]))"
                 )
                 total += len(found)
-                kinds |= {f"{step} {width} {name}: {places[:3]}" for name, places in found}
-    line("axe, 7 steps x 2 themes x 3 widths", f"{total} violations", "0", "; ".join(sorted(kinds))[:600])
+                kinds |= {
+                    f"{step} {width} {name}: {places[:3]}" for name, places in found
+                }
+    line(
+        "axe, 7 steps x 2 themes x 3 widths",
+        f"{total} violations",
+        "0",
+        "; ".join(sorted(kinds))[:600],
+    )
 
 
 def hostile(address: str) -> None:
-    """10 000 random and hostile messages over a real socket; the study must be the one before."""
+    """10 000 random and hostile messages over a real socket; the study must be the one
+    before.
+    """
     from websockets.asyncio.client import connect
     from websockets.exceptions import ConnectionClosed
 
@@ -192,13 +238,34 @@ def hostile(address: str) -> None:
 
     def text(k: int) -> str:
         if k % 3 == 0:
-            return "".join(chr(c) for c in rng.integers(1, 0x2FFF, int(rng.integers(0, 80))))
-        fields = ("state", "at", "force", "name", "columns", "structure", "target", "payload")
+            return "".join(
+                chr(c) for c in rng.integers(1, 0x2FFF, int(rng.integers(0, 80)))
+            )
+        fields = (
+            "state",
+            "at",
+            "force",
+            "name",
+            "columns",
+            "structure",
+            "target",
+            "payload",
+        )
         given = {field: junk[int(rng.integers(len(junk)))] for field in fields}
         if k % 3 == 1:
-            options = ("gain_crossover", "phase_margin_deg", "payloads", "filter_time", "box")
-            given["state"] = {name: junk[int(rng.integers(len(junk)))] for name in options}
-        return json.dumps({"seq": k, "verb": verbs[int(rng.integers(len(verbs)))], **given})
+            options = (
+                "gain_crossover",
+                "phase_margin_deg",
+                "payloads",
+                "filter_time",
+                "box",
+            )
+            given["state"] = {
+                name: junk[int(rng.integers(len(junk)))] for name in options
+            }
+        return json.dumps(
+            {"seq": k, "verb": verbs[int(rng.integers(len(verbs)))], **given}
+        )
 
     async def talk() -> tuple[int, int]:
         answers = bad = 0
@@ -206,14 +273,17 @@ def hostile(address: str) -> None:
 
         async def read(socket) -> None:
             nonlocal answers, bad
-            # A page that does not wait for its answers is shown the door (1008): that is no defect.
+            # A page that does not wait for its answers is shown the door (1008): that
+            # is no defect.
             with contextlib.suppress(ConnectionClosed):
                 async for data in socket:
                     answers += 1
                     size = int.from_bytes(data[:4], "little")
                     head = data[4 : 4 + size]
                     # As numbers: the arm's base64 may hold the letters.
-                    bad += bool(json.loads(head, parse_constant=strange.append).get("defect"))
+                    bad += bool(
+                        json.loads(head, parse_constant=strange.append).get("defect")
+                    )
                     bad += len(strange)
                     strange.clear()
 
@@ -252,17 +322,27 @@ def main(arguments: list[str]) -> None:
                 page.until("document.querySelector('#h-crossover')")
                 begin = time.perf_counter()
                 page.open(address)
-                page.until("document.querySelector('#p-gain .curve')?.getAttribute('d')")
+                page.until(
+                    "document.querySelector('#p-gain .curve')?.getAttribute('d')"
+                )
                 curves = time.perf_counter() - begin
-                paint = page.run("performance.getEntriesByName('first-contentful-paint')[0].startTime")
+                paint = page.run(
+                    "performance.getEntriesByName('first-contentful-paint')[0].startTime"
+                )
                 line("first paint", f"{paint / 1e3:.2f} s", "<= 0.4 s")
-                line("first curves", f"{curves:.2f} s", "<= 1.5 s", "navigation included")
+                line(
+                    "first curves", f"{curves:.2f} s", "<= 1.5 s", "navigation included"
+                )
                 page.until("document.querySelector('.armbox')")
                 time.sleep(1.5)
-                page.drag("#h-margin-phase", (0, 4), moves=20)  # not measured: the first of a fresh engine
+                page.drag(
+                    "#h-margin-phase", (0, 4), moves=20
+                )  # not measured: the first of a fresh engine
                 time.sleep(1.0)
                 drags(page, process.pid)
-                line("frames while the arm moves", f"{page.run(FRAMES):.0f} /s", "60 /s")
+                line(
+                    "frames while the arm moves", f"{page.run(FRAMES):.0f} /s", "60 /s"
+                )
                 if arguments:
                     violations(page, Path(arguments[0]).read_text())
                 else:
@@ -272,7 +352,12 @@ def main(arguments: list[str]) -> None:
                     for r in page.requests
                     if "//127.0.0.1:" not in r and not r.startswith(("about:", "data:"))
                 ]
-                line("requests off this machine", str(len(elsewhere)), "0", f"{len(page.requests)} in all")
+                line(
+                    "requests off this machine",
+                    str(len(elsewhere)),
+                    "0",
+                    f"{len(page.requests)} in all",
+                )
                 line(
                     "complaints of the console",
                     str(len(page.complaints)),

@@ -1,12 +1,15 @@
-"""`tune` on random arms, wrong wirings and kills, and what `watch` sees: the figures of the issue's table.
+"""`tune` on random arms, wrong wirings and kills, and what `watch` sees: the figures of
+the issue's table.
 
-    python benchmarks/bench_tune.py [--arms 100] [--first 0] [--only arms|wiring|kills|watch]
-    python benchmarks/bench_tune.py --report arms-0.jsonl arms-50.jsonl
+    python benchmarks/bench_tune.py [--arms 100] [--first 0] [--only
+    arms|wiring|kills|watch] python benchmarks/bench_tune.py --report arms-0.jsonl
+    arms-50.jsonl
 
-Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a half to twice, gauge gain
-±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2 periods, link mass 0 to 30 g, gauge noise a half to one
-and a half times, λ from 1.88 to 1.97. Seed of arm k: k. Everything runs in this process, each exchange of
-voltage and reading is one period of the arm, so that no clock is waited for.
+Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a
+half to twice, gauge gain ±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2
+periods, link mass 0 to 30 g, gauge noise a half to one and a half times, λ from 1.88 to
+1.97. Seed of arm k: k. Everything runs in this process, each exchange of voltage and
+reading is one period of the arm, so that no clock is waited for.
 """
 
 from __future__ import annotations
@@ -51,14 +54,21 @@ class Shape:
     limits: fl.MotionLimits
 
 
-def _rig(length: float, stiffness: float, payload: float, gear: float, period: float) -> fl.Rig:
+def _rig(
+    length: float, stiffness: float, payload: float, gear: float, period: float
+) -> fl.Rig:
     return replace(
         PAPER,
-        link=fl.Link(length=length, flexural_rigidity=stiffness * length / 3, stiffness=stiffness),
+        link=fl.Link(
+            length=length, flexural_rigidity=stiffness * length / 3, stiffness=stiffness
+        ),
         payloads=fl.Payloads(low=0.75 * payload, high=1.35 * payload, nominal=payload),
         motor=replace(PAPER.motor, gear_ratio=gear),
         gauge=replace(
-            PAPER.gauge, noise=0.0064 * stiffness, quantum=0.00125 * stiffness, limit=2.5 * stiffness
+            PAPER.gauge,
+            noise=0.0064 * stiffness,
+            quantum=0.00125 * stiffness,
+            limit=2.5 * stiffness,
         ),
         period=period,
         model=None,
@@ -67,10 +77,26 @@ def _rig(length: float, stiffness: float, payload: float, gear: float, period: f
 
 
 SHAPES = (
-    Shape("paper", _rig(0.65, 1.56, 0.030, 50.0, 0.004), fl.MotionLimits(0.6, 4.0, 1.5, 10.0)),
-    Shape("short", _rig(0.45, 3.0, 0.060, 60.0, 0.002), fl.MotionLimits(0.6, 5.0, 3.0, 10.0)),
-    Shape("long", _rig(0.90, 2.2, 0.045, 80.0, 0.004), fl.MotionLimits(0.8, 3.0, 2.0, 10.0)),
-    Shape("heavy", _rig(0.60, 4.0, 0.120, 80.0, 0.004), fl.MotionLimits(0.5, 3.0, 4.0, 10.0)),
+    Shape(
+        "paper",
+        _rig(0.65, 1.56, 0.030, 50.0, 0.004),
+        fl.MotionLimits(0.6, 4.0, 1.5, 10.0),
+    ),
+    Shape(
+        "short",
+        _rig(0.45, 3.0, 0.060, 60.0, 0.002),
+        fl.MotionLimits(0.6, 5.0, 3.0, 10.0),
+    ),
+    Shape(
+        "long",
+        _rig(0.90, 2.2, 0.045, 80.0, 0.004),
+        fl.MotionLimits(0.8, 3.0, 2.0, 10.0),
+    ),
+    Shape(
+        "heavy",
+        _rig(0.60, 4.0, 0.120, 80.0, 0.004),
+        fl.MotionLimits(0.5, 3.0, 4.0, 10.0),
+    ),
 )
 
 
@@ -98,12 +124,21 @@ def draw(seed: int) -> Drawn:
         gear_ratio=rig.motor.gear_ratio * random.uniform(0.8, 1.2),
         coulomb_torque=rig.motor.coulomb_torque * 2.0 ** random.uniform(-1.0, 1.0),
     )
-    gain, delay, order = random.uniform(0.7, 1.3), random.uniform(0.0, 0.020), random.uniform(1.88, 1.97)
+    gain, delay, order = (
+        random.uniform(0.7, 1.3),
+        random.uniform(0.0, 0.020),
+        random.uniform(1.88, 1.97),
+    )
     link = replace(rig.link, mass=random.uniform(0.0, 0.030))
     noise = rig.gauge.noise * random.uniform(0.5, 1.5)
     arm = replace(rig, motor=motor, link=link, gauge=replace(rig.gauge, noise=noise))
     twin = fl.Twin.from_rig(
-        arm, payload=payload, link_mass=link.mass, damping=PowerLaw(order), gauge_delay=delay, gauge_gain=gain
+        arm,
+        payload=payload,
+        link_mass=link.mass,
+        damping=PowerLaw(order),
+        gauge_delay=delay,
+        gauge_gain=gain,
     )
     twin = replace(twin, voltage_delay=int(random.integers(1, 3)))
     return Drawn(shape, twin, payload, order, gain, delay, seed)
@@ -113,20 +148,41 @@ def plan_of(drawn: Drawn) -> fl.TuningPlan:
     """What a user of that rig asks for."""
     payload = drawn.payload
     return fl.TuningPlan(
-        drawn.shape.limits, payload, (0.8 * payload, 1.25 * payload), drawn.shape.rig.period, drawn.shape.rig
+        drawn.shape.limits,
+        payload,
+        (0.8 * payload, 1.25 * payload),
+        drawn.shape.rig.period,
+        drawn.shape.rig,
     )
 
 
 def broken(record: np.ndarray, limits: fl.MotionLimits) -> list[str]:
-    """The limits that were left in any period, of the truth; the torque is that at the link's root."""
-    parts = {"angle": record[:, 1], "speed": record[:, 2], "torque": record[:, 3], "voltage": record[:, 4]}
-    return [name for name, values in parts.items() if np.max(np.abs(values)) > getattr(limits, name)]
+    """The limits that were left in any period, of the truth; the torque is that at the
+    link's root.
+    """
+    parts = {
+        "angle": record[:, 1],
+        "speed": record[:, 2],
+        "torque": record[:, 3],
+        "voltage": record[:, 4],
+    }
+    return [
+        name
+        for name, values in parts.items()
+        if np.max(np.abs(values)) > getattr(limits, name)
+    ]
 
 
-def truth(drawn: Drawn, design: fl.Design, made: fl.FirstMove | None) -> tuple[float, float, list[str]]:
-    """(promised, true) phase margin [°] at the tuned payload, and why moves of the true arm fail."""
+def truth(
+    drawn: Drawn, design: fl.Design, made: fl.FirstMove | None
+) -> tuple[float, float, list[str]]:
+    """(promised, true) phase margin [°] at the tuned payload, and why moves of the true
+    arm fail.
+    """
     model, modes = design.model, drawn.twin.beam.modes(2)
-    sizes = modes.participation * modes.curvature  # Γ/θm of each mode far above it [N·m/rad]
+    sizes = (
+        modes.participation * modes.curvature
+    )  # Γ/θm of each mode far above it [N·m/rad]
     second = float(modes.frequencies[-1])
     law = (1j * second) ** (2.0 - drawn.order)  # what a power law makes of ω²
     real = fl.LinkModel(
@@ -137,7 +193,9 @@ def truth(drawn: Drawn, design: fl.Design, made: fl.FirstMove | None) -> tuple[f
         gauge_delay=drawn.gauge_delay,
         gauge_gain=drawn.gauge_gain * float(sizes[0]) / model.stiffness,
         second_mode=SecondMode(
-            second * math.sqrt(law.real), float(sizes[1] / sizes[0]), 0.5 * law.imag / law.real
+            second * math.sqrt(law.real),
+            float(sizes[1] / sizes[0]),
+            0.5 * law.imag / law.real,
         ),
     )
     ratio = drawn.twin.motor.gain / design.rig.motor.gain
@@ -147,7 +205,11 @@ def truth(drawn: Drawn, design: fl.Design, made: fl.FirstMove | None) -> tuple[f
         found = loop.margins(np.array([link.natural_frequency]))
         margins.append(math.degrees(float(found[1][0])))
     law, reasons = design.law(), []
-    move = fl.smooth_step(0.3, 0.6) if made is None else fl.smooth_step(made.amplitude, made.duration)
+    move = (
+        fl.smooth_step(0.3, 0.6)
+        if made is None
+        else fl.smooth_step(made.amplitude, made.duration)
+    )
     for payload in (0.8 * drawn.payload, drawn.payload, 1.25 * drawn.payload):
         run = fl.simulate(law, move, arm=drawn.twin, payload=payload, told=True)
         if not run.verdict.passed:
@@ -160,7 +222,9 @@ def one_arm(seed: int, out: Path) -> dict[str, Any]:
     drawn = draw(seed)
     arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
     began = time.process_time()
-    found = fl.tune(arm.callback, plan_of(drawn), out=out / f"{seed}", force=True, clock="none")
+    found = fl.tune(
+        arm.callback, plan_of(drawn), out=out / f"{seed}", force=True, clock="none"
+    )
     result: dict[str, Any] = {
         "seed": seed,
         "shape": drawn.shape.name,
@@ -174,15 +238,21 @@ def one_arm(seed: int, out: Path) -> dict[str, Any]:
         "delay_ms": 1e3 * drawn.gauge_delay,
         "link_g": 1e3 * drawn.twin.beam.link_mass,
         "payload_g": 1e3 * drawn.payload,
-        "rounds": [] if found.link is None else [[round(x, 4) for x in r] for r in found.link.rounds],
+        "rounds": []
+        if found.link is None
+        else [[round(x, 4) for x in r] for r in found.link.rounds],
         "attempts": found.attempts,
         "mode": found.link is not None and found.link.fit.model.second_mode is not None,
-        "motor": None if found.motor is None else [found.motor.rounds, found.motor.loop.pole],
+        "motor": None
+        if found.motor is None
+        else [found.motor.rounds, found.motor.loop.pole],
         "moves": [(m.promised_settling, m.measured_settling) for m in found.moves],
     }
     if found.has_law:
         design = fl.load(out / f"{seed}" / "design.json")
-        promised, true, failed = truth(drawn, design, found.moves[-1] if found.moves else None)
+        promised, true, failed = truth(
+            drawn, design, found.moves[-1] if found.moves else None
+        )
         result |= {"margin_promised": promised, "margin_true": true, "failed": failed}
     return result
 
@@ -194,7 +264,7 @@ def arms(first: int, count: int) -> None:
         for seed in range(first, first + count):
             try:
                 found = one_arm(seed, Path(folder))
-            except Exception as error:  # noqa: BLE001  # a crash is a result, too
+            except Exception as error:  # a crash is a result, too  # noqa: BLE001
                 found = {"seed": seed, "crash": f"{type(error).__name__}: {error}"}
             print(json.dumps(found), flush=True)
             results.append(found)
@@ -203,7 +273,12 @@ def arms(first: int, count: int) -> None:
 
 def lines_of(files: list[Path]) -> list[dict[str, Any]]:
     """The arms of some files of JSON lines, the last line of each seed."""
-    texts = (text for file in files for text in file.read_text().splitlines() if text.startswith("{"))
+    texts = (
+        text
+        for file in files
+        for text in file.read_text().splitlines()
+        if text.startswith("{")
+    )
     found = {one["seed"]: one for one in map(json.loads, texts)}
     return [found[seed] for seed in sorted(found)]
 
@@ -211,10 +286,16 @@ def lines_of(files: list[Path]) -> list[dict[str, Any]]:
 def report(results: list[dict[str, Any]]) -> None:
     """The lines of the table."""
     whole = [found for found in results if "crash" not in found]
-    good = [found for found in whole if found["law"] and not found["failed"] and not found["stopped"]]
+    good = [
+        found
+        for found in whole
+        if found["law"] and not found["failed"] and not found["stopped"]
+    ]
     bad = [found for found in whole if found["law"] and found["failed"]]
     refused = Counter(
-        (found["stopped"] or "; ".join(found["reasons"]))[:60] for found in whole if not found["law"]
+        (found["stopped"] or "; ".join(found["reasons"]))[:60]
+        for found in whole
+        if not found["law"]
     )
     line(
         "arms with a law whose proof passed and whose moves pass on the truth",
@@ -224,8 +305,15 @@ def report(results: list[dict[str, Any]]) -> None:
         len(good) >= 0.95 * len(results) and not bad,
     )
     left = [found["seed"] for found in whole if found["broken"]]
-    line("arms on which a limit was left in any period", f"{len(left)} {left}", "0", not left)
-    times, computing = (np.array([found[name] for found in whole]) for name in ("arm_time", "computing"))
+    line(
+        "arms on which a limit was left in any period",
+        f"{len(left)} {left}",
+        "0",
+        not left,
+    )
+    times, computing = (
+        np.array([found[name] for found in whole]) for name in ("arm_time", "computing")
+    )
     line(
         "arm time; computing [s]",
         f"median {np.median(times):.0f}, {sum(times > 60)} over 60, most {times.max():.0f}; "
@@ -241,7 +329,11 @@ def report(results: list[dict[str, Any]]) -> None:
         "95 %",
         near >= 0.95 * len(moved),
     )
-    margins = [found["margin_true"] - found["margin_promised"] for found in whole if found["law"]]
+    margins = [
+        found["margin_true"] - found["margin_promised"]
+        for found in whole
+        if found["law"]
+    ]
     within = sum(abs(gap) <= 3.0 for gap in margins)
     line(
         "promised against true phase margin within 3°",
@@ -254,7 +346,9 @@ def report(results: list[dict[str, Any]]) -> None:
 # ---- wrong wirings ----------------------------------------------------------------------------------------
 
 
-def wired(arm: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1) -> Callback:
+def wired(
+    arm: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1
+) -> Callback:
     """The arm with factors on its wires."""
 
     def read() -> tuple[float, float]:
@@ -287,7 +381,8 @@ def wiring(count: int) -> None:
             drawn = draw(seed)
             arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
             guard = Guard(
-                partial(open_line, wire(arm), drawn.shape.rig.period, clock="none"), drawn.shape.limits
+                partial(open_line, wire(arm), drawn.shape.rig.period, clock="none"),
+                drawn.shape.limits,
             )
             try:
                 check_wiring(guard, drawn.shape.rig)
@@ -309,7 +404,12 @@ def wiring(count: int) -> None:
         "all",
         not other,
     )
-    line("motion until it is named [°]", f"most {max(moved):.1f}", "<= 5", max(moved) <= 5.0)
+    line(
+        "motion until it is named [°]",
+        f"most {max(moved):.1f}",
+        "<= 5",
+        max(moved) <= 5.0,
+    )
     line("wrong wirings that left a limit", str(left), "0", left == 0)
 
 
@@ -321,7 +421,9 @@ class Killed(BaseException):
 
 
 class Mortal:
-    """A virtual clock whose owner is killed at a time [s]: no stop is sent by then, as after SIGKILL."""
+    """A virtual clock whose owner is killed at a time [s]: no stop is sent by then, as
+    after SIGKILL.
+    """
 
     def __init__(self, clock: Any, end: float) -> None:
         self.clock, self.end = clock, end
@@ -339,12 +441,19 @@ class Mortal:
 
 
 def kills(count: int) -> None:
-    """Tunings killed at random moments: when the arm's drive is off, and whether --resume goes on.
+    """Tunings killed at random moments: when the arm's drive is off, and whether
+    --resume goes on.
 
-    What is killed is resumed, and killed again, until a tuning ends; then the next one begins. Two threads
-    take turns four times a period on one virtual clock, and the arm outlives its controller by a second.
+    What is killed is resumed, and killed again, until a tuning ends; then the next one
+    begins. Two threads take turns four times a period on one virtual clock, and the arm
+    outlives its controller by a second.
     """
-    off, held, resumed, stages = list[int](), list[int](), Counter[str](), Counter[str]()
+    off, held, resumed, stages = (
+        list[int](),
+        list[int](),
+        Counter[str](),
+        Counter[str](),
+    )
     random, finished, number = np.random.default_rng(0), 0, 0
     with (
         mock.patch.object(ArmLine, "stop", stopped),
@@ -357,7 +466,9 @@ def kills(count: int) -> None:
             number += 1
             arm, found = attempt.run()
             if attempt.again and (found is not None or attempt.begun != ["wiring"]):
-                resumed[attempt.resumed] += 1  # one that is killed in the wiring check is resumed once more
+                resumed[attempt.resumed] += (
+                    1  # one that is killed in the wiring check is resumed once more
+                )
             if found is None:
                 last = int(np.flatnonzero(arm.connected)[-1])
                 off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
@@ -370,7 +481,8 @@ def kills(count: int) -> None:
             else:
                 finished += 1
                 print(
-                    f"  tuning {finished}: {found.verdict.state} {found.stopped} {found.reasons}", flush=True
+                    f"  tuning {finished}: {found.verdict.state} {found.stopped} {found.reasons}",
+                    flush=True,
                 )
     line(
         f"kills, {len(off)} in {dict(stages)}: periods with a voltage after the watchdog's ten",
@@ -393,13 +505,19 @@ def kills(count: int) -> None:
 
 
 def kept_up(arm: fl.ServedArm, killed: float) -> int:
-    """Periods from the kill [s] to the last voltage at the motor; the arm began its first a period late."""
+    """Periods from the kill [s] to the last voltage at the motor; the arm began its
+    first a period late.
+    """
     driven = np.flatnonzero(arm.voltage)
-    return max(int(driven[-1]) + 1 - round(killed / arm.period), 0) if driven.size else 0
+    return (
+        max(int(driven[-1]) + 1 - round(killed / arm.period), 0) if driven.size else 0
+    )
 
 
 class Attempt:
-    """One start of `tune` on a served arm, resumed where something is there, that is killed at `end` [s]."""
+    """One start of `tune` on a served arm, resumed where something is there, that is
+    killed at `end` [s].
+    """
 
     def __init__(self, end: float, seed: int, folder: Path) -> None:
         self.end, self.seed, self.folder = end, seed, folder
@@ -410,8 +528,11 @@ class Attempt:
     def say(self, text: str) -> None:
         """Note the stage that begins."""
         if not text.startswith(" "):
-            self.begun.append(text.split(",")[0] if "experiment" not in text else "link")
-            # The wiring is looked at in any case; a second stage is one behind it that was not whole.
+            self.begun.append(
+                text.split(",")[0] if "experiment" not in text else "link"
+            )
+            # The wiring is looked at in any case; a second stage is one behind it that
+            # was not whole.
             if len(self.begun) > 1:
                 self.resumed = "goes on"
 
@@ -438,10 +559,19 @@ class Attempt:
 
         thread = threading.Thread(target=serve)
         thread.start()
-        plan = replace(plan_of(replace(draw(0), twin=PAPER_TWIN, payload=0.030)), period=None)
+        plan = replace(
+            plan_of(replace(draw(0), twin=PAPER_TWIN, payload=0.030)), period=None
+        )
         mortal = Mortal(clock, clock.now + self.end)
         try:
-            found = fl.tune(way, plan, out=self.folder, resume=self.again, begin=self.say, clock=mortal)
+            found = fl.tune(
+                way,
+                plan,
+                out=self.folder,
+                resume=self.again,
+                begin=self.say,
+                clock=mortal,
+            )
             if found.stopped:
                 self.resumed = "says why not"
             return self._served(clock, thread, served), found
@@ -451,7 +581,9 @@ class Attempt:
             self.resumed = f"says why not: {error.problem}"
             raise
 
-    def _served(self, clock: Any, thread: threading.Thread, served: list[fl.ServedArm]) -> fl.ServedArm:
+    def _served(
+        self, clock: Any, thread: threading.Thread, served: list[fl.ServedArm]
+    ) -> fl.ServedArm:
         clock.leave()
         thread.join(120.0)
         return served[0]
@@ -476,7 +608,12 @@ def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
     path, at = fl.hold(0.0, 0.5), 0.0
     while path.duration < 20.0:
         to, pause = float(random.uniform(-0.35, 0.35)), float(random.uniform(0.0, 0.6))
-        path, at = path.then(fl.smooth_step(to - at, float(random.uniform(0.35, 0.9)), start=pause)), to
+        path, at = (
+            path.then(
+                fl.smooth_step(to - at, float(random.uniform(0.35, 0.9)), start=pause)
+            ),
+            to,
+        )
     run = fl.simulate(law, path, arm=twin, told=0.030, duration=20.0, seed=seed)
     return fl.Experiment(
         period=law.period,
@@ -487,16 +624,28 @@ def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
 
 
 def watching(count: int, hours: float) -> None:
-    """Changes of the arm after its tuning, each seen in 20 s of moves, and alarms without a change."""
+    """Changes of the arm after its tuning, each seen in 20 s of moves, and alarms
+    without a change.
+    """
     sensors, motor = PAPER_TWIN.sensors, PAPER_TWIN.motor
     changed = {
         "natural_frequency": (
             PAPER_TWIN.with_payload(0.030 / 1.1**2),
             PAPER_TWIN.with_payload(0.030 / 0.9**2),
         ),
-        "gauge_delay": (replace(PAPER_TWIN, sensors=replace(sensors, gauge_delay=0.005)),),
-        "gauge_gain": tuple(replace(PAPER_TWIN, sensors=replace(sensors, gauge_gain=g)) for g in (0.9, 1.1)),
-        "friction": (replace(PAPER_TWIN, motor=replace(motor, coulomb_torque=2 * motor.coulomb_torque)),),
+        "gauge_delay": (
+            replace(PAPER_TWIN, sensors=replace(sensors, gauge_delay=0.005)),
+        ),
+        "gauge_gain": tuple(
+            replace(PAPER_TWIN, sensors=replace(sensors, gauge_gain=g))
+            for g in (0.9, 1.1)
+        ),
+        "friction": (
+            replace(
+                PAPER_TWIN,
+                motor=replace(motor, coulomb_torque=2 * motor.coulomb_torque),
+            ),
+        ),
     }
     with tempfile.TemporaryDirectory() as folder:
         arm = fl.SimulatedArm(PAPER_TWIN, PAPER.period, seed=1)
@@ -505,7 +654,8 @@ def watching(count: int, hours: float) -> None:
         law = fl.load(Path(folder) / "design.json").law()
     right = {
         name: sum(
-            fl.watch(running(law, twins[k % len(twins)], k), tuned).due == (name,) for k in range(count)
+            fl.watch(running(law, twins[k % len(twins)], k), tuned).due == (name,)
+            for k in range(count)
         )
         for name, twins in changed.items()
     }
@@ -517,8 +667,16 @@ def watching(count: int, hours: float) -> None:
         total >= 0.95 * 4 * count,
     )
     windows = round(hours * 3600 / 20)
-    alarms = sum(bool(fl.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due) for k in range(windows))
-    line("watch: false alarms", f"{alarms} in {hours:.3g} h", "<= 1 in 10 h", alarms <= hours / 10)
+    alarms = sum(
+        bool(fl.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due)
+        for k in range(windows)
+    )
+    line(
+        "watch: false alarms",
+        f"{alarms} in {hours:.3g} h",
+        "<= 1 in 10 h",
+        alarms <= hours / 10,
+    )
 
 
 def main() -> None:
@@ -528,7 +686,12 @@ def main() -> None:
     parser.add_argument("--wirings", type=int, default=20)
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--records", type=int, default=40)
-    parser.add_argument("--hours", type=float, default=1.0, help="of motion that is watched for false alarms")
+    parser.add_argument(
+        "--hours",
+        type=float,
+        default=1.0,
+        help="of motion that is watched for false alarms",
+    )
     parser.add_argument(
         "--report",
         type=Path,

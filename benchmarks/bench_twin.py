@@ -1,4 +1,5 @@
-"""Figures of the twin: modes, speed, distance from the lumped model, and what identification makes of it.
+"""Figures of the twin: modes, speed, distance from the lumped model, and what
+identification makes of it.
 
     python benchmarks/bench_twin.py [--seeds 100]
 
@@ -48,22 +49,43 @@ def line(what: str, value: str, wanted: str, error: str = "") -> None:
 
 
 def modes() -> None:
-    """Print the worst frequency of the grid that the issue asks for, and the check value."""
+    """Print the worst frequency of the grid that the issue asks for, and the check
+    value.
+    """
     worst = 0.0
     for payload in (0.0, 0.008, 0.020, 0.030, 0.040):
         for mass in (1e-6, 1e-4, 0.002, 0.00735, 0.02, 0.05):
             beam = Beam(LENGTH, 0.26, mass, payload)
-            worst = max(worst, float(np.abs(beam.modes(3).frequencies / exact_frequencies(beam) - 1).max()))
+            worst = max(
+                worst,
+                float(
+                    np.abs(
+                        beam.modes(3).frequencies / exact_frequencies(beam) - 1
+                    ).max()
+                ),
+            )
     line("first three modes against exact roots, 30 links", f"{worst:.1e}", "<= 1e-4")
     rod = Beam(LENGTH, 0.26, LINK_MASS, 0.030).modes(3).frequencies
-    line("carbon rod 7.35 g, 30 g", "/".join(f"{w:.2f}" for w in rod), "9.46/177.5/569.8 rad/s")
+    line(
+        "carbon rod 7.35 g, 30 g",
+        "/".join(f"{w:.2f}" for w in rod),
+        "9.46/177.5/569.8 rad/s",
+    )
 
 
 def speed() -> None:
-    """Print how much faster than real time three modes at 1 ms run, with the energy they should not gain."""
+    """Print how much faster than real time three modes at 1 ms run, with the energy
+    they should not gain.
+    """
     beam = Beam(LENGTH, RIGIDITY, LINK_MASS, 0.030)
-    for damping in (KelvinVoigt(0.0118), FractionalKelvinVoigt(0.04, 0.5), PowerLaw(1.92)):
-        plant = assemble(beam, damping, drive="motor", hub_inertia=0.17, hub_friction=2.6)
+    for damping in (
+        KelvinVoigt(0.0118),
+        FractionalKelvinVoigt(0.04, 0.5),
+        PowerLaw(1.92),
+    ):
+        plant = assemble(
+            beam, damping, drive="motor", hub_inertia=0.17, hub_friction=2.6
+        )
         step = plant.discretise(1e-3)
         seconds, kept = [], 0.0
         for _ in range(7):
@@ -84,10 +106,14 @@ def speed() -> None:
 
 
 def lumped_table() -> None:
-    """Print the twin's tip against the lumped model with eq. (5) and with the matched mode, 8 to 40 g."""
+    """Print the twin's tip against the lumped model with eq. (5) and with the matched
+    mode, 8 to 40 g.
+    """
     move = smooth_step(1.0, duration=0.6)
     reference = move.angle(PERIOD * np.arange(1000))
-    print("payload g | link/payload | eq. (5) off % | mode 2 rad/s | tip apart mrad: eq. (5)/matched/1 mode")
+    print(
+        "payload g | link/payload | eq. (5) off % | mode 2 rad/s | tip apart mrad: eq. (5)/matched/1 mode"
+    )
     for payload in (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040):
         beam = Beam(LENGTH, RIGIDITY, LINK_MASS, payload)
         modes_ = beam.modes(3).frequencies
@@ -95,7 +121,13 @@ def lumped_table() -> None:
         matched = Beam(LENGTH, RIGIDITY, 0.0, STIFFNESS / (modes_[0] * LENGTH) ** 2)
         truth = simulate_log(beam, PowerLaw(1.92), reference).tip_angle
         apart = [
-            1e3 * float(np.abs(simulate_log(b, PowerLaw(1.92), reference, modes=m).tip_angle - truth).max())
+            1e3
+            * float(
+                np.abs(
+                    simulate_log(b, PowerLaw(1.92), reference, modes=m).tip_angle
+                    - truth
+                ).max()
+            )
             for b, m in ((naive, 1), (matched, 1), (beam, 1))
         ]
         print(
@@ -106,11 +138,12 @@ def lumped_table() -> None:
 
 
 def spillover(filter_time: float | None) -> None:
-    """Print whether our design is stable with the modes of a link that it was not told of.
+    """Print whether our design is stable with the modes of a link that it was not told
+    of.
 
-    The linear sampled loop of the shipped law with the twin behind the ideal motor servo, no friction. The
-    power-law link has relaxations slower than any run, poles at 1 to eleven digits, so "stable" is below
-    1 + 1e-9.
+    The linear sampled loop of the shipped law with the twin behind the ideal motor
+    servo, no friction. The power-law link has relaxations slower than any run, poles at
+    1 to eleven digits, so "stable" is below 1 + 1e-9.
     """
     rig = geared(Rig.named("paper-2023"))
     result = design(
@@ -135,14 +168,18 @@ def spillover(filter_time: float | None) -> None:
         )
         for damping in cases:
             plant = assemble(beam, damping, drive="servo", servo_pole=80.0)
-            seen = sampled(plant, plant.outputs[0] - plant.outputs[3] / STIFFNESS, rig.period, 1)
+            seen = sampled(
+                plant, plant.outputs[0] - plant.outputs[3] / STIFFNESS, rig.period, 1
+            )
             radius = NominalLoop(seen, rig.period, STIFFNESS).radius(correction)
             second = float(plant.modes.frequencies[1])
             z = np.exp(1j * np.linspace(0.7 * second, 1.6 * second, 3000) * rig.period)
             gain = float(np.abs(seen.response(z) * correction.response(z)).max())
             line(
                 f"spillover, filter {filtered}, link {1e3 * mass:g} g, {damping.label}",
-                "stable" if radius < 1 + 1e-9 else f"unstable, radius 1 + {radius - 1:.1e}",
+                "stable"
+                if radius < 1 + 1e-9
+                else f"unstable, radius 1 + {radius - 1:.1e}",
                 "stable",
                 f"|L| at mode 2: {gain:.2f}",
             )
@@ -150,7 +187,9 @@ def spillover(filter_time: float | None) -> None:
 
 def fractional(order: float, omega: float) -> FractionalKelvinVoigt:
     """Return the fractional damping of order α with the same damping ratio at ω."""
-    return FractionalKelvinVoigt(2 * RATIO / (omega**order * np.sin(np.pi * order / 2)), order)
+    return FractionalKelvinVoigt(
+        2 * RATIO / (omega**order * np.sin(np.pi * order / 2)), order
+    )
 
 
 def chosen(
@@ -163,8 +202,14 @@ def chosen(
     by_bic: dict[str, int] = {}
     by_aic: dict[str, int] = {}
     for seed in range(seeds):
-        noise = 0.1 * clean.torque.std() * np.random.default_rng(seed).standard_normal(samples)
-        log = Experiment(period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise)
+        noise = (
+            0.1
+            * clean.torque.std()
+            * np.random.default_rng(seed).standard_normal(samples)
+        )
+        log = Experiment(
+            period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise
+        )
         fits = compare_structures(log, details=False, heldout=0.0).fits
         for counts, score in ((by_bic, "bic"), (by_aic, "aic")):
             best = min(fits, key=lambda name: getattr(fits[name], score))
@@ -184,7 +229,12 @@ def discrimination(seeds: int) -> None:
         omega = float(beam.modes(1).frequencies[0])
         cases: list[tuple[str, object, int, str]] = [
             ("UD-FOM", PowerLaw(1.92), 5001, "power law 1.92"),
-            ("D-IOM", KelvinVoigt.from_ratio(RATIO, frequency=omega), 5001, "Kelvin-Voigt"),
+            (
+                "D-IOM",
+                KelvinVoigt.from_ratio(RATIO, frequency=omega),
+                5001,
+                "Kelvin-Voigt",
+            ),
             ("D-FOM", fractional(0.5, omega), 5001, "fractional 0.5"),
             ("D-FOM", fractional(0.5, omega), 10001, "fractional 0.5"),
             ("D-FOM", fractional(0.7, omega), 20001, "fractional 0.7"),
@@ -203,7 +253,9 @@ def discrimination(seeds: int) -> None:
 
 def main() -> None:
     """Print every figure."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser = argparse.ArgumentParser(
+        description=__doc__.split("\n")[0] if __doc__ else ""
+    )
     parser.add_argument("--seeds", type=int, default=100)
     seeds = parser.parse_args().seeds
     modes()

@@ -1,11 +1,13 @@
-"""Damage every kind of file that fraclink writes, and read it: 20 000 mutants in all, or as many as stated.
+"""Damage every kind of file that fraclink writes, and read it: 20 000 mutants in all,
+or as many as stated.
 
     python benchmarks/fuzz_documents.py [count] [seed]
 
-Half of them are changes of bytes, half of them, where the file is JSON, changes of its structure, which leave
-it JSON and so reach the checks behind the parser. The files are those of release 0.1; whatever of them `load`
-reads is saved anew, as today's documents, and what such a one holds is changed under a digest that fits: it
-would refuse every other change. Wanted: no surprise, that is, no exception that is not fraclink's own.
+Half of them are changes of bytes, half of them, where the file is JSON, changes of its
+structure, which leave it JSON and so reach the checks behind the parser. The files are
+those of release 0.1; whatever of them `load` reads is saved anew, as today's documents,
+and what such a one holds is changed under a digest that fits: it would refuse every
+other change. Wanted: no surprise, that is, no exception that is not fraclink's own.
 """
 
 from __future__ import annotations
@@ -55,7 +57,13 @@ WRONG = (
 
 def nodes(data: Any) -> list[tuple[Any, Any]]:
     """Every place of a JSON value: its container and key."""
-    pairs = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    pairs = (
+        data.items()
+        if isinstance(data, dict)
+        else enumerate(data)
+        if isinstance(data, list)
+        else ()
+    )
     return [place for key, item in pairs for place in ((data, key), *nodes(item))]
 
 
@@ -114,8 +122,12 @@ def signed(raw: bytes, rng: np.random.Generator) -> bytes:
     data = json.loads(raw)
     if "content" not in data:  # a proof, which states claims and carries no digest
         return restructured(raw, rng)
-    data["content"] = json.loads(restructured(json.dumps(data["content"]).encode(), rng))
-    with contextlib.suppress(ValueError):  # a number that is none: no digest, and so none that fits
+    data["content"] = json.loads(
+        restructured(json.dumps(data["content"]).encode(), rng)
+    )
+    with contextlib.suppress(
+        ValueError
+    ):  # a number that is none: no digest, and so none that fits
         data["sha256"] = document_digest(data)
     return json.dumps(data).encode()
 
@@ -125,7 +137,9 @@ def renewed(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
     found: list[tuple[Path, Callable[[Path], object]]] = []
     for path in sorted(FORMATS.rglob("*.json")):
         with contextlib.suppress(FraclinkError):  # with a reader of its own
-            found.append((fl.save(fl.load(path), folder / "today" / path.name), fl.load))
+            found.append(
+                (fl.save(fl.load(path), folder / "today" / path.name), fl.load)
+            )
     proof = folder / "proof" / "certificate.json"
     fl.certify(fl.load(folder / "today" / "design.json", fl.Design)).save(proof)
     return [*found, (proof, Certificate.load)]
@@ -134,7 +148,9 @@ def renewed(folder: Path) -> list[tuple[Path, Callable[[Path], object]]]:
 def fuzz(
     path: Path, read: Callable[[Path], object], count: int, seed: int, folder: Path
 ) -> tuple[Counter[str], float]:
-    """Read `count` mutants of a file; how they ended, and the slowest [s of processor time]."""
+    """Read `count` mutants of a file; how they ended, and the slowest [s of processor
+    time].
+    """
     rng, ended, slowest = np.random.default_rng(seed), Counter[str](), 0.0
     today = path.parent.name == "today"
     here = folder / path.parent.name
@@ -150,7 +166,7 @@ def fuzz(
             ended["read"] += 1
         except FraclinkError:
             ended["refused"] += 1
-        except Exception as error:  # noqa: BLE001 - that nothing else is ever raised is what is measured
+        except Exception as error:  # noqa: BLE001
             ended[f"surprise {type(error).__name__}: {error}"[:110]] += 1
         slowest = max(slowest, time.process_time() - began)
     shutil.rmtree(here)
@@ -160,13 +176,17 @@ def fuzz(
 def main(count: int = 20_000, seed: int = 1) -> bool:
     """Print one line for each file; return whether every mutant was read or refused."""
     good, total = True, 0
-    print(f"{'file':32} {'mutants':>8} {'read':>7} {'refused':>8} {'surprises':>9}  slowest")
+    print(
+        f"{'file':32} {'mutants':>8} {'read':>7} {'refused':>8} {'surprises':>9}  slowest"
+    )
     with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryDirectory() as new:
         found = [*readers(), *renewed(Path(new))]
         each = -(-count // len(found))
         for path, read in found:
             ended, slowest = fuzz(path, read, each, seed, Path(folder))
-            surprises = {name: n for name, n in ended.items() if name.startswith("surprise")}
+            surprises = {
+                name: n for name, n in ended.items() if name.startswith("surprise")
+            }
             name = "/".join(path.parts[-2:])
             figures = f"{each:8d} {ended['read']:7d} {ended['refused']:8d} {sum(surprises.values()):9d}"
             print(f"{name:32} {figures}  {slowest:.2f} s", flush=True)

@@ -1,9 +1,11 @@
-"""Feed mutated files to every reader: 20 000 each, or as many as the first argument says.
+"""Feed mutated files to every reader: 20 000 each, or as many as the first argument
+says.
 
     python benchmarks/fuzz_readers.py [count] [format ...]
 
-Wanted: no surprise (an exception that is not fraclink's own), no mutant over its limits of memory and time. A
-child that dies is no surprise: that it is a child is why the reader survives.
+Wanted: no surprise (an exception that is not fraclink's own), no mutant over its limits
+of memory and time. A child that dies is no surprise: that it is a child is why the
+reader survives.
 """
 
 from __future__ import annotations

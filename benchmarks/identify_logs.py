@@ -1,4 +1,6 @@
-"""Logs for bench_identify: simulated ones with known truth, and the recorded ones beside the repository."""
+"""Logs for bench_identify: simulated ones with known truth, and the recorded ones
+beside the repository.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,11 @@ def smooth_pulse(time: NDArray[np.float64], rise: float = 0.3) -> NDArray[np.flo
 
 
 def clean_log(
-    model: LinkModel = TRUTH, *, delay: float = 0.0, samples: int = SAMPLES, rise: float = 0.3
+    model: LinkModel = TRUTH,
+    *,
+    delay: float = 0.0,
+    samples: int = SAMPLES,
+    rise: float = 0.3,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Motor angle and torque without noise, simulated on a ten times finer base."""
     fine = smooth_pulse(PERIOD / FINE * np.arange(samples * FINE), rise)
@@ -68,7 +74,9 @@ def merced() -> Experiment | None:
 
 
 def ist(name: str) -> Experiment | None:
-    """IST Lisbon's bar, calibrated as its README says; the strain channel's sign is opposite."""
+    """IST Lisbon's bar, calibrated as its README says; the strain channel's sign is
+    opposite.
+    """
     path = recorded("ist_flexbar", f"2_lab_{name}.csv")
     if path is None:
         return None
@@ -83,4 +91,7 @@ def ist(name: str) -> Experiment | None:
 
 
 def line(figure: str, measured: str, wanted: str, holds: bool) -> None:
-    print(f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}", flush=True)
+    print(
+        f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}",
+        flush=True,
+    )

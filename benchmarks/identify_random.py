@@ -1,4 +1,6 @@
-"""Random logs with known truth for bench_gates: links, excitations, delays and noise of every colour."""
+"""Random logs with known truth for bench_gates: links, excitations, delays and noise of
+every colour.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ class RandomLog:
     noise: float
 
 
-def coloured(random: np.random.Generator, correlation: float, size: int) -> NDArray[np.float64]:
+def coloured(
+    random: np.random.Generator, correlation: float, size: int
+) -> NDArray[np.float64]:
     """Noise of unit variance, e_k = ρ e_(k−1) + w_k, from its stationary distribution."""
     white = random.normal(0, (1 - correlation**2) ** 0.5, size)
     white[0] = random.normal()
@@ -46,7 +50,9 @@ def motion(random: np.random.Generator, samples: int = SAMPLES) -> NDArray[np.fl
         return smooth_pulse(time, rise=random.uniform(0.15, 0.4))
     if kind == 1:
         bit = random.uniform(0.15, 0.4)
-        path = prbs(0.3, bit, bits=int(time[-1] / bit), register=9, start=0.5).angle(time)
+        path = prbs(0.3, bit, bits=int(time[-1] / bit), register=9, start=0.5).angle(
+            time
+        )
     else:
         moves = random.uniform(-0.5, 0.5, int(time[-1] / 2.5))
         path = sum(move * (time > 0.5 + 2.5 * k) for k, move in enumerate(moves))
@@ -77,12 +83,16 @@ def random_log(
     noise: float | None = None,
     samples: int = SAMPLES,
 ) -> RandomLog:
-    """A log of a random link; noise as a share of the output's standard deviation, 1 to 30 % by default."""
+    """A log of a random link; noise as a share of the output's standard deviation, 1 to
+    30 % by default.
+    """
     random = np.random.default_rng([seed, 14])
     model = random_link(random, structure)
     fine = motion(random, samples)
     delay = random.uniform(0.0, 0.012)
-    torque = simulated_torque(model, fine, PERIOD / FINE, delay=delay, hold="first")[::FINE]
+    torque = simulated_torque(model, fine, PERIOD / FINE, delay=delay, hold="first")[
+        ::FINE
+    ]
     correlation = COLOURS[seed % len(COLOURS)] if colour is None else colour
     share = 0.01 * 30.0 ** random.uniform() if noise is None else noise
     output = torque + share * torque.std() * coloured(random, correlation, samples)

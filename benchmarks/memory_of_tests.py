@@ -1,9 +1,11 @@
-"""Memory of a run of the tests: the largest sum of what its processes have, each with its share.
+"""Memory of a run of the tests: the largest sum of what its processes have, each with
+its share.
 
     python benchmarks/memory_of_tests.py [pytest's arguments]
 
-Default: what `make test` runs. A page that two processes share counts half for each (PSS), so that the sum is
-what the machine has to have. Linux only. Printed: what was measured | value | wanted | the largest processes.
+Default: what `make test` runs. A page that two processes share counts half for each
+(PSS), so that the sum is what the machine has to have. Linux only. Printed: what was
+measured | value | wanted | the largest processes.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ def share(process: int) -> float:
         rows = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
     except OSError:
         return 0.0
-    return next((int(row.split()[1]) / 1000 for row in rows if row.startswith("Pss:")), 0.0)
+    return next(
+        (int(row.split()[1]) / 1000 for row in rows if row.startswith("Pss:")), 0.0
+    )
 
 
 def name(process: int) -> str:
@@ -52,14 +56,21 @@ def name(process: int) -> str:
 
 def main() -> None:
     """Run the tests and print the peak."""
-    command = [sys.executable, "-m", "pytest", *sys.argv[1:]] if sys.argv[1:] else ["make", "test"]
+    command = (
+        [sys.executable, "-m", "pytest", *sys.argv[1:]]
+        if sys.argv[1:]
+        else ["make", "test"]
+    )
     tests = subprocess.Popen(command)  # noqa: S603
     peak, largest = 0.0, ""
     while tests.poll() is None:
         sizes = sorted(((share(p), p) for p in family(tests.pid)), reverse=True)
         total = sum(size for size, _ in sizes)
         if total > peak:
-            peak, largest = total, ", ".join(f"{size:.0f} {name(p)}" for size, p in sizes[:NAMED])
+            peak, largest = (
+                total,
+                ", ".join(f"{size:.0f} {name(p)}" for size, p in sizes[:NAMED]),
+            )
         time.sleep(BETWEEN)
     print(f"largest memory of all processes | {peak:.0f} MB | <= 1000 MB | {largest}")
     sys.exit(tests.returncode)

@@ -1,7 +1,9 @@
-"""Mutants of Python sources: where a small change can be made, and which tests run the place.
+"""Mutants of Python sources: where a small change can be made, and which tests run the
+place.
 
-A mutant is one change of one node of a module's syntax tree. Docstrings, annotations, decorators, assertions
-and whatever stands in a `raise` are left alone: they are text for people or for the type checker.
+A mutant is one change of one node of a module's syntax tree. Docstrings, annotations,
+decorators, assertions and whatever stands in a `raise` are left alone: they are text
+for people or for the type checker.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
-HITS = "__fraclink_hits__"  # the builtin in which an instrumented module notes the blocks it ran
+# the builtin in which an instrumented module notes the blocks it ran
+HITS = "__fraclink_hits__"
 REMOVED = "removed statement"
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 _BODIES = ("body", "orelse", "finalbody")
@@ -23,7 +26,8 @@ _SYMMETRIC = {
     "min", "max", "minimum", "maximum", "hypot", "gcd", "isclose", "allclose", "array_equal", "isinstance",
     "logical_and", "logical_or", "multiply", "add", "zip",
 }  # fmt: skip
-# Keywords that no result depends on: `strict` of zip refuses lengths that differ only by a defect elsewhere.
+# Keywords that no result depends on: `strict` of zip refuses lengths that differ only
+# by a defect elsewhere.
 _NO_RESULT = {"stacklevel", "maxsize", "indent", "strict"}
 
 _COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
@@ -47,7 +51,9 @@ class Site:
     node: ast.AST
     apply: Callable[[], Any]
     line: int
-    block: int | None  # the run of statements it stands in; None for what runs at import
+    block: (
+        int | None
+    )  # the run of statements it stands in; None for what runs at import
     function: str  # qualified name of the outermost function around it; "" at import
     names: frozenset[str]  # what a change at import is known by elsewhere
 
@@ -56,7 +62,9 @@ class Site:
 
 
 def number_blocks(tree: ast.Module, first: int) -> int:
-    """Give every statement inside a function the number of its block; returns the next free number."""
+    """Give every statement inside a function the number of its block; returns the next
+    free number.
+    """
     counter = [first]
 
     def visit(body: list[ast.stmt], inside: bool) -> None:
@@ -69,7 +77,9 @@ def number_blocks(tree: ast.Module, first: int) -> int:
             for part in inner:
                 visit(part, inside or isinstance(statement, FUNCTIONS))
             if inner and not isinstance(statement, (*FUNCTIONS, ast.ClassDef)):
-                block = None  # a branch may have left: what follows is counted by itself
+                block = (
+                    None  # a branch may have left: what follows is counted by itself
+                )
 
     visit(tree.body, False)
     return counter[0]
@@ -80,12 +90,17 @@ def _bodies(statement: ast.stmt) -> Iterator[list[ast.stmt]]:
         part = getattr(statement, name, None)
         if isinstance(part, list) and part:
             yield part
-    for branch in (*getattr(statement, "handlers", ()), *getattr(statement, "cases", ())):
+    for branch in (
+        *getattr(statement, "handlers", ()),
+        *getattr(statement, "cases", ()),
+    ):
         yield branch.body
 
 
 def instrumented(path: Path, first: int) -> tuple[CodeType, int]:
-    """The module's code with a note at the head of every block, and the next free number."""
+    """The module's code with a note at the head of every block, and the next free
+    number.
+    """
     tree = ast.parse(path.read_bytes())
     after = number_blocks(tree, first)
     for node in ast.walk(tree):
@@ -101,9 +116,13 @@ def _with_notes(body: list[ast.stmt]) -> list[ast.stmt]:
     before = None
     for k, statement in enumerate(body):
         block = getattr(statement, "block", None)
-        text = isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+        text = isinstance(statement, ast.Expr) and isinstance(
+            statement.value, ast.Constant
+        )
         if block is not None and block != before and not (k == 0 and text):
-            result.append(ast.copy_location(ast.parse(f"{HITS}[{block}] = 1").body[0], statement))
+            result.append(
+                ast.copy_location(ast.parse(f"{HITS}[{block}] = 1").body[0], statement)
+            )
             before = block
         result.append(statement)
     return result
@@ -122,12 +141,24 @@ class Finder(ast.NodeVisitor):
     function: str = ""
     names: frozenset[str] = frozenset()
 
-    def _add(self, kind: str, node: ast.AST, apply: Callable[[], Any], line: int | None = None) -> None:
+    def _add(
+        self,
+        kind: str,
+        node: ast.AST,
+        apply: Callable[[], Any],
+        line: int | None = None,
+    ) -> None:
         at = line if line is not None else getattr(node, "lineno", 0)
-        self.sites.append(Site(kind, node, apply, at, self.block, self.function, self.names))
+        self.sites.append(
+            Site(kind, node, apply, at, self.block, self.function, self.names)
+        )
 
-    def _set(self, kind: str, node: Any, name: str, value: object, holder: Any = None) -> None:
-        """A site that sets an attribute of the node (or of `holder`, which hangs in it)."""
+    def _set(
+        self, kind: str, node: Any, name: str, value: object, holder: Any = None
+    ) -> None:
+        """A site that sets an attribute of the node (or of `holder`, which hangs in
+        it).
+        """
         self._add(kind, node, lambda: setattr(holder or node, name, value))
 
     # statements
@@ -142,7 +173,10 @@ class Finder(ast.NodeVisitor):
         if self.block is None:
             self.names |= {
                 t.id
-                for target in (*getattr(node, "targets", ()), getattr(node, "target", None))
+                for target in (
+                    *getattr(node, "targets", ()),
+                    getattr(node, "target", None),
+                )
                 for t in ast.walk(target or ast.Pass())
                 if isinstance(t, ast.Name)
             }
@@ -151,12 +185,18 @@ class Finder(ast.NodeVisitor):
         return None
 
     def _statements(self, node: Any) -> None:
-        """The bodies of a compound statement, each statement of which may also be removed."""
+        """The bodies of a compound statement, each statement of which may also be
+        removed.
+        """
         for body in _bodies(node):
             for k, statement in enumerate(body):
                 if self._removable(statement):
                     kept, self.block = self.block, getattr(statement, "block", None)
-                    self._add(REMOVED, statement, lambda b=body, k=k: b.__setitem__(k, ast.Pass()))
+                    self._add(
+                        REMOVED,
+                        statement,
+                        lambda b=body, k=k: b.__setitem__(k, ast.Pass()),
+                    )
                     self.block = kept
                 self.visit(statement)
 
@@ -167,7 +207,9 @@ class Finder(ast.NodeVisitor):
             return not isinstance(statement.targets[0], (ast.Name, ast.Tuple))
         if isinstance(statement, ast.Expr):
             return isinstance(statement.value, (ast.Call, ast.Await))
-        return isinstance(statement, (ast.Raise, ast.AugAssign, ast.Continue, ast.Break))
+        return isinstance(
+            statement, (ast.Raise, ast.AugAssign, ast.Continue, ast.Break)
+        )
 
     def visit_Module(self, node: ast.Module) -> None:
         self._statements(node)
@@ -184,7 +226,10 @@ class Finder(ast.NodeVisitor):
         kept = self.scope, self.function, self.names
         if not self.function:
             self.names = frozenset({*self.scope, node.name})
-        for default in (*node.args.defaults, *(d for d in node.args.kw_defaults if d is not None)):
+        for default in (
+            *node.args.defaults,
+            *(d for d in node.args.kw_defaults if d is not None),
+        ):
             self.visit(default)
         self.scope = (*self.scope, node.name)
         self.function = self.function or ".".join(self.scope)
@@ -252,13 +297,19 @@ class Finder(ast.NodeVisitor):
     def visit_Compare(self, node: ast.Compare) -> None:
         for k, operator in enumerate(node.ops):
             for other in _COMPARISONS[type(operator)]:
-                self._add("comparison", node, lambda k=k, o=other: node.ops.__setitem__(k, o()))
+                self._add(
+                    "comparison",
+                    node,
+                    lambda k=k, o=other: node.ops.__setitem__(k, o()),
+                )
         self.generic_visit(node)
 
     def visit_BinOp(self, node: ast.BinOp) -> None:
         if isinstance(node.op, ast.MatMult):
             left, right = node.left, node.right
-            self._add("swapped", node, lambda: node.__dict__.update(left=right, right=left))
+            self._add(
+                "swapped", node, lambda: node.__dict__.update(left=right, right=left)
+            )
         else:
             self._arithmetic(node, node.left, node.right)
         self.generic_visit(node)
@@ -271,12 +322,21 @@ class Finder(ast.NodeVisitor):
         )
         kind = _ARITHMETIC.get(type(node.op))
         # At import a | b joins types.
-        if kind is None or text or (isinstance(node.op, ast.BitOr) and self.block is None):
+        if (
+            kind is None
+            or text
+            or (isinstance(node.op, ast.BitOr) and self.block is None)
+        ):
             return
         self._set("arithmetic", node, "op", kind())
 
     def visit_BoolOp(self, node: ast.BoolOp) -> None:
-        self._set("boolean", node, "op", ast.Or() if isinstance(node.op, ast.And) else ast.And())
+        self._set(
+            "boolean",
+            node,
+            "op",
+            ast.Or() if isinstance(node.op, ast.And) else ast.And(),
+        )
         self.generic_visit(node)
 
     def visit_UnaryOp(self, node: ast.UnaryOp) -> None:
@@ -287,12 +347,22 @@ class Finder(ast.NodeVisitor):
         self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> None:
-        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-        if len(node.args) >= 2 and name not in _SYMMETRIC and name not in ("TypeVar", "NewType", "cast"):
+        name = (
+            node.func.attr
+            if isinstance(node.func, ast.Attribute)
+            else getattr(node.func, "id", "")
+        )
+        if (
+            len(node.args) >= 2
+            and name not in _SYMMETRIC
+            and name not in ("TypeVar", "NewType", "cast")
+        ):
             a, b = node.args[:2]
             plain = not isinstance(a, ast.Starred) and not isinstance(b, ast.Starred)
             if plain and ast.dump(a) != ast.dump(b):
-                self._add("swapped", node, lambda: node.args.__setitem__(slice(0, 2), [b, a]))
+                self._add(
+                    "swapped", node, lambda: node.args.__setitem__(slice(0, 2), [b, a])
+                )
         self.generic_visit(node)
 
     def visit_keyword(self, node: ast.keyword) -> None:
@@ -326,12 +396,18 @@ def sites(path: Path, first: int = 0) -> tuple[ast.Module, list[Site]]:
 
 
 def mutated(path: Path, index: int, first: int = 0) -> tuple[CodeType, Site, str]:
-    """The module's code with the change `index` made, its site, and the change in words."""
+    """The module's code with the change `index` made, its site, and the change in
+    words.
+    """
     tree, found = sites(path, first)
     site = found[index]
     before = ast.unparse(site.node).splitlines()[0]
     site.apply()
-    after = "pass" if site.kind == REMOVED else ast.unparse(ast.fix_missing_locations(site.node))
+    after = (
+        "pass"
+        if site.kind == REMOVED
+        else ast.unparse(ast.fix_missing_locations(site.node))
+    )
     if isinstance(site.node, ast.Return):
         after = "return None"
     code = compile(ast.fix_missing_locations(tree), str(path), "exec")

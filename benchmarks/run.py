@@ -1,10 +1,12 @@
 """Run every benchmarks/bench_*.py in a process of its own and print one table.
 
-A benchmark prints one line per figure: `ok` or `MISS`, the figure, what was measured with its spread, what
-is wanted. The exit code is 1 where a benchmark crashed or printed nothing; a missed figure is a result.
+A benchmark prints one line per figure: `ok` or `MISS`, the figure, what was measured
+with its spread, what is wanted. The exit code is 1 where a benchmark crashed or printed
+nothing; a missed figure is a result.
 
-`--record` appends the figures to history.csv with version, commit and processor, so that a figure can be
-followed over the releases. Record on a machine that does nothing else.
+`--record` appends the figures to history.csv with version, commit and processor, so
+that a figure can be followed over the releases. Record on a machine that does nothing
+else.
 """
 
 from __future__ import annotations
@@ -39,8 +41,12 @@ class Outcome:
 
 
 def is_figure(line: str) -> bool:
-    """A line that states a figure: it begins with a mark, or is a row `what | value | wanted | error`."""
-    return line.split(maxsplit=1)[:1] in ([MARKS[0]], [MARKS[1]]) or line.count(" | ") >= 3
+    """A line that states a figure: it begins with a mark, or is a row `what | value |
+    wanted | error`.
+    """
+    return (
+        line.split(maxsplit=1)[:1] in ([MARKS[0]], [MARKS[1]]) or line.count(" | ") >= 3
+    )
 
 
 def run(script: Path) -> Outcome:
@@ -48,18 +54,25 @@ def run(script: Path) -> Outcome:
     begin = time.perf_counter()
     print(f"\n{script.stem}", flush=True)
     figures: list[str] = []
-    with subprocess.Popen(  # noqa: S603 - a script of this folder under the running interpreter
-        [sys.executable, str(script)], cwd=HERE.parent, stdout=subprocess.PIPE, text=True
+    with subprocess.Popen(  # noqa: S603
+        [sys.executable, str(script)],
+        cwd=HERE.parent,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as process:
         for line in process.stdout or ():
             print(line, end="", flush=True)
             if is_figure(line):
                 figures.append(line.rstrip())
-    return Outcome(script.stem, tuple(figures), time.perf_counter() - begin, process.returncode)
+    return Outcome(
+        script.stem, tuple(figures), time.perf_counter() - begin, process.returncode
+    )
 
 
 def record(outcomes: list[Outcome]) -> Path:
-    """Append every figure to history.csv, which is made with its header where there is none."""
+    """Append every figure to history.csv, which is made with its header where there is
+    none.
+    """
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"],  # noqa: S607
         cwd=HERE,
@@ -81,9 +94,15 @@ def record(outcomes: list[Outcome]) -> Path:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("names", nargs="*", help="benchmarks to run, e.g. response; all by default")
-    parser.add_argument("--record", action="store_true", help="append the figures to history.csv")
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0] if __doc__ else None
+    )
+    parser.add_argument(
+        "names", nargs="*", help="benchmarks to run, e.g. response; all by default"
+    )
+    parser.add_argument(
+        "--record", action="store_true", help="append the figures to history.csv"
+    )
     options = parser.parse_args()
     wanted = options.names
     scripts = sorted(HERE.glob("bench_*.py"))
@@ -92,13 +111,17 @@ def main() -> int:
         known = ", ".join(script.stem.removeprefix("bench_") for script in scripts)
         parser.error(f"no benchmark named {', '.join(unknown)}; there are {known}")
     outcomes = [
-        run(script) for script in scripts if not wanted or script.stem.removeprefix("bench_") in wanted
+        run(script)
+        for script in scripts
+        if not wanted or script.stem.removeprefix("bench_") in wanted
     ]
     print(f"\n{'benchmark':<24} {'figures':>8} {'missed':>8} {'seconds':>8}")
     for outcome in outcomes:
         missed = sum(line.startswith("MISS") for line in outcome.figures)
         note = f"  CRASHED (exit code {outcome.code})" if outcome.crashed else ""
-        print(f"{outcome.name:<24} {len(outcome.figures):>8} {missed:>8} {outcome.seconds:>8.1f}{note}")
+        print(
+            f"{outcome.name:<24} {len(outcome.figures):>8} {missed:>8} {outcome.seconds:>8.1f}{note}"
+        )
     if options.record:
         print(f"\n{record(outcomes)}")
     return 1 if any(outcome.crashed for outcome in outcomes) else 0

@@ -1,4 +1,6 @@
-"""Logs for bench_start: one motion of one arm, written in the shapes and with the signals of laboratories."""
+"""Logs for bench_start: one motion of one arm, written in the shapes and with the
+signals of laboratories.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,17 @@ DEG = 180 / np.pi
 
 @functools.cache
 def motion() -> dict[str, Array]:
-    """Stamps, motor angle, deflection, torque and voltage of the arm, and a late deflection."""
+    """Stamps, motor angle, deflection, torque and voltage of the arm, and a late
+    deflection.
+    """
     time = np.asarray(PERIOD * np.arange(COUNT), dtype=np.float64)
-    angle = np.asarray(fl.prbs(0.4, 0.24, bits=45, register=9, start=0.3).angle(time), dtype=np.float64)
+    angle = np.asarray(
+        fl.prbs(0.4, 0.24, bits=45, register=9, start=0.3).angle(time), dtype=np.float64
+    )
     for _ in range(2):  # twice smoothed: the voltage needs the motor's acceleration
-        angle = np.convolve(np.concatenate((np.zeros(15), angle)), np.ones(16) / 16, "valid")[:COUNT]
+        angle = np.convolve(
+            np.concatenate((np.zeros(15), angle)), np.ones(16) / 16, "valid"
+        )[:COUNT]
     link = fl.s**ORDER / (fl.s**ORDER + FREQUENCY**2)
     bent = fl.time_response(link, angle, PERIOD, hold="first").output
     late = np.concatenate((np.zeros(round(DELAY / PERIOD)), bent))[:COUNT]
@@ -57,12 +65,13 @@ class Shape:
     write
         writes it into a folder and returns its path.
     steps
-        what is to stand in each refusal, and the answer: a statement for `column`, an option of `start` as
-        ``period=0.004``, the words behind ``$ `` after which a line for the shell stands, the command of
-        fraclink that goes on, or "" where the remedy is the laboratory's.
+        what is to stand in each refusal, and the answer: a statement for `column`, an
+        option of `start` as ``period=0.004``, the words behind ``$ `` after which a
+        line for the shell stands, the command of fraclink that goes on, or "" where the
+        remedy is the laboratory's.
     kind, voltage, late, raw
-        the output; whether the log has a voltage; whether its output is late; whether a factor of the output
-        is unknown (a gauge that nobody has calibrated).
+        the output; whether the log has a voltage; whether its output is late; whether a
+        factor of the output is unknown (a gauge that nobody has calibrated).
     any_radius
         whether a factor of the motor angle is free: a linear axis.
     of
@@ -91,7 +100,12 @@ Columns = dict[str, Array]
 def body(columns: Columns, separator: str = ",", digits: str = ".9g") -> str:
     """Rows of numbers."""
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    return "\n".join(separator.join(format(value, digits) for value in row) for row in rows) + "\n"
+    return (
+        "\n".join(
+            separator.join(format(value, digits) for value in row) for row in rows
+        )
+        + "\n"
+    )
 
 
 def table(columns: Columns, separator: str = ",", *, digits: str = ".9g") -> str:
@@ -116,7 +130,9 @@ def stamped(form: str) -> str:
     m, lines = motion(), ["stamp,enc_deg,torque_Nm"]
     for t, a, g in zip(m["t"], m["angle"], m["torque"], strict=True):
         moment = start + datetime.timedelta(milliseconds=round(1e3 * t))
-        lines.append(f"{moment.strftime(form)}.{moment.microsecond // 1000:03d},{DEG * a:.6f},{g:.6f}")
+        lines.append(
+            f"{moment.strftime(form)}.{moment.microsecond // 1000:03d},{DEG * a:.6f},{g:.6f}"
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -137,9 +153,14 @@ def labview(*, stamps: bool) -> str:
 
 
 def quoted(text: str) -> str:
-    """Every number in quotes, with decimal commas, as a spreadsheet writes it in German."""
+    """Every number in quotes, with decimal commas, as a spreadsheet writes it in
+    German.
+    """
     head, rest = text.split("\n", 1)
-    rows = ('","'.join(line.replace(".", ";").split(",")).replace(";", ",") for line in rest.splitlines())
+    rows = (
+        '","'.join(line.replace(".", ";").split(",")).replace(";", ",")
+        for line in rest.splitlines()
+    )
     return head + "\n" + "\n".join(f'"{row}"' for row in rows) + "\n"
 
 
@@ -149,7 +170,9 @@ def matlab(folder: Path) -> Path:
 
     m = motion()
     path = folder / "log.mat"
-    savemat(path, {"t": m["t"], "theta_deg": DEG * m["angle"], "torque_Nm": m["torque"]})
+    savemat(
+        path, {"t": m["t"], "theta_deg": DEG * m["angle"], "torque_Nm": m["torque"]}
+    )
     return path
 
 
@@ -162,8 +185,12 @@ def tdms(folder: Path) -> Path:
     with TdmsWriter(str(path)) as writer:
         writer.write_segment(
             [
-                ChannelObject("Arm", "Theta", DEG * m["angle"], {**wave, "unit_string": "deg"}),
-                ChannelObject("Arm", "Torque", m["torque"], {**wave, "unit_string": "Nm"}),
+                ChannelObject(
+                    "Arm", "Theta", DEG * m["angle"], {**wave, "unit_string": "deg"}
+                ),
+                ChannelObject(
+                    "Arm", "Torque", m["torque"], {**wave, "unit_string": "Nm"}
+                ),
             ]
         )
     return path
@@ -172,7 +199,9 @@ def tdms(folder: Path) -> Path:
 def numpy_file(folder: Path) -> Path:
     """Three columns without names."""
     m = motion()
-    np.save(folder / "log.npy", np.column_stack((m["t"], DEG * m["angle"], m["torque"])))
+    np.save(
+        folder / "log.npy", np.column_stack((m["t"], DEG * m["angle"], m["torque"]))
+    )
     return folder / "log.npy"
 
 
@@ -183,15 +212,25 @@ def forms() -> dict[str, Shape]:
     plain = {"time_s": t, "motor_angle_rad": a, "torque_Nm": g}
     degrees = {"t_s": t, "theta_deg": DEG * a, "torque_mNm": 1e3 * g}
     shifted = np.convolve(a, np.ones(25) / 25, "same")
-    german = table({"Zeit [s]": t, "Winkel [°]": DEG * a, "Moment [Nm]": -g}, ";").replace(".", ",")
-    r_rows = "\n".join(f"{k + 1},{row}" for k, row in enumerate(body(degrees).splitlines()))
+    german = table(
+        {"Zeit [s]": t, "Winkel [°]": DEG * a, "Moment [Nm]": -g}, ";"
+    ).replace(".", ",")
+    r_rows = "\n".join(
+        f"{k + 1},{row}" for k, row in enumerate(body(degrees).splitlines())
+    )
     raw = np.column_stack((t, DEG * a, g))
-    paste, numbers = (("names above rows", "$ such as by "),), (("raw float64", "$ python"),)
+    paste, numbers = (
+        (("names above rows", "$ such as by "),),
+        (("raw float64", "$ python"),),
+    )
     gaps = table(plain).splitlines()
     del gaps[700:708]
     holes = table(plain).splitlines()
     holes[900] = holes[900].rsplit(",", 1)[0] + ","
-    side = "\n".join(",".join([name, *(f"{x:.7g}" for x in values)]) for name, values in degrees.items())
+    side = "\n".join(
+        ",".join([name, *(f"{x:.7g}" for x in values)])
+        for name, values in degrees.items()
+    )
     extra = {
         "index": np.arange(COUNT, dtype=np.float64),
         "t": 1e3 * t,
@@ -204,18 +243,35 @@ def forms() -> dict[str, Shape]:
         "temp": 21 + 0.01 * t,
         "bridge_mNm": -1e3 * g,
     }
-    joint = {"stamp": t, "joint_position": a, "joint_velocity": np.gradient(a, PERIOD), "joint_effort": g}
+    joint = {
+        "stamp": t,
+        "joint_position": a,
+        "joint_velocity": np.gradient(a, PERIOD),
+        "joint_effort": g,
+    }
     return {
         "names that state all": Shape(written(table(plain))),
         "milliseconds, degrees, mN·m, turned": Shape(
-            written(table({"t_ms": 1e3 * t, "theta_deg": DEG * a, "bridge_mNm": -1e3 * g}))
+            written(
+                table({"t_ms": 1e3 * t, "theta_deg": DEG * a, "bridge_mNm": -1e3 * g})
+            )
         ),
-        "German: semicolons, decimal commas, cp1252": Shape(written(german.encode("cp1252"))),
-        "no units, tabs": Shape(written(table({"time": t, "theta": a, "torque": g}, "\t"), "log.txt")),
-        "no units: ms and degrees": Shape(written(table({"t": 1e3 * t, "enc": DEG * a, "torque": g}))),
-        "no units: µs and mN·m": Shape(written(table({"t": 1e6 * t, "enc": a, "moment": 1e3 * g}))),
+        "German: semicolons, decimal commas, cp1252": Shape(
+            written(german.encode("cp1252"))
+        ),
+        "no units, tabs": Shape(
+            written(table({"time": t, "theta": a, "torque": g}, "\t"), "log.txt")
+        ),
+        "no units: ms and degrees": Shape(
+            written(table({"t": 1e3 * t, "enc": DEG * a, "torque": g}))
+        ),
+        "no units: µs and mN·m": Shape(
+            written(table({"t": 1e6 * t, "enc": a, "moment": 1e3 * g}))
+        ),
         "no units: radians beyond a turn": Shape(
-            written(table({"t": t, "theta": m["long angle"], "torque_Nm": m["long torque"]})),
+            written(
+                table({"t": t, "theta": m["long angle"], "torque_Nm": m["long torque"]})
+            ),
             (('--column "motor_angle=theta [deg]"', "motor_angle=theta [rad]"),),
             of="long ",
         ),
@@ -238,16 +294,26 @@ def forms() -> dict[str, Shape]:
         ),
         "on its side": Shape(written(side)),
         "decimal commas in quotes": Shape(written(quoted(table(degrees)))),
-        "UTF-16 with tabs": Shape(written(table(degrees, "\t").encode("utf-16"), "log.txt")),
-        "blanks, no header": Shape(written(body(plain, "  "), "log.dat"), (), kind="deflection", raw=True),
-        "row numbers of R without a name": Shape(written(",".join(degrees) + "\n" + r_rows + "\n"), paste),
+        "UTF-16 with tabs": Shape(
+            written(table(degrees, "\t").encode("utf-16"), "log.txt")
+        ),
+        "blanks, no header": Shape(
+            written(body(plain, "  "), "log.dat"), (), kind="deflection", raw=True
+        ),
+        "row numbers of R without a name": Shape(
+            written(",".join(degrees) + "\n" + r_rows + "\n"), paste
+        ),
         "a name too many": Shape(
-            written(table(degrees).replace("torque_mNm\n", "torque_mNm,spare\n", 1)), paste
+            written(table(degrees).replace("torque_mNm\n", "torque_mNm,spare\n", 1)),
+            paste,
         ),
         "text behind the table": Shape(
-            written(table(degrees) + "\nEnd of run\n"), (("cut off the rest", "$ cut off the rest by "),)
+            written(table(degrees) + "\nEnd of run\n"),
+            (("cut off the rest", "$ cut off the rest by "),),
         ),
-        "raw float64": Shape(written(raw.tobytes(), "log.bin"), numbers, kind="deflection", raw=True),
+        "raw float64": Shape(
+            written(raw.tobytes(), "log.bin"), numbers, kind="deflection", raw=True
+        ),
         "raw float64, channel after channel": Shape(
             written(raw.T.tobytes(), "log.bin"), numbers, kind="deflection", raw=True
         ),
@@ -255,20 +321,40 @@ def forms() -> dict[str, Shape]:
         "MATLAB": Shape(matlab),
         "TDMS": Shape(tdms),
         "no stamps": Shape(
-            written(table({"theta_deg": DEG * a, "torque_Nm": g})), (("--period-ms 4", "period=0.004"),)
+            written(table({"theta_deg": DEG * a, "torque_Nm": g})),
+            (("--period-ms 4", "period=0.004"),),
         ),
         "a counter for a clock": Shape(
-            written(table({"n": np.arange(COUNT, dtype=np.float64), "theta_deg": DEG * a, "torque_Nm": g})),
+            written(
+                table(
+                    {
+                        "n": np.arange(COUNT, dtype=np.float64),
+                        "theta_deg": DEG * a,
+                        "torque_Nm": g,
+                    }
+                )
+            ),
             (('--column "time=n * 0.004 [s]"', "time=n * 0.004 [s]"),),
         ),
-        "gaps": Shape(written("\n".join(gaps) + "\n"), (("--resample", "resample=True"),)),
-        "missing cells": Shape(written("\n".join(holes) + "\n"), (("--interpolate", "interpolate=True"),)),
-        "commas between decimal commas": Shape(
-            written(table(plain, digits=".6f").replace(".", ",")), (("export with decimal points", ""),)
+        "gaps": Shape(
+            written("\n".join(gaps) + "\n"), (("--resample", "resample=True"),)
         ),
-        "a spreadsheet": Shape(written(b"PK\x03\x04" + bytes(500), "log.xlsx"), (("export it as CSV", ""),)),
+        "missing cells": Shape(
+            written("\n".join(holes) + "\n"), (("--interpolate", "interpolate=True"),)
+        ),
+        "commas between decimal commas": Shape(
+            written(table(plain, digits=".6f").replace(".", ",")),
+            (("export with decimal points", ""),),
+        ),
+        "a spreadsheet": Shape(
+            written(b"PK\x03\x04" + bytes(500), "log.xlsx"), (("export it as CSV", ""),)
+        ),
         "a reference beside the angle": Shape(
-            written(table({"t": t, "phi_soll": DEG * shifted, "phi_ist": DEG * a, "dms_Nm": g}))
+            written(
+                table(
+                    {"t": t, "phi_soll": DEG * shifted, "phi_ist": DEG * a, "dms_Nm": g}
+                )
+            )
         ),
     }
 
@@ -282,30 +368,49 @@ def signals() -> dict[str, Shape]:
     raw = {"kind": "deflection", "raw": True}
     counts = np.round(a * 4096 / (2 * np.pi))
     noise = np.random.default_rng(6).normal(0, 0.002, (2, COUNT))
-    acceleration = LENGTH * np.gradient(np.gradient(m["smooth tip"], PERIOD), PERIOD) + noise[0]
+    acceleration = (
+        LENGTH * np.gradient(np.gradient(m["smooth tip"], PERIOD), PERIOD) + noise[0]
+    )
     turned = fl.time_response(
         61.1 / (fl.s * (fl.s + 15.15)),
         np.repeat(np.random.default_rng(2).choice([-3.0, 3.0], 60), 50),
         PERIOD,
     )
     drive = np.repeat(np.random.default_rng(2).choice([-3.0, 3.0], 60), 50)
-    ring = 0.1 * (1 - fl.step_response(FREQUENCY**2 / (fl.s**ORDER + FREQUENCY**2), t).output)
+    ring = 0.1 * (
+        1 - fl.step_response(FREQUENCY**2 / (fl.s**ORDER + FREQUENCY**2), t).output
+    )
     held = np.concatenate((np.full(100, ring[0]), ring))[:COUNT] + 0.2 * noise[0]
     w = np.geomspace(1, 80, 120)
     h = (fl.s**ORDER / (fl.s**ORDER + FREQUENCY**2))(1j * w)
     return {
-        "strain in volts, turned, offset": Shape(written(table({**both, "strain_V": 0.05 - 0.4 * d})), **raw),
-        "strain in counts": Shape(written(table({**both, "adc_bridge": np.round(20000 * d + 2048)})), **raw),
+        "strain in volts, turned, offset": Shape(
+            written(table({**both, "strain_V": 0.05 - 0.4 * d})), **raw
+        ),
+        "strain in counts": Shape(
+            written(table({**both, "adc_bridge": np.round(20000 * d + 2048)})), **raw
+        ),
         "strain in mV, late, with a voltage": Shape(
-            written(table({**both, "u_V": u, "dms_mV": 12 * m["late"]})), voltage=True, late=True, **raw
+            written(table({**both, "u_V": u, "dms_mV": 12 * m["late"]})),
+            voltage=True,
+            late=True,
+            **raw,
         ),
         "a deflection in degrees, late": Shape(
             written(table({**both, "alpha_deg": DEG * m["late"]})), late=True, **bent
         ),
-        "a deflection in radians beside degrees": Shape(written(table({**both, "alpha": -d})), **bent),
+        "a deflection in radians beside degrees": Shape(
+            written(table({**both, "alpha": -d})), **bent
+        ),
         "two gauges of a half bridge": Shape(
             written(
-                table({**both, "strain1_V": 0.9 * d + 1.2 + noise[0], "strain2_V": 0.7 - 0.9 * d + noise[1]})
+                table(
+                    {
+                        **both,
+                        "strain1_V": 0.9 * d + 1.2 + noise[0],
+                        "strain2_V": 0.7 - 0.9 * d + noise[1],
+                    }
+                )
             ),
             **raw,
         ),
@@ -314,8 +419,12 @@ def signals() -> dict[str, Shape]:
             (("Which column is the output", "deflection=g1 + g2 [rad]"),),
             **bent,
         ),
-        "an encoder at the tip": Shape(written(table({**both, "tip_deg": DEG * m["tip"]})), **bent),
-        "an encoder at the tip, in other units": Shape(written(table({**both, "tip_rad": m["tip"]})), **bent),
+        "an encoder at the tip": Shape(
+            written(table({**both, "tip_deg": DEG * m["tip"]})), **bent
+        ),
+        "an encoder at the tip, in other units": Shape(
+            written(table({**both, "tip_rad": m["tip"]})), **bent
+        ),
         "a tip angle that is called alpha": Shape(
             written(table({"t_s": t, "theta_rad": a, "alpha_rad": m["tip"]})), **bent
         ),
@@ -325,48 +434,75 @@ def signals() -> dict[str, Shape]:
         "a laser on the hub, in millimetres": Shape(
             written(table({**both, "laser_mm": 80 + 1e3 * LENGTH * d})), **raw
         ),
-        "a deflection in metres": Shape(written(table({**both, "deflection_m": LENGTH * d})), **raw),
+        "a deflection in metres": Shape(
+            written(table({**both, "deflection_m": LENGTH * d})), **raw
+        ),
         "a deflection in metres, length stated": Shape(
             written(table({**both, "deflection_m": LENGTH * d})),
             stated=("deflection=deflection_m * 1/0.32 [rad]",),
             **bent,
         ),
         "a linear axis in metres": Shape(
-            written(table({"t_s": t, "cart_m": 0.1 * a, "strain_V": 0.4 * d})), any_radius=True, **raw
+            written(table({"t_s": t, "cart_m": 0.1 * a, "strain_V": 0.4 * d})),
+            any_radius=True,
+            **raw,
         ),
         "encoder counts": Shape(
             written(table({"t": t, "enc": counts, "torque": g})),
-            (('--column "motor_angle=enc * 1/4096 [rev]"', "motor_angle=enc * 1/4096 [rev]"),),
+            (
+                (
+                    '--column "motor_angle=enc * 1/4096 [rev]"',
+                    "motor_angle=enc * 1/4096 [rev]",
+                ),
+            ),
         ),
         "a potentiometer in volts": Shape(
             written(table({"t": t, "pot_V": DEG * a / 36.8 + 2.5, "torque_Nm": g})),
-            (('--column "motor_angle=pot_V * 36.8 [deg]"', "motor_angle=pot_V * 36.8 [deg]"),),
+            (
+                (
+                    '--column "motor_angle=pot_V * 36.8 [deg]"',
+                    "motor_angle=pot_V * 36.8 [deg]",
+                ),
+            ),
         ),
         "two encoders and a torque": Shape(
-            written(table({"t": t, "enc1": DEG * a, "enc2": DEG * m["tip"], "torque_Nm": g})),
+            written(
+                table({"t": t, "enc1": DEG * a, "enc2": DEG * m["tip"], "torque_Nm": g})
+            ),
             (('--column "motor_angle=enc1"', "motor_angle=enc1"),),
         ),
         "an accelerometer at the tip": Shape(
-            written(table({**both, "acc_ms2": acceleration})), (("fraclink identify-structure", "fraclink "),)
+            written(table({**both, "acc_ms2": acceleration})),
+            (("fraclink identify-structure", "fraclink "),),
         ),
         "angle and voltage only": Shape(
             written(table({"t_s": t, "u_V": drive, "enc_deg": DEG * turned.output})),
             (("fraclink identify-motor", "fraclink "),),
         ),
         "a ring-down with the motor locked": Shape(
-            written(table({"t_s": t, "strain_V": 0.3 + 2 * held})), (("--ring-down", "fraclink "),)
+            written(table({"t_s": t, "strain_V": 0.3 + 2 * held})),
+            (("--ring-down", "fraclink "),),
         ),
         "a ring-down, motor angle constant": Shape(
             written(
-                table({"t_s": t, "theta_rad": np.full(COUNT, 0.2), "strain_V": 2 * (ring + 0.2 * noise[1])})
+                table(
+                    {
+                        "t_s": t,
+                        "theta_rad": np.full(COUNT, 0.2),
+                        "strain_V": 2 * (ring + 0.2 * noise[1]),
+                    }
+                )
             ),
             (("--ring-down", "fraclink "),),
         ),
         "a frequency response": Shape(
-            written(table({"freq_rad_s": w, "gain": np.abs(h), "phase_rad": np.angle(h)})),
+            written(
+                table({"freq_rad_s": w, "gain": np.abs(h), "phase_rad": np.angle(h)})
+            ),
             (("fraclink identify-spectrum", "fraclink identify-spectrum"),),
         ),
         "a motor alone": Shape(
-            written(table({"t_s": t, "theta_deg": DEG * a})), (("record both signals together", ""),)
+            written(table({"t_s": t, "theta_deg": DEG * a})),
+            (("record both signals together", ""),),
         ),
     }

@@ -1,9 +1,11 @@
-"""Which cause costs how many arms of the default campaign: take one away, run the same arms again.
+"""Which cause costs how many arms of the default campaign: take one away, run the same
+arms again.
 
     python benchmarks/why_arms_fail.py [--runs 2000]
 
-Every variant draws the same arms (one seed). What is counted: arms that fail, of these the tripped ones, the
-growing ones, and the share of failures among moves below and above 0.5 rad.
+Every variant draws the same arms (one seed). What is counted: arms that fail, of these
+the tripped ones, the growing ones, and the share of failures among moves below and
+above 0.5 rad.
 """
 
 from __future__ import annotations
@@ -46,8 +48,14 @@ def variants(runs: int) -> Iterator[tuple[str, Campaign]]:
     yield "Coulomb torque as the law compensates it", drawn(coulomb_torque=always(1.0))
     yield "without gauge noise", drawn(noise=always(0.0))
     yield "without gauge offset", drawn(gauge_offset=always(0.0))
-    yield "neither friction nor noise", drawn(coulomb_torque=always(0.0), noise=always(0.0))
-    yield "moves of 0.5 to 1.2 rad only", drawn(amplitude=Distribution("uniform", SMALL, 1.2))
+    yield (
+        "neither friction nor noise",
+        drawn(coulomb_torque=always(0.0), noise=always(0.0)),
+    )
+    yield (
+        "moves of 0.5 to 1.2 rad only",
+        drawn(amplitude=Distribution("uniform", SMALL, 1.2)),
+    )
     yield (
         "nominal link, motor and payload",
         drawn(
@@ -64,7 +72,10 @@ def variants(runs: int) -> Iterator[tuple[str, Campaign]]:
     yield "8 s in place of 4 s", longer
     for ratio in (10.0, 50.0, 100.0):
         rig = geared(PAPER, ratio)
-        yield f"reduction gear of {ratio:g}", Campaign.of(rig, rig.model, design_of(rig).law(), runs=runs)
+        yield (
+            f"reduction gear of {ratio:g}",
+            Campaign.of(rig, rig.model, design_of(rig).law(), runs=runs),
+        )
 
 
 def counted(campaign: Campaign) -> str:
@@ -75,7 +86,10 @@ def counted(campaign: Campaign) -> str:
     small = column["amplitude"].astype(float) < SMALL
     tripped = column["mode"] != 1
     grew = column["growth"].astype(float) > 0.0
-    shares = [100 * float(failed[rows].mean()) if rows.any() else float("nan") for rows in (small, ~small)]
+    shares = [
+        100 * float(failed[rows].mean()) if rows.any() else float("nan")
+        for rows in (small, ~small)
+    ]
     left = np.abs(column["steady_state_error"].astype(float))[failed & ~tripped]
     median = 1e3 * float(np.median(left)) if left.size else float("nan")
     return (

@@ -34,7 +34,8 @@ nb_execution_in_temp = True  # pages may write files; none of them into the sour
 nb_merge_streams = True
 nb_render_markdown_format = "myst"  # a table made by a cell is a table on the page
 
-# Formulas are written in Unicode: the usual renderer would fetch a script from elsewhere.
+# Formulas are written in Unicode: the usual renderer would fetch a script from
+# elsewhere.
 exclude_patterns = ["_build", "**/_*.md"]  # parts of pages begin with an underscore
 html_theme = "furo"
 html_title = f"fraclink {version}"
@@ -49,21 +50,33 @@ autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 # Spelled out, numpy's own type fills three lines of a signature.
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}
-# The types in docstrings are words with shapes and units; the links are in the signature.
+# The types in docstrings are words with shapes and units; the links are in the
+# signature.
 napoleon_use_param = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [("Attributes", "params_style")]  # like parameters: several names share a line
+napoleon_custom_sections = [
+    ("Attributes", "params_style")
+]  # like parameters: several names share a line
 
-# "What is this name" must have an answer: an undefined symbol is a failed build (make docs adds -W).
+# "What is this name" must have an answer: an undefined symbol is a failed build (make
+# docs adds -W).
 nitpicky = True
-# Other projects' types: their inventories lie on the network, which a build does not need.
+# Other projects' types: their inventories lie on the network, which a build does not
+# need.
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|fractions|collections\.abc)\..+"),
     (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path"),
-    (r"py:.*", r".*typing\.(Annotated|Literal)\[.*"),  # a range or a choice in a signature, cut at its comma
+    (
+        r"py:.*",
+        r".*typing\.(Annotated|Literal)\[.*",
+    ),  # a range or a choice in a signature, cut at its comma
     (r"py:class", r"tuple\[float|fraclink\._validate\.ranges\.Array"),  # likewise
-    # Private types in the signatures of public functions: what they mean stands in the text.
-    (r"py:class", r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule"),
+    # Private types in the signatures of public functions: what they mean stands in the
+    # text.
+    (
+        r"py:class",
+        r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule",
+    ),
     (r"py:class", r"fraclink\._files\.T|fraclink\._validate\.ranges\.Array"),
     (r"py:class", r"fraclink\._show\.text\.View"),
 ]

@@ -1,4 +1,5 @@
-"""Run one law on 2000 arms that differ, and ask how many fail and what drives the settling time.
+"""Run one law on 2000 arms that differ, and ask how many fail and what drives the
+settling time.
 
 python examples/arms_that_differ.py FOLDER
 """
@@ -11,12 +12,20 @@ import fraclink as fl
 
 def main(folder: Path) -> None:
     rig = fl.Rig.named("paper-2023-geared")
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     campaign = fl.Campaign.of(rig, rig.model, fl.discretize(design), runs=2000, seed=1)
     fl.run_campaign(campaign, folder / "arms")  # resumes where it was stopped
     summary = fl.summarise(campaign, folder / "arms")
     print(summary.failure.sentence)
-    settling = next(metric for metric in summary.metrics if metric.name == "settling_time")
+    settling = next(
+        metric for metric in summary.metrics if metric.name == "settling_time"
+    )
     for parameter, correlation in settling.drivers[:3]:
         print(f"settling time against {parameter}: rank correlation {correlation:+.2f}")
 

@@ -1,4 +1,5 @@
-"""What is left of the margins at each payload, inside and outside the range of the design, as a figure.
+"""What is left of the margins at each payload, inside and outside the range of the
+design, as a figure.
 
 python examples/margins_against_payload.py FOLDER
 """
@@ -13,7 +14,13 @@ import fraclink as fl
 
 def main(folder: Path) -> None:
     rig = fl.Rig.named("paper-2023-geared")
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     for payload in (0.008, 0.020, 0.030, 0.040, 0.060):
         left = design.sampled_at(payload)
         print(
@@ -21,7 +28,9 @@ def main(folder: Path) -> None:
         )
 
     curves = [fl.margin_curve(design, np.linspace(0.008, 0.060, 40))]
-    axes = fl.margins_against_payload(curves, payloads=design.payloads, wanted=fl.deg(50))
+    axes = fl.margins_against_payload(
+        curves, payloads=design.payloads, wanted=fl.deg(50)
+    )
     axes.figure.savefig(folder / "margins.svg")
 
 

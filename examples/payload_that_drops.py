@@ -11,11 +11,24 @@ import fraclink as fl
 
 def main(folder: Path) -> None:
     rig = fl.Rig.named("paper-2023-geared")
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
-    arm = fl.Twin.from_rig(rig, link_mass=0.00735)  # kg: a carbon rod, which the design does not know
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
+    arm = fl.Twin.from_rig(
+        rig, link_mass=0.00735
+    )  # kg: a carbon rod, which the design does not know
     move = fl.smooth_step(1.0, duration=1.0)
-    for name, events in (("30 g", []), ("30 g, then 20 g", [fl.PayloadChange(time=0.6, payload=0.020)])):
-        run = fl.simulate(fl.discretize(design), move, arm=arm, duration=4.0, events=events)
+    for name, events in (
+        ("30 g", []),
+        ("30 g, then 20 g", [fl.PayloadChange(time=0.6, payload=0.020)]),
+    ):
+        run = fl.simulate(
+            fl.discretize(design), move, arm=arm, duration=4.0, events=events
+        )
         print(f"{name}: {run.verdict}, settles in {run.metrics.settling_time:.2f} s")
     fl.save(run, folder / "run.npz")
 

@@ -1,1 +1,3 @@
-"""The source paper recomputed: every printed number, statement and figure, with a verdict for each."""
+"""The source paper recomputed: every printed number, statement and figure, with a
+verdict for each.
+"""

@@ -1,4 +1,6 @@
-"""Recompute the paper: `python -m reproduce [--out FOLDER]` writes RESULTS.md and figures/."""
+"""Recompute the paper: `python -m reproduce [--out FOLDER]` writes RESULTS.md and
+figures/.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,11 @@ HERE = Path(__file__).parent
 
 
 def reproduce(published: Path, out: Path) -> Path:
-    """Recompute the paper from `published`/*.toml; write RESULTS.md and figures/ to `out`, return the former.
+    """Recompute the paper from `published`/*.toml; write RESULTS.md and figures/ to
+    `out`, return the former.
 
-    A second run writes the same bytes. Raises FileFormatError where the files of `published` are missing or
-    wrong.
+    A second run writes the same bytes. Raises FileFormatError where the files of
+    `published` are missing or wrong.
     """
     paper = read_published(published)
     values = computed(paper)
@@ -41,7 +44,9 @@ def reproduce(published: Path, out: Path) -> Path:
 def main(arguments: list[str] | None = None) -> int:
     """Run from the command line; the data are those beside this file."""
     parser = argparse.ArgumentParser(prog="python -m reproduce", description=__doc__)
-    parser.add_argument("--out", type=Path, default=HERE, help="folder for RESULTS.md and figures/")
+    parser.add_argument(
+        "--out", type=Path, default=HERE, help="folder for RESULTS.md and figures/"
+    )
     sys.stdout.write(f"{reproduce(HERE, parser.parse_args(arguments).out)}\n")
     return 0
 

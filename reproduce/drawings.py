@@ -21,18 +21,33 @@ class _Board:
 
     axes: Axes
 
-    def box(self, x: float, y: float, width: float, text: str, color: str = INK) -> None:
+    def box(
+        self, x: float, y: float, width: float, text: str, color: str = INK
+    ) -> None:
         """A box with its centre at (x, y), half an inch high."""
         from matplotlib.patches import Rectangle
 
-        place = Rectangle((x - width / 2, y - 0.25), width, 0.5, fill=False, edgecolor=color, linewidth=1.1)
+        place = Rectangle(
+            (x - width / 2, y - 0.25),
+            width,
+            0.5,
+            fill=False,
+            edgecolor=color,
+            linewidth=1.1,
+        )
         self.axes.add_patch(place)
         self.axes.text(x, y, text, ha="center", va="center", fontsize=8.5, color=color)
 
     def sum(self, x: float, y: float, *signs: tuple[float, float, str]) -> None:
         """A circle where signals add, with (dx, dy, sign) beside it."""
         self.axes.plot(
-            x, y, "o", markersize=11, markerfacecolor="none", markeredgecolor=INK, markeredgewidth=1.1
+            x,
+            y,
+            "o",
+            markersize=11,
+            markerfacecolor="none",
+            markeredgecolor=INK,
+            markeredgewidth=1.1,
         )
         for dx, dy, sign in signs:
             self.axes.text(x + dx, y + dy, sign, ha="center", va="center", fontsize=8.5)
@@ -45,7 +60,13 @@ class _Board:
             "",
             points[-1],
             xytext=points[-2],
-            arrowprops={"arrowstyle": "-|>", "color": color, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0},
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": color,
+                "linewidth": 1.0,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            },
         )
 
     def name(self, x: float, y: float, text: str, color: str = INK) -> None:
@@ -141,7 +162,9 @@ def loop_drawings() -> list[Picture]:
     return [_drawn(*row) for row in rows]
 
 
-def _drawn(number: int, name: str, draw: Callable[[_Board], None], height: float, caption: str) -> Picture:
+def _drawn(
+    number: int, name: str, draw: Callable[[_Board], None], height: float, caption: str
+) -> Picture:
     with figure(WIDTH, height) as drawing:
         axes = drawing.subplots()
         axes.set(xlim=(0, WIDTH), ylim=(0, height), facecolor="none")

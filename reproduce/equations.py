@@ -1,12 +1,14 @@
-"""Each numbered equation evaluated at random points: as printed, by the code that is it, and independently.
+"""Each numbered equation evaluated at random points: as printed, by the code that is
+it, and independently.
 
     right     print and code agree with the independent expression at every point
     misprint  the code does, the print does not
 
-The independent expression shares no algebra with the other two: it solves the physical equations as a linear
-system, differentiates numerically, finds a crossing by bisection, or maximises a modulus. The code of a row
-is whatever equations.toml names; it is looked up by that name and called, so a row that names another
-function, or another verdict, fails.
+The independent expression shares no algebra with the other two: it solves the physical
+equations as a linear system, differentiates numerically, finds a crossing by bisection,
+or maximises a modulus. The code of a row is whatever equations.toml names; it is looked
+up by that name and called, so a row that names another function, or another verdict,
+fails.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ CHECKS: Mapping[str, Check] = {**MODEL, **CONTROL, **DESIGN}
 
 @dataclass(frozen=True)
 class Found:
-    """The largest relative difference of print and of code from the independent expression."""
+    """The largest relative difference of print and of code from the independent
+    expression.
+    """
 
     printed: float
     code: float
@@ -47,7 +51,9 @@ class Found:
 
 
 def code_of(name: str) -> Any:
-    """The object that a dotted name means; AttributeError or ModuleNotFoundError where there is none."""
+    """The object that a dotted name means; AttributeError or ModuleNotFoundError where
+    there is none.
+    """
     parts = name.split(".")
     for cut in range(len(parts), 0, -1):
         try:
@@ -61,13 +67,16 @@ def code_of(name: str) -> Any:
 
 
 def measured(equation: Equation) -> Found:
-    """Evaluate an equation's three sides at its random points; the same points on every run."""
+    """Evaluate an equation's three sides at its random points; the same points on every
+    run.
+    """
     check, code = CHECKS[equation.number], code_of(equation.code)
     draw = np.random.default_rng([_SEED, int(equation.number.strip("()"))])
     printed, own = 0.0, 0.0
     for _ in range(check.points):
         first, second, true = (
-            np.atleast_1d(np.asarray(side, dtype=complex)).ravel() for side in check.sides(code, draw)
+            np.atleast_1d(np.asarray(side, dtype=complex)).ravel()
+            for side in check.sides(code, draw)
         )
         # An element that vanishes is compared with the largest one.
         size = np.maximum(np.abs(true), 1e-9 * float(np.max(np.abs(true))))

@@ -1,4 +1,6 @@
-"""Equations (1) and (19) to (33): motor, inner loop, control law, closed loop, offset and noise."""
+"""Equations (1) and (19) to (33): motor, inner loop, control law, closed loop, offset
+and noise.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ Draw = np.random.Generator
 
 @dataclass(frozen=True)
 class _Placed:
-    """A random motor, a pole p, and PID coefficients by a linear system for the closed polynomial."""
+    """A random motor, a pole p, and PID coefficients by a linear system for the closed
+    polynomial.
+    """
 
     motor: Motor
     pole: float
@@ -35,8 +39,14 @@ class _Placed:
     def plant(self) -> complex:
         """Gm(s) from the two differential equations, speed and angle."""
         m = self.motor
-        matrix = np.array([[m.inertia * self.s + m.viscous_friction, 0.0], [-1.0, self.s]])
-        return complex(np.linalg.solve(matrix, np.array([m.torque_constant, 0.0], dtype=complex))[1])
+        matrix = np.array(
+            [[m.inertia * self.s + m.viscous_friction, 0.0], [-1.0, self.s]]
+        )
+        return complex(
+            np.linalg.solve(matrix, np.array([m.torque_constant, 0.0], dtype=complex))[
+                1
+            ]
+        )
 
     @property
     def ideal(self) -> complex:
@@ -50,7 +60,9 @@ class _Placed:
         m, p = self.motor, self.pole
         gain, decay = m.torque_constant / m.inertia, m.viscous_friction / m.inertia
         names = ("c", "a0", "a1", "a2", "b0", "b1")
-        rows = [  # of s³, s², s and 1 of the closed polynomial; then the zeros, a1 = 2p a2 and a0 = p² a2
+        # of s³, s², s and 1 of the closed polynomial; then the zeros, a1 = 2p a2 and a0
+        # = p² a2
+        rows = [
             ([1, 0, 0, 0, 0, 0], 4 * p - decay),
             ([decay, 0, 0, gain, 0, gain], 6 * p**2),
             ([0, 0, gain, 0, gain, 0], 4 * p**3),
@@ -58,7 +70,10 @@ class _Placed:
             ([0, 0, 1, -2 * p, 0, 0], 0.0),
             ([0, 1, 0, -(p**2), 0, 0], 0.0),
         ]
-        found = np.linalg.solve(np.array([row for row, _ in rows], dtype=float), [right for _, right in rows])
+        found = np.linalg.solve(
+            np.array([row for row, _ in rows], dtype=float),
+            [right for _, right in rows],
+        )
         return dict(zip(names, (float(x) for x in found), strict=True))
 
     def parts(self) -> tuple[complex, complex]:
@@ -69,7 +84,9 @@ class _Placed:
 
 
 def _placed(draw: Draw) -> _Placed:
-    motor = Motor(draw.uniform(1e-5, 1e-3), draw.uniform(1e-4, 1e-2), draw.uniform(0.05, 1.0))
+    motor = Motor(
+        draw.uniform(1e-5, 1e-3), draw.uniform(1e-4, 1e-2), draw.uniform(0.05, 1.0)
+    )
     pole = float(draw.uniform(1.0, 10.0)) * max(motor.decay, 5.0)
     return _Placed(motor, pole, somewhere(draw, pole))
 
@@ -77,7 +94,9 @@ def _placed(draw: Draw) -> _Placed:
 def _motor(code: Any, draw: Draw) -> Sides:
     at = _placed(draw)
     s, m = at.s, at.motor
-    printed = (m.torque_constant / m.inertia) / (s * (s + m.viscous_friction / m.inertia))
+    printed = (m.torque_constant / m.inertia) / (
+        s * (s + m.viscous_friction / m.inertia)
+    )
     own = code(m.inertia, m.viscous_friction, m.torque_constant)
     return printed, own.gain / (s * (s + own.decay)), at.plant
 
@@ -133,22 +152,33 @@ class _Outer:
     def correction(self) -> complex:
         """Ĉ(s), in polar form."""
         k = self.controller
-        return k.gain * power(self.s, k.order) / (1.0 + k.filter_time * self.s) ** k.filter_order
+        return (
+            k.gain
+            * power(self.s, k.order)
+            / (1.0 + k.filter_time * self.s) ** k.filter_order
+        )
 
     @property
     def motor(self) -> complex:
         """M(s)."""
         return 1.0 / (1.0 + self.lag * self.s) ** 2
 
-    def solved(self, *, motor: complex | None = None, correction: complex | None = None) -> Complex:
-        """P(s): θt, θm* for θt* = 1 and for d = 1, from Newton's law, gauge, motor loop and control law.
+    def solved(
+        self, *, motor: complex | None = None, correction: complex | None = None
+    ) -> Complex:
+        """P(s): θt, θm* for θt* = 1 and for d = 1, from Newton's law, gauge, motor loop
+        and control law.
 
-        Unknowns θt, θm, Γ, θm*. The law in Ĉ: θm* = θt* + (s^λ/ω₀²) θt* + Ĉ (θt* − θtᵉ).
+        Unknowns θt, θm, Γ, θm*. The law in Ĉ: θm* = θt* + (s^λ/ω₀²) θt* + Ĉ (θt* −
+        θtᵉ).
         """
         m = self.motor if motor is None else motor
         k = self.correction if correction is None else correction
         c, heavy = self.link.stiffness, self.link.inertia * self.inertia
-        matrix = np.array([[heavy, 0, -1, 0], [c, -c, 1, 0], [0, 1, 0, -m], [0, k, -k / c, 1]], dtype=complex)
+        matrix = np.array(
+            [[heavy, 0, -1, 0], [c, -c, 1, 0], [0, 1, 0, -m], [0, k, -k / c, 1]],
+            dtype=complex,
+        )
         ahead = 1.0 + self.inertia * self.link.inertia / c + k
         right = np.array([[0, 0], [0, 0], [0, 0], [ahead, -k]], dtype=complex)
         found = np.linalg.solve(matrix, right)
@@ -156,7 +186,12 @@ class _Outer:
 
     def printed(self, *, divided: bool) -> Complex:
         """(24) or (25) as they are printed, with s^λ where s^λ/ω₀² should be."""
-        square, c, m, x = self.link.natural**2, 1.0 + self.correction, self.motor, self.inertia
+        square, c, m, x = (
+            self.link.natural**2,
+            1.0 + self.correction,
+            self.motor,
+            self.inertia,
+        )
         if divided:
             tip = square / (x + square)
             rows = [[m * tip * (c + x), -m * tip * (c - 1)], [c + x, -c + 1]]
@@ -177,11 +212,15 @@ def _outer(draw: Draw, *, axis: bool = False) -> _Outer:
         filter_order=int(draw.integers(1, 3)),
     )
     s = somewhere(draw, link.natural ** (2.0 / link.order))
-    return _Outer(link, controller, float(draw.uniform(0.002, 0.05)), 1j * abs(s) if axis else s)
+    return _Outer(
+        link, controller, float(draw.uniform(0.002, 0.05)), 1j * abs(s) if axis else s
+    )
 
 
 def _law(code: Any, draw: Draw) -> Sides:
-    """(22): what the law makes of θt* and of d, with M = 1; θt = θt* is what the linearisation is for."""
+    """(22): what the law makes of θt* and of d, with M = 1; θt = θt* is what the
+    linearisation is for.
+    """
     at = _outer(draw)
     square = at.link.natural**2
     tip, x, c = square / (at.inertia + square), at.inertia, 1.0 + at.correction
@@ -195,7 +234,9 @@ def _law(code: Any, draw: Draw) -> Sides:
         return reference + (x * reference + c * (reference - estimate))
 
     true = at.solved(motor=1.0)
-    own = closed(lambda reference, estimate: code(reference, estimate, x, at.link.natural, c))
+    own = closed(
+        lambda reference, estimate: code(reference, estimate, x, at.link.natural, c)
+    )
     return closed(printed), own, [1.0, true[0, 1]]
 
 
@@ -204,7 +245,11 @@ def _estimate(code: Any, draw: Draw) -> Sides:
     at, disturbance = _outer(draw), complex(draw.normal(), draw.normal())
     tip, torque = at.link.solved(at.s)
     c = at.link.stiffness
-    return 1.0 - torque / c - disturbance / c, code(1.0, torque, disturbance, c), tip - disturbance / c
+    return (
+        1.0 - torque / c - disturbance / c,
+        code(1.0, torque, disturbance, c),
+        tip - disturbance / c,
+    )
 
 
 def _matrix(divided: bool) -> Check:
@@ -212,7 +257,9 @@ def _matrix(divided: bool) -> Check:
 
     def sides(code: Any, draw: Draw) -> Sides:
         at = _outer(draw)
-        own = code(at.inertia, at.link.natural, 1.0 + at.correction, at.motor, divided=divided)
+        own = code(
+            at.inertia, at.link.natural, 1.0 + at.correction, at.motor, divided=divided
+        )
         return at.printed(divided=divided), own, at.solved()
 
     return Check(sides)
@@ -252,7 +299,9 @@ def _with_one(code: Any, draw: Draw) -> Sides:
     """(28), (56), (57): C(s) = 1 + Ĉ(s), and C(0) = 1."""
     at = _outer(draw)
     k, own = at.controller, code(at.controller)
-    printed = 1.0 + k.gain * at.s**k.order / (1.0 + k.filter_time * at.s) ** k.filter_order
+    printed = (
+        1.0 + k.gain * at.s**k.order / (1.0 + k.filter_time * at.s) ** k.filter_order
+    )
     return [printed, 1.0], [own(at.s), own(0j)], [1.0 + at.correction, 1.0]
 
 
@@ -260,7 +309,11 @@ def _without_filter(code: Any, draw: Draw) -> Sides:
     """(56)."""
     at = _outer(draw)
     k = at.controller.without_filter()
-    return 1.0 + k.gain * at.s**k.order, code(k)(at.s), 1.0 + k.gain * power(at.s, k.order)
+    return (
+        1.0 + k.gain * at.s**k.order,
+        code(k)(at.s),
+        1.0 + k.gain * power(at.s, k.order),
+    )
 
 
 def _reference_of_disturbance(*, modulus: bool = False, hat: bool = False) -> Check:
@@ -277,7 +330,11 @@ def _reference_of_disturbance(*, modulus: bool = False, hat: bool = False) -> Ch
             return at.printed(divided=False)[1, 1], own, true
         w, order = abs(at.s), at.link.order
         turned = square * np.exp(-0.5j * math.pi * order)
-        printed = abs(k) * abs(1 + turned / w**order) / abs(1 + turned * (w**-order + m * k * w**-order))
+        printed = (
+            abs(k)
+            * abs(1 + turned / w**order)
+            / abs(1 + turned * (w**-order + m * k * w**-order))
+        )
         return printed, abs(own), abs(true)
 
     return Check(sides)
@@ -288,11 +345,18 @@ def _proper(code: Any, draw: Draw) -> Sides:
     at = _outer(draw, axis=True)
 
     def falls(value: Any) -> float:
-        far, near = (abs(value(_Outer(at.link, at.controller, at.lag, 1j * w))) for w in (1e12, 1e9))
+        far, near = (
+            abs(value(_Outer(at.link, at.controller, at.lag, 1j * w)))
+            for w in (1e12, 1e9)
+        )
         return float(far < 0.99 * near)
 
     printed = falls(lambda place: place.correction)
-    return printed + 1.0, float(code(at.controller)) + 1.0, falls(lambda place: place.solved()[1, 1]) + 1.0
+    return (
+        printed + 1.0,
+        float(code(at.controller)) + 1.0,
+        falls(lambda place: place.solved()[1, 1]) + 1.0,
+    )
 
 
 def _derivative(code: Any, draw: Draw) -> Sides:

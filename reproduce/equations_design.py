@@ -1,4 +1,6 @@
-"""Equations (34) to (60): open loop, lemma and theorems, and the procedure with what it gives."""
+"""Equations (34) to (60): open loop, lemma and theorems, and the procedure with what it
+gives.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,15 @@ from scipy.optimize import brentq
 from fraclink._arm.loop import Loop
 from fraclink._design.assess import PRINTED
 from reproduce import designs, forms
-from reproduce.points import Check, Mass, Sides, crossing_at, power, random_crossing, slope_of
+from reproduce.points import (
+    Check,
+    Mass,
+    Sides,
+    crossing_at,
+    power,
+    random_crossing,
+    slope_of,
+)
 
 __all__ = ["DESIGN"]
 
@@ -42,7 +52,9 @@ def _bracket(at: Crossing, w: float) -> complex:
 
 
 def _phase(at: Crossing, w: float) -> float:
-    """The phase of L at ω, followed from ω → 0 on: no branch of an arc tangent is chosen."""
+    """The phase of L at ω, followed from ω → 0 on: no branch of an arc tangent is
+    chosen.
+    """
     mode = at.natural ** (2.0 / at.order)
     grid = np.unique(np.append(np.geomspace(1e-4 * mode, 1e4 * mode, 1500), w))
     turns = np.unwrap(np.angle([_value(at, x) for x in grid[grid <= w]]))
@@ -60,7 +72,9 @@ def _open(code: Any, draw: Draw) -> Sides:
     """(34)."""
     at = random_crossing(draw)
     w = _frequency(draw, at)
-    printed = at.gain * (1j * w) ** at.beta * at.square / ((1j * w) ** at.order + at.square)
+    printed = (
+        at.gain * (1j * w) ** at.beta * at.square / ((1j * w) ** at.order + at.square)
+    )
     own = code(gain=at.gain, order=at.beta, link_order=at.order)(w, at.natural)
     return printed, own, _value(at, w)
 
@@ -78,7 +92,11 @@ def _phase_slope(code: Any, draw: Draw) -> Sides:
     """(36)."""
     at = random_crossing(draw)
     w, angle = _frequency(draw, at), 0.5 * math.pi * at.order
-    size = w ** (2 * at.order) + 2 * at.square * math.cos(angle) * w**at.order + at.square**2
+    size = (
+        w ** (2 * at.order)
+        + 2 * at.square * math.cos(angle) * w**at.order
+        + at.square**2
+    )
     printed = -at.order * at.square * math.sin(angle) * w ** (at.order - 1) / size
     true = slope_of(lambda x: cmath.phase(_value(at, x) / _value(at, w)), w, 1e-4)
     return printed, float(code(_loop_of(at), w, at.natural).imag) / w, true
@@ -90,7 +108,9 @@ def _positive(code: Any, draw: Draw) -> Sides:
     w = _frequency(draw, at)
     found = code(w, at.natural, at.order)
     p = w**at.order
-    printed = p**2 + 2 * at.square * math.cos(0.5 * math.pi * at.order) * p + at.square**2
+    printed = (
+        p**2 + 2 * at.square * math.cos(0.5 * math.pi * at.order) * p + at.square**2
+    )
     true = abs(_bracket(at, w)) ** 2, (abs(power(1j * w, at.order)) - at.square) ** 2
     holds = [float(a >= b >= 0.0) for a, b in (found, (printed, (p - at.square) ** 2))]
     return [printed, (p - at.square) ** 2, holds[1]], [*found, holds[0]], [*true, 1.0]
@@ -101,7 +121,10 @@ def _homothety(code: Any, draw: Draw) -> Sides:
     at = random_crossing(draw)
     x = float(draw.uniform(0.3, 4.0))
     printed = (
-        at.gain * at.natural ** (2 * at.beta / at.order) * (1j * x) ** at.beta / ((1j * x) ** at.order + 1)
+        at.gain
+        * at.natural ** (2 * at.beta / at.order)
+        * (1j * x) ** at.beta
+        / ((1j * x) ** at.order + 1)
     )
     w = x * at.natural ** (2.0 / at.order)
     own = code(gain=at.gain, order=at.beta, link_order=at.order)(w, at.natural)
@@ -112,7 +135,9 @@ def _homothety(code: Any, draw: Draw) -> Sides:
 
 
 def _bound(code: Any, draw: Draw) -> Sides:
-    """(39): its bound is where the measured torque resonates, found as a maximum of |Γ|."""
+    """(39): its bound is where the measured torque resonates, found as a maximum of
+    |Γ|.
+    """
     at = random_crossing(draw)
     link = _link_of(at)
     printed = (-at.square / math.cos(0.5 * math.pi * at.order)) ** (1.0 / at.order)
@@ -121,14 +146,22 @@ def _bound(code: Any, draw: Draw) -> Sides:
     def rising(w: float) -> float:
         return slope_of(lambda x: -1.0 / abs(link.solved(1j * x)[1]), w, 1e-3)
 
-    return printed, code(_loop_of(at), at.natural), brentq(rising, 0.5 * mode, 20.0 * mode, xtol=1e-13)
+    return (
+        printed,
+        code(_loop_of(at), at.natural),
+        brentq(rising, 0.5 * mode, 20.0 * mode, xtol=1e-13),
+    )
 
 
 def _condition(code: Any, draw: Draw) -> Sides:
-    """(40), (50): the real part of what G is divided by, negative just where (39) holds."""
+    """(40), (50): the real part of what G is divided by, negative just where (39)
+    holds.
+    """
     at = random_crossing(draw)
     elsewhere = Crossing(at.gain, at.beta, at.order, at.natural, _frequency(draw, at))
-    printed = at.square + math.cos(0.5 * math.pi * at.order) * elsewhere.frequency**at.order
+    printed = (
+        at.square + math.cos(0.5 * math.pi * at.order) * elsewhere.frequency**at.order
+    )
     right = float(elsewhere.frequency > _loop_of(at).sufficient(at.natural))
     own = code(elsewhere)
     true = _bracket(at, elsewhere.frequency).real
@@ -159,10 +192,17 @@ def _crossing(code: Any, draw: Draw) -> Sides:
     found = code(_loop_of(at), at.natural)
     w, phase = float(found.frequency[-1]), float(found.phase[-1])
     printed = (
-        at.gain * (1j * at.frequency) ** at.beta * at.square / ((1j * at.frequency) ** at.order + at.square)
+        at.gain
+        * (1j * at.frequency) ** at.beta
+        * at.square
+        / ((1j * at.frequency) ** at.order + at.square)
     )
     own = [-cmath.exp(1j * (phase + math.pi)), w]
-    return [printed, at.frequency], own, [-cmath.exp(1j * _margin(at)), crossing_at(at, at.natural).frequency]
+    return (
+        [printed, at.frequency],
+        own,
+        [-cmath.exp(1j * _margin(at)), crossing_at(at, at.natural).frequency],
+    )
 
 
 def _modulus(code: Any, draw: Draw) -> Sides:
@@ -182,7 +222,11 @@ def _phase_margin(code: Any, draw: Draw) -> Sides:
     angle = 0.5 * math.pi * at.order
     ratio = math.sin(angle) * at.power / (math.cos(angle) * at.power + at.square)
     printed = 0.5 * math.pi * at.beta + math.pi - math.atan(ratio)
-    return printed, float(code(_loop_of(at), at.natural).phase[-1]) + math.pi, _margin(at)
+    return (
+        printed,
+        float(code(_loop_of(at), at.natural).phase[-1]) + math.pi,
+        _margin(at),
+    )
 
 
 # ---- the derivatives by ω₀ --------------------------------------------------------------------------------
@@ -198,7 +242,9 @@ def _angle(at: Crossing, other: Crossing) -> float:
     return cmath.phase(_value(other, other.frequency) / _value(at, at.frequency))
 
 
-def _derived(code: Callable[[Crossing], Any], true: Callable[[Crossing], Any], draw: Draw) -> Sides:
+def _derived(
+    code: Callable[[Crossing], Any], true: Callable[[Crossing], Any], draw: Draw
+) -> Sides:
     """What is printed is the code: these rows have no other form."""
     at = random_crossing(draw)
     own = code(at)
@@ -206,7 +252,9 @@ def _derived(code: Callable[[Crossing], Any], true: Callable[[Crossing], Any], d
 
 
 def _rate_of_margin(at: Crossing) -> float:
-    return slope_of(lambda natural: _angle(at, crossing_at(at, natural)), at.natural, 1e-3)
+    return slope_of(
+        lambda natural: _angle(at, crossing_at(at, natural)), at.natural, 1e-3
+    )
 
 
 def _rate_of_crossover(at: Crossing) -> float:
@@ -218,11 +266,15 @@ def _rate_of_reserve(at: Crossing) -> float:
 
 
 def _differentials(at: Crossing) -> list[float]:
-    """Half the partial derivatives of k_d² ω_c^(2β) ω₀⁴ − |(jω_c)^λ + ω₀²|², by ω₀ and by ω_c."""
+    """Half the partial derivatives of k_d² ω_c^(2β) ω₀⁴ − |(jω_c)^λ + ω₀²|², by ω₀ and
+    by ω_c.
+    """
 
     def balance(natural: float, w: float) -> float:
         item = Crossing(at.gain, at.beta, at.order, natural, w)
-        return float(at.gain**2 * w ** (2 * at.beta) * natural**4 - abs(_bracket(item, w)) ** 2)
+        return float(
+            at.gain**2 * w ** (2 * at.beta) * natural**4 - abs(_bracket(item, w)) ** 2
+        )
 
     return [
         0.5 * slope_of(lambda x: balance(x, at.frequency), at.natural, 1e-3),
@@ -230,7 +282,9 @@ def _differentials(at: Crossing) -> list[float]:
     ]
 
 
-def _row(true: Callable[[Crossing], Any], also: Callable[[Crossing], float] | None = None) -> Check:
+def _row(
+    true: Callable[[Crossing], Any], also: Callable[[Crossing], float] | None = None
+) -> Check:
     """A check of a derivative; `also` is the rate of ω_c that (45) and (51) are given."""
 
     def sides(code: Any, draw: Draw) -> Sides:
@@ -240,7 +294,9 @@ def _row(true: Callable[[Crossing], Any], also: Callable[[Crossing], float] | No
 
 
 def _with_gain(code: Any, draw: Draw) -> Sides:
-    """(46) is the differential of (43) beside a crossing, too, where k_d cannot be taken out."""
+    """(46) is the differential of (43) beside a crossing, too, where k_d cannot be
+    taken out.
+    """
     at = random_crossing(draw)
     beside = replace(at, gain=at.gain * float(draw.uniform(1.2, 3.0)))
     own = code(beside)
@@ -260,7 +316,12 @@ def _integral(code: Any, draw: Draw) -> Sides:
     end = at.natural * float(draw.uniform(1.1, 2.0))
     nodes, weights = np.polynomial.legendre.leggauss(20)
     half = 0.5 * (end - at.natural)
-    rates = np.array([forms.rate_of_reserve(crossing_at(at, at.natural + half * (1 + x))) for x in nodes])
+    rates = np.array(
+        [
+            forms.rate_of_reserve(crossing_at(at, at.natural + half * (1 + x)))
+            for x in nodes
+        ]
+    )
     own = code(at, rates, half * weights)
     last = crossing_at(at, end)
     return own, own, _bracket(last, last.frequency).real
@@ -269,7 +330,9 @@ def _integral(code: Any, draw: Draw) -> Sides:
 # ---- the procedure ----------------------------------------------------------------------------------------
 
 
-def _solved(order: float, low: float, high: float, crossover: float, margin: float) -> tuple[float, ...]:
+def _solved(
+    order: float, low: float, high: float, crossover: float, margin: float
+) -> tuple[float, ...]:
     """χ, β, k_d and ω̄_c of (54), (55), by bisection on the modulus of (55)."""
 
     def link(natural: float, w: float) -> complex:
@@ -281,7 +344,11 @@ def _solved(order: float, low: float, high: float, crossover: float, margin: flo
         return 2.0 / math.pi * (margin - math.pi - cmath.phase(link(high, w)))
 
     def level(w: float) -> float:
-        return math.log(chi) + beta(w) * math.log(w / crossover) + math.log(abs(link(high, w)))
+        return (
+            math.log(chi)
+            + beta(w) * math.log(w / crossover)
+            + math.log(abs(link(high, w)))
+        )
 
     # Right of the resonance of the lightest payload the modulus falls through one once.
     start = high ** (2.0 / order) * 1.02
@@ -293,7 +360,13 @@ def _task(draw: Draw) -> tuple[float, ...]:
     """λ, both ω₀, ω_c and φ_m that the procedure can meet."""
     low = float(draw.uniform(8.0, 12.0))
     high = low * float(draw.uniform(1.2, 1.45))
-    return 1.92, low, high, low * float(draw.uniform(1.6, 2.0)), math.radians(float(draw.uniform(55.0, 72.0)))
+    return (
+        1.92,
+        low,
+        high,
+        low * float(draw.uniform(1.6, 2.0)),
+        math.radians(float(draw.uniform(55.0, 72.0))),
+    )
 
 
 def _gain(code: Any, draw: Draw) -> Sides:
@@ -303,7 +376,11 @@ def _gain(code: Any, draw: Draw) -> Sides:
     p, cosine = crossover**order, math.cos(0.5 * math.pi * order)
     printed = math.sqrt(p**2 + 2 * cosine * low**2 * p + low**4) / low**2
     own = code(low, high, math.sqrt(low * high), crossover=crossover, margin=margin)
-    return [printed, printed / crossover**beta], [own.chi, own.controller.gain], [chi, gain]
+    return (
+        [printed, printed / crossover**beta],
+        [own.chi, own.controller.gain],
+        [chi, gain],
+    )
 
 
 def _upper(code: Any, draw: Draw) -> Sides:
@@ -312,7 +389,9 @@ def _upper(code: Any, draw: Draw) -> Sides:
     chi, beta, _, upper = _solved(order, low, high, crossover, margin)
 
     def left(beta: float, w: float) -> complex:
-        return chi * (1j * w / crossover) ** beta * high**2 / ((1j * w) ** order + high**2)
+        return (
+            chi * (1j * w / crossover) ** beta * high**2 / ((1j * w) ** order + high**2)
+        )
 
     own = code(low, high, math.sqrt(low * high), crossover=crossover, margin=margin)
     found = own.controller.order, own.gain_crossover_upper
@@ -321,13 +400,18 @@ def _upper(code: Any, draw: Draw) -> Sides:
 
 
 def _table_1() -> tuple[float, float, float, float]:
-    """k_d, β, δ and ω_c of section 7.1 from the inputs of Table 1, δ by bisection on the 10 % rule, n = 2."""
+    """k_d, β, δ and ω_c of section 7.1 from the inputs of Table 1, δ by bisection on
+    the 10 % rule, n = 2.
+    """
     margin = math.radians(designs.MARGIN_DEG)
     _, beta, gain, _ = _solved(1.92, 9.42, 14.14, designs.CROSSOVER, margin)
 
     def lost(delta: float) -> float:
         def value(w: float) -> complex:
-            return forms.loop_value(w, gain, beta, 1.92, 14.14) / (1.0 + 1j * w * delta) ** 2
+            return (
+                forms.loop_value(w, gain, beta, 1.92, 14.14)
+                / (1.0 + 1j * w * delta) ** 2
+            )
 
         w = brentq(lambda x: math.log(abs(value(x))), 17.0, 60.0, xtol=1e-12)
         return cmath.phase(-value(float(w))) - 0.9 * margin
@@ -337,7 +421,9 @@ def _table_1() -> tuple[float, float, float, float]:
 
 
 def _controller(number: str, integer: bool) -> Check:
-    """(58), (59): the printed controller against what (54), (55), the 10 % rule and (42) give."""
+    """(58), (59): the printed controller against what (54), (55), the 10 % rule and
+    (42) give.
+    """
 
     def sides(code: Any, draw: Draw) -> Sides:
         w = float(draw.uniform(5.0, 60.0))
@@ -360,7 +446,10 @@ def _four_loops(code: Any, draw: Draw) -> Sides:
     payload, w = float(draw.uniform(0.008, 0.045)), float(draw.uniform(5.0, 60.0))
     arm, s = designs.rig(), 1j * w
     tip = Mass(arm.link.stiffness, payload, arm.link.length, designs.ORDER).solved(s)[0]
-    hats = [item.gain * power(s, item.order) / (1.0 + item.filter_time * s) ** 2 for item in PRINTED.values()]
+    hats = [
+        item.gain * power(s, item.order) / (1.0 + item.filter_time * s) ** 2
+        for item in PRINTED.values()
+    ]
     servo = 80.0**2 / (s + 80.0) ** 2
     true = [hat * tip * motor for motor in (1.0, servo) for hat in hats]
     own = [

@@ -45,7 +45,11 @@ def _deflection(code: Any, draw: Draw) -> Sides:
     link = mass(draw)
     s = _place(draw, link)
     tip = link.solved(s)[0]
-    return link.stiffness * (1.0 - tip), code(link.link)(s), link.inertia * power(s, link.order) * tip
+    return (
+        link.stiffness * (1.0 - tip),
+        code(link.link)(s),
+        link.inertia * power(s, link.order) * tip,
+    )
 
 
 def _tip(order: float | None) -> Check:
@@ -60,13 +64,23 @@ def _tip(order: float | None) -> Check:
 def _natural(code: Any, draw: Draw) -> Sides:
     """(5): the eigenvalues of the undamped oscillator."""
     link, rig = mass(draw, order=2.0), designs.rig()
-    changed = replace(rig, link=replace(rig.link, stiffness=link.stiffness, length=link.length))
+    changed = replace(
+        rig, link=replace(rig.link, stiffness=link.stiffness, length=link.length)
+    )
     matrix = np.array([[0.0, 1.0], [-link.stiffness / link.inertia, 0.0]])
     true = float(np.max(np.linalg.eigvals(matrix).imag))
-    return math.sqrt(link.stiffness / (link.payload * link.length**2)), code(changed, link.payload), true
+    return (
+        math.sqrt(link.stiffness / (link.payload * link.length**2)),
+        code(changed, link.payload),
+        true,
+    )
 
 
-def _torque(order: float | None, damping: tuple[float, float] = (0.0, 0.0), viscous: bool = False) -> Check:
+def _torque(
+    order: float | None,
+    damping: tuple[float, float] = (0.0, 0.0),
+    viscous: bool = False,
+) -> Check:
     """(6), (10), (15), (16)."""
 
     def sides(code: Any, draw: Draw) -> Sides:
@@ -91,8 +105,14 @@ def _modulus(link: Mass, w: float) -> float:
 def _response(code: Any, draw: Draw) -> Sides:
     """(11)."""
     link = mass(draw)
-    w, square, angle = _frequency(draw, link), link.natural**2, 0.5 * math.pi * link.order
-    printed = square / (w**link.order * (math.cos(angle) + 1j * math.sin(angle)) + square)
+    w, square, angle = (
+        _frequency(draw, link),
+        link.natural**2,
+        0.5 * math.pi * link.order,
+    )
+    printed = square / (
+        w**link.order * (math.cos(angle) + 1j * math.sin(angle)) + square
+    )
     return printed, code(link.link)(1j * w), link.solved(1j * w)[0]
 
 
@@ -110,40 +130,64 @@ def _derivative(code: Any, draw: Draw) -> Sides:
     link = mass(draw)
     w = _frequency(draw, link)
     printed = w**link.order + link.natural**2 * math.cos(0.5 * math.pi * link.order)
-    return printed, code(w, link.natural, link.order), slope_of(lambda x: _modulus(link, x), w, 1e-4)
+    return (
+        printed,
+        code(w, link.natural, link.order),
+        slope_of(lambda x: _modulus(link, x), w, 1e-4),
+    )
 
 
 def _resonance(code: Any, draw: Draw) -> Sides:
     """(14): where the numerical derivative of |f|² changes its sign."""
     link = mass(draw, order=float(draw.uniform(1.2, 1.98)))
-    printed = (-(link.natural**2) * math.cos(0.5 * math.pi * link.order)) ** (1.0 / link.order)
+    printed = (-(link.natural**2) * math.cos(0.5 * math.pi * link.order)) ** (
+        1.0 / link.order
+    )
     scale = link.natural ** (2.0 / link.order)
     true = brentq(
-        lambda x: slope_of(lambda w: _modulus(link, w), x, 1e-3), 0.1 * scale, 2.0 * scale, xtol=1e-13
+        lambda x: slope_of(lambda w: _modulus(link, w), x, 1e-3),
+        0.1 * scale,
+        2.0 * scale,
+        xtol=1e-13,
     )
     return printed, code(link.link), true
 
 
 def _residual(draw: Draw) -> tuple[int, int, float, float]:
-    """k, n, the mean square of a random residual, and its Gaussian log-likelihood at that variance."""
+    """k, n, the mean square of a random residual, and its Gaussian log-likelihood at
+    that variance.
+    """
     n = int(draw.integers(50, 400))
     error = draw.normal(0.0, draw.uniform(0.01, 2.0), n)
     square = float(np.mean(error**2))
-    return int(draw.integers(1, 4)), n, square, float(np.sum(norm.logpdf(error, scale=math.sqrt(square))))
+    return (
+        int(draw.integers(1, 4)),
+        n,
+        square,
+        float(np.sum(norm.logpdf(error, scale=math.sqrt(square)))),
+    )
 
 
 def _likelihood(code: Any, draw: Draw) -> Sides:
     """(17), which is (18) and a constant for Gaussian residuals."""
     k, n, square, likelihood = _residual(draw)
     constant = n * (math.log(2.0 * math.pi) + 1.0)
-    return 2.0 * k - 2.0 * likelihood, code(likelihood, k), 2.0 * k + n * cmath.log(square).real + constant
+    return (
+        2.0 * k - 2.0 * likelihood,
+        code(likelihood, k),
+        2.0 * k + n * cmath.log(square).real + constant,
+    )
 
 
 def _squares(code: Any, draw: Draw) -> Sides:
     """(18), without the constant of (17)."""
     k, n, square, likelihood = _residual(draw)
     constant = n * (math.log(2.0 * math.pi) + 1.0)
-    return 2.0 * k + n * math.log(square), code(square, n, k), 2.0 * k - 2.0 * likelihood - constant
+    return (
+        2.0 * k + n * math.log(square),
+        code(square, n, k),
+        2.0 * k - 2.0 * likelihood - constant,
+    )
 
 
 MODEL: Mapping[str, Check] = {

@@ -1,4 +1,6 @@
-"""The paper's statements in words, each with the measurement that judges it, by the names of claims.toml."""
+"""The paper's statements in words, each with the measurement that judges it, by the
+names of claims.toml.
+"""
 
 from __future__ import annotations
 
@@ -13,4 +15,9 @@ from reproduce.published import Published
 
 __all__ = ["EVIDENCE"]
 
-EVIDENCE: Mapping[str, Callable[[Published], Evidence]] = {**MODEL, **THEOREMS, **MARGINS, **TRACKING}
+EVIDENCE: Mapping[str, Callable[[Published], Evidence]] = {
+    **MODEL,
+    **THEOREMS,
+    **MARGINS,
+    **TRACKING,
+}

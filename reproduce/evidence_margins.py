@@ -1,4 +1,6 @@
-"""Statements of sections 7.1 and 7.3 about crossovers and margins, under every reading of the controllers."""
+"""Statements of sections 7.1 and 7.3 about crossovers and margins, under every reading
+of the controllers.
+"""
 
 from __future__ import annotations
 
@@ -24,33 +26,53 @@ def _every() -> Iterator[Curves]:
 
 
 def _trend(found: Sequence[Crossing], quantity: str, sign: int) -> tuple[bool, str]:
-    """Whether a quantity moves one way over the payloads at which the loop crosses, and its ends."""
-    there = [(m, getattr(item, quantity)) for m, item in zip(SWEEP, found, strict=True) if item.crosses]
+    """Whether a quantity moves one way over the payloads at which the loop crosses, and
+    its ends.
+    """
+    there = [
+        (m, getattr(item, quantity))
+        for m, item in zip(SWEEP, found, strict=True)
+        if item.crosses
+    ]
     if len(there) < 2:
         return False, "no crossing"
     values = [value for _, value in there]
     good = bool(np.all(sign * np.diff(values) > 0))
     peak = max(there, key=lambda item: -sign * item[1])
-    ends = f"{values[0]:.1f}" + ("" if good else f", {peak[1]:.1f} at {1e3 * peak[0]:.0f} g")
-    gone = "" if len(there) == len(SWEEP) else f" (crosses only from {1e3 * there[0][0]:.0f} g on)"
+    ends = f"{values[0]:.1f}" + (
+        "" if good else f", {peak[1]:.1f} at {1e3 * peak[0]:.0f} g"
+    )
+    gone = (
+        ""
+        if len(there) == len(SWEEP)
+        else f" (crosses only from {1e3 * there[0][0]:.0f} g on)"
+    )
     return good, f"{ends}, {values[-1]:.1f}{gone}"
 
 
 def _monotone(quantity: str, sign: int, unit: str, holds: str) -> Evidence:
     rows = []
     for item in _every():
-        found = {name: _trend(loop, quantity, sign) for name, loop in item.loops.items()}
+        found = {
+            name: _trend(loop, quantity, sign) for name, loop in item.loops.items()
+        }
         text = "; ".join(f"{name} {words} {unit}" for name, (_, words) in found.items())
-        rows.append(Reading(item.pair.name, text, judged(good for good, _ in found.values())))
+        rows.append(
+            Reading(item.pair.name, text, judged(good for good, _ in found.values()))
+        )
     return together(rows, f"{holds}; from 8 g to 45 g:")
 
 
 def _monotone_crossover(published: Published) -> Evidence:
-    return _monotone("frequency", -1, "rad/s", "four loops (60), five readings, where they cross")
+    return _monotone(
+        "frequency", -1, "rad/s", "four loops (60), five readings, where they cross"
+    )
 
 
 def _monotone_margin(published: Published) -> Evidence:
-    return _monotone("margin", 1, "°", "four loops (60), five readings, where they cross")
+    return _monotone(
+        "margin", 1, "°", "four loops (60), five readings, where they cross"
+    )
 
 
 def _meeting_at_nominal(published: Published) -> Evidence:
@@ -59,9 +81,14 @@ def _meeting_at_nominal(published: Published) -> Evidence:
         own = last_crossing(pair.fractional, _NOMINAL)
         for order in (designs.ORDER, 2.0):
             other = last_crossing(pair.integer, _NOMINAL, order=order)
-            meets = abs(own.frequency - other.frequency) < 0.1 and abs(own.margin - other.margin) < 0.5
+            meets = (
+                abs(own.frequency - other.frequency) < 0.1
+                and abs(own.margin - other.margin) < 0.5
+            )
             name = f"{pair.name}; L'_M on λ = {order:g}"
-            rows.append(Reading(name, f"L_M {own}, L'_M {other}", HOLDS if meets else NOT))
+            rows.append(
+                Reading(name, f"L_M {own}, L'_M {other}", HOLDS if meets else NOT)
+            )
     return together(rows, "at 30 g; (60) prints λ = 1.92 for both loops")
 
 
@@ -71,15 +98,19 @@ def _compare(
     shown: Callable[[Curves, int], str],
     masses: Sequence[float],
 ) -> Evidence:
-    """One row a reading: the test at each of `masses`, the values at the payloads that section 7 names.
+    """One row a reading: the test at each of `masses`, the values at the payloads that
+    section 7 names.
 
-    A test returns None where a loop does not cross: there is nothing to compare, and the row says so.
+    A test returns None where a loop does not cross: there is nothing to compare, and
+    the row says so.
     """
     rows = []
     for item in _every():
         found = [test(item, SWEEP.index(m)) for m in masses]
         known = [value for value in found if value is not None]
-        text = "; ".join(f"{1e3 * m:.0f} g: {shown(item, SWEEP.index(m))}" for m in _LOW)
+        text = "; ".join(
+            f"{1e3 * m:.0f} g: {shown(item, SWEEP.index(m))}" for m in _LOW
+        )
         if len(known) < len(found):
             text += f"; one of the two does not cross at {len(found) - len(known)} of {len(found)} payloads"
         rows.append(Reading(item.pair.name, text, judged(known) if known else NOT))
@@ -87,11 +118,15 @@ def _compare(
 
 
 def _value(item: Curves, name: str, at: int, quantity: str) -> float:
-    """The quantity of a loop; one that does not cross has none, and no comparison with it is true."""
+    """The quantity of a loop; one that does not cross has none, and no comparison with
+    it is true.
+    """
     return float(getattr(item.loops[name][at], quantity))
 
 
-def _above(first: str, second: str, quantity: str) -> Callable[[Curves, int], bool | None]:
+def _above(
+    first: str, second: str, quantity: str
+) -> Callable[[Curves, int], bool | None]:
     def test(item: Curves, at: int) -> bool | None:
         values = [_value(item, name, at, quantity) for name in (first, second)]
         return None if any(map(math.isnan, values)) else values[0] > values[1]
@@ -99,7 +134,9 @@ def _above(first: str, second: str, quantity: str) -> Callable[[Curves, int], bo
     return test
 
 
-def _both(first: str, second: str, quantity: str, unit: str) -> Callable[[Curves, int], str]:
+def _both(
+    first: str, second: str, quantity: str, unit: str
+) -> Callable[[Curves, int], str]:
     def shown(item: Curves, at: int) -> str:
         pair = [_value(item, name, at, quantity) for name in (first, second)]
         told = ["none" if math.isnan(value) else f"{value:.1f}{unit}" for value in pair]
@@ -109,35 +146,58 @@ def _both(first: str, second: str, quantity: str, unit: str) -> Callable[[Curves
 
 
 def _crossover_order(published: Published) -> Evidence:
-    test, shown = _above("L'_M", "L_M", "frequency"), _both("L'_M", "L_M", "frequency", " rad/s")
+    test, shown = (
+        _above("L'_M", "L_M", "frequency"),
+        _both("L'_M", "L_M", "frequency", " rad/s"),
+    )
     return _compare("at every payload from 8 to 29 g", test, shown, _LIGHT)
 
 
 def _crossover_order_with_motor(published: Published) -> Evidence:
     printed = _compare(
-        "", _above("LM'_M", "L'_M", "frequency"), _both("LM'_M", "L'_M", "frequency", " rad/s"), _LIGHT
+        "",
+        _above("LM'_M", "L'_M", "frequency"),
+        _both("LM'_M", "L'_M", "frequency", " rad/s"),
+        _LIGHT,
     )
     meant = _compare(
-        "", _above("LM'_M", "LM_M", "frequency"), _both("LM'_M", "LM_M", "frequency", " rad/s"), _LIGHT
+        "",
+        _above("LM'_M", "LM_M", "frequency"),
+        _both("LM'_M", "LM_M", "frequency", " rad/s"),
+        _LIGHT,
     )
-    rows = [Reading(f"as printed; {row.name}", row.text, row.verdict) for row in printed.readings]
-    rows += [Reading(f"LM_M for L'_M; {row.name}", row.text, row.verdict) for row in meant.readings]
-    return together(rows, "as printed it contradicts item 2 of the same list; LM_M must be meant")
+    rows = [
+        Reading(f"as printed; {row.name}", row.text, row.verdict)
+        for row in printed.readings
+    ]
+    rows += [
+        Reading(f"LM_M for L'_M; {row.name}", row.text, row.verdict)
+        for row in meant.readings
+    ]
+    return together(
+        rows, "as printed it contradicts item 2 of the same list; LM_M must be meant"
+    )
 
 
 def _motor_lowers_crossover(published: Published) -> Evidence:
     def test(item: Curves, at: int) -> bool | None:
-        found = [_above(f"L{p}_M", f"LM{p}_M", "frequency")(item, at) for p in ("", "'")]
+        found = [
+            _above(f"L{p}_M", f"LM{p}_M", "frequency")(item, at) for p in ("", "'")
+        ]
         known = [value for value in found if value is not None]
         return all(known) if known else None
 
     shown = _both("LM_M", "L_M", "frequency", " rad/s")
-    return _compare("at every payload from 8 to 29 g, for C and C'", test, shown, _LIGHT)
+    return _compare(
+        "at every payload from 8 to 29 g, for C and C'", test, shown, _LIGHT
+    )
 
 
 def _cost_of_motor_loop(published: Published) -> Evidence:
     def cost(item: Curves, at: int, prime: str) -> float:
-        return _value(item, f"L{prime}_M", at, "margin") - _value(item, f"LM{prime}_M", at, "margin")
+        return _value(item, f"L{prime}_M", at, "margin") - _value(
+            item, f"LM{prime}_M", at, "margin"
+        )
 
     def test(item: Curves, at: int) -> bool | None:
         known = [value for p in ("", "'") if not math.isnan(value := cost(item, at, p))]
@@ -146,7 +206,12 @@ def _cost_of_motor_loop(published: Published) -> Evidence:
     def shown(item: Curves, at: int) -> str:
         return f"{_degrees(cost(item, at, ''))} of L_M, {_degrees(cost(item, at, chr(39)))} of L'_M"
 
-    return _compare("'strongly' taken as more than 15°, at every payload from 8 to 45 g", test, shown, SWEEP)
+    return _compare(
+        "'strongly' taken as more than 15°, at every payload from 8 to 45 g",
+        test,
+        shown,
+        SWEEP,
+    )
 
 
 def _degrees(value: float) -> str:
@@ -159,7 +224,10 @@ def _margin_order(published: Published) -> Evidence:
 
 
 def _reversal_with_motor_loop(published: Published) -> Evidence:
-    test, shown = _above("LM_M", "LM'_M", "margin"), _both("LM_M", "LM'_M", "margin", "°")
+    test, shown = (
+        _above("LM_M", "LM'_M", "margin"),
+        _both("LM_M", "LM'_M", "margin", "°"),
+    )
     return _compare("'low payloads' taken as 8, 16 and 20 g", test, shown, _LOW)
 
 

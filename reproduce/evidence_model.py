@@ -1,4 +1,6 @@
-"""Statements of section 3 about models and payloads: from the printed numbers, and from the twin's logs."""
+"""Statements of section 3 about models and payloads: from the printed numbers, and from
+the twin's logs.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,27 @@ from reproduce.values import SAMPLES, mse_of_table_2
 __all__ = ["MODEL", "ratios_of_table_3"]
 
 _KEYS = {"light": "m_min", "nominal": "m_nom", "heavy": "m_max"}
-_ASKED = (math.sqrt(30 / 20), math.sqrt(40 / 30))  # of (5): ϖ(20 g)/ϖ(30 g), ϖ(30 g)/ϖ(40 g)
-NEAR = 0.02  # the twin's link of 7 g moves the ratios by 1.4 %, its fits of UD-IOM apart
+_ASKED = (
+    math.sqrt(30 / 20),
+    math.sqrt(40 / 30),
+)  # of (5): ϖ(20 g)/ϖ(30 g), ϖ(30 g)/ϖ(40 g)
+NEAR = (
+    0.02  # the twin's link of 7 g moves the ratios by 1.4 %, its fits of UD-IOM apart
+)
 
 
-def _printed(published: Published, structure: str, payload: str, quantity: str) -> float:
+def _printed(
+    published: Published, structure: str, payload: str, quantity: str
+) -> float:
     name = f"table3_{_KEYS[payload]}_{structure.lower().replace('-', '')}_{quantity}"
     return next(item.printed for item in published.numbers if item.id == name)
 
 
 def ratios_of_table_3(published: Published, structure: str) -> tuple[float, float]:
     """ϖ(20 g)/ϖ(30 g) and ϖ(30 g)/ϖ(40 g) as Table 3 prints them."""
-    light, nominal, heavy = (_printed(published, structure, name, "varpi") for name in PAYLOADS)
+    light, nominal, heavy = (
+        _printed(published, structure, name, "varpi") for name in PAYLOADS
+    )
     return light / nominal, nominal / heavy
 
 
@@ -53,9 +64,15 @@ def _order_of_payloads(published: Published) -> Evidence:
         ("twin, gain and delay fitted, and ϖ by (5)", True, True),
     ):
         found = logs.joint("UD-FOM", free=free, tied=tied)
-        chance = f"p = {found.test.p_value:.1g}" if found.test.p_value >= 1e-9 else "p < 1e-9"
+        chance = (
+            f"p = {found.test.p_value:.1g}"
+            if found.test.p_value >= 1e-9
+            else "p < 1e-9"
+        )
         said = "may be common" if found.test.common else "cannot be common"
-        text = f"λ = {found.models[0].order:.4f} {said} to the three payloads ({chance})"
+        text = (
+            f"λ = {found.models[0].order:.4f} {said} to the three payloads ({chance})"
+        )
         rows.append(Reading(name, text, HOLDS if found.test.common else NOT))
     return Evidence(
         "one λ = 1.92 was written into the twin: what its logs say tests the method, never the paper's arm",
@@ -68,15 +85,22 @@ def _ratios(published: Published) -> Evidence:
     rows = []
     for structure in STRUCTURES:
         found = ratios_of_table_3(published, structure)
-        text = ", ".join(f"{value:.3f} for {asked:.3f}" for value, asked in zip(found, _ASKED, strict=True))
-        twin = [logs.twin_fits(name)[structure].model.natural_frequency for name in PAYLOADS]
-        text += (
-            f"; the twin's link obeys (5) and its fits give {twin[0] / twin[1]:.3f}, {twin[1] / twin[2]:.3f}"
+        text = ", ".join(
+            f"{value:.3f} for {asked:.3f}"
+            for value, asked in zip(found, _ASKED, strict=True)
         )
-        good = all(abs(v / asked - 1.0) < NEAR for v, asked in zip(found, _ASKED, strict=True))
+        twin = [
+            logs.twin_fits(name)[structure].model.natural_frequency for name in PAYLOADS
+        ]
+        text += f"; the twin's link obeys (5) and its fits give {twin[0] / twin[1]:.3f}, {twin[1] / twin[2]:.3f}"
+        good = all(
+            abs(v / asked - 1.0) < NEAR for v, asked in zip(found, _ASKED, strict=True)
+        )
         rows.append(Reading(f"Table 3, {structure}", text, HOLDS if good else NOT))
     seen = [
-        next(item.printed for item in published.numbers if item.id == f"resonance_{name}")
+        next(
+            item.printed for item in published.numbers if item.id == f"resonance_{name}"
+        )
         for name in PAYLOADS
     ]
     at = [
@@ -102,18 +126,30 @@ def _lowest_in_table_3(published: Published) -> Evidence:
     rows = []
     for name, payload in PAYLOADS.items():
         own = _printed(published, "UD-FOM", name, "mse")
-        others = {s: _printed(published, s, name, "mse") for s in STRUCTURES if s != "UD-FOM"}
-        text = ", ".join(f"{s} {100 * (value / own - 1):.1f} % higher" for s, value in others.items())
-        rows.append(
-            Reading(f"printed, {1e3 * payload:.0f} g", text, judged(value > own for value in others.values()))
+        others = {
+            s: _printed(published, s, name, "mse") for s in STRUCTURES if s != "UD-FOM"
+        }
+        text = ", ".join(
+            f"{s} {100 * (value / own - 1):.1f} % higher" for s, value in others.items()
         )
-    return together(rows, "from the printed MSE, whose last digit is 0.05 to 0.15 % of it")
+        rows.append(
+            Reading(
+                f"printed, {1e3 * payload:.0f} g",
+                text,
+                judged(value > own for value in others.values()),
+            )
+        )
+    return together(
+        rows, "from the printed MSE, whose last digit is 0.05 to 0.15 % of it"
+    )
 
 
 def _gap_of_aic(published: Published) -> Evidence:
     mse = mse_of_table_2(published)
     own = aic(mse["UD-FOM"], SAMPLES, 2)
-    gaps = [aic(mse[name], SAMPLES, k) - own for name, k in (("D-FOM", 3), ("D-IOM", 2))]
+    gaps = [
+        aic(mse[name], SAMPLES, k) - own for name, k in (("D-FOM", 3), ("D-IOM", 2))
+    ]
     digits = SAMPLES * 0.000005 / mse["UD-FOM"]  # half of the last printed digit
     text = (
         f"AIC of D-FOM and D-IOM lie {gaps[0]:.1f} and {gaps[1]:.1f} above UD-FOM's, all on fitted "
@@ -121,7 +157,9 @@ def _gap_of_aic(published: Published) -> Evidence:
         "D-FOM is not decided by them, and that of UD-FOM and D-IOM is; UD-IOM has one parameter, UD-FOM two"
     )
     decided = [gap > 2.0 * digits for gap in gaps]
-    return Evidence(text, PART if any(decided) and not all(decided) else judged(decided))
+    return Evidence(
+        text, PART if any(decided) and not all(decided) else judged(decided)
+    )
 
 
 MODEL: Mapping[str, Callable[[Published], Evidence]] = {

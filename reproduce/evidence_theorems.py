@@ -1,4 +1,6 @@
-"""Lemma 1, Theorems 1 and 2, Remark 1 and the two rules of thumb of section 6, tried on random loops."""
+"""Lemma 1, Theorems 1 and 2, Remark 1 and the two rules of thumb of section 6, tried on
+random loops.
+"""
 
 from __future__ import annotations
 
@@ -47,16 +49,22 @@ def _cases() -> tuple[_Case, ...]:
 
 
 def _count(
-    kept: Callable[[_Case], bool], name: str, change: Callable[[_Case], _Case] | None = None
+    kept: Callable[[_Case], bool],
+    name: str,
+    change: Callable[[_Case], _Case] | None = None,
 ) -> Reading:
-    """How many random loops keep a statement; `change` puts into the loop what the statement leaves out."""
+    """How many random loops keep a statement; `change` puts into the loop what the
+    statement leaves out.
+    """
     good = sum(kept(change(case) if change else case) for case in _cases())
     verdict = HOLDS if good == _TRIALS else NOT if good == 0 else PART
     return Reading(name, f"{good} of {_TRIALS} random loops keep it", verdict)
 
 
 def _with_motor(case: _Case) -> _Case:
-    """The same crossing with M(s) inside, its poles at five times the crossover, as 80 rad/s lie from 16."""
+    """The same crossing with M(s) inside, its poles at five times the crossover, as 80
+    rad/s lie from 16.
+    """
     slower = replace(case.loop, lag=1.0 / (5.0 * case.crossover))
     level = float(slower.log(case.crossover, case.natural).real)
     return replace(case, loop=replace(slower, gain=slower.gain * math.exp(-level)))
@@ -68,7 +76,9 @@ def _slow(case: _Case) -> _Case:
     ratio = case.crossover / case.loop.sufficient(case.natural)
     crossover = ratio * case.loop.sufficient(natural)
     level = float(case.loop.log(crossover, natural).real)
-    return _Case(replace(case.loop, gain=case.loop.gain * math.exp(-level)), natural, crossover)
+    return _Case(
+        replace(case.loop, gain=case.loop.gain * math.exp(-level)), natural, crossover
+    )
 
 
 def _beyond(statement: Evidence, rows: list[Reading]) -> Evidence:
@@ -79,7 +89,10 @@ def _beyond(statement: Evidence, rows: list[Reading]) -> Evidence:
 def _phase_falls(case: _Case) -> bool:
     w = np.geomspace(1e-6, 1e6, 300) * case.crossover
     phase = case.loop.log(w, case.natural).imag
-    start, end = 0.5 * math.pi * case.loop.order, 0.5 * math.pi * (case.loop.order - case.loop.link_order)
+    start, end = (
+        0.5 * math.pi * case.loop.order,
+        0.5 * math.pi * (case.loop.order - case.loop.link_order),
+    )
     between = bool(phase[0] <= start + 1e-9 and phase[-1] >= end - 1e-9)
     return between and bool(np.all(np.diff(phase) <= 1e-12))
 
@@ -88,7 +101,9 @@ def _homothety(case: _Case) -> bool:
     x, scale = np.geomspace(0.01, 100.0, 30), 2.0 / case.loop.link_order
     first = case.loop(x * case.natural**scale, case.natural)
     second = case.loop(x * (3.0 * case.natural) ** scale, 3.0 * case.natural)
-    return bool(np.allclose(second, 3.0 ** (scale * case.loop.order) * first, rtol=1e-9))
+    return bool(
+        np.allclose(second, 3.0 ** (scale * case.loop.order) * first, rtol=1e-9)
+    )
 
 
 def _lemma_1(published: Published) -> Evidence:
@@ -99,7 +114,9 @@ def _lemma_1(published: Published) -> Evidence:
         ],
         "for λ = 2 the phase does not fall but jumps by 180° at ω₀",
     )
-    return _beyond(own, [_count(_homothety, "homothety, with M(s): not stated", _with_motor)])
+    return _beyond(
+        own, [_count(_homothety, "homothety, with M(s): not stated", _with_motor)]
+    )
 
 
 def _last(case: _Case) -> Iterator[tuple[float, float]]:
@@ -120,12 +137,17 @@ def _crossover_rises(case: _Case) -> bool:
 
 def _condition_stays(case: _Case) -> bool:
     found = zip(_FACTORS, _last(case), strict=True)
-    return all(w > case.loop.sufficient(case.natural * factor) * (1.0 - 1e-9) for factor, (w, _) in found)
+    return all(
+        w > case.loop.sufficient(case.natural * factor) * (1.0 - 1e-9)
+        for factor, (w, _) in found
+    )
 
 
 def _theorem(kept: Callable[[_Case], bool], words: str) -> Evidence:
     own = together([_count(kept, "loop (34), M(s) = 1, no filter: as stated")], words)
-    return _beyond(own, [_count(kept, "with M(s) in the loop: not stated", _with_motor)])
+    return _beyond(
+        own, [_count(kept, "with M(s) in the loop: not stated", _with_motor)]
+    )
 
 
 def _theorem_1(published: Published) -> Evidence:
@@ -141,31 +163,50 @@ def _remark_1(published: Published) -> Evidence:
 
 
 def _theorem_2(published: Published) -> Evidence:
-    own = _theorem(_condition_stays, "ω₀ > 1 is asked for, but the unit of time could be chosen otherwise")
+    own = _theorem(
+        _condition_stays,
+        "ω₀ > 1 is asked for, but the unit of time could be chosen otherwise",
+    )
     return _beyond(own, [_count(_condition_stays, "ω₀ < 1: not stated", _slow)])
 
 
 def _rules_of_thumb() -> Iterator[tuple[str, float, float, float]]:
-    """Payload in words, φ_m [°], ζ and ω_c t_s of the procedure's loop, M(s) = 1 and no filter."""
+    """Payload in words, φ_m [°], ζ and ω_c t_s of the procedure's loop, M(s) = 1 and no
+    filter.
+    """
     controller = designs.unfiltered(designs.corrected(), "").fractional
     for payload in (0.020, 0.030, 0.040):
         crossing = last_crossing(controller, payload)
         pole = closed_loop_poles(controller, designs.link(payload))[0]
         settling = math.log(50.0) / -pole.real  # an envelope within 2 %
-        yield f"{1e3 * payload:.0f} g", crossing.margin, -pole.real / abs(pole), settling * crossing.frequency
+        yield (
+            f"{1e3 * payload:.0f} g",
+            crossing.margin,
+            -pole.real / abs(pole),
+            settling * crossing.frequency,
+        )
 
 
 def _margin_and_damping(published: Published) -> Evidence:
     rows = []
     second = [
-        (zeta, math.degrees(math.atan(2 * zeta / math.sqrt(math.sqrt(1 + 4 * zeta**4) - 2 * zeta**2))))
+        (
+            zeta,
+            math.degrees(
+                math.atan(
+                    2 * zeta / math.sqrt(math.sqrt(1 + 4 * zeta**4) - 2 * zeta**2)
+                )
+            ),
+        )
         for zeta in (0.1, 0.3, 0.5, 0.6)
     ]
     text = ", ".join(f"ζ = {zeta:g}: {margin:.1f}°" for zeta, margin in second)
     good = judged(abs(margin - 100 * zeta) < 10 for zeta, margin in second)
     rows.append(Reading("second order, what the rule was made for", text, good))
     found = [(name, margin, zeta) for name, margin, zeta, _ in _rules_of_thumb()]
-    text = ", ".join(f"{name}: φ_m = {margin:.1f}°, ζ = {zeta:.2f}" for name, margin, zeta in found)
+    text = ", ".join(
+        f"{name}: φ_m = {margin:.1f}°, ζ = {zeta:.2f}" for name, margin, zeta in found
+    )
     good = judged(abs(margin - 100 * zeta) < 10 for _, margin, zeta in found)
     rows.append(Reading("the procedure's loop, its dominant pole", text, good))
     return together(rows, "within 10°")
@@ -176,7 +217,11 @@ def _settling_and_crossover(published: Published) -> Evidence:
     text = ", ".join(f"{name}: t_s = {product:.1f}/ω_c" for name, product in found)
     near = judged(0.5 < product / (2 * math.pi) < 2.0 for _, product in found)
     return together(
-        [Reading("the procedure's loop, 2 % envelope of its dominant pole", text, near)],
+        [
+            Reading(
+                "the procedure's loop, 2 % envelope of its dominant pole", text, near
+            )
+        ],
         "within a factor of 2; 2π is 6.3",
     )
 

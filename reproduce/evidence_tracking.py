@@ -1,4 +1,6 @@
-"""Statements of section 7.2, of the abstract and of the conclusions about moves, offset, noise and [31]."""
+"""Statements of section 7.2, of the abstract and of the conclusions about moves,
+offset, noise and [31].
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,15 @@ from reproduce.runs import move
 
 __all__ = ["TRACKING"]
 
-_BAND = 0.02  # of the move of 1 rad, the usual band of the settling time: what "same" and "zero" mean here
+# of the move of 1 rad, the usual band of the settling time: what "same" and "zero" mean
+# here
+_BAND = 0.02
 
 
 def _pairs() -> tuple[designs.Pair, ...]:
-    """The readings with a filter: without one, noise and a sampled law have nothing to say about the rig."""
+    """The readings with a filter: without one, noise and a sampled law have nothing to
+    say about the rig.
+    """
     as_printed, _, rescaled, _, own = designs.readings()
     return as_printed, rescaled, own
 
@@ -40,7 +46,10 @@ def _tracking_printed(published: Published) -> Evidence:
         good, words = [], []
         for payload in (0.030, 0.040):
             for name, controller in _both(pair):
-                stable, run = sampled(controller, payload).stable, move(controller, payload)
+                stable, run = (
+                    sampled(controller, payload).stable,
+                    move(controller, payload),
+                )
                 over = run.metrics.overshoot
                 good.append(stable and run.verdict.passed and over < _BAND)
                 told = f"overshoot {100 * over:.2f} %" if stable else "unstable"
@@ -60,7 +69,9 @@ def _same_at_heavy(published: Published) -> Evidence:
             good.append(apart < _BAND)
             words.append(f"at most {apart:.3f} rad apart at {_grams(payload)}")
         rows.append(Reading(pair.name, ", ".join(words), judged(good)))
-    return together(rows, "'approximately the same' taken as within 2 % of the move of 1 rad")
+    return together(
+        rows, "'approximately the same' taken as within 2 % of the move of 1 rad"
+    )
 
 
 def _offset_left(published: Published) -> Evidence:
@@ -75,8 +86,11 @@ def _offset_left(published: Published) -> Evidence:
         )
     ]
     for count in (100, 1000, 5000):
-        # What a Grünwald–Letnikov sum of N terms leaves at ω = 0: Γ(N + 1 − β)/(Γ(1 − β) N!).
-        tail = math.exp(math.lgamma(count + 1 - order) - math.lgamma(count + 1)) / math.gamma(1 - order)
+        # What a Grünwald–Letnikov sum of N terms leaves at ω = 0: Γ(N + 1 − β)/(Γ(1 −
+        # β) N!).
+        tail = math.exp(
+            math.lgamma(count + 1 - order) - math.lgamma(count + 1)
+        ) / math.gamma(1 - order)
         left = abs(forms.offset_error(gain * designs.rig().period ** -order * tail))
         words = f"{100 * left:.1f} % of the offset stays"
         name = f"a backward-difference sum cut at {count} samples"
@@ -88,7 +102,9 @@ def _offset_left(published: Published) -> Evidence:
 
 
 def _compared(pair: designs.Pair, payload: float) -> tuple[bool, str]:
-    """Whether C is stable and further from −1 than C', and both in words, with the vibration of the move."""
+    """Whether C is stable and further from −1 than C', and both in words, with the
+    vibration of the move.
+    """
     loops = [sampled(controller, payload) for _, controller in _both(pair)]
     words = []
     for (name, controller), loop in zip(_both(pair), loops, strict=True):
@@ -97,7 +113,9 @@ def _compared(pair: designs.Pair, payload: float) -> tuple[bool, str]:
         left = 1e3 * move(controller, payload).metrics.residual_vibration
         words.append(f"{name} {told}, {left:.0f} mrad")
     # An unstable C' is the worse one; two unstable loops are no comparison.
-    better = loops[0].stable and (not loops[1].stable or loops[0].distance > loops[1].distance)
+    better = loops[0].stable and (
+        not loops[1].stable or loops[0].distance > loops[1].distance
+    )
     return better, f"{_grams(payload)}: " + "; ".join(words)
 
 
@@ -106,7 +124,11 @@ def _more_oscillatory(payloads: tuple[float, ...]) -> Evidence:
     for pair in _pairs():
         found = [_compared(pair, payload) for payload in payloads]
         rows.append(
-            Reading(pair.name, " | ".join(text for _, text in found), judged(good for good, _ in found))
+            Reading(
+                pair.name,
+                " | ".join(text for _, text in found),
+                judged(good for good, _ in found),
+            )
         )
     return together(
         rows,
@@ -128,7 +150,11 @@ def _damped_at_light(published: Published) -> Evidence:
         run = move(pair.fractional, 0.016)
         stable = sampled(pair.fractional, 0.016).stable
         text = run.verdict.reason if stable else f"unstable; {run.verdict.reason}"
-        rows.append(Reading(pair.name, f"C at 16 g: {text}", judged([stable and run.verdict.passed])))
+        rows.append(
+            Reading(
+                pair.name, f"C at 16 g: {text}", judged([stable and run.verdict.passed])
+            )
+        )
     return together(rows, "in the loop of 4 ms with M(s), offset and noise, 5 s")
 
 
@@ -136,10 +162,16 @@ def _better_than_integer(published: Published) -> Evidence:
     """[31]'s controller is not printed; C', the paper's own stand-in for it, is."""
     rows = []
     for low, high in zip(
-        _margins_below(published).readings, _vibration_at_light(published).readings, strict=True
+        _margins_below(published).readings,
+        _vibration_at_light(published).readings,
+        strict=True,
     ):
         text = f"C better than C' at 16 and 8 g: {low.verdict}; at 40, 30 and 20 g: {high.verdict}"
-        rows.append(Reading(low.name, text, low.verdict if low.verdict == high.verdict else PART))
+        rows.append(
+            Reading(
+                low.name, text, low.verdict if low.verdict == high.verdict else PART
+            )
+        )
     own = designs.corrected()
     ratio = own.integer.gain / own.fractional.gain
     text = (
@@ -150,7 +182,9 @@ def _better_than_integer(published: Published) -> Evidence:
 
 
 def _noise_reduced(published: Published) -> Evidence:
-    """|P22| at the Nyquist frequency: what a radian of noise in the tip estimate becomes in θm*."""
+    """|P22| at the Nyquist frequency: what a radian of noise in the tip estimate
+    becomes in θm*.
+    """
     nyquist = math.pi / designs.rig().period
     rows = []
     for pair in designs.readings():

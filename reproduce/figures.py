@@ -1,4 +1,6 @@
-"""Figs. 3 to 6, 9 and 10 of the paper, drawn from fraclink's computations; each states its data."""
+"""Figs. 3 to 6, 9 and 10 of the paper, drawn from fraclink's computations; each states
+its data.
+"""
 
 from __future__ import annotations
 
@@ -45,17 +47,39 @@ def identification_pictures() -> list[Picture]:
     return [_identification(*item) for item in sets]
 
 
-def _identification(number: int, log: str, name: str, span: tuple[float, float]) -> Picture:
+def _identification(
+    number: int, log: str, name: str, span: tuple[float, float]
+) -> Picture:
     found = twin_fits(log)
     with figure(WIDTH, 5.2) as drawing:
         rows = drawing.subplots(4, 1, sharex=True, sharey=True)
-        for color, axes, (structure, fit) in zip(LEVELS, rows, found.items(), strict=True):
+        for color, axes, (structure, fit) in zip(
+            LEVELS, rows, found.items(), strict=True
+        ):
             time = fit.period * np.arange(fit.measured.size)
             part = (time >= span[0]) & (time <= span[1])
-            axes.plot(time[part], fit.measured[part], color=GREY, alpha=0.5, linewidth=2.0, label="measured")
-            axes.plot(time[part], fit.predicted[part], color=color, linewidth=0.9, label=structure)
+            axes.plot(
+                time[part],
+                fit.measured[part],
+                color=GREY,
+                alpha=0.5,
+                linewidth=2.0,
+                label="measured",
+            )
+            axes.plot(
+                time[part],
+                fit.predicted[part],
+                color=color,
+                linewidth=0.9,
+                label=structure,
+            )
             # Beside the title: inside it would lie on the curves.
-            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=2, borderaxespad=0.0)
+            axes.legend(
+                loc="lower right",
+                bbox_to_anchor=(1.0, 0.97),
+                ncols=2,
+                borderaxespad=0.0,
+            )
             axes.set_title(f"{structure}: MSE {fit.mse:.3g} (N·m)²")
         rows[-1].set_xlabel("time [s]")
         rows[-1].set_xlim(*span)
@@ -71,18 +95,25 @@ def nyquist_picture() -> Picture:
     tip = designs.link(0.030).tip()
     c = designs.measured_design().controller
     # Dense where the mode turns the curve.
-    w = np.union1d(np.geomspace(0.1, 300, 300), 12.2 * np.exp(np.linspace(-0.4, 0.4, 400)))
+    w = np.union1d(
+        np.geomspace(0.1, 300, 300), 12.2 * np.exp(np.linspace(-0.4, 0.4, 400))
+    )
     g = np.asarray(tip(1j * w))
     loop = np.asarray(c.response(w)) * g
     with figure(WIDTH * 0.62, 4.9) as drawing:
         axes = drawing.subplots()
         turn = np.exp(1j * np.linspace(0, 2 * math.pi, 181))
-        axes.plot(turn.real, turn.imag, color=GREY, linewidth=0.7, linestyle=(0, (4, 3)))
+        axes.plot(
+            turn.real, turn.imag, color=GREY, linewidth=0.7, linestyle=(0, (4, 3))
+        )
         axes.plot(g.real, g.imag, color=ORANGE, label="G(jω)")
         axes.plot(loop.real, loop.imag, color=BLUE, label="L(jω) = Ĉ·G")
         found = last_crossing(c, 0.030)
         point = complex(
-            (np.asarray(c.response(np.array([found.frequency]))) * tip(1j * np.array([found.frequency])))[0]
+            (
+                np.asarray(c.response(np.array([found.frequency])))
+                * tip(1j * np.array([found.frequency]))
+            )[0]
         )
         axes.plot(point.real, point.imag, "o", color=BLUE, markersize=4)
         axes.annotate(
@@ -93,7 +124,9 @@ def nyquist_picture() -> Picture:
             arrowprops={"arrowstyle": "-", "color": GREY, "linewidth": 0.7},
         )
         axes.plot(-1, 0, "+", color=INK, markersize=10, markeredgewidth=1.4)
-        axes.set(xlim=(-6, 6), ylim=(-9, 3), xlabel="real part", ylabel="imaginary part")
+        axes.set(
+            xlim=(-6, 6), ylim=(-9, 3), xlabel="real part", ylabel="imaginary part"
+        )
         axes.set_aspect("equal")
         axes.legend(loc="lower right")
         text = svg(drawing, "fig09", "Figure 9: Nyquist curves")
@@ -106,7 +139,9 @@ def nyquist_picture() -> Picture:
 
 
 def margin_pictures() -> list[Picture]:
-    """Fig. 10: crossover and margin against payload, under four readings of the controllers."""
+    """Fig. 10: crossover and margin against payload, under four readings of the
+    controllers.
+    """
     return [
         _margins(
             "fig10a.svg",
@@ -157,11 +192,21 @@ def _margins(name: str, title: str, pair: designs.Pair, caption: str) -> Picture
     )
     with figure(WIDTH, 5.0) as drawing:
         above, below = drawing.subplots(2, 1, sharex=True)
-        for color, prime, controller in ((BLUE, "", pair.fractional), (ORANGE, "'", pair.integer)):
+        for color, prime, controller in (
+            (BLUE, "", pair.fractional),
+            (ORANGE, "'", pair.integer),
+        ):
             for label, motor, delay, style in cases:
-                found = [last_crossing(controller, float(m), motor=motor, delay=delay) for m in mass]
-                kind = label.replace("LM", f"LM{prime}") if "M" in label else f"L{prime}"
-                _line(above, mass, [item.frequency for item in found], color, style, kind)
+                found = [
+                    last_crossing(controller, float(m), motor=motor, delay=delay)
+                    for m in mass
+                ]
+                kind = (
+                    label.replace("LM", f"LM{prime}") if "M" in label else f"L{prime}"
+                )
+                _line(
+                    above, mass, [item.frequency for item in found], color, style, kind
+                )
                 _line(below, mass, [item.margin for item in found], color, style, kind)
         below.axhline(0, color=INK, linewidth=0.8)
         for axes in (above, below):
@@ -173,9 +218,27 @@ def _margins(name: str, title: str, pair: designs.Pair, caption: str) -> Picture
         below.set_xlim(8, 45)
         text = svg(drawing, name.removesuffix(".svg"), title)
     bad = unstable(pair)
-    flag = f"Unstable at 4 ms: {bad}." if bad else "At 4 ms all are stable at the payloads of section 7."
-    return Picture(name, title, f"{caption} Negative margins: the closed loop is unstable. {flag}", text)
+    flag = (
+        f"Unstable at 4 ms: {bad}."
+        if bad
+        else "At 4 ms all are stable at the payloads of section 7."
+    )
+    return Picture(
+        name,
+        title,
+        f"{caption} Negative margins: the closed loop is unstable. {flag}",
+        text,
+    )
 
 
-def _line(axes: Axes, mass: np.ndarray, values: list[float], color: str, style: object, label: str) -> None:
-    axes.plot(1e3 * mass, values, color=color, linestyle=style, linewidth=1.2, label=label)
+def _line(
+    axes: Axes,
+    mass: np.ndarray,
+    values: list[float],
+    color: str,
+    style: object,
+    label: str,
+) -> None:
+    axes.plot(
+        1e3 * mass, values, color=color, linestyle=style, linewidth=1.2, label=label
+    )

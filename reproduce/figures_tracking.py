@@ -1,4 +1,6 @@
-"""Figs. 11 to 16: moves under four readings of the controllers, with offset and noise of the gauge."""
+"""Figs. 11 to 16: moves under four readings of the controllers, with offset and noise
+of the gauge.
+"""
 
 from __future__ import annotations
 
@@ -36,9 +38,17 @@ def tracking_pictures() -> list[Picture]:
 def _draw(axes: Axes, run: Run, line: str, color: str, style: object) -> None:
     # A tripped law leaves the arm to itself: what follows is no tracking.
     alive = np.cumsum(run.mode != 1) == 0
-    axes.plot(run.time[alive], run.tip_angle[alive], color=color, linestyle=style, label=line)
+    axes.plot(
+        run.time[alive], run.tip_angle[alive], color=color, linestyle=style, label=line
+    )
     if not alive.all():
-        axes.plot(run.time[alive][-1], run.tip_angle[alive][-1], "x", color=color, markersize=7)
+        axes.plot(
+            run.time[alive][-1],
+            run.tip_angle[alive][-1],
+            "x",
+            color=color,
+            markersize=7,
+        )
 
 
 def _tracking(number: int, payload: float) -> Picture:
@@ -55,37 +65,67 @@ def _tracking(number: int, payload: float) -> Picture:
                 loop, reason = sampled(controller, payload), run.verdict.reason
                 if not loop.stable:
                     loops.append(f"{pair.name}, {line}")
-                elif reason.startswith("unstable"):  # near enough to −1 for noise to ring it
+                elif reason.startswith(
+                    "unstable"
+                ):  # near enough to −1 for noise to ring it
                     reason = f"noise rings a loop of {loop.margin:.1f}°:{reason.removeprefix('unstable:')}"
                 if not run.verdict.passed:
                     moves.append(f"{pair.name}, {line}: {reason}")
-            axes.plot(run.time, run.reference, color=GREY, linewidth=0.8, linestyle=(0, (1, 1)))
-            axes.set(title=_TITLES.get(pair.name, pair.name), xlim=(0, 5), ylim=(-0.1, 1.6))
+            axes.plot(
+                run.time,
+                run.reference,
+                color=GREY,
+                linewidth=0.8,
+                linestyle=(0, (1, 1)),
+            )
+            axes.set(
+                title=_TITLES.get(pair.name, pair.name), xlim=(0, 5), ylim=(-0.1, 1.6)
+            )
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         drawing.supylabel("tip angle θt [rad]", fontsize=8.5)
         panels[0, 0].legend(loc="lower right")
-        text = svg(drawing, f"fig{number}", f"Figure {number}: tracking at {1e3 * payload:g} g")
+        text = svg(
+            drawing, f"fig{number}", f"Figure {number}: tracking at {1e3 * payload:g} g"
+        )
     return Picture(
         f"fig{number}.svg",
         f"Fig. {number}: tracking at {1e3 * payload:g} g",
-        _CAPTION.format(grams=1e3 * payload, noise=designs.rig().gauge.noise, end=_end(loops, moves)),
+        _CAPTION.format(
+            grams=1e3 * payload, noise=designs.rig().gauge.noise, end=_end(loops, moves)
+        ),
         text,
     )
 
 
 def _end(loops: list[str], moves: list[str]) -> str:
-    """What a drawing of five seconds may hide: loops that are unstable; and moves that do not hold."""
-    flag = f"**Unstable loops**: {'; '.join(loops)}." if loops else "All eight loops are stable."
-    held = f" Moves that do not hold: {'; '.join(moves)}." if moves else " All eight moves hold."
-    return flag + held + (" ×: the law trips." if "trips" in held or "tripped" in held else "")
+    """What a drawing of five seconds may hide: loops that are unstable; and moves that
+    do not hold.
+    """
+    flag = (
+        f"**Unstable loops**: {'; '.join(loops)}."
+        if loops
+        else "All eight loops are stable."
+    )
+    held = (
+        f" Moves that do not hold: {'; '.join(moves)}."
+        if moves
+        else " All eight moves hold."
+    )
+    return (
+        flag
+        + held
+        + (" ×: the law trips." if "trips" in held or "tripped" in held else "")
+    )
 
 
 def _gauge() -> Picture:
     run = move(designs.in_loop().fractional, 0.030)
     with figure(WIDTH, 2.4) as drawing:
         axes = drawing.subplots()
-        axes.plot(run.time, run.torque_measured, color=GREY, linewidth=0.7, label="gauge")
+        axes.plot(
+            run.time, run.torque_measured, color=GREY, linewidth=0.7, label="gauge"
+        )
         axes.plot(run.time, run.torque, color=BLUE, label="true torque")
         axes.axhline(OFFSET, color=ORANGE, linewidth=0.8, label="offset")
         axes.set(xlabel="time [s]", ylabel="torque Γ [N·m]", xlim=(0, 5))

@@ -1,7 +1,8 @@
-"""The paper's equations that nothing in the package needs as such: each is a function of its own symbols.
+"""The paper's equations that nothing in the package needs as such: each is a function
+of its own symbols.
 
-`reproduce.equations` evaluates them, and those of the package, at random points against expressions that do
-not share their algebra. ω₀ is the paper's ϖ throughout.
+`reproduce.equations` evaluates them, and those of the package, at random points against
+expressions that do not share their algebra. ω₀ is the paper's ϖ throughout.
 """
 
 from __future__ import annotations
@@ -50,12 +51,16 @@ def _sine(order: float) -> float:
 
 def square_of_modulus(w: float, natural: float, order: float) -> float:
     """|f(jω)|² of (12), f = (jω)^λ + ω₀²."""
-    return float((_cosine(order) * w**order + natural**2) ** 2 + (_sine(order) * w**order) ** 2)
+    return float(
+        (_cosine(order) * w**order + natural**2) ** 2 + (_sine(order) * w**order) ** 2
+    )
 
 
 def derivative_of_modulus(w: float, natural: float, order: float) -> float:
     """∂|f|²/∂ω of (13), with the factor 2λω^(λ−1) that the print leaves out."""
-    return float(2.0 * order * w ** (order - 1.0) * (w**order + natural**2 * _cosine(order)))
+    return float(
+        2.0 * order * w ** (order - 1.0) * (w**order + natural**2 * _cosine(order))
+    )
 
 
 def aic_of_likelihood(log_likelihood: float, free: int) -> float:
@@ -67,21 +72,38 @@ def aic_of_likelihood(log_likelihood: float, free: int) -> float:
 
 
 def control_law(
-    reference: complex, estimate: complex, inertia: complex, natural: float, controller: complex
+    reference: complex,
+    estimate: complex,
+    inertia: complex,
+    natural: float,
+    controller: complex,
 ) -> complex:
     """θm* of (22), corrected: θtᵉ + (s^λ/ω₀²) θt* + C (θt* − θtᵉ); `inertia` is s^λ."""
-    return estimate + inertia / natural**2 * reference + controller * (reference - estimate)
+    return (
+        estimate
+        + inertia / natural**2 * reference
+        + controller * (reference - estimate)
+    )
 
 
-def tip_estimate(motor: complex, torque: complex, disturbance: complex, stiffness: float) -> complex:
+def tip_estimate(
+    motor: complex, torque: complex, disturbance: complex, stiffness: float
+) -> complex:
     """θtᵉ of (23), with a disturbance d' of the measured torque [N·m]: θm − (Γ + d')/c."""
     return motor - (torque + disturbance) / stiffness
 
 
 def closed_loop(
-    inertia: complex, natural: float, controller: complex, motor: complex, *, divided: bool
+    inertia: complex,
+    natural: float,
+    controller: complex,
+    motor: complex,
+    *,
+    divided: bool,
 ) -> Complex:
-    """P(s) of (25), or of (24) with G divided out: (θt, θm*) from (θt*, d), with s^λ/ω₀² for s^λ."""
+    """P(s) of (25), or of (24) with G divided out: (θt, θm*) from (θt*, d), with
+    s^λ/ω₀² for s^λ.
+    """
     square, correction = natural**2, controller - 1.0
     if divided:
         tip = square / (inertia + square)
@@ -98,7 +120,9 @@ def closed_loop(
 
 
 def offset_error(correction: float) -> float:
-    """What an offset of 1 in the tip estimate leaves in θt by (27), for Ĉ(0) = `correction` and M(0) = 1."""
+    """What an offset of 1 in the tip estimate leaves in θt by (27), for Ĉ(0) =
+    `correction` and M(0) = 1.
+    """
     return -correction / (1.0 + correction) + 0.0
 
 
@@ -133,19 +157,33 @@ class Crossing:
     @property
     def modulus(self) -> float:
         """ω_c^(2λ) + 2 cos(πλ/2) ω₀² ω_c^λ + ω₀⁴."""
-        return self.power**2 + 2.0 * self.cosine * self.square * self.power + self.square**2
+        return (
+            self.power**2
+            + 2.0 * self.cosine * self.square * self.power
+            + self.square**2
+        )
 
     @property
     def denominator(self) -> float:
-        """The denominator of (48), (49) and (52); its sign is that of minus the slope of |L|."""
-        ahead = (self.order - self.beta) * self.power * (self.power + self.cosine * self.square)
-        return ahead - self.beta * self.square * (self.square + self.cosine * self.power)
+        """The denominator of (48), (49) and (52); its sign is that of minus the slope
+        of |L|.
+        """
+        ahead = (
+            (self.order - self.beta)
+            * self.power
+            * (self.power + self.cosine * self.square)
+        )
+        return ahead - self.beta * self.square * (
+            self.square + self.cosine * self.power
+        )
 
 
 def inequality_37(w: float, natural: float, order: float) -> tuple[float, float]:
     """Both sides of (37): the denominator of (36), and the square that it is not below."""
     power, square = w**order, natural**2
-    return power**2 + 2.0 * square * _cosine(order) * power + square**2, (power - square) ** 2
+    return power**2 + 2.0 * square * _cosine(order) * power + square**2, (
+        power - square
+    ) ** 2
 
 
 def inequality_41(at: Crossing) -> tuple[float, float]:
@@ -156,7 +194,13 @@ def inequality_41(at: Crossing) -> tuple[float, float]:
 def margin_rate_from_crossover(at: Crossing, rate: float) -> float:
     """dφ_m/dω₀ of (45), from dω_c/dω₀ = `rate`."""
     top = at.order * at.natural * rate - 2.0 * at.frequency
-    return float(-_sine(at.order) * at.natural * at.frequency ** (at.order - 1.0) * top / at.modulus)
+    return float(
+        -_sine(at.order)
+        * at.natural
+        * at.frequency ** (at.order - 1.0)
+        * top
+        / at.modulus
+    )
 
 
 def differential(at: Crossing) -> tuple[float, float]:
@@ -177,7 +221,12 @@ def differential_at_crossing(at: Crossing) -> tuple[float, float]:
 
 def crossover_rate(at: Crossing) -> float:
     """dω_c/dω₀ of (48)."""
-    top = 2.0 * at.frequency ** (at.order + 1.0) / at.natural * (at.power + at.square * at.cosine)
+    top = (
+        2.0
+        * at.frequency ** (at.order + 1.0)
+        / at.natural
+        * (at.power + at.square * at.cosine)
+    )
     return float(top / at.denominator)
 
 
@@ -193,7 +242,10 @@ def reserve(at: Crossing) -> float:
 
 def rate_of_reserve_from_crossover(at: Crossing, rate: float) -> float:
     """dh/dω₀ of (51), from dω_c/dω₀ = `rate`."""
-    return float(2.0 * at.natural + at.order * at.cosine * at.frequency ** (at.order - 1.0) * rate)
+    return float(
+        2.0 * at.natural
+        + at.order * at.cosine * at.frequency ** (at.order - 1.0) * rate
+    )
 
 
 def rate_of_reserve(at: Crossing) -> float:
@@ -202,13 +254,21 @@ def rate_of_reserve(at: Crossing) -> float:
     return 2.0 / at.natural * (left - at.beta * at.square * at.modulus) / at.denominator
 
 
-def reserve_by_integral(start: Crossing, rates: NDArray[np.float64], weights: NDArray[np.float64]) -> float:
-    """h at the end of a range of ω₀ by (53): h at its start and the integral of dh/dω₀ by a quadrature."""
+def reserve_by_integral(
+    start: Crossing, rates: NDArray[np.float64], weights: NDArray[np.float64]
+) -> float:
+    """h at the end of a range of ω₀ by (53): h at its start and the integral of dh/dω₀
+    by a quadrature.
+    """
     return reserve(start) + float(rates @ weights)
 
 
-def loop_value(w: float, gain: float, beta: float, order: float, natural: float) -> complex:
+def loop_value(
+    w: float, gain: float, beta: float, order: float, natural: float
+) -> complex:
     """L(jω) of (34) by powers of a complex base, for what needs no class."""
     return (
-        gain * cmath.exp(beta * cmath.log(1j * w)) / (cmath.exp(order * cmath.log(1j * w)) / natural**2 + 1.0)
+        gain
+        * cmath.exp(beta * cmath.log(1j * w))
+        / (cmath.exp(order * cmath.log(1j * w)) / natural**2 + 1.0)
     )

@@ -1,4 +1,6 @@
-"""A verdict on a statement, and on each reading of it: none is left out, and none is chosen."""
+"""A verdict on a statement, and on each reading of it: none is left out, and none is
+chosen.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ LOGS = "not testable without the logs"
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to take a statement: which controllers on which loop, what was found, and the verdict."""
+    """One way to take a statement: which controllers on which loop, what was found, and
+    the verdict.
+    """
 
     name: str
     text: str
@@ -22,7 +26,9 @@ class Reading:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What was measured, in words, the verdict, and the readings that it follows from, if several."""
+    """What was measured, in words, the verdict, and the readings that it follows from,
+    if several.
+    """
 
     text: str
     verdict: str

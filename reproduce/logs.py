@@ -1,7 +1,9 @@
-"""What the paper identifies from, done on the twin: its pulse, its PRBS, and the fits as the paper has them.
+"""What the paper identifies from, done on the twin: its pulse, its PRBS, and the fits
+as the paper has them.
 
-The laboratory's logs are not published. The twin is an arm into which λ = 1.92 and c = 1.56 N·m were
-written, so whatever is fitted here tests the method and the paper's arithmetic, never the paper's arm.
+The laboratory's logs are not published. The twin is an arm into which λ = 1.92 and c =
+1.56 N·m were written, so whatever is fitted here tests the method and the paper's
+arithmetic, never the paper's arm.
 """
 
 from __future__ import annotations
@@ -26,14 +28,17 @@ PAYLOADS = {"light": 0.020, "nominal": 0.030, "heavy": 0.040}
 AMPLITUDE, WIDTH = 1.0, 7.0  # rad and s, section 3.3
 _LEFT_OF = 0.012  # share of noise in the torque's mean square, as in the bundled logs
 
-# As the paper fits: c is "obtained via direct experimentation" and held, and its AIC counts k = 1, 2, 2, 3,
-# so that neither a gain nor a delay of the gauge can have been fitted beside ϖ, λ, μ and α.
+# As the paper fits: c is "obtained via direct experimentation" and held, and its AIC
+# counts k = 1, 2, 2, 3, so that neither a gain nor a delay of the gauge can have been
+# fitted beside ϖ, λ, μ and α.
 STIFFNESS, DELAY = 1.56, 0.0  # N·m/rad and s
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """One structure on one log: model, mean squared error [(N·m)²], period [s], both torques [N·m]."""
+    """One structure on one log: model, mean squared error [(N·m)²], period [s], both
+    torques [N·m].
+    """
 
     model: LinkModel
     mse: float
@@ -44,9 +49,13 @@ class Fitted:
 
 @cache
 def pulse_log() -> TwinLog:
-    """The pulse of section 3.3, 1 rad for 7 s at 30 g, on the arm and the sensors of the bundled logs."""
+    """The pulse of section 3.3, 1 rad for 7 s at 30 g, on the arm and the sensors of
+    the bundled logs.
+    """
     rig = designs.rig()
-    samples = 5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
+    samples = (
+        5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
+    )
     reference = np.zeros(samples)
     reference[1375 : 1375 + round(WIDTH / rig.period)] = AMPLITUDE
     c, length = rig.link.stiffness, rig.link.length
@@ -62,7 +71,12 @@ def pulse_log() -> TwinLog:
         gauge_delay=0.002,
     )
     return simulate_log(
-        beam, PowerLaw(designs.ORDER), reference, period=rig.period, sensors=sensors, seed=130
+        beam,
+        PowerLaw(designs.ORDER),
+        reference,
+        period=rig.period,
+        sensors=sensors,
+        seed=130,
     )
 
 
@@ -73,13 +87,18 @@ def _log(name: str) -> Experiment:
         return read_log(bundled_log(f"prbs_{1e3 * PAYLOADS[name]:.0f}g"), rig=rig)
     log = pulse_log()
     return Experiment(
-        period=rig.period, motor_angle=log.motor_angle, output=log.torque, payload=rig.payloads.nominal
+        period=rig.period,
+        motor_angle=log.motor_angle,
+        output=log.torque,
+        payload=rig.payloads.nominal,
     )
 
 
 @cache
 def alone(name: str, *, free: bool) -> dict[str, Fitted]:
-    """The four structures fitted to one log, every sample of it; `free`: with gain and delay fitted, too."""
+    """The four structures fitted to one log, every sample of it; `free`: with gain and
+    delay fitted, too.
+    """
     log = _log(name)
     if free:
         found = compare_structures(log, heldout=0.0, details=False)
@@ -95,20 +114,28 @@ def alone(name: str, *, free: bool) -> dict[str, Fitted]:
 
 @cache
 def joint(structure: str, *, free: bool, tied: bool = False) -> JointFit:
-    """One structure fitted to the three PRBS logs with λ, or α and μ, common to them, as Table 3 has it."""
+    """One structure fitted to the three PRBS logs with λ, or α and μ, common to them,
+    as Table 3 has it.
+    """
     logs = [_log(name) for name in PAYLOADS]
     if free:
         return identify_payloads(logs, structure, tied=tied)
-    return identify_payloads(logs, structure, tied=tied, stiffness=STIFFNESS, delay=DELAY)
+    return identify_payloads(
+        logs, structure, tied=tied, stiffness=STIFFNESS, delay=DELAY
+    )
 
 
 def twin_fits(name: str) -> dict[str, Fitted]:
-    """The fits of Table 2 ("pulse") or of a row of Table 3, under the paper's conditions."""
+    """The fits of Table 2 ("pulse") or of a row of Table 3, under the paper's
+    conditions.
+    """
     if name == "pulse":
         return alone("pulse", free=False)
     at, log = list(PAYLOADS).index(name), _log(name)
     return {
-        structure: Fitted(fit.models[at], fit.mse[at], log.period, log.output, fit.predicted[at])
+        structure: Fitted(
+            fit.models[at], fit.mse[at], log.period, log.output, fit.predicted[at]
+        )
         for structure in STRUCTURES
         for fit in (joint(structure, free=False),)
     }

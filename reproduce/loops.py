@@ -1,4 +1,6 @@
-"""The loops of (60) under every reading: their last crossing, at one payload and against payload."""
+"""The loops of (60) under every reading: their last crossing, at one payload and
+against payload.
+"""
 
 from __future__ import annotations
 
@@ -18,18 +20,31 @@ from fraclink._law.requirement import margins_of
 from fraclink._systems.margins import Margins, margins
 from reproduce import designs
 
-__all__ = ["LOOP_DELAY", "SWEEP", "Crossing", "Curves", "curves", "last_crossing", "open_loop", "sampled"]
+__all__ = [
+    "LOOP_DELAY",
+    "SWEEP",
+    "Crossing",
+    "Curves",
+    "curves",
+    "last_crossing",
+    "open_loop",
+    "sampled",
+]
 
 Complex = NDArray[np.complex128]
 
-LOOP_DELAY = 0.006  # s: half a sample of hold and one of computation, at 4 ms; `sampled` has them exactly
-SWEEP = tuple(round(0.001 * grams, 3) for grams in range(8, 46))  # kg, the payloads of Fig. 10
+# s: half a sample of hold and one of computation, at 4 ms; `sampled` has them exactly
+LOOP_DELAY = 0.006
+SWEEP = tuple(
+    round(0.001 * grams, 3) for grams in range(8, 46)
+)  # kg, the payloads of Fig. 10
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """The last gain crossing of a loop: frequency [rad/s] and phase margin [°]; and for the whole loop
-    whether it is stable, and its distance from −1, which a loop without a crossing has, too.
+    """The last gain crossing of a loop: frequency [rad/s] and phase margin [°]; and for
+    the whole loop whether it is stable, and its distance from −1, which a loop without
+    a crossing has, too.
     """
 
     frequency: float
@@ -38,7 +53,11 @@ class Crossing:
     distance: float
 
     def __str__(self) -> str:
-        return f"{self.frequency:.2f} rad/s and {self.margin:.1f}°" if self.crosses else "no crossing"
+        return (
+            f"{self.frequency:.2f} rad/s and {self.margin:.1f}°"
+            if self.crosses
+            else "no crossing"
+        )
 
     @property
     def crosses(self) -> bool:
@@ -54,12 +73,16 @@ def open_loop(
     delay: float = 0.0,
     order: float = designs.ORDER,
 ) -> Callable[[Complex], Complex]:
-    """Ĉ·G of (60) at `payload` [kg], with M(s) if `motor` and a delay [s]; a function of s on the axis."""
+    """Ĉ·G of (60) at `payload` [kg], with M(s) if `motor` and a delay [s]; a function
+    of s on the axis.
+    """
     tip = designs.link(payload, order).tip()
 
     def loop(s: Complex) -> Complex:
         value = controller.response(np.imag(s)) * tip(s) * np.exp(-delay * s)
-        return np.asarray(value / (1.0 + s / 80.0) ** 2 if motor else value, dtype=np.complex128)
+        return np.asarray(
+            value / (1.0 + s / 80.0) ** 2 if motor else value, dtype=np.complex128
+        )
 
     return loop
 
@@ -73,32 +96,48 @@ def last_crossing(
     delay: float = 0.0,
     order: float = designs.ORDER,
 ) -> Crossing:
-    """The crossing of Ĉ·G, with M(s) if `motor`, at `payload` [kg]; NaN where |L| < 1 everywhere."""
+    """The crossing of Ĉ·G, with M(s) if `motor`, at `payload` [kg]; NaN where |L| < 1
+    everywhere.
+    """
     loop = open_loop(controller, payload, motor=motor, delay=delay, order=order)
     return _last(margins(loop, unstable_poles=0))
 
 
 def _last(found: Margins) -> Crossing:
     if not found.gain_crossings:
-        return Crossing(math.nan, math.nan, found.stable is not False, found.modulus_margin)
+        return Crossing(
+            math.nan, math.nan, found.stable is not False, found.modulus_margin
+        )
     last = max(found.gain_crossings, key=lambda item: item.frequency)
     return Crossing(
-        last.frequency, math.degrees(last.phase_margin), found.stable is not False, found.modulus_margin
+        last.frequency,
+        math.degrees(last.phase_margin),
+        found.stable is not False,
+        found.modulus_margin,
     )
 
 
 @cache
 def sampled(controller: Controller, payload: float) -> Crossing:
-    """The crossing of the loop that runs: the shipped law, M(s), 4 ms, one sample, exactly sampled."""
+    """The crossing of the loop that runs: the shipped law, M(s), 4 ms, one sample,
+    exactly sampled.
+    """
     arm = designs.rig()
     law = discretize(controller, arm.period)
-    plant = sampled_plant(designs.link(payload), MotorLoop(pole=80.0, delay_samples=1), arm.motor, arm.period)
+    plant = sampled_plant(
+        designs.link(payload),
+        MotorLoop(pole=80.0, delay_samples=1),
+        arm.motor,
+        arm.period,
+    )
     return _last(margins_of(law.frequency_response, plant))
 
 
 @dataclass(frozen=True)
 class Curves:
-    """The four loops of (60) against payload, one crossing for each mass of `SWEEP`, by their names."""
+    """The four loops of (60) against payload, one crossing for each mass of `SWEEP`, by
+    their names.
+    """
 
     pair: designs.Pair
     loops: dict[str, tuple[Crossing, ...]]

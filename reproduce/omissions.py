@@ -1,4 +1,6 @@
-"""What the paper's procedure leaves out and what that costs, in numbers that the paper does not print."""
+"""What the paper's procedure leaves out and what that costs, in numbers that the paper
+does not print.
+"""
 
 from __future__ import annotations
 
@@ -21,29 +23,42 @@ from reproduce import designs
 __all__ = ["costs", "facts", "sampled_margins"]
 
 Complex = NDArray[np.complex128]
-_SAMPLED = 1.5  # periods of delay of a loop with a zero-order hold and one sample of computation
-_LIGHTEST = {"printed": 14.14, "measured": designs.rig().natural_frequency(0.020)}  # ϖ at 20 g
+# periods of delay of a loop with a zero-order hold and one sample of computation
+_SAMPLED = 1.5
+_LIGHTEST = {
+    "printed": 14.14,
+    "measured": designs.rig().natural_frequency(0.020),
+}  # ϖ at 20 g
 _NOMINAL = 11.54  # ϖ at 30 g as Table 1 prints it
 
 
 def costs() -> tuple[tuple[str, float, float], ...]:
-    """Phase margins [°] at 20 g, step by step: for the inputs of Table 1, and for c = 1.56 N·m."""
+    """Phase margins [°] at 20 g, step by step: for the inputs of Table 1, and for c =
+    1.56 N·m.
+    """
     period = designs.rig().period
     steps = {
         "as the procedure has it: M(s) = 1, no filter": _Parts(),
         "with the filter of its own 10 % rule, n = 2": _Parts(filtered=True),
         "and with M(s)": _Parts(filtered=True, motor=True),
-        "and with the hold and one sample of delay at 4 ms": _Parts(True, True, _SAMPLED * period),
-        "and with the paper's sums for s^β, all their memory": _Parts(True, True, _SAMPLED * period, period),
+        "and with the hold and one sample of delay at 4 ms": _Parts(
+            True, True, _SAMPLED * period
+        ),
+        "and with the paper's sums for s^β, all their memory": _Parts(
+            True, True, _SAMPLED * period, period
+        ),
     }
     return tuple(
-        (name, _margin("printed", parts), _margin("measured", parts)) for name, parts in steps.items()
+        (name, _margin("printed", parts), _margin("measured", parts))
+        for name, parts in steps.items()
     )
 
 
 @dataclass(frozen=True)
 class _Parts:
-    """What stands in the loop beside Ĉ and the link; delay and period of the sums in s, 0 for none."""
+    """What stands in the loop beside Ĉ and the link; delay and period of the sums in s,
+    0 for none.
+    """
 
     filtered: bool = False
     motor: bool = False
@@ -57,16 +72,26 @@ def _margin(which: str, parts: _Parts) -> float:
     delta = designs.rule_filter(which, 2) if parts.filtered else 0.0
     controller = replace(designed.controller, filter_time=delta, filter_order=2)
     found = margins(_loop(controller, _LIGHTEST[which], parts), unstable_poles=0)
-    return math.degrees(max(found.gain_crossings, key=lambda item: item.frequency).phase_margin)
+    return math.degrees(
+        max(found.gain_crossings, key=lambda item: item.frequency).phase_margin
+    )
 
 
-def _loop(controller: Controller, natural_frequency: float, parts: _Parts) -> Callable[[Complex], Complex]:
-    tip = LinkModel(designs.rig().link.stiffness, natural_frequency, order=designs.ORDER).tip()
+def _loop(
+    controller: Controller, natural_frequency: float, parts: _Parts
+) -> Callable[[Complex], Complex]:
+    tip = LinkModel(
+        designs.rig().link.stiffness, natural_frequency, order=designs.ORDER
+    ).tip()
 
     def loop(s: Complex) -> Complex:
         value = controller.response(np.imag(s)) * tip(s) * np.exp(-parts.delay * s)
         if parts.sums:  # the backward difference in place of s
-            value = value * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums)) ** controller.order
+            value = (
+                value
+                * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums))
+                ** controller.order
+            )
         motor = (1.0 + s / designs.rig().motor_loop.pole) ** -2 if parts.motor else 1.0
         return np.asarray(value * motor, dtype=np.complex128)
 
@@ -74,9 +99,11 @@ def _loop(controller: Controller, natural_frequency: float, parts: _Parts) -> Ca
 
 
 def sampled_margins() -> tuple[tuple[float, ...], ...]:
-    """Payload [kg] and exactly sampled phase margins [°] of 12 rad/s and 50° designed in the loop, no filter.
+    """Payload [kg] and exactly sampled phase margins [°] of 12 rad/s and 50° designed
+    in the loop, no filter.
 
-    With Ĉ(jω) itself, with the law that is shipped, and with the paper's sums in place of s^β.
+    With Ĉ(jω) itself, with the law that is shipped, and with the paper's sums in place
+    of s^β.
     """
     designed = design(
         designs.link(0.030),
@@ -91,7 +118,9 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
         (
             payload,
             *(
-                math.degrees(designed.sampled_at(payload, realisation=which).phase_margin)
+                math.degrees(
+                    designed.sampled_at(payload, realisation=which).phase_margin
+                )
                 for which in ("exact", "law", _sums(designed))
             ),
         )
@@ -100,7 +129,9 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
 
 
 def _sums(designed: Design) -> Callable[[NDArray[np.float64]], Complex]:
-    """Ĉ with the paper's backward difference in place of s, all its memory: it lags by β ωTs/2."""
+    """Ĉ with the paper's backward difference in place of s, all its memory: it lags by
+    β ωTs/2.
+    """
     correction, period = designed.controller.correction(), designed.rig.period
     return lambda w: correction(-np.expm1(-1j * w * period) / period)
 
@@ -116,9 +147,15 @@ def facts() -> tuple[tuple[str, str], ...]:
             "phase margin of the integer loop with β' = 0.65, any payload",
             f"{0.65 * 90:.1f}°, printed 70.087°",
         ),
-        ("largest |z| of the inner loop at 4 ms with one sample of delay", _inner_radii()),
+        (
+            "largest |z| of the inner loop at 4 ms with one sample of delay",
+            _inner_radii(),
+        ),
         ("damping ratio of the 30 g mode", f"{_damping(0.0):.4f}"),
-        ("the same by Grünwald–Letnikov sums at 4 ms", f"{_damping(designs.rig().period):.4f}"),
+        (
+            "the same by Grünwald–Letnikov sums at 4 ms",
+            f"{_damping(designs.rig().period):.4f}",
+        ),
     )
 
 
@@ -126,7 +163,9 @@ def _printed_poles() -> list[tuple[str, str]]:
     link = LinkModel(designs.rig().link.stiffness, _NOMINAL, order=designs.ORDER)
     found = []
     for number, controller in PRINTED.items():
-        pole = closed_loop_poles(controller, link, inner_pole=designs.rig().motor_loop.pole)[0]
+        pole = closed_loop_poles(
+            controller, link, inner_pole=designs.rig().motor_loop.pole
+        )[0]
         found.append((number, f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j rad/s"))
     return found
 
@@ -134,12 +173,20 @@ def _printed_poles() -> list[tuple[str, str]]:
 def _inner_radii() -> str:
     loop = place_pid(designs.rig().motor, designs.rig().motor_loop.pole)
     methods: tuple[Method, ...] = ("tustin", "backward", "zero-order-hold")
-    radii = [f"{method} {loop.sampled_radius(designs.rig().period, method=method):.3f}" for method in methods]
+    radii = [
+        f"{method} {loop.sampled_radius(designs.rig().period, method=method):.3f}"
+        for method in methods
+    ]
     return ", ".join(radii)
 
 
 def _damping(period: float) -> float:
-    """−cos(π/λ), or what is left of it when s is (1 − e^(−sT))/T in the link's denominator."""
-    pole = cmath.rect(designs.link(0.030).natural_frequency ** (2 / designs.ORDER), math.pi / designs.ORDER)
+    """−cos(π/λ), or what is left of it when s is (1 − e^(−sT))/T in the link's
+    denominator.
+    """
+    pole = cmath.rect(
+        designs.link(0.030).natural_frequency ** (2 / designs.ORDER),
+        math.pi / designs.ORDER,
+    )
     seen = -cmath.log(1 - pole * period) / period if period else pole
     return -seen.real / abs(seen)

@@ -1,4 +1,6 @@
-"""Random links, loops and crossings, and the independent ways to a value that the checks of equations use."""
+"""Random links, loops and crossings, and the independent ways to a value that the
+checks of equations use.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ Sides = tuple[ArrayLike, ArrayLike, ArrayLike]  # printed, code, independent
 
 @dataclass(frozen=True)
 class Check:
-    """How one equation is evaluated: `sides(code, draw)` at one random point, and at how many points."""
+    """How one equation is evaluated: `sides(code, draw)` at one random point, and at
+    how many points.
+    """
 
     sides: Callable[[Any, np.random.Generator], Sides]
     points: int = 40
@@ -63,13 +67,24 @@ class Mass:
     @property
     def link(self) -> LinkModel:
         """The link that the package makes of it."""
-        return LinkModel(self.stiffness, self.natural, self.order, self.damping, self.damping_order)
+        return LinkModel(
+            self.stiffness, self.natural, self.order, self.damping, self.damping_order
+        )
 
     def solved(self, s: complex) -> tuple[complex, complex]:
-        """(θt, Γ) for θm = 1: Newton's law with the restoring torque, and the strain that the gauge reads."""
-        pull = self.inertia * self.damping * power(s, self.damping_order) + self.stiffness
-        matrix = [[self.inertia * power(s, self.order) + pull, 0.0], [self.stiffness, 1.0]]
-        tip, torque = np.linalg.solve(np.array(matrix), np.array([pull, self.stiffness], dtype=complex))
+        """(θt, Γ) for θm = 1: Newton's law with the restoring torque, and the strain
+        that the gauge reads.
+        """
+        pull = (
+            self.inertia * self.damping * power(s, self.damping_order) + self.stiffness
+        )
+        matrix = [
+            [self.inertia * power(s, self.order) + pull, 0.0],
+            [self.stiffness, 1.0],
+        ]
+        tip, torque = np.linalg.solve(
+            np.array(matrix), np.array([pull, self.stiffness], dtype=complex)
+        )
         return complex(tip), complex(torque)
 
 
@@ -81,7 +96,12 @@ def power(s: complex, order: float) -> complex:
 def mass(draw: np.random.Generator, *, order: float | None = None) -> Mass:
     """A random payload on a random link, 1 < λ < 2 unless `order` says it."""
     found = draw.uniform(1.05, 1.98) if order is None else order
-    return Mass(draw.uniform(0.5, 3.0), draw.uniform(0.005, 0.08), draw.uniform(0.3, 1.0), float(found))
+    return Mass(
+        draw.uniform(0.5, 3.0),
+        draw.uniform(0.005, 0.08),
+        draw.uniform(0.3, 1.0),
+        float(found),
+    )
 
 
 def somewhere(draw: np.random.Generator, scale: float) -> complex:
@@ -89,24 +109,38 @@ def somewhere(draw: np.random.Generator, scale: float) -> complex:
     return cmath.rect(scale * draw.uniform(0.25, 4.0), draw.uniform(0.05, 1.5))
 
 
-def slope_of(function: Callable[[float], float], at: float, step: float = 1e-3) -> float:
-    """d/dx by five points; the error is 1e-12 of the fourth derivative for a step of 1e-3."""
+def slope_of(
+    function: Callable[[float], float], at: float, step: float = 1e-3
+) -> float:
+    """d/dx by five points; the error is 1e-12 of the fourth derivative for a step of
+    1e-3.
+    """
     h = step * at
-    near, far = function(at + h) - function(at - h), function(at + 2 * h) - function(at - 2 * h)
+    near, far = (
+        function(at + h) - function(at - h),
+        function(at + 2 * h) - function(at - 2 * h),
+    )
     return (8.0 * near - far) / (12.0 * h)
 
 
 def random_crossing(draw: np.random.Generator) -> forms.Crossing:
     """A crossing of (34) that meets (39), with ω₀ > 1 and 0 < β < λ."""
     order = float(draw.uniform(1.1, 1.97))
-    beta, natural = order * float(draw.uniform(0.1, 0.9)), float(draw.uniform(1.5, 30.0))
-    frequency = Loop(link_order=order).sufficient(natural) * float(draw.uniform(1.05, 4.0))
+    beta, natural = (
+        order * float(draw.uniform(0.1, 0.9)),
+        float(draw.uniform(1.5, 30.0)),
+    )
+    frequency = Loop(link_order=order).sufficient(natural) * float(
+        draw.uniform(1.05, 4.0)
+    )
     gain = 1.0 / abs(forms.loop_value(frequency, 1.0, beta, order, natural))
     return forms.Crossing(gain, beta, order, natural, frequency)
 
 
 def crossing_at(of: forms.Crossing, natural: float) -> forms.Crossing:
-    """The crossing of the same controller at another ω₀, by bisection right of the torque's resonance."""
+    """The crossing of the same controller at another ω₀, by bisection right of the
+    torque's resonance.
+    """
 
     def level(w: float) -> float:
         return math.log(abs(forms.loop_value(w, of.gain, of.beta, of.order, natural)))

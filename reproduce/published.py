@@ -1,4 +1,6 @@
-"""What the paper prints, read from reproduce/*.toml, and how far our values agree with it."""
+"""What the paper prints, read from reproduce/*.toml, and how far our values agree with
+it.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,16 @@ from typing import Any
 
 from fraclink.errors import FileFormatError
 
-__all__ = ["VERDICTS", "Claim", "Equation", "Number", "Published", "agreement", "agrees", "read_published"]
+__all__ = [
+    "VERDICTS",
+    "Claim",
+    "Equation",
+    "Number",
+    "Published",
+    "agreement",
+    "agrees",
+    "read_published",
+]
 
 VERDICTS = {  # and what a count of them says
     "input": "are inputs, used as they stand",
@@ -26,7 +37,9 @@ _CLAIMS = ("holds", "does not hold", "holds in part", "not testable without the 
 
 @dataclass(frozen=True)
 class Number:
-    """One printed number: where it stands, its printed digits, the name of our computation, the verdict."""
+    """One printed number: where it stands, its printed digits, the name of our
+    computation, the verdict.
+    """
 
     id: str
     where: str
@@ -46,7 +59,9 @@ class Number:
 
 @dataclass(frozen=True)
 class Equation:
-    """One numbered equation, the function that implements it, and whether it is printed right."""
+    """One numbered equation, the function that implements it, and whether it is printed
+    right.
+    """
 
     number: str
     what: str
@@ -88,7 +103,8 @@ def agrees(printed: str, ours: float) -> bool:
 
 
 def agreement(printed: float, ours: float) -> float:
-    """Digits in which two numbers agree, −log10 of their relative difference; infinity for equal ones.
+    """Digits in which two numbers agree, −log10 of their relative difference; infinity
+    for equal ones.
 
     >>> round(agreement(0.148, 0.215299), 2), round(agreement(11.54, 11.5470), 2)
     (0.34, 3.22)
@@ -99,7 +115,9 @@ def agreement(printed: float, ours: float) -> float:
 
 
 def read_published(folder: Path) -> Published:
-    """Read numbers, equations and claims from `folder`; FileFormatError names what is wrong."""
+    """Read numbers, equations and claims from `folder`; FileFormatError names what is
+    wrong.
+    """
     numbers = _read(folder / "published.toml")
     rest = _read(folder / "equations.toml") | _read(folder / "claims.toml")
     return Published(
@@ -116,7 +134,11 @@ def _read(path: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         remedy = "run in the repository, or give --published"
         raise FileFormatError(
-            path.name, str(path.parent), "not there", allowed="a TOML file", remedy=remedy
+            path.name,
+            str(path.parent),
+            "not there",
+            allowed="a TOML file",
+            remedy=remedy,
         ) from error
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(
@@ -129,7 +151,11 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _items(
-    kind: Any, rows: list[dict[str, str]], field: str, allowed: tuple[str, ...], folder: Path
+    kind: Any,
+    rows: list[dict[str, str]],
+    field: str,
+    allowed: tuple[str, ...],
+    folder: Path,
 ) -> tuple[Any, ...]:
     made = []
     for row in rows:
@@ -145,7 +171,11 @@ def _items(
             ) from error
         if getattr(item, field) not in allowed:
             raise FileFormatError(
-                field, getattr(item, field), "unknown", allowed=", ".join(allowed), remedy=f"correct {row}"
+                field,
+                getattr(item, field),
+                "unknown",
+                allowed=", ".join(allowed),
+                remedy=f"correct {row}",
             )
         made.append(item)
     return tuple(made)

@@ -40,7 +40,9 @@ _DESIGN = (
 )
 
 
-def results_text(published: Published, values: Mapping[str, float], pictures: tuple[Picture, ...]) -> str:
+def results_text(
+    published: Published, values: Mapping[str, float], pictures: tuple[Picture, ...]
+) -> str:
     """Return RESULTS.md."""
     found = {item.id: EVIDENCE[item.evidence](published) for item in published.claims}
     parts = [
@@ -60,12 +62,16 @@ def results_text(published: Published, values: Mapping[str, float], pictures: tu
 def _table(header: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
     # A bar inside a cell (|G|) would end it.
-    lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    lines += [
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
+        for row in rows
+    ]
     return "\n".join(lines) + "\n"
 
 
 def shown(value: float) -> str:
-    """Six significant digits: more than any comparison here needs, fewer than differ between machines.
+    """Six significant digits: more than any comparison here needs, fewer than differ
+    between machines.
 
     >>> shown(27.34618080061721), shown(-0.0), shown(1e-5)
     ('27.3462', '0', '1e-05')
@@ -94,7 +100,9 @@ def _numbers(published: Published, values: Mapping[str, float]) -> str:
         for item in published.numbers
     ]
     counts = Counter(item.verdict for item in published.numbers)
-    told = ", ".join(f"{counts[name]} {words}" for name, words in VERDICTS.items() if counts[name])
+    told = ", ".join(
+        f"{counts[name]} {words}" for name, words in VERDICTS.items() if counts[name]
+    )
     header = ("where", "quantity", "printed", "ours", "digits", "verdict", "why")
     return (
         f"## Numbers\n\nOf {len(published.numbers)} printed numbers {told}.\n\n"
@@ -106,7 +114,9 @@ def _numbers(published: Published, values: Mapping[str, float]) -> str:
 
 
 def _two_readings(published: Published, values: Mapping[str, float]) -> str:
-    """Table 2's MSE as the paper says that it fits, and with what fraclink fits by default."""
+    """Table 2's MSE as the paper says that it fits, and with what fraclink fits by
+    default.
+    """
     printed = {item.id: item.value for item in published.numbers}
     rows = [
         (
@@ -119,7 +129,9 @@ def _two_readings(published: Published, values: Mapping[str, float]) -> str:
         )
         for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")
     ]
-    near = 100.0 * abs(values["free.pulse.UD-IOM.mse"] / float(printed["table2_udiom_mse"]) - 1.0)
+    near = 100.0 * abs(
+        values["free.pulse.UD-IOM.mse"] / float(printed["table2_udiom_mse"]) - 1.0
+    )
     header = (
         "model",
         "printed",
@@ -156,7 +168,10 @@ def _design(published: Published, values: Mapping[str, float]) -> str:
 
 
 def _omissions() -> str:
-    costs = [(name, f"{printed:.1f}", f"{measured:.1f}") for name, printed, measured in omissions.costs()]
+    costs = [
+        (name, f"{printed:.1f}", f"{measured:.1f}")
+        for name, printed, measured in omissions.costs()
+    ]
     margins = [
         (f"{1e3 * payload:.0f} g", *(f"{value:.1f}" for value in left))
         for payload, *left in omissions.sampled_margins()
@@ -168,7 +183,15 @@ def _omissions() -> str:
             _table(("loop", "from the printed inputs", "from c = 1.56 N·m"), costs),
             "The same equations with M(s), hold and delay inside, asked for 12 rad/s and 50°, no filter,",
             "keep what they promise; phase margin [°] of the exactly sampled loop:\n",
-            _table(("payload", "Ĉ(jω) itself", "the law that is shipped", "Grünwald–Letnikov sums"), margins),
+            _table(
+                (
+                    "payload",
+                    "Ĉ(jω) itself",
+                    "the law that is shipped",
+                    "Grünwald–Letnikov sums",
+                ),
+                margins,
+            ),
             "And:\n",
             _table(("what", "value"), list(omissions.facts())),
         )
@@ -176,7 +199,10 @@ def _omissions() -> str:
 
 
 def _claims(claims: Sequence[Claim], found: Mapping[str, Evidence]) -> str:
-    rows = [(item.where, item.statement, found[item.id].text, item.verdict, item.reason) for item in claims]
+    rows = [
+        (item.where, item.statement, found[item.id].text, item.verdict, item.reason)
+        for item in claims
+    ]
     parts = [
         "## Statements\n",
         "Where a statement can be read in several ways, every reading follows below; it holds if all do.\n",
@@ -189,14 +215,18 @@ def _claims(claims: Sequence[Claim], found: Mapping[str, Evidence]) -> str:
         readings = found[item.id].readings
         if readings:
             lines = [(row.name, row.text, row.verdict) for row in readings]
-            parts += [f"### {item.where}: {item.statement}\n", f"{item.verdict.capitalize()}.\n"]
+            parts += [
+                f"### {item.where}: {item.statement}\n",
+                f"{item.verdict.capitalize()}.\n",
+            ]
             parts.append(_table(("reading", "measured", "verdict"), lines))
     return "\n".join(parts)
 
 
 def _figures(pictures: tuple[Picture, ...]) -> str:
     parts = [
-        f"### {item.title}\n\n![{item.title}](figures/{item.name})\n\n{item.caption}\n" for item in pictures
+        f"### {item.title}\n\n![{item.title}](figures/{item.name})\n\n{item.caption}\n"
+        for item in pictures
     ]
     return "## Figures\n\n" + "\n".join(parts)
 
@@ -206,23 +236,37 @@ def _equations(published: Published) -> str:
     for item in published.equations:
         found = measured(item)
         off = "none" if found.printed <= TOLERANCE else f"{found.printed:.2g}"
-        rows.append((item.number, item.what, f"`{_name(item.code)}`", off, item.verdict, item.reason))
+        rows.append(
+            (
+                item.number,
+                item.what,
+                f"`{_name(item.code)}`",
+                off,
+                item.verdict,
+                item.reason,
+            )
+        )
     text = (
         "Print and code of every equation are evaluated at random points and compared with an expression "
         "that shares no algebra with them (a linear system, a numerical derivative, a bisection). `off`: the "
         f"largest relative difference of the print, none below {TOLERANCE:g}; that of the code is none in "
         "every row.\n"
     )
-    return f"## Equations\n\n{text}\n" + _table(("no.", "what", "code", "off", "verdict", "why"), rows)
+    return f"## Equations\n\n{text}\n" + _table(
+        ("no.", "what", "code", "off", "verdict", "why"), rows
+    )
 
 
 def _name(code: str) -> str:
-    """The public part of a name: private modules move, and the page with them would change for nothing.
+    """The public part of a name: private modules move, and the page with them would
+    change for nothing.
 
     >>> _name("fraclink.LinkModel.tip"), _name("fraclink._identify.aic")
     ('LinkModel.tip', 'aic')
     """
     parts = code.removeprefix("fraclink.").split(".")
-    while parts[0].startswith("_") or (code.startswith("fraclink._") and parts[0].islower() and parts[1:]):
+    while parts[0].startswith("_") or (
+        code.startswith("fraclink._") and parts[0].islower() and parts[1:]
+    ):
         parts.pop(0)
     return ".".join(parts)

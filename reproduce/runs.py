@@ -1,4 +1,6 @@
-"""The moves of Figs. 11 to 16, simulated with what the paper's rig adds: offset and noise of its gauge."""
+"""The moves of Figs. 11 to 16, simulated with what the paper's rig adds: offset and
+noise of its gauge.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ DURATION = 5.0  # s, the length of the figures
 
 @cache
 def move(controller: Controller, payload: float) -> Run:
-    """A move of 1 rad in 1 s at `payload` [kg] on the fractional link, M(s), 4 ms, one sample of delay."""
+    """A move of 1 rad in 1 s at `payload` [kg] on the fractional link, M(s), 4 ms, one
+    sample of delay.
+    """
     return simulate(
         discretize(controller, designs.rig().period),
         smooth_step(1.0, duration=1.0),
@@ -32,5 +36,7 @@ def move(controller: Controller, payload: float) -> Run:
 
 
 def tracking_pairs() -> tuple[designs.Pair, ...]:
-    """The pairs of the figures: as printed, with δ read as 0.0016 s, corrected, and fraclink's own."""
+    """The pairs of the figures: as printed, with δ read as 0.0016 s, corrected, and
+    fraclink's own.
+    """
     return designs.printed(), designs.rescaled(), designs.corrected(), designs.in_loop()

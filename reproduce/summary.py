@@ -1,4 +1,6 @@
-"""The first page of RESULTS.md: what holds, what is a misprint, what contradicts, what needs the logs."""
+"""The first page of RESULTS.md: what holds, what is a misprint, what contradicts, what
+needs the logs.
+"""
 
 from __future__ import annotations
 
@@ -53,13 +55,16 @@ PAGE = "../docs/explanation/if-you-are-the-authors.md"
 def summary(published: Published, values: Mapping[str, float]) -> str:
     """Return the summary, its counts and lists from the verdicts themselves."""
     by = {
-        verdict: [c for c in published.claims if c.verdict == verdict] for verdict in (HOLDS, PART, NOT, LOGS)
+        verdict: [c for c in published.claims if c.verdict == verdict]
+        for verdict in (HOLDS, PART, NOT, LOGS)
     }
     numbers = [item.verdict for item in published.numbers]
     return _TEXT.format(
         right=sum(item.verdict == "right" for item in published.equations),
         equations=len(published.equations),
-        misprints=", ".join(item.number for item in published.equations if item.verdict == "misprint"),
+        misprints=", ".join(
+            item.number for item in published.equations if item.verdict == "misprint"
+        ),
         claims=len(published.claims),
         holds=len(by[HOLDS]),
         part=len(by[PART]),
@@ -70,14 +75,17 @@ def summary(published: Published, values: Mapping[str, float]) -> str:
         list_holds=_list(by[HOLDS]),
         list_part=_list(by[PART]),
         list_logs=_list(by[LOGS]),
-        list_not="One statement does not hold:\n\n" + _list(by[NOT]) if len(by[NOT]) == 1 else _list(by[NOT]),
+        list_not="One statement does not hold:\n\n" + _list(by[NOT])
+        if len(by[NOT]) == 1
+        else _list(by[NOT]),
         page=PAGE,
     )
 
 
 def _list(claims: Iterable[Claim]) -> str:
     return "\n".join(
-        f"- {item.where}: {item.statement}" + (f" *{_sentence(item.reason)}*" if item.reason else "")
+        f"- {item.where}: {item.statement}"
+        + (f" *{_sentence(item.reason)}*" if item.reason else "")
         for item in claims
     )
 

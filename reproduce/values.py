@@ -12,19 +12,31 @@ from reproduce.published import Published
 
 __all__ = ["SAMPLES", "computed", "mse_of_table_2"]
 
-SAMPLES = 5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
+SAMPLES = (
+    5001  # 20 s at 4 ms: the only count that gives the AIC of Table 2 from its MSE
+)
 _FREE = {"UD-IOM": 1, "D-IOM": 2, "UD-FOM": 2, "D-FOM": 3}
 
 
 def computed(published: Published) -> Mapping[str, float]:
     """Every value that we can compute, by name."""
-    return {**_used(), **_law_of_payloads(), **_table_2(published), **_designs(), **_fits()}
+    return {
+        **_used(),
+        **_law_of_payloads(),
+        **_table_2(published),
+        **_designs(),
+        **_fits(),
+    }
 
 
 def _used() -> dict[str, float]:
-    """Every datum of the paper that is an input here, read from where the computations take it."""
+    """Every datum of the paper that is an input here, read from where the computations
+    take it.
+    """
     arm, pulse = designs.rig(), logs.pulse_log().header
-    density = 1600.0  # kg/m³, of a carbon rod: the paper prints neither mass nor material
+    density = (
+        1600.0  # kg/m³, of a carbon rod: the paper prints neither mass nor material
+    )
     return {
         "used.inertia": arm.motor.inertia,
         "used.viscous_friction": arm.motor.viscous_friction,
@@ -32,7 +44,9 @@ def _used() -> dict[str, float]:
         "used.length": float(pulse["length_m"]),
         "used.payload_nominal": float(pulse["payload_kg"]),
         "used.period_ms": 1e3 * arm.period,
-        "used.diameter": math.sqrt(float(pulse["link_mass_kg"]) / (math.pi / 4 * density * arm.link.length)),
+        "used.diameter": math.sqrt(
+            float(pulse["link_mass_kg"]) / (math.pi / 4 * density * arm.link.length)
+        ),
         "used.pulse_width": logs.WIDTH,
         "used.pulse_amplitude": logs.AMPLITUDE,
         "used.stiffness": float(pulse["stiffness_Nm"]),
@@ -62,14 +76,21 @@ def _law_of_payloads() -> dict[str, float]:
 def mse_of_table_2(published: Published) -> dict[str, float]:
     """The printed mean squared errors of Table 2 [(N·m)²], by structure."""
     return {
-        name: next(item.printed for item in published.numbers if item.id == f"table2_{_slug(name)}_mse")
+        name: next(
+            item.printed
+            for item in published.numbers
+            if item.id == f"table2_{_slug(name)}_mse"
+        )
         for name in _FREE
     }
 
 
 def _table_2(published: Published) -> dict[str, float]:
     mse = mse_of_table_2(published)
-    values = {f"table2.aic.{name}": aic(mse[name], SAMPLES, free) / 1e4 for name, free in _FREE.items()}
+    values = {
+        f"table2.aic.{name}": aic(mse[name], SAMPLES, free) / 1e4
+        for name, free in _FREE.items()
+    }
     return values | {"table2.reduction": 100.0 * (1.0 - mse["UD-FOM"] / mse["UD-IOM"])}
 
 
@@ -84,7 +105,10 @@ def _designs() -> dict[str, float]:
         ("printed", designs.printed_design(), 11.54),
         ("measured", measured, measured_nominal),
     ):
-        found = max(designed.at_frequency(nominal).gain_crossings, key=lambda item: item.frequency)
+        found = max(
+            designed.at_frequency(nominal).gain_crossings,
+            key=lambda item: item.frequency,
+        )
         gain, order = designs.matched_integer(designed, nominal)
         named = {
             "chi": designed.chi,
@@ -103,27 +127,39 @@ def _designs() -> dict[str, float]:
 
 
 def _fits() -> dict[str, float]:
-    """Tables 2 and 3 on the twin under the paper's conditions, and with gain and delay fitted as well."""
+    """Tables 2 and 3 on the twin under the paper's conditions, and with gain and delay
+    fitted as well.
+    """
     values: dict[str, float] = {}
     for name in ("pulse", *PAYLOADS):
         stem = "pulse" if name == "pulse" else f"prbs.{name}"
         for structure, fit in logs.twin_fits(name).items():
             for quantity in ("natural_frequency", "order", "damping", "damping_order"):
-                values[f"twin.{stem}.{structure}.{quantity}"] = getattr(fit.model, quantity)
+                values[f"twin.{stem}.{structure}.{quantity}"] = getattr(
+                    fit.model, quantity
+                )
             values[f"twin.{stem}.{structure}.mse"] = fit.mse
     for structure, fit in logs.alone("pulse", free=True).items():
-        values[f"free.pulse.{structure}.natural_frequency"] = fit.model.natural_frequency
+        values[f"free.pulse.{structure}.natural_frequency"] = (
+            fit.model.natural_frequency
+        )
         values[f"free.pulse.{structure}.stiffness"] = fit.model.stiffness
         values[f"free.pulse.{structure}.delay_ms"] = 1e3 * fit.model.gauge_delay
         values[f"free.pulse.{structure}.mse"] = fit.mse
     for which, free in (("twin", False), ("free", True)):
         fractional, damped = joint_models(free)
         values[f"{which}.prbs.joint.order"] = fractional
-        values[f"{which}.prbs.joint.damping_order"], values[f"{which}.prbs.joint.damping"] = damped
+        (
+            values[f"{which}.prbs.joint.damping_order"],
+            values[f"{which}.prbs.joint.damping"],
+        ) = damped
     return values
 
 
 def joint_models(free: bool) -> tuple[float, tuple[float, float]]:
     """λ of UD-FOM, and (α, μ) of D-FOM, each common to the twin's three PRBS logs."""
     damped = logs.joint("D-FOM", free=free).models[0]
-    return logs.joint("UD-FOM", free=free).models[0].order, (damped.damping_order, damped.damping)
+    return logs.joint("UD-FOM", free=free).models[0].order, (
+        damped.damping_order,
+        damped.damping,
+    )

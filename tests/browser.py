@@ -1,6 +1,8 @@
-"""Drive Chromium by its DevTools protocol: a page's script, mouse, keys, pictures, and what it asked for.
+"""Drive Chromium by its DevTools protocol: a page's script, mouse, keys, pictures, and
+what it asked for.
 
-The socket's client is the one that the studio itself needs; no driver has to be installed beside the browser.
+The socket's client is the one that the studio itself needs; no driver has to be
+installed beside the browser.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from needed_tools import chromium
 
-# [s]. Nothing is measured by it, and a busy machine must not look like a broken page: at a load of 20 twelve
-# seconds of processor time last longer than a minute.
+# [s]. Nothing is measured by it, and a busy machine must not look like a broken page:
+# at a load of 20 twelve seconds of processor time last longer than a minute.
 _PATIENCE = 600.0
 _KEYS = {
     "ArrowRight": 39,
@@ -50,7 +52,9 @@ class Page:
     def do(self, method: str, **parameters: Any) -> Any:
         """Call a method of the protocol and return its result."""
         self._number += 1
-        self._socket.send(json.dumps({"id": self._number, "method": method, "params": parameters}))
+        self._socket.send(
+            json.dumps({"id": self._number, "method": method, "params": parameters})
+        )
         while True:
             said = json.loads(self._socket.recv(timeout=_PATIENCE))
             if said.get("id") == self._number:
@@ -67,14 +71,27 @@ class Page:
             self.requests.append(given["url"])
         elif event.get("method") == "Runtime.exceptionThrown":
             self.complaints.append(json.dumps(given["exceptionDetails"])[:600])
-        elif event.get("method") == "Log.entryAdded" and given["entry"]["level"] in ("error", "warning"):
-            self.complaints.append(f"{given['entry']['text']} {given['entry'].get('url', '')}")
-        elif event.get("method") == "Runtime.consoleAPICalled" and given["type"] in ("error", "warning"):
+        elif event.get("method") == "Log.entryAdded" and given["entry"]["level"] in (
+            "error",
+            "warning",
+        ):
+            self.complaints.append(
+                f"{given['entry']['text']} {given['entry'].get('url', '')}"
+            )
+        elif event.get("method") == "Runtime.consoleAPICalled" and given["type"] in (
+            "error",
+            "warning",
+        ):
             self.complaints.append(str(given["args"])[:300])
 
     def run(self, script: str) -> Any:
         """The value of an expression of JavaScript; a promise is awaited."""
-        asked = {"expression": script, "returnByValue": True, "awaitPromise": True, "userGesture": True}
+        asked = {
+            "expression": script,
+            "returnByValue": True,
+            "awaitPromise": True,
+            "userGesture": True,
+        }
         found = self.do("Runtime.evaluate", **asked)
         if "exceptionDetails" in found:
             raise AssertionError(f"{script[:120]}: {found['exceptionDetails']}")
@@ -84,11 +101,17 @@ class Page:
         """Wait until an expression, or a function, is true."""
         end = time.monotonic() + _PATIENCE
         while time.monotonic() < end:
-            if self.run(f"Boolean({condition})") if isinstance(condition, str) else condition():
+            if (
+                self.run(f"Boolean({condition})")
+                if isinstance(condition, str)
+                else condition()
+            ):
                 return
             time.sleep(0.03)
         shown = self.run("document.body.innerText")[:4000]
-        raise AssertionError(f"never: {what or condition}; {self.complaints}; the page says\n{shown}")
+        raise AssertionError(
+            f"never: {what or condition}; {self.complaints}; the page says\n{shown}"
+        )
 
     def open(self, address: str) -> None:
         """Load an address and wait until its script has said that it is ready."""
@@ -97,24 +120,43 @@ class Page:
         self.until("document.documentElement?.dataset.ready === 'true'")
 
     def look(
-        self, *, width: int = 1440, height: int = 900, dark: bool = False, media: str = "screen"
+        self,
+        *,
+        width: int = 1440,
+        height: int = 900,
+        dark: bool = False,
+        media: str = "screen",
     ) -> None:
         """Set the window's size, the colours that the user prefers, and the medium."""
         mobile = {"deviceScaleFactor": 1, "mobile": False}
-        self.do("Emulation.setDeviceMetricsOverride", width=width, height=height, **mobile)
-        scheme = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.do(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, **mobile
+        )
+        scheme = [
+            {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        ]
         self.do("Emulation.setEmulatedMedia", media=media, features=scheme)
 
     def middle(self, selector: str) -> tuple[float, float]:
         """The middle of an element in the window."""
         rect = f"document.querySelector({json.dumps(selector)})"
         self.run(f"{rect}.scrollIntoView({{block: 'nearest'}})")
-        x, y = self.run(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({rect}.getBoundingClientRect())")
+        x, y = self.run(
+            f"(r => [r.x + r.width / 2, r.y + r.height / 2])({rect}.getBoundingClientRect())"
+        )
         return float(x), float(y)
 
     def mouse(self, kind: str, x: float, y: float, buttons: int = 1) -> None:
         button = "none" if kind == "mouseMoved" and not buttons else "left"
-        self.do("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
+        self.do(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button=button,
+            buttons=buttons,
+            clickCount=1,
+        )
 
     def click(self, selector: str) -> None:
         """Press the left button on an element."""
@@ -123,7 +165,14 @@ class Page:
         self.mouse("mousePressed", x, y)
         self.mouse("mouseReleased", x, y, 0)
 
-    def drag(self, selector: str, by: tuple[float, float], *, moves: int = 20, pause: float = 0.016) -> float:
+    def drag(
+        self,
+        selector: str,
+        by: tuple[float, float],
+        *,
+        moves: int = 20,
+        pause: float = 0.016,
+    ) -> float:
         """Drag an element by so many pixels; return how many seconds the moves took."""
         x, y = self.middle(selector)
         self.mouse("mouseMoved", x, y, 0)
@@ -142,25 +191,45 @@ class Page:
         parts: dict[str, Any] = {"key": name, "windowsVirtualKeyCode": code}
         parts["modifiers"] = _CONTROL * control + _SHIFT * shift
         text = {} if control or (name in _KEYS and name != " ") else {"text": name}
-        self.do("Input.dispatchKeyEvent", type="keyDown" if text else "rawKeyDown", **parts, **text)
+        self.do(
+            "Input.dispatchKeyEvent",
+            type="keyDown" if text else "rawKeyDown",
+            **parts,
+            **text,
+        )
         self.do("Input.dispatchKeyEvent", type="keyUp", **parts)
 
     def picture(self, path: Path, *, whole: bool = False) -> None:
         """Write a PNG of the window, or of the whole page."""
-        if whole:  # a window as high as the page: what stands at the window's foot stands at the page's
+        # a window as high as the page: what stands at the window's foot stands at the
+        # page's
+        if whole:
             self.look(height=int(self.run("document.documentElement.scrollHeight")))
             time.sleep(0.3)
-        path.write_bytes(base64.b64decode(self.do("Page.captureScreenshot", format="png")["data"]))
+        path.write_bytes(
+            base64.b64decode(self.do("Page.captureScreenshot", format="png")["data"])
+        )
 
 
 def command_line(place: Path, *more: str) -> list[str]:
-    """A headless Chromium with its profile in `place`, as a command that an address follows.
+    """A headless Chromium with its profile in `place`, as a command that an address
+    follows.
 
-    Neither the pop-ups of an address bar that nobody sees, nor a renderer in reserve: together 80 MB.
+    Neither the pop-ups of an address bar that nobody sees, nor a renderer in reserve:
+    together 80 MB.
     """
     unused = "WebUIOmniboxPopup,WebUIOmniboxAimPopup,SpareRendererForSitePerProcess"
-    quiet = ["--no-first-run", "--disable-background-networking", "--disable-component-update"]
-    alone = ["--headless", "--no-sandbox", "--disable-gpu", f"--disable-features={unused}"]
+    quiet = [
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-component-update",
+    ]
+    alone = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--disable-features={unused}",
+    ]
     return [chromium(), *alone, *quiet, f"--user-data-dir={place / 'profile'}", *more]
 
 
@@ -168,9 +237,14 @@ def command_line(place: Path, *more: str) -> list[str]:
 def browser(place: Path) -> Iterator[Page]:
     """A headless Chromium with its profile in `place`, and its one page."""
     command = [*command_line(place), "--remote-debugging-port=0", "about:blank"]
-    # Debian's chromium-headless-shell is a script that waits for the browser: only the group ends both.
+    # Debian's chromium-headless-shell is a script that waits for the browser: only the
+    # group ends both.
     process = subprocess.Popen(  # noqa: S603
-        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True
+        command,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,
     )
     try:
         assert process.stderr is not None
@@ -183,8 +257,12 @@ def browser(place: Path) -> Iterator[Page]:
         assert host is not None
         import urllib.request
 
-        tabs = json.loads(urllib.request.urlopen(f"http://{host[1]}/json/list", timeout=30).read())
-        address = next(tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page")
+        tabs = json.loads(
+            urllib.request.urlopen(f"http://{host[1]}/json/list", timeout=30).read()
+        )
+        address = next(
+            tab["webSocketDebuggerUrl"] for tab in tabs if tab["type"] == "page"
+        )
         with connect(address, max_size=2**26, compression=None) as socket:
             yield Page(socket)
     finally:

@@ -18,22 +18,47 @@ from fraclink._simulate import geared
 def small(runs: int = 2500, seed: int = 7) -> Campaign:
     """The paper's arm under our own order-4 law: three parts, the last one half full."""
     rig = fl.Rig.named("paper-2023")
-    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    law = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        rig.period,
+        order=4,
+    )
     return Campaign.of(rig, rig.model, law, runs=runs, seed=seed)
 
 
 @functools.cache
 def fault_bench() -> Bench:
-    """The paper's arm behind a gear, its link with mass, under the design of the documentation."""
+    """The paper's arm behind a gear, its link with mass, under the design of the
+    documentation.
+    """
     rig = geared(fl.Rig.named("paper-2023"))
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     return Bench.of(design, link_mass=0.00735)
 
 
-def started(out: Path, *, runs: int, workers: int = 2, seed: int = 7) -> subprocess.Popen[str]:
-    """The command `campaign montecarlo` in a session of its own, so that its workers die with it."""
-    line = ["campaign", "montecarlo", "--out", str(out), "--runs", str(runs), "--seed", str(seed)]
-    return subprocess.Popen(  # noqa: S603 - our own command
+def started(
+    out: Path, *, runs: int, workers: int = 2, seed: int = 7
+) -> subprocess.Popen[str]:
+    """The command `campaign montecarlo` in a session of its own, so that its workers
+    die with it.
+    """
+    line = [
+        "campaign",
+        "montecarlo",
+        "--out",
+        str(out),
+        "--runs",
+        str(runs),
+        "--seed",
+        str(seed),
+    ]
+    return subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "fraclink", *line, "--workers", str(workers)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -43,7 +68,9 @@ def started(out: Path, *, runs: int, workers: int = 2, seed: int = 7) -> subproc
 
 
 def computed(campaign: Campaign, folder: Path) -> Path:
-    """Every part of a campaign, one after the other, in this process: what nobody disturbed."""
+    """Every part of a campaign, one after the other, in this process: what nobody
+    disturbed.
+    """
     save_campaign(campaign, folder)
     for part in range(campaign.parts):
         write_part(campaign, folder, part)
@@ -51,10 +78,12 @@ def computed(campaign: Campaign, folder: Path) -> Path:
 
 
 def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
-    """`run_campaign` for the campaign kept in `folder`, as a process in a session of its own."""
+    """`run_campaign` for the campaign kept in `folder`, as a process in a session of
+    its own.
+    """
     code = "import sys; from fraclink._campaign import run_campaign, load_campaign; f = sys.argv[1]; "
     code += f"run_campaign(load_campaign(f), f, workers={workers})"
-    return subprocess.Popen(  # noqa: S603 - our own interpreter
+    return subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", code, str(folder)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -65,4 +94,6 @@ def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
 
 def parts_of(folder: Path) -> dict[str, bytes]:
     """Bytes of every finished part by name."""
-    return {path.name: path.read_bytes() for path in sorted(folder.glob("part-*.parquet"))}
+    return {
+        path.name: path.read_bytes() for path in sorted(folder.glob("part-*.parquet"))
+    }

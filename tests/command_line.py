@@ -1,4 +1,6 @@
-"""The command line in a folder of its own, with listeners in the place of the functions it calls."""
+"""The command line in a folder of its own, with listeners in the place of the functions
+it calls.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,9 @@ def made_design() -> fl.Design:
     return _MADE[0]
 
 
-def prepared(patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: Path) -> Line:
+def prepared(
+    patch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], place: Path
+) -> Line:
     """The command line in `place`, which holds a design and a log under two names."""
     patch.chdir(place)
     made_design().save("design.json")

@@ -1,4 +1,6 @@
-"""The committed engine under wasmtime: the calls that the page's script makes, from Python."""
+"""The committed engine under wasmtime: the calls that the page's script makes, from
+Python.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,13 @@ from fraclink._simulate.engine import (
     twin_noise,
 )
 from fraclink._simulate.kernel import twin_numbers
-from fraclink._simulate.sensors import ACCELERATION, GAUGE_ERROR, PAYLOAD, REFERENCE, fault_rows
+from fraclink._simulate.sensors import (
+    ACCELERATION,
+    GAUGE_ERROR,
+    PAYLOAD,
+    REFERENCE,
+    fault_rows,
+)
 from needed_tools import missing
 
 try:
@@ -62,7 +70,9 @@ class Engine:
 
     def read(self, place: int, kind: str, count: int) -> NDArray[Any]:
         size = count * np.dtype(kind).itemsize
-        return np.frombuffer(bytes(self._exports["memory"].read(self._store, place, place + size)), kind)
+        return np.frombuffer(
+            bytes(self._exports["memory"].read(self._store, place, place + size)), kind
+        )
 
     def fill(self, place: int, numbers: NDArray[np.float64]) -> None:
         """A rig: three whole numbers, and its doubles from byte 16 on."""
@@ -70,8 +80,14 @@ class Engine:
         self.write(place + 16, numbers[3:].tobytes())
 
     def signals(self, count: int) -> dict[str, NDArray[Any]]:
-        found = {name: self.read(self.call("signal", i), "<f8", count) for i, name in enumerate(SIGNALS)}
-        return found | {name: self.read(self.call("mark", i), "<u4", count) for i, name in enumerate(MARKS)}
+        found = {
+            name: self.read(self.call("signal", i), "<f8", count)
+            for i, name in enumerate(SIGNALS)
+        }
+        return found | {
+            name: self.read(self.call("mark", i), "<u4", count)
+            for i, name in enumerate(MARKS)
+        }
 
     def run_twin(
         self,
@@ -85,20 +101,29 @@ class Engine:
         faults: NDArray[np.float64] | None = None,
     ) -> dict[str, NDArray[Any]]:
         """Return the signals and marks of one run of the twin."""
-        count, numbers = round(duration / law.period) + 1, twin_numbers(twin, law.period)
+        count, numbers = (
+            round(duration / law.period) + 1,
+            twin_numbers(twin, law.period),
+        )
         fine = law.period / numbers[0]
         plant = twin.plant(fine)
         size, stride = plant.order + 2, -(-plant.order // 8) * 8
-        block, outputs = np.zeros((size, size)), np.zeros((plant.outputs.shape[0], stride))
+        block, outputs = (
+            np.zeros((size, size)),
+            np.zeros((plant.outputs.shape[0], stride)),
+        )
         block[: plant.order, : plant.order], block[: plant.order, plant.order :] = (
             plant.dynamics * fine,
             plant.inputs * fine,
         )
         outputs[:, : plant.order] = plant.outputs
         inputs = fault_rows((), law.period, count) if faults is None else faults.copy()
-        inputs[:, REFERENCE], _, inputs[:, ACCELERATION] = sampled(reference, law.period, count)
-        inputs[:, GAUGE_ERROR] = twin.sensors.gauge_offset + twin.sensors.gauge_noise * twin_noise(
-            seed, count
+        inputs[:, REFERENCE], _, inputs[:, ACCELERATION] = sampled(
+            reference, law.period, count
+        )
+        inputs[:, GAUGE_ERROR] = (
+            twin.sensors.gauge_offset
+            + twin.sensors.gauge_noise * twin_noise(seed, count)
         )
         inputs[:, PAYLOAD] = told
         self.write(self.call("block"), law.block)
@@ -123,7 +148,9 @@ class Engine:
         faults: NDArray[np.float64] | None = None,
         **changed: float,
     ) -> dict[str, NDArray[Any]]:
-        """Return the signals and marks of one run; `changed`: numbers of the rig by their names."""
+        """Return the signals and marks of one run; `changed`: numbers of the rig by
+        their names.
+        """
         count = round(duration / law.period) + 1
         model = design.model.at_payload(payload)
         link = engine_link(model, law.period, duration)
@@ -140,6 +167,13 @@ class Engine:
             assert faults.shape == (count, _kernels.TWIN_INPUTS)
             self.write(self.call("faults"), faults.tobytes())
         single = int(law.precision == "single")
-        given = (single, link.reals, link.pairs, int(link.second), int(faults is not None), count)
+        given = (
+            single,
+            link.reals,
+            link.pairs,
+            int(link.second),
+            int(faults is not None),
+            count,
+        )
         assert self.call("run", *given) == 0
         return self.signals(count)

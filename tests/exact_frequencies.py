@@ -1,4 +1,6 @@
-"""The frequencies of the twin's link from its transcendental equation: the check of the finite elements."""
+"""The frequencies of the twin's link from its transcendental equation: the check of the
+finite elements.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +17,16 @@ __all__ = ["exact_frequencies"]
 
 
 def exact_frequencies(beam: Beam, count: int = 3) -> NDArray[np.float64]:
-    """Return the first frequencies of the beam from its transcendental equation [rad/s].
+    """Return the first frequencies of the beam from its transcendental equation
+    [rad/s].
 
     With β = kL, μ = m/(ρA L) and j = J/(ρA L³), ω = β² √(EI/(ρA L⁴)) and
 
         1 + cos β cosh β + μ β (cos β sinh β − sin β cosh β)
           − j β³ (cos β sinh β + sin β cosh β) + μ j β⁴ (1 − cos β cosh β) = 0.
 
-    It shares nothing with the finite elements of `Beam.modes`, which are checked against it. A massless
-    link has the one frequency of equation (5).
+    It shares nothing with the finite elements of `Beam.modes`, which are checked
+    against it. A massless link has the one frequency of equation (5).
 
     Source: Meirovitch, Fundamentals of Vibrations (2001), section 8.4, with a tip mass.
 
@@ -46,8 +49,14 @@ def exact_frequencies(beam: Beam, count: int = 3) -> NDArray[np.float64]:
     inertia = beam.payload_inertia / (beam.link_mass * beam.length**2)
 
     def equation(beta: float) -> float:
-        # Divided by cosh β, so that it neither overflows nor loses the roots at large β.
-        c, s, th, sech = math.cos(beta), math.sin(beta), math.tanh(beta), 1.0 / math.cosh(beta)
+        # Divided by cosh β, so that it neither overflows nor loses the roots at large
+        # β.
+        c, s, th, sech = (
+            math.cos(beta),
+            math.sin(beta),
+            math.tanh(beta),
+            1.0 / math.cosh(beta),
+        )
         return (
             sech
             + c
@@ -57,8 +66,9 @@ def exact_frequencies(beam: Beam, count: int = 3) -> NDArray[np.float64]:
         )
 
     roots: list[float] = []
-    # The first root tends to 0 like (3 ρA L/m)^¼ as the link gets lighter; the others lie about π apart,
-    # never closer than 0.5, so that this step cannot jump over two of them.
+    # The first root tends to 0 like (3 ρA L/m)^¼ as the link gets lighter; the others
+    # lie about π apart, never closer than 0.5, so that this step cannot jump over two
+    # of them.
     low = 1e-6
     value = equation(low)
     while len(roots) < count:

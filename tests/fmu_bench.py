@@ -1,4 +1,6 @@
-"""What the tests of the FMU share: a long eventful run of the twin, and an FMU in FMPy's hands."""
+"""What the tests of the FMU share: a long eventful run of the twin, and an FMU in
+FMPy's hands.
+"""
 
 from __future__ import annotations
 
@@ -41,24 +43,34 @@ def _moves(count: int) -> Trajectory:
 
 
 def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[Any]:
-    """Faults that the law rides through, and at last those that it does not: see `ending`."""
+    """Faults that the law rides through, and at last those that it does not: see
+    `ending`.
+    """
     period = law.period
     kinds = (
         ("gauge value", math.nan),
         ("encoder value", math.nan),
         ("gauge value", math.inf),
         ("encoder value", -9.0),
-        ("gauge value", 1e300),  # beyond a float: a law in single precision must refuse it too
+        (
+            "gauge value",
+            1e300,
+        ),  # beyond a float: a law in single precision must refuse it too
         ("gauge offset", 0.05),
     )
-    events: list[Any] = [PayloadChange(0.3 * end, 0.040), PayloadChange(0.55 * end, 0.020)]
+    events: list[Any] = [
+        PayloadChange(0.3 * end, 0.040),
+        PayloadChange(0.55 * end, 0.020),
+    ]
     events += [TipPulse(0.1 * end + 0.085 * k * end, 0.3) for k in range(6)]
     for k in range(40):
         kind, value = kinds[k % len(kinds)]
         begin = 0.01 * end + 0.0175 * k * end
         lasting = 200 if kind == "gauge offset" else 3
         events.append(SensorFault(begin, begin + lasting * period, kind, value))
-    if ending == "degraded":  # the gauge is lost; later, at angle 0, the encoder: the motor leaves its model
+    if (
+        ending == "degraded"
+    ):  # the gauge is lost; later, at angle 0, the encoder: the motor leaves its model
         events.append(SensorFault(0.8 * end, 0.81 * end, "gauge value", math.nan))
         late = 0.9 * end + period * np.arange(2000)
         at_zero = float(late[np.argmin(np.abs(reference.angle(late)))])
@@ -74,15 +86,24 @@ def _events(law: Law, reference: Trajectory, end: float, ending: str) -> list[An
 
 
 @functools.cache
-def eventful(periods: int, precision: str, ending: str) -> tuple[Law, NDArray[np.float64], Run]:
-    """A run of the twin under its law: the law, what the law read, shape (4, periods + 1), and the run."""
+def eventful(
+    periods: int, precision: str, ending: str
+) -> tuple[Law, NDArray[np.float64], Run]:
+    """A run of the twin under its law: the law, what the law read, shape (4, periods +
+    1), and the run.
+    """
     twin, law = geared_law(precision)
     end = periods * law.period
     reference = _moves(math.ceil(end / 1.45))
     events = _events(law, reference, end, ending)
     run = fl.simulate(law, reference, arm=twin, duration=end, events=events, seed=3)
     rows = np.array(
-        [run.reference, reference.acceleration(run.time), run.motor_angle_measured, run.torque_measured]
+        [
+            run.reference,
+            reference.acceleration(run.time),
+            run.motor_angle_measured,
+            run.torque_measured,
+        ]
     )
     return law, rows, run
 
@@ -110,9 +131,18 @@ def outputs_of(columns: LawOutputs) -> NDArray[np.float64]:
 
 
 class Imported:
-    """An FMU that FMPy has loaded, with one face for both versions; `messages` is what it told its logger."""
+    """An FMU that FMPy has loaded, with one face for both versions; `messages` is what
+    it told its logger.
+    """
 
-    def __init__(self, file: Path, folder: Path, *, logging: bool = True, token: str | None = None) -> None:
+    def __init__(
+        self,
+        file: Path,
+        folder: Path,
+        *,
+        logging: bool = True,
+        token: str | None = None,
+    ) -> None:
         fmpy = fmpy_or_skip()
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
@@ -127,14 +157,22 @@ class Imported:
             unzipDirectory=str(folder),
         )
         self.instance = self._instantiate(logging)
-        self._inputs, self._values = (_array("c_uint", 4, INPUTS), _array("c_double", 4))
-        self._reals, self._real_values = (_array("c_uint", 3, REALS), _array("c_double", 3))
+        self._inputs, self._values = (
+            _array("c_uint", 4, INPUTS),
+            _array("c_double", 4),
+        )
+        self._reals, self._real_values = (
+            _array("c_uint", 3, REALS),
+            _array("c_double", 3),
+        )
         self._wholes = _array("c_uint", 3, WHOLES)
         self._whole_values = _array("c_int" if self.fmi == 2 else "c_uint32", 3)
 
     def _instantiate(self, logging: bool) -> Any:
         if self.fmi == 3:
-            self.slave.instantiate(loggingOn=logging, logMessage=lambda *told: self._hear(told))
+            self.slave.instantiate(
+                loggingOn=logging, logMessage=lambda *told: self._hear(told)
+            )
             return self.slave.component
         from ctypes import byref
 
@@ -187,9 +225,16 @@ class Imported:
         self.slave.doStep(now, size)
 
     def run(
-        self, rows: NDArray[np.float64], period: float, *, first: int = 0, each: Callable[[int], object] = id
+        self,
+        rows: NDArray[np.float64],
+        period: float,
+        *,
+        first: int = 0,
+        each: Callable[[int], object] = id,
     ) -> NDArray[np.float64]:
-        """Step through `rows`, shape (4, N), from period `first` on; return the outputs, shape (N, 6)."""
+        """Step through `rows`, shape (4, N), from period `first` on; return the
+        outputs, shape (N, 6).
+        """
         got = np.empty((rows.shape[1], 6))
         for k, values in enumerate(rows.T):
             self.write(values)
@@ -204,7 +249,9 @@ class Imported:
 
     def restore(self, state: Any) -> None:
         """Go back to a snapshot."""
-        self.slave.setFMUstate(state) if self.fmi == 2 else self.slave.setFMUState(state)
+        self.slave.setFMUstate(state) if self.fmi == 2 else self.slave.setFMUState(
+            state
+        )
 
 
 def _array(kind: str, length: int, values: tuple[int, ...] = ()) -> Any:

@@ -22,7 +22,9 @@ class Source:
 
     @property
     def tree(self) -> ast.Module:
-        """Parsed anew each time, a second for all: kept, the trees of the package take 100 MB."""
+        """Parsed anew each time, a second for all: kept, the trees of the package take
+        100 MB.
+        """
         return ast.parse(self.text, filename=str(self.path))
 
     @property
@@ -43,7 +45,9 @@ def sources() -> tuple[Source, ...]:
 
 
 def _typing_only(tree: ast.Module) -> set[int]:
-    """Ids of the nodes below ``if TYPE_CHECKING``: they are never imported when the code runs."""
+    """Ids of the nodes below ``if TYPE_CHECKING``: they are never imported when the
+    code runs.
+    """
     hidden: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test):
@@ -54,7 +58,12 @@ def _typing_only(tree: ast.Module) -> set[int]:
 def _inside_functions(tree: ast.Module) -> set[int]:
     """Ids of the nodes inside functions: their imports wait until they are called."""
     kinds = ast.FunctionDef | ast.AsyncFunctionDef
-    return {id(inner) for node in ast.walk(tree) if isinstance(node, kinds) for inner in ast.walk(node)}
+    return {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+        for inner in ast.walk(node)
+    }
 
 
 def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
@@ -72,9 +81,14 @@ def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
             for alias in node.names:
                 if alias.name.startswith("fraclink."):
                     yield alias.name.removeprefix("fraclink.")
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "fraclink":
+        elif (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] == "fraclink"
+        ):
             base = node.module.removeprefix("fraclink").removeprefix(".")
             for alias in node.names:
                 longer = f"{base}.{alias.name}".removeprefix(".")
-                # `from fraclink._design import design` may name a module or a value of the package.
+                # `from fraclink._design import design` may name a module or a value of
+                # the package.
                 yield longer if longer in names else base

@@ -34,19 +34,35 @@ def made_log(
     samples: int = 5001,
     payload: float | None = None,
 ) -> Experiment:
-    """A log simulated on a ten times finer base, so that the motor is not linear between two samples."""
+    """A log simulated on a ten times finer base, so that the motor is not linear
+    between two samples.
+    """
     fine = smooth_pulse(PERIOD / 10 * np.arange(10 * samples))
     torque = simulated_torque(model, fine, PERIOD / 10, delay=delay, hold="first")[::10]
-    output = gain * torque + offset + np.random.default_rng(seed).normal(0, noise, samples) * (noise > 0)
-    return Experiment(period=PERIOD, motor_angle=fine[::10], output=output, payload=payload)
+    output = (
+        gain * torque
+        + offset
+        + np.random.default_rng(seed).normal(0, noise, samples) * (noise > 0)
+    )
+    return Experiment(
+        period=PERIOD, motor_angle=fine[::10], output=output, payload=payload
+    )
 
 
 def late_cut(seed: int) -> Experiment:
-    """The last 2 s of 32 s of random moves of a link of ω₀ = 10 rad/s and ζ = 0.02, with 1 % of noise."""
+    """The last 2 s of 32 s of random moves of a link of ω₀ = 10 rad/s and ζ = 0.02,
+    with 1 % of noise.
+    """
     levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 81)
     levels[0] = 0.0
     # 12 ms of a servo: smooth enough for straight lines between the samples.
-    angle = time_response(1 / (0.012 * s + 1) ** 2, np.repeat(levels, 100)[: LATE + 500], PERIOD).output
-    torque = simulated_torque(LinkModel(1.56, 10.0, damping=0.4), angle, PERIOD, hold="first")
+    angle = time_response(
+        1 / (0.012 * s + 1) ** 2, np.repeat(levels, 100)[: LATE + 500], PERIOD
+    ).output
+    torque = simulated_torque(
+        LinkModel(1.56, 10.0, damping=0.4), angle, PERIOD, hold="first"
+    )
     noise = 0.01 * torque.std() * np.random.default_rng(9).standard_normal(torque.size)
-    return Experiment(PERIOD, angle[LATE:], (torque + noise)[LATE:], earlier_angle=angle[:LATE])
+    return Experiment(
+        PERIOD, angle[LATE:], (torque + noise)[LATE:], earlier_angle=angle[:LATE]
+    )

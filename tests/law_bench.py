@@ -13,7 +13,10 @@ import fraclink as fl
 from fraclink._law import Law, LawInputs, LawOutputs, discretize_controller
 
 PERIOD = 0.004
-DESIGN = (0.069876, 0.612197)  # default design of issue 2: c 1.56, 20-40 g, 12 rad/s, 50 degrees, no filter
+DESIGN = (
+    0.069876,
+    0.612197,
+)  # default design of issue 2: c 1.56, 20-40 g, 12 rad/s, 50 degrees, no filter
 
 
 def default_controller() -> fl.Controller:
@@ -24,19 +27,27 @@ def default_controller() -> fl.Controller:
 @functools.cache
 def law(precision: str = "double", *, equipped: bool = True) -> Law:
     rig = fl.Rig.named("paper-2023")
-    made = discretize_controller(default_controller(), PERIOD, rig=rig if equipped else None)
+    made = discretize_controller(
+        default_controller(), PERIOD, rig=rig if equipped else None
+    )
     return made.in_precision(precision)  # type: ignore[arg-type]
 
 
 def with_pair(precision: str = "double") -> Law:
-    """The default law with a complex pair added by hand: not every fit has one, and every line must count."""
+    """The default law with a complex pair added by hand: not every fit has one, and
+    every line must count.
+    """
     made = law(precision)
-    paired = made.correction._replace(pair_poles=(0.93 + 0.06j,), pair_gains=(0.02 - 0.03j,))
+    paired = made.correction._replace(
+        pair_poles=(0.93 + 0.06j,), pair_gains=(0.02 - 0.03j,)
+    )
     return replace(made, correction=paired)
 
 
 def signals(count: int, *, seed: int = 1) -> NDArray[np.float64]:
-    """Reference, acceleration, motor angle and torque of a move with noise; shape (4, count)."""
+    """Reference, acceleration, motor angle and torque of a move with noise; shape (4,
+    count).
+    """
     rng = np.random.default_rng(seed)
     time = PERIOD * np.arange(count)
     move = fl.smooth_step(1.0, 0.5, 0.2)
@@ -55,7 +66,8 @@ def closed_loop(
     *,
     frequency: float = 11.0,
 ) -> tuple[NDArray[np.float64], LawOutputs]:
-    """Run the law on an undamped link (λ = 2) behind M(s); return the tip angle and the law's outputs.
+    """Run the law on an undamped link (λ = 2) behind M(s); return the tip angle and the
+    law's outputs.
 
     Written apart from the package's simulation. The drive stops at once in mode "off".
     """
@@ -65,7 +77,9 @@ def closed_loop(
     state, command, tips, log = made.initial_state(), 0.0, [], []
     for k in range(rows.shape[1]):
         angle, torque = disturb(k, motor, made.stiffness * (motor - tip))
-        state, out = made.step(state, LawInputs(rows[0, k], rows[1, k], angle, torque), tick=k + 1)
+        state, out = made.step(
+            state, LawInputs(rows[0, k], rows[1, k], angle, torque), tick=k + 1
+        )
         tips.append(tip)
         log.append(out)
         if out.mode < 4:

@@ -24,7 +24,9 @@ def write_mat5(path: Path, columns: Columns, *, compressed: bool = True) -> Path
     from scipy.io import savemat
 
     savemat(
-        path, {name: values.reshape(-1, 1) for name, values in columns.items()}, do_compression=compressed
+        path,
+        {name: values.reshape(-1, 1) for name, values in columns.items()},
+        do_compression=compressed,
     )
     return path
 
@@ -64,7 +66,12 @@ def write_tdms(path: Path, columns: Columns) -> Path:
     with nptdms.TdmsWriter(str(path)) as writer:
         writer.write_segment(
             [
-                nptdms.ChannelObject("arm", name, values, properties={"unit_string": name.rsplit("_", 1)[1]})
+                nptdms.ChannelObject(
+                    "arm",
+                    name,
+                    values,
+                    properties={"unit_string": name.rsplit("_", 1)[1]},
+                )
                 for name, values in columns.items()
             ]
         )
@@ -80,23 +87,43 @@ def write_rosbag(folder: Path, columns: Columns, kind: str) -> Path:
     store = get_typestore(Stores.ROS2_HUMBLE)
     state, header, stamp = (
         store.types[name]
-        for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+        for name in (
+            "sensor_msgs/msg/JointState",
+            "std_msgs/msg/Header",
+            "builtin_interfaces/msg/Time",
+        )
     )
-    late = np.random.default_rng(2).integers(2_000_000, 7_000_000, columns["time_s"].size)
+    late = np.random.default_rng(2).integers(
+        2_000_000, 7_000_000, columns["time_s"].size
+    )
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
-        connection = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
-        rows = zip(columns["time_s"], columns["motor_angle_rad"], columns["torque_Nm"], late, strict=True)
+        connection = writer.add_connection(
+            "/joint_states", state.__msgtype__, typestore=store
+        )
+        rows = zip(
+            columns["time_s"],
+            columns["motor_angle_rad"],
+            columns["torque_Nm"],
+            late,
+            strict=True,
+        )
         for time, angle, torque, delay in rows:
             at = 1_700_000_000_000_000_000 + round(time * 1e9)
             message = state(
-                header=header(stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id=""),
+                header=header(
+                    stamp=stamp(sec=at // 10**9, nanosec=at % 10**9), frame_id=""
+                ),
                 name=["shoulder"],
                 position=np.array([angle]),
                 velocity=np.array([]),
                 effort=np.array([torque]),
             )
-            writer.write(connection, at + int(delay), store.serialize_cdr(message, state.__msgtype__))
+            writer.write(
+                connection,
+                at + int(delay),
+                store.serialize_cdr(message, state.__msgtype__),
+            )
     return folder
 
 

@@ -13,7 +13,9 @@ Array = NDArray[np.float64]
 
 
 def made_motion(count: int = 2000, period: float = 0.004) -> tuple[Array, Array]:
-    """Time and a motor angle: rest, then smooth moves between levels drawn from a fixed seed."""
+    """Time and a motor angle: rest, then smooth moves between levels drawn from a fixed
+    seed.
+    """
     time: NDArray[np.float64] = period * np.arange(count, dtype=np.float64)
     levels = np.random.default_rng(4).uniform(-0.5, 0.5, 1 + count // 125)
     levels[0] = 0.0
@@ -22,7 +24,9 @@ def made_motion(count: int = 2000, period: float = 0.004) -> tuple[Array, Array]
     state = np.zeros(2)
     for k in range(count):  # two poles at 60 rad/s: a servo that follows the levels
         motor[k] = state[1]
-        state = state + period * 60 * np.array([angle[k] - state[0], state[0] - state[1]])
+        state = state + period * 60 * np.array(
+            [angle[k] - state[0], state[0] - state[1]]
+        )
     return time, motor
 
 
@@ -42,15 +46,21 @@ def made_output(
     step = expm(block * period)
     state, output = np.zeros(2), np.zeros(motor.size)
     for k, angle in enumerate(motor):
-        output[k] = stiffness * (angle - frequency**2 * state[0] - 2 * damping * frequency * state[1])
+        output[k] = stiffness * (
+            angle - frequency**2 * state[0] - 2 * damping * frequency * state[1]
+        )
         state = step[:2, :2] @ state + step[:2, 2] * angle
     return output
 
 
-def made_experiment(count: int = 2000, period: float = 0.004, *, noise: float = 0.005) -> Experiment:
+def made_experiment(
+    count: int = 2000, period: float = 0.004, *, noise: float = 0.005
+) -> Experiment:
     """A good log as an Experiment."""
     _, motor = made_motion(count, period)
-    output = made_output(motor, period) + np.random.default_rng(5).normal(0, noise, count)
+    output = made_output(motor, period) + np.random.default_rng(5).normal(
+        0, noise, count
+    )
     return Experiment(period=period, motor_angle=motor, output=output, payload=0.03)
 
 
@@ -58,7 +68,10 @@ def made_rows(count: int = 400) -> list[list[str]]:
     """Rows of a good log as text cells: time_s, motor_angle_rad, torque_Nm."""
     time, motor = made_motion(count)
     output = made_output(motor)
-    return [[f"{t:.3f}", f"{m:.6g}", f"{o:.6g}"] for t, m, o in zip(time, motor, output, strict=True)]
+    return [
+        [f"{t:.3f}", f"{m:.6g}", f"{o:.6g}"]
+        for t, m, o in zip(time, motor, output, strict=True)
+    ]
 
 
 HEADER = ["time_s", "motor_angle_rad", "torque_Nm"]
@@ -92,8 +105,9 @@ def example_motor_log(
 ) -> tuple[Array, Array]:
     """Voltage [V] and encoder angle [rad] of θ'' = A z(V) − B θ' − C sign θ'.
 
-    Between two changes of the voltage and of the velocity's sign the equation is linear with constant
-    inputs, so that each piece is solved exactly; a piece ends where the velocity crosses zero.
+    Between two changes of the voltage and of the velocity's sign the equation is linear
+    with constant inputs, so that each piece is solved exactly; a piece ends where the
+    velocity crosses zero.
 
     >>> voltage, angle = example_motor_log(samples=500)
     >>> voltage.shape, bool(np.ptp(angle) > 0.1)
@@ -117,7 +131,9 @@ def example_motor_log(
         friction = gain * coulomb_voltage * float(direction)
         final = (push - friction) / decay if speed or abs(push) > abs(friction) else 0.0
         moved = final + (speed - final) * fade
-        if speed * moved < 0:  # it stops within the step: friction turns round at the next one
+        if (
+            speed * moved < 0
+        ):  # it stops within the step: friction turns round at the next one
             angle += 0.5 * inner * speed
             speed = 0.0
             continue

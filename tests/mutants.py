@@ -1,4 +1,6 @@
-"""Mutated files: what a reader must survive, whatever a disk, a cable or an enemy did to the bytes."""
+"""Mutated files: what a reader must survive, whatever a disk, a cable or an enemy did
+to the bytes.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,29 @@ _TELLING = (
     b"\n",
     b",",
 )
-SUFFIX = {"text": ".csv", "rig": ".toml", "mat5": ".mat", "mat73": ".mat", "hdf5": ".h5"}
+SUFFIX = {
+    "text": ".csv",
+    "rig": ".toml",
+    "mat5": ".mat",
+    "mat73": ".mat",
+    "hdf5": ".h5",
+}
 
 
 def mutate(raw: bytes, rng: np.random.Generator) -> bytes:
-    """One change or a few: bits flipped, bytes replaced, pieces cut, doubled, moved or cut off."""
+    """One change or a few: bits flipped, bytes replaced, pieces cut, doubled, moved or
+    cut off.
+    """
     data = bytearray(raw)
-    for _ in range(int(rng.geometric(0.5))):  # half of them one change, which reaches deepest
+    for _ in range(
+        int(rng.geometric(0.5))
+    ):  # half of them one change, which reaches deepest
         at, size = int(rng.integers(0, max(1, len(data)))), int(rng.integers(1, 33))
         change = int(rng.integers(0, 7))
         if change == 0:
-            data[at : at + 1] = bytes([data[at] ^ (1 << int(rng.integers(0, 8)))]) if data else b""
+            data[at : at + 1] = (
+                bytes([data[at] ^ (1 << int(rng.integers(0, 8)))]) if data else b""
+            )
         elif change == 1:
             data[at : at + 1] = bytes([int(rng.integers(0, 256))])
         elif change == 2:
@@ -67,7 +81,9 @@ class Outcome:
 
 
 class Arena:
-    """Feeds mutants to one reader; binary ones to one child, which is replaced when it dies."""
+    """Feeds mutants to one reader; binary ones to one child, which is replaced when it
+    dies.
+    """
 
     def __init__(self, kind: str, folder: Path, cpu_seconds: int) -> None:
         self.kind, self.folder = kind, folder
@@ -79,7 +95,10 @@ class Arena:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self.child.__exit__(kind, error, trace)
 
@@ -111,10 +130,11 @@ class Arena:
             self._read()
         except FraclinkError as error:
             died = any(
-                word in str(error) for word in ("crashed", "parser needed", "was stopped", "parser ended")
+                word in str(error)
+                for word in ("crashed", "parser needed", "was stopped", "parser ended")
             )
             outcome.counts["child died" if died else "refused"] += 1
-        except Exception as error:  # noqa: BLE001 - that nothing else is ever raised is what is tested
+        except Exception as error:  # noqa: BLE001
             outcome.counts["surprise"] += 1
             outcome.surprises.append(f"{type(error).__name__}: {error}"[:200])
         else:
@@ -122,7 +142,9 @@ class Arena:
         outcome.slowest = max(outcome.slowest, time.process_time() - started)
 
 
-def run(kind: str, count: int, folder: Path, seed: int = 0, cpu_seconds: int = CPU_SECONDS) -> Outcome:
+def run(
+    kind: str, count: int, folder: Path, seed: int = 0, cpu_seconds: int = CPU_SECONDS
+) -> Outcome:
     """Feed `count` mutants of a format to its reader."""
     rng, outcome = np.random.default_rng(seed), Outcome()
     with Arena(kind, folder, cpu_seconds) as arena:

@@ -1,4 +1,6 @@
-"""Tools that some tests drive: absent on a user's machine they skip, under FRACLINK_CI they fail."""
+"""Tools that some tests drive: absent on a user's machine they skip, under FRACLINK_CI
+they fail.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +30,25 @@ def tool(name: str, package: str | None = None) -> str:
 
 
 def chromium() -> str:
-    """Return the path of Chromium: of its shell without windows, in half the memory, or of the whole."""
+    """Return the path of Chromium: of its shell without windows, in half the memory, or
+    of the whole.
+    """
     shell = "chromium-headless-shell"
     return shutil.which(shell) or shutil.which("chromium") or tool(shell)
 
 
 def octave_with_control() -> str:
-    """Return the path of Octave, or skip and name what is missing: the program or its control package."""
+    """Return the path of Octave, or skip and name what is missing: the program or its
+    control package.
+    """
     path = tool("octave-cli", "octave")
     loaded = subprocess.run(  # noqa: S603
-        [path, "--quiet", "--no-init-file", "--eval", "pkg load control"], capture_output=True, check=False
+        [path, "--quiet", "--no-init-file", "--eval", "pkg load control"],
+        capture_output=True,
+        check=False,
     )
     if loaded.returncode != 0:
-        missing("Octave's control package is not installed (Debian package octave-control)")
+        missing(
+            "Octave's control package is not installed (Debian package octave-control)"
+        )
     return path

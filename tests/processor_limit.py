@@ -1,4 +1,6 @@
-"""A bound on the processor time that a call may take: what it counts does not depend on who else computes."""
+"""A bound on the processor time that a call may take: what it counts does not depend on
+who else computes.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ __all__ = ["processor_limit"]
 
 @contextmanager
 def processor_limit(seconds: float) -> Iterator[None]:
-    """Fail what runs inside as soon as this process has computed for `seconds`; waiting does not count."""
+    """Fail what runs inside as soon as this process has computed for `seconds`; waiting
+    does not count.
+    """
 
     def exceeded(number: int, frame: FrameType | None) -> None:
         raise AssertionError(f"more than {seconds} s of processor time")

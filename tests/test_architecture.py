@@ -1,6 +1,8 @@
-"""ARCHITECTURE.md says how to add a structure, a rival, a fault, a reader and an export: each is added here.
+"""ARCHITECTURE.md says how to add a structure, a rival, a fault, a reader and an
+export: each is added here.
 
-The page's blocks are inserted into a copy of the package, behind the line that each names, and then used.
+The page's blocks are inserted into a copy of the package, behind the line that each
+names, and then used.
 """
 
 from __future__ import annotations
@@ -20,16 +22,20 @@ from guard_sources import PACKAGE, ROOT
 
 PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
 BLOCK = re.compile(
-    r"```(?:python|toml)\n# src/fraclink/(\S+), (?:behind: (.*?)|at the end)\n(.*?)```", flags=re.DOTALL
+    r"```(?:python|toml)\n# src/fraclink/(\S+), (?:behind: (.*?)|at the end)\n(.*?)```",
+    flags=re.DOTALL,
 )
 RECIPES = {
     title: [(path, anchor, code) for path, anchor, code in BLOCK.findall(text)]
     for title, text in re.findall(
-        r"^### (?:A|An) (\w+).*?\n(.*?)(?=^### |\Z)", PAGE, flags=re.DOTALL | re.MULTILINE
+        r"^### (?:A|An) (\w+).*?\n(.*?)(?=^### |\Z)",
+        PAGE,
+        flags=re.DOTALL | re.MULTILINE,
     )
 }
 
-# The finder of an editable install stands before the path, and would load the package that did not grow.
+# The finder of an editable install stands before the path, and would load the package
+# that did not grow.
 NO_EDITABLE_INSTALL = """
 import sys
 sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__name__.startswith("ScikitBuild")]
@@ -37,11 +43,19 @@ sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__nam
 
 
 def insert(root: Path, path: str, anchor: str, code: str) -> None:
-    """Insert `code` behind the one line that begins with `anchor`; at the end of the file without one."""
+    """Insert `code` behind the one line that begins with `anchor`; at the end of the
+    file without one.
+    """
     place = root / "fraclink" / path
     lines = place.read_text("utf-8").splitlines(keepends=True)
-    at = [number for number, line in enumerate(lines, 1) if anchor and line.lstrip().startswith(anchor)]
-    assert len(at) == (1 if anchor else 0), f"{anchor!r} stands {len(at)} times in {path}"
+    at = [
+        number
+        for number, line in enumerate(lines, 1)
+        if anchor and line.lstrip().startswith(anchor)
+    ]
+    assert len(at) == (1 if anchor else 0), (
+        f"{anchor!r} stands {len(at)} times in {path}"
+    )
     where = at[0] if at else len(lines)
     place.write_text("".join([*lines[:where], code, *lines[where:]]), "utf-8")
 
@@ -50,7 +64,9 @@ def insert(root: Path, path: str, anchor: str, code: str) -> None:
 def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package with everything that the page adds."""
     root = tmp_path_factory.mktemp("grown")
-    shutil.copytree(PACKAGE, root / "fraclink", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    shutil.copytree(
+        PACKAGE, root / "fraclink", ignore=shutil.ignore_patterns("__pycache__", "*.so")
+    )
     # An editable install keeps the compiled module elsewhere.
     shutil.copy(_kernels.__file__, root / "fraclink")
     (root / "sitecustomize.py").write_text(NO_EDITABLE_INSTALL, "utf-8")
@@ -63,7 +79,10 @@ def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(grown: Path, code: str) -> list[str]:
     """The lines that `code` prints with the grown package."""
     search = os.pathsep.join(
-        [str(grown), *(path for path in sys.path if path and Path(path) != PACKAGE.parent)]
+        [
+            str(grown),
+            *(path for path in sys.path if path and Path(path) != PACKAGE.parent),
+        ]
     )
     answer = subprocess.run(  # noqa: S603
         [
@@ -89,7 +108,9 @@ def test_the_page_has_the_five_recipes_and_none_is_long() -> None:
 
 
 def test_every_package_that_the_page_names_is_there() -> None:
-    named = re.findall(r"`((?:tests|src|csrc|prove|reproduce|benchmarks|examples)/[\w./]*)`", PAGE)
+    named = re.findall(
+        r"`((?:tests|src|csrc|prove|reproduce|benchmarks|examples)/[\w./]*)`", PAGE
+    )
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
@@ -111,7 +132,9 @@ print(*fl.compare_structures(log).fits)
     name, order, damping = first.split()
     assert name == "VD-FOM"
     assert abs(float(order) - 1.9) < 0.01
-    assert abs(float(damping) - 0.5) < 0.15  # order and damping explain one width between them
+    assert (
+        abs(float(damping) - 0.5) < 0.15
+    )  # order and damping explain one width between them
     assert second.split() == ["UD-IOM", "D-IOM", "UD-FOM", "D-FOM", "VD-FOM"]
 
 
@@ -151,7 +174,9 @@ log = fl.read_log("log.lab", columns=fl.LogColumns(t, theta, gamma, "torque"))
 print(log.period, log.motor_angle[100], log.output[100])
 """
     (line,) = run(grown, code)
-    assert [float(x) for x in line.split()] == pytest.approx([0.004, table[100, 1], table[100, 2]], rel=1e-12)
+    assert [float(x) for x in line.split()] == pytest.approx(
+        [0.004, table[100, 1], table[100, 2]], rel=1e-12
+    )
 
 
 @pytest.mark.slow

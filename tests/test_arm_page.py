@@ -1,4 +1,6 @@
-"""The arm in a page: complete in itself, deaf to what names try, and in a browser bit for bit the package."""
+"""The arm in a page: complete in itself, deaf to what names try, and in a browser bit
+for bit the package.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,13 @@ from test_report import HOSTILE, Elements, parsed
 def study() -> fl.Study:
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     return fl.Study(rig=rig, design=design, law=design.law())
 
 
@@ -67,11 +75,19 @@ def test_no_text_from_outside_becomes_an_element(study, plain, text):
 
 @pytest.mark.slow
 def test_the_page_asks_nobody_and_allows_its_own_script_only(page):
-    policy = html.unescape(re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1])
+    policy = html.unescape(
+        re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1]
+    )
     script = re.search(r"<script>(.*?)</script>", page, re.DOTALL)[1]
     style = re.search(r"<style>(.*?)</style>", page, re.DOTALL)[1]
-    said = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (script, style)]
-    assert f"script-src 'sha256-{said[0]}' 'wasm-unsafe-eval'; style-src 'sha256-{said[1]}';" in policy
+    said = [
+        base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+        for text in (script, style)
+    ]
+    assert (
+        f"script-src 'sha256-{said[0]}' 'wasm-unsafe-eval'; style-src 'sha256-{said[1]}';"
+        in policy
+    )
     assert policy.startswith("default-src 'none'; ")
     assert "unsafe-inline" not in policy
     assert " style=" not in page and " on" + "click=" not in page
@@ -85,7 +101,9 @@ def test_the_page_asks_nobody_and_allows_its_own_script_only(page):
         "@import",
         "http:",
     ):
-        assert word not in script.replace("http://www.w3.org/2000/svg", "") + style, word
+        assert word not in script.replace("http://www.w3.org/2000/svg", "") + style, (
+            word
+        )
     assert len(page.encode()) <= 150_000
 
 
@@ -120,23 +138,41 @@ def test_slider_and_links_cover_the_designs_payloads(study, page):
 @pytest.mark.slow
 def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
     fast = replace(study.design.rig, period=0.001)
-    design = fl.design(fast.model, fast, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        fast.model,
+        fast,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     text = render_arm_page(fl.Study(rig=fast, design=design))
     assert len(text.encode()) <= 150_000
-    assert len(json.loads(re.search(r'id="arm-data">(.*?)</script>', text, re.DOTALL)[1])["payloads"]) >= 7
+    assert (
+        len(
+            json.loads(re.search(r'id="arm-data">(.*?)</script>', text, re.DOTALL)[1])[
+                "payloads"
+            ]
+        )
+        >= 7
+    )
 
 
 @pytest.mark.slow
 def test_a_folder_without_a_design_names_the_command(study, tmp_path, capsys):
     save_study(replace(study, design=None, law=None), tmp_path / "none")
-    assert main(["share", str(tmp_path / "none"), "--out", str(tmp_path / "arm.html")]) == 2
+    assert (
+        main(["share", str(tmp_path / "none"), "--out", str(tmp_path / "arm.html")])
+        == 2
+    )
     said = " ".join(capsys.readouterr().err.split())
     assert "fraclink design" in said and "design: " in said
     assert not (tmp_path / "arm.html").exists()
 
 
 @pytest.mark.slow
-def test_the_command_writes_the_page_and_leaves_a_file_alone(study, page, tmp_path, capsys):
+def test_the_command_writes_the_page_and_leaves_a_file_alone(
+    study, page, tmp_path, capsys
+):
     save_study(study, tmp_path / "results")
     command = ["share", str(tmp_path / "results"), "--out", str(tmp_path / "arm.html")]
     assert main(command) == 0
@@ -163,7 +199,8 @@ def test_open_shows_the_page_or_names_it(study, tmp_path, monkeypatch, capsys, f
     assert ("open " in capsys.readouterr().err) == (not found)
 
 
-# What the page's address can say; together every slider, every fault and both precisions.
+# What the page's address can say; together every slider, every fault and both
+# precisions.
 RUNS = (
     "",
     "payload=3&move=-37&time=9&noise=0.031&offset=0.11&delay=3&told=0&single=1&nan=80&blind=400",
@@ -174,11 +211,24 @@ RUNS = (
 )
 
 
-FAULTS = ["nan", "stuck", "reversed", "zero", "half", "encoder", "blind", "backwards", "slip", "missed"]
+FAULTS = [
+    "nan",
+    "stuck",
+    "reversed",
+    "zero",
+    "half",
+    "encoder",
+    "blind",
+    "backwards",
+    "slip",
+    "missed",
+]
 
 
 def browsed(page: str, place: Path, settings: str) -> str:
-    """The page as a browser has it at this address, after its script has run without a complaint."""
+    """The page as a browser has it at this address, after its script has run without a
+    complaint.
+    """
     (place / "arm.html").write_text(page)
     command = command_line(place, "--enable-logging=stderr", "--dump-dom")
     answer = subprocess.run(  # noqa: S603
@@ -188,7 +238,9 @@ def browsed(page: str, place: Path, settings: str) -> str:
         timeout=120,
         check=True,
     )
-    assert "CONSOLE" not in answer.stderr  # neither an error nor a request that the policy refused
+    assert (
+        "CONSOLE" not in answer.stderr
+    )  # neither an error nor a request that the policy refused
     assert 'data-ready="true"' in answer.stdout
     return answer.stdout
 
@@ -200,21 +252,34 @@ def outcome_of(shown: str) -> tuple[str, str]:
 
 
 def python_of(shown: str) -> str:
-    return html.unescape(re.search(r'<pre id="python"[^>]*>(.*?)</pre>', shown, re.DOTALL)[1])
+    return html.unescape(
+        re.search(r'<pre id="python"[^>]*>(.*?)</pre>', shown, re.DOTALL)[1]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     RUNS,
-    ids=["start", "lost gauge", "reversed, missed", "stuck, late", "twin", "twin, lost gauge"],
+    ids=[
+        "start",
+        "lost gauge",
+        "reversed, missed",
+        "stuck, late",
+        "twin",
+        "twin, lost gauge",
+    ],
 )
-def test_a_browser_runs_the_packages_bits_without_a_complaint(study, page, tmp_path, monkeypatch, settings):
+def test_a_browser_runs_the_packages_bits_without_a_complaint(
+    study, page, tmp_path, monkeypatch, settings
+):
     study.design.save(tmp_path / "design.json")
     shown = browsed(page, tmp_path, settings)
     code = python_of(shown)
     for name in FAULTS:
-        assert (f"{name}=" in settings) == (f'id="fault-{name}" aria-pressed="true"' in shown)
+        assert (f"{name}=" in settings) == (
+            f'id="fault-{name}" aria-pressed="true"' in shown
+        )
     script = tmp_path / "same_run.py"
     script.write_text(code)
     monkeypatch.chdir(tmp_path)
@@ -228,9 +293,15 @@ def contrast(first: str, second: str) -> float:
     """Ratio of luminances of two colours, as WCAG 2 defines it."""
 
     def luminance(colour: str) -> float:
-        digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+        digits = (
+            colour[1:]
+            if len(colour) == 7
+            else "".join(2 * digit for digit in colour[1:])
+        )
         parts = [int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)]
-        linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+        linear = [
+            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts
+        ]
         return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
     bright, dark = sorted((luminance(first), luminance(second)), reverse=True)
@@ -242,7 +313,18 @@ def contrast(first: str, second: str) -> float:
 def test_text_and_lines_stand_out_in_both_themes(page, theme):
     colours = colours_of(theme)
     assert colours["link"] in page
-    for name in ("ink", "quiet", "good", "fair", "bad", "accent", "tip", "hub", "ghost", "measured"):
+    for name in (
+        "ink",
+        "quiet",
+        "good",
+        "fair",
+        "bad",
+        "accent",
+        "tip",
+        "hub",
+        "ghost",
+        "measured",
+    ):
         assert contrast(colours[name], colours["card"]) >= 4.5, name
     for name in ("good", "fair", "bad"):
         assert contrast(colours[name], colours[f"{name}-wash"]) >= 4.5, name
@@ -259,7 +341,13 @@ def numbers_of(page: str) -> dict:
 @pytest.mark.slow
 def test_a_run_too_short_for_the_usual_moves_has_shorter_ones(study):
     fast = replace(study.design.rig, period=1e-4)
-    design = fl.design(fast.model, fast, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        fast.model,
+        fast,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     page = render_arm_page(fl.Study(rig=fast, design=design))
     data = numbers_of(page)
     assert data["half"] == pytest.approx(0.2)
@@ -272,7 +360,9 @@ def test_a_run_too_short_for_the_usual_moves_has_shorter_ones(study):
 def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study):
     rig = study.design.rig
     bare = replace(rig.model, payload=None)
-    design = fl.design(bare, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        bare, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50)
+    )
     page = render_arm_page(fl.Study(rig=rig, design=design))
     data = numbers_of(page)
     assert {0.020, 0.030, 0.040} <= set(data["payloads"])
@@ -291,13 +381,18 @@ def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study)
 def test_a_model_too_fast_for_its_period_is_refused_by_name(study, tmp_path):
     model = replace(study.design.model, natural_frequency=1e3)
     with pytest.raises(FieldError, match=r"rig\.period: too long.*0\.004.*[Ss]horten"):
-        fl.write_arm_page(replace(study, design=replace(study.design, model=model)), tmp_path / "arm.html")
+        fl.write_arm_page(
+            replace(study, design=replace(study.design, model=model)),
+            tmp_path / "arm.html",
+        )
     assert not (tmp_path / "arm.html").exists()
 
 
 @pytest.mark.slow
 def test_the_python_of_the_page_names_the_law_that_it_runs(study):
-    other = fl.equip(study.law, study.design.rig, study.design.model, moves=fl.Moves(velocity=2.0))
+    other = fl.equip(
+        study.law, study.design.rig, study.design.model, moves=fl.Moves(velocity=2.0)
+    )
     loaded = 'fl.load("law.json")'
     bare = replace(study.law, drive=None)
     for law, python in (
@@ -309,14 +404,19 @@ def test_the_python_of_the_page_names_the_law_that_it_runs(study):
     ):
         data = numbers_of(render_arm_page(replace(study, law=law)))
         assert data["law"] == python
-        makes = {"design": study.design, "fl": SimpleNamespace(equip=fl.equip, load=lambda _, law=law: law)}
+        makes = {
+            "design": study.design,
+            "fl": SimpleNamespace(equip=fl.equip, load=lambda _, law=law: law),
+        }
         assert eval(python, makes).block == base64.b64decode(data["blocks"][0])  # noqa: S307
 
 
 @pytest.mark.slow
 def test_without_a_move_the_page_says_how_far_the_tip_goes(page, tmp_path):
     text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02"))
-    assert re.fullmatch(r"No move: the tip stays within 0\.\d\d° of its position\.", text)
+    assert re.fullmatch(
+        r"No move: the tip stays within 0\.\d\d° of its position\.", text
+    )
     assert colour == "good"
     # a gauge wired backwards makes the loop swing up by itself: that is not resting
     text, colour = outcome_of(browsed(page, tmp_path, "move=0&noise=0.02&reversed=1"))
@@ -330,16 +430,29 @@ def test_an_address_cannot_tell_a_law_that_takes_no_payload(study, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(study, page, tmp_path):
+def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(
+    study, page, tmp_path
+):
     move = fl.smooth_step(np.pi / 3, 0.5).then(fl.smooth_step(-np.pi / 3, 0.5, 1.5))
     broken = [fl.SensorFault(0.3, 5.0, "gauge gain", -1.0)]
     run = fl.simulate(
-        study.design, move, duration=4.0, payload=0.03, told=True, delay_samples=0, events=broken
+        study.design,
+        move,
+        duration=4.0,
+        payload=0.03,
+        told=True,
+        delay_samples=0,
+        events=broken,
     )
     assert set(run.mode.tolist()) == {MODES.index("run")}
-    assert np.ptp(run.tip_angle[-125:]) > 0.25  # it swings to the end, 3.2 s after the fault
+    assert (
+        np.ptp(run.tip_angle[-125:]) > 0.25
+    )  # it swings to the end, 3.2 s after the fault
     text, colour = outcome_of(browsed(page, tmp_path, "delay=0&reversed=75"))
-    assert "does not come to rest" in text and "no guard against a gauge wired backwards" in text
+    assert (
+        "does not come to rest" in text
+        and "no guard against a gauge wired backwards" in text
+    )
     assert colour == "bad"
     (tmp_path / "late").mkdir()
     text, _ = outcome_of(browsed(page, tmp_path / "late", "delay=1&reversed=75"))
@@ -348,38 +461,91 @@ def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(study, 
 
 @pytest.mark.slow
 def test_the_page_holds_every_number_that_its_script_reads(study):
-    """The engine's inputs in their order: rig, noise, moves there and back, links; and the sliders' ends."""
+    """The engine's inputs in their order: rig, noise, moves there and back, links; and
+    the sliders' ends.
+    """
     from fraclink._show.arm_box import arm_box
-    from fraclink._simulate.engine import engine_bytes, engine_noise, engine_rig, engine_twin, twin_noise
+    from fraclink._simulate.engine import (
+        engine_bytes,
+        engine_noise,
+        engine_rig,
+        engine_twin,
+        twin_noise,
+    )
 
     design = study.design
     rig, model, law = design.rig, design.model, study.law
     data = json.loads(arm_box(study, design, payloads=5).data)
-    assert data["payloads"] == [0.008, 0.02, 0.03, 0.04, 0.08]  # both ends, and those designed for
+    assert data["payloads"] == [
+        0.008,
+        0.02,
+        0.03,
+        0.04,
+        0.08,
+    ]  # both ends, and those designed for
     assert (data["period"], data["periods"], data["half"]) == (0.004, 1000, 2.0)
-    assert data["times"] == [round(0.2 + 0.05 * k, 2) for k in range(27)]  # up to three quarters of a half
+    assert data["times"] == [
+        round(0.2 + 0.05 * k, 2) for k in range(27)
+    ]  # up to three quarters of a half
     numbers = np.frombuffer(base64.b64decode(data["numbers"]))
     moves = [v for t in data["times"] for v in (t, 2.0, 2.0 + t, t**3, t**4, t**5)]
-    parts = [np.ravel(engine_rig(rig, law, model)), np.ravel(engine_noise(0, 1001)), moves]
+    parts = [
+        np.ravel(engine_rig(rig, law, model)),
+        np.ravel(engine_noise(0, 1001)),
+        moves,
+    ]
     links = [
-        engine_link(model.at_payload(mass) if hasattr(model, "at_payload") else model, 0.004, 4.0)
+        engine_link(
+            model.at_payload(mass) if hasattr(model, "at_payload") else model,
+            0.004,
+            4.0,
+        )
         for mass in data["payloads"]
     ]
-    assert numbers == pytest.approx(np.concatenate([*parts, *(link.numbers for link in links)]), rel=1e-9)
-    assert data["links"] == [[link.reals, link.pairs, int(link.second)] for link in links]
-    assert data["start"] == {"payload": 2, "time": 6, "noise": 0.01, "offset": 0.0, "delay": 1}
-    assert data["largest"] == {"noise": 0.05, "offset": pytest.approx(0.24), "delay": 20}
-    assert (data["length"], data["torque"], data["voltage"], data["seed"]) == (0.65, 0.8, 10.0, 0)
-    assert (data["designed"], data["law"], data["told"]) == ([0.02, 0.04], "design.law()", True)
+    assert numbers == pytest.approx(
+        np.concatenate([*parts, *(link.numbers for link in links)]), rel=1e-9
+    )
+    assert data["links"] == [
+        [link.reals, link.pairs, int(link.second)] for link in links
+    ]
+    assert data["start"] == {
+        "payload": 2,
+        "time": 6,
+        "noise": 0.01,
+        "offset": 0.0,
+        "delay": 1,
+    }
+    assert data["largest"] == {
+        "noise": 0.05,
+        "offset": pytest.approx(0.24),
+        "delay": 20,
+    }
+    assert (data["length"], data["torque"], data["voltage"], data["seed"]) == (
+        0.65,
+        0.8,
+        10.0,
+        0,
+    )
+    assert (data["designed"], data["law"], data["told"]) == (
+        [0.02, 0.04],
+        "design.law()",
+        True,
+    )
     assert data["modes"] == list(MODES) and len(data["blocks"]) == 2
     assert zlib.decompress(base64.b64decode(data["engine"]), -15) == engine_bytes()
     twin = engine_twin(rig, model, data["payloads"], 0.00735)
     assert twin is not None
     seen = np.frombuffer(base64.b64decode(data["twin"]["numbers"]))
-    whole = [np.ravel(part) for part in (twin.rig, twin_noise(0, 1001), twin.material, twin.arms)]
+    whole = [
+        np.ravel(part)
+        for part in (twin.rig, twin_noise(0, 1001), twin.material, twin.arms)
+    ]
     if data["twin"]["mass"] == 0.00735:
         assert np.array_equal(seen, np.concatenate(whole))
-    assert (data["twin"]["elements"], data["twin"]["modes"]) == (twin.elements, twin.modes)
+    assert (data["twin"]["elements"], data["twin"]["modes"]) == (
+        twin.elements,
+        twin.modes,
+    )
     assert arm_box(study, design, payloads=5, twin=False).has_twin is False
 
 
@@ -389,10 +555,18 @@ def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
 
     rig = study.design.rig
     loud = replace(
-        rig, gauge=replace(rig.gauge, noise=0.023), motor=replace(rig.motor, voltage_limit=float("inf"))
+        rig,
+        gauge=replace(rig.gauge, noise=0.023),
+        motor=replace(rig.motor, voltage_limit=float("inf")),
     )
-    data = json.loads(arm_box(study, replace(study.design, rig=loud), payloads=5, twin=False).data)
-    assert (data["largest"]["noise"], data["voltage"], data["start"]["noise"]) == (0.1, 0.0, 0.023)
+    data = json.loads(
+        arm_box(study, replace(study.design, rig=loud), payloads=5, twin=False).data
+    )
+    assert (data["largest"]["noise"], data["voltage"], data["start"]["noise"]) == (
+        0.1,
+        0.0,
+        0.023,
+    )
 
 
 def test_no_text_ends_the_element_that_holds_the_numbers():

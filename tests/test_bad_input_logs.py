@@ -27,7 +27,9 @@ def refused(path: Path, **options: object) -> FieldError:
     return error
 
 
-def spoilt(folder: Path, change: Callable[[Rows], object], **options: object) -> FieldError:
+def spoilt(
+    folder: Path, change: Callable[[Rows], object], **options: object
+) -> FieldError:
     """The error of a good log after `change` has been made to its rows."""
     rows = made_rows()
     change(rows)
@@ -38,8 +40,12 @@ def put(row: int, column: int, text: str) -> Callable[[Rows], object]:
     return lambda rows: rows[row].__setitem__(column, text)
 
 
-@pytest.mark.parametrize("cell", ["nan", "NaN", "inf", "-Inf", "", "NA", "#N/A", "null"])
-def test_b01_a_missing_cell_names_line_column_and_count(cell: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "cell", ["nan", "NaN", "inf", "-Inf", "", "NA", "#N/A", "null"]
+)
+def test_b01_a_missing_cell_names_line_column_and_count(
+    cell: str, tmp_path: Path
+) -> None:
     error = spoilt(tmp_path, put(100, 2, cell))
     assert isinstance(error, LogError)
     assert error.field == "line 102, column torque_Nm"
@@ -110,7 +116,10 @@ def test_b06_repeated_stamps_are_numbered(tmp_path: Path) -> None:
 def test_b06_repeated_stamps_may_be_resampled(tmp_path: Path) -> None:
     rows = made_rows()
     rows[10][0] = rows[9][0]
-    assert read_log(write_log(tmp_path / "log.csv", rows), resample=True).motor_angle.size == 400
+    assert (
+        read_log(write_log(tmp_path / "log.csv", rows), resample=True).motor_angle.size
+        == 400
+    )
 
 
 def test_b07_decreasing_time(tmp_path: Path) -> None:
@@ -121,7 +130,10 @@ def test_b07_decreasing_time(tmp_path: Path) -> None:
 
 
 def test_b08_milliseconds_called_seconds(tmp_path: Path) -> None:
-    error = spoilt(tmp_path, lambda rows: [row.__setitem__(0, str(4 * k)) for k, row in enumerate(rows)])
+    error = spoilt(
+        tmp_path,
+        lambda rows: [row.__setitem__(0, str(4 * k)) for k, row in enumerate(rows)],
+    )
     assert error.field == "time"
     assert "4 s between samples" in str(error.value)
     assert "milliseconds" in error.problem and '"ms"' in error.remedy
@@ -136,7 +148,9 @@ def test_b16_a_payload_label_given_twice(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("label", ["thirty", "-0.03", "nan", "1_0"])
 def test_b16_a_payload_label_that_is_no_mass(label: str, tmp_path: Path) -> None:
-    error = refused(write_log(tmp_path / "log.csv", made_rows(), before=f"# payload_kg: {label}\n"))
+    error = refused(
+        write_log(tmp_path / "log.csv", made_rows(), before=f"# payload_kg: {label}\n")
+    )
     assert error.field == "payload_kg"
 
 
@@ -148,11 +162,15 @@ def test_b25_b26_b28_a_payload_that_is_no_mass(payload: float, tmp_path: Path) -
 
 
 def stated(motor: str = "theta", time_unit: str = "s") -> LogColumns:
-    return LogColumns(Channel("t", time_unit), Channel(motor, "rad"), Channel("gamma", "Nm"), "torque")
+    return LogColumns(
+        Channel("t", time_unit), Channel(motor, "rad"), Channel("gamma", "Nm"), "torque"
+    )
 
 
 def test_b19_a_misspelt_column_is_answered_by_the_nearest(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows(), header=["t", "theta_m", "gamma"])
+    path = write_log(
+        tmp_path / "log.csv", made_rows(), header=["t", "theta_m", "gamma"]
+    )
     error = refused(path, columns=stated())
     assert (error.field, error.value) == ("column of motor_angle", "theta")
     assert error.remedy == "did you mean 'theta_m'?"
@@ -171,21 +189,26 @@ def test_b19_a_column_number_beyond_the_last(tmp_path: Path) -> None:
     assert refused(path, columns=stated("#4")).value == "#4"
 
 
-def test_b20_a_log_without_units_is_refused_with_a_mapping_to_fill_in(tmp_path: Path) -> None:
+def test_b20_a_log_without_units_is_refused_with_a_mapping_to_fill_in(
+    tmp_path: Path,
+) -> None:
     path = write_log(tmp_path / "log.csv", made_rows(), header=["t", "theta", "gamma"])
     error = refused(path, rig=Rig.named("paper-2023"))
     assert error.field == "columns"
     assert error.value == "t, theta, gamma"
     assert "never guessed" in error.problem
     assert (
-        '--column "time=t [?]" --column "motor_angle=theta [?]" --column "torque=gamma [?]"' in error.remedy
+        '--column "time=t [?]" --column "motor_angle=theta [?]" --column "torque=gamma [?]"'
+        in error.remedy
     )
     assert "fraclink inspect" in error.remedy
 
 
 def test_b20_a_role_stated_twice(tmp_path: Path) -> None:
     path = write_log(
-        tmp_path / "log.csv", made_rows(), header=["time_s", "motor_angle_rad", "motor_angle_deg"]
+        tmp_path / "log.csv",
+        made_rows(),
+        header=["time_s", "motor_angle_rad", "motor_angle_deg"],
     )
     assert "stated twice" in refused(path).problem
 
@@ -219,7 +242,9 @@ def test_b22_nothing_in_the_file(content: bytes, problem: str, tmp_path: Path) -
 
 
 def test_b23_one_column(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", [[row[2]] for row in made_rows()], header=["torque_Nm"])
+    path = write_log(
+        tmp_path / "log.csv", [[row[2]] for row in made_rows()], header=["torque_Nm"]
+    )
     assert refused(path).field == "columns"
 
 
@@ -298,7 +323,9 @@ def test_b57_what_is_no_number(cell: str, hint: str, tmp_path: Path) -> None:
 def test_b57_blanks_around_a_number_are_no_part_of_it(tmp_path: Path) -> None:
     rows = made_rows()
     rows[3][1] = f" {rows[3][1]} "
-    assert read_log(write_log(tmp_path / "log.csv", rows)).motor_angle[3] == float(rows[3][1])
+    assert read_log(write_log(tmp_path / "log.csv", rows)).motor_angle[3] == float(
+        rows[3][1]
+    )
 
 
 def test_b58_commas_that_may_group_thousands(tmp_path: Path) -> None:
@@ -317,7 +344,9 @@ def test_b58_one_decimal_comma_among_points(tmp_path: Path) -> None:
 
 
 def test_b58_decimal_commas_between_commas(tmp_path: Path) -> None:
-    rows = [[f"{float(cell):.4f}".replace(".", ",") for cell in row] for row in made_rows()]
+    rows = [
+        [f"{float(cell):.4f}".replace(".", ",") for cell in row] for row in made_rows()
+    ]
     error = refused(write_log(tmp_path / "log.csv", rows))
     assert error.field == "line 2"
     assert "decimal commas" in error.remedy
@@ -340,7 +369,9 @@ def test_b59_a_nul_byte(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", [b"\xff\xfe1", b"\xff\xfe\x00\x00abc"])
-def test_b59_a_mark_of_wide_characters_before_what_is_none(text: bytes, tmp_path: Path) -> None:
+def test_b59_a_mark_of_wide_characters_before_what_is_none(
+    text: bytes, tmp_path: Path
+) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes(text)
     assert "damaged UTF-" in refused(path).problem
@@ -355,7 +386,9 @@ def test_b59_latin_1_among_the_numbers(tmp_path: Path) -> None:
 def test_b59_mixed_separators(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
     lines = path.read_bytes().split(b"\n")
-    path.write_bytes(b"\n".join([lines[0], *(line.replace(b",", b";") for line in lines[1:])]))
+    path.write_bytes(
+        b"\n".join([lines[0], *(line.replace(b",", b";") for line in lines[1:])])
+    )
     error = refused(path)
     assert error.field == "line 2"
     assert "one separator" in error.remedy
@@ -373,7 +406,9 @@ def test_b60_ragged_rows_are_numbered(separator: str, tmp_path: Path) -> None:
 
 def test_b60_rows_that_end_with_a_separator(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
-    path.write_bytes(path.read_bytes().replace(b"\n", b",\n").replace(b"torque_Nm,", b"torque_Nm"))
+    path.write_bytes(
+        path.read_bytes().replace(b"\n", b",\n").replace(b"torque_Nm,", b"torque_Nm")
+    )
     assert read_log(path).motor_angle.size == 400
     every_row = path.read_bytes()
     path.write_bytes(every_row.rstrip(b"\n,") + b"\n")  # but the last
@@ -434,7 +469,9 @@ def test_read_columns_refuses_what_it_cannot_name(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="line 4"):
         read_columns(write_log(tmp_path / "a.csv", rows))
     with pytest.raises(LogError, match="the name of 2 columns"):
-        read_columns(write_log(tmp_path / "b.csv", made_rows(5), header=["a", "a", "b"]))
+        read_columns(
+            write_log(tmp_path / "b.csv", made_rows(5), header=["a", "a", "b"])
+        )
 
 
 def test_every_error_of_a_reader_is_one_line(tmp_path: Path) -> None:
@@ -443,7 +480,11 @@ def test_every_error_of_a_reader_is_one_line(tmp_path: Path) -> None:
 
 
 def test_stamps_of_one_value_are_refused(tmp_path: Path) -> None:
-    error = spoilt(tmp_path, lambda rows: [row.__setitem__(0, "0.004") for row in rows], resample=True)
+    error = spoilt(
+        tmp_path,
+        lambda rows: [row.__setitem__(0, "0.004") for row in rows],
+        resample=True,
+    )
     assert "constant" in error.problem
 
 
@@ -461,11 +502,25 @@ def test_resampling_cannot_blow_up_the_memory(tmp_path: Path) -> None:
     [
         ([], "column"),
         (["time=t [s]"], "column"),
-        (["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "torque=h [Nm]"], "column"),
-        (["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "deflection=h [rad]"], "column"),
+        (
+            ["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "torque=h [Nm]"],
+            "column",
+        ),
+        (
+            [
+                "time=t [s]",
+                "motor_angle=a [rad]",
+                "torque=g [Nm]",
+                "deflection=h [rad]",
+            ],
+            "column",
+        ),
         (["time=t", "motor_angle=a [rad]", "torque=g [Nm]"], "column"),
         (["time=t [s]", "angle=a [rad]", "torque=g [Nm]"], "column"),
-        (["time=t [s]", "motor_angle=a [furlong]", "torque=g [Nm]"], "log.motor_angle.unit"),
+        (
+            ["time=t [s]", "motor_angle=a [furlong]", "torque=g [Nm]"],
+            "log.motor_angle.unit",
+        ),
     ],
 )
 def test_b19_b20_columns_stated_in_words(texts: list[str], field: str) -> None:
@@ -528,7 +583,9 @@ def test_b57_too_many_columns(
 
 
 @pytest.mark.parametrize("separator", [";", "\t", " "])
-def test_b58_a_row_with_another_separator_is_told_so(separator: str, tmp_path: Path) -> None:
+def test_b58_a_row_with_another_separator_is_told_so(
+    separator: str, tmp_path: Path
+) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
     lines = path.read_text(encoding="utf-8").splitlines()
     lines[7] = lines[7].replace(",", separator)

@@ -1,4 +1,6 @@
-"""The same junk for the verbs of design, proof, export, campaign and real time: taken, or refused by name."""
+"""The same junk for the verbs of design, proof, export, campaign and real time: taken,
+or refused by name.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import margin_curve, phase_budget
 from fraclink._design.completed import design_for
 from fraclink._law import Moves, discretize_controller, equip
-from fraclink._realtime import Callback, Library, SharedMemory, Udp, parse_connection, run_realtime
+from fraclink._realtime import (
+    Callback,
+    Library,
+    SharedMemory,
+    Udp,
+    parse_connection,
+    run_realtime,
+)
 from fraclink._simulate import geared
 from fraclink._systems.discrete import fit_discrete
 from fraclink.errors import FieldError
@@ -64,14 +73,24 @@ def at_rest() -> Callback:
     return Callback(read=lambda: (0.2, 0.0), write=lambda command: None)
 
 
-# What is called, and arguments with which it works; what takes a file is called in a scratch folder.
+# What is called, and arguments with which it works; what takes a file is called in a
+# scratch folder.
 CALLS: dict[str, Call] = {
-    "design": (fl.design, lambda: {"model": LINK, "rig": RIG, "natural_frequencies": None, **WANTED}),
+    "design": (
+        fl.design,
+        lambda: {"model": LINK, "rig": RIG, "natural_frequencies": None, **WANTED},
+    ),
     "Design.at": (design().at, lambda: {"payload": 0.030}),
     "Design.at_frequency": (design().at_frequency, lambda: {"natural_frequency": 11.0}),
     "Design.payload": (design().payload, lambda: {"natural_frequency": 11.0}),
-    "Design.sampled_at": (design().sampled_at, lambda: {"payload": 0.030, "realisation": "exact"}),
-    "Design.sampled_plant": (design().sampled_plant, lambda: {"natural_frequency": 11.0}),
+    "Design.sampled_at": (
+        design().sampled_at,
+        lambda: {"payload": 0.030, "realisation": "exact"},
+    ),
+    "Design.sampled_plant": (
+        design().sampled_plant,
+        lambda: {"natural_frequency": 11.0},
+    ),
     "Design.law": (design().law, lambda: {"order": 1, "precision": "double"}),
     "optimise": (optimise, lambda: {"design": design(), "goal": "noise"}),
     "feasibility_map": (
@@ -91,7 +110,10 @@ CALLS: dict[str, Call] = {
         },
     ),
     "phase_budget": (phase_budget, lambda: {"design": design(), "payload": 0.030}),
-    "margin_curve": (margin_curve, lambda: {"design": design(), "payloads": [0.030], "kind": "loop"}),
+    "margin_curve": (
+        margin_curve,
+        lambda: {"design": design(), "payloads": [0.030], "kind": "loop"},
+    ),
     "Controller": (fl.Controller, lambda: fields_of(design().controller)),
     "MotorLoop": (MotorLoop, lambda: fields_of(MotorLoop())),
     "Moves": (Moves, lambda: fields_of(Moves())),
@@ -134,7 +156,8 @@ CALLS: dict[str, Call] = {
             "rig": None,
             "payloads": (0.030, 0.030),
             "delay": (0.0, 0.0),
-            "modulus_margin": 0.999,  # not kept, which costs less to find out than a proof
+            # not kept, which costs less to find out than a proof
+            "modulus_margin": 0.999,
             "law": law(),
             "inner": None,
             "box": None,
@@ -155,7 +178,10 @@ CALLS: dict[str, Call] = {
             "certificate": None,
         },
     ),
-    "export_io": (functools.partial(export.export_io, force=True), lambda: {"folder": Path("io")}),
+    "export_io": (
+        functools.partial(export.export_io, force=True),
+        lambda: {"folder": Path("io")},
+    ),
     "export_matlab": (
         functools.partial(export.export_matlab, force=True),
         lambda: {"law": law(), "path": Path("arm_law.mat")},
@@ -185,7 +211,10 @@ CALLS: dict[str, Call] = {
     "Campaign": (Campaign, lambda: fields_of(drawn())),
     "Draws": (Draws, lambda: fields_of(drawn().draws)),
     "draws_for": (draws_for, lambda: {"rig": RIG, "model": LINK}),
-    "Distribution": (Distribution, lambda: {"kind": "uniform", "low": 0.0, "high": 1.0}),
+    "Distribution": (
+        Distribution,
+        lambda: {"kind": "uniform", "low": 0.0, "high": 1.0},
+    ),
     "simulate_part": (campaign.simulate_part, lambda: {"campaign": drawn(), "part": 0}),
     "arm_of": (campaign.arm_of, lambda: {"campaign": drawn(), "run": 0}),
     "Bench.of": (faults.Bench.of, lambda: {"design": design(), "rig": geared(RIG)}),
@@ -202,7 +231,10 @@ CALLS: dict[str, Call] = {
     ),
     "fault_named": (faults.fault_named, lambda: {"number": "F07"}),
     "Case": (faults.Case, lambda: fields_of(faults.Case("F07", 2, 0.030, "mid", 1))),
-    "run_case": (faults.run_case, lambda: {"bench": bench(), "case": faults.Case("F07", 2, 0.030, "mid", 1)}),
+    "run_case": (
+        faults.run_case,
+        lambda: {"bench": bench(), "case": faults.Case("F07", 2, 0.030, "mid", 1)},
+    ),
     "run_faults": (faults.run_faults, lambda: {"bench": bench(), "planned": []}),
     "design_for": (design_for, lambda: {"rig": RIG, "model": LINK, **WANTED}),
     "Udp": (Udp, lambda: {"host": "localhost", "port": 5005}),
@@ -226,7 +258,9 @@ REALTIME: Call = (
 
 @pytest.fixture(autouse=True)
 def _scratch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)  # where "12" and log.csv are made, which are names of files like any other
+    monkeypatch.chdir(
+        tmp_path
+    )  # where "12" and log.csv are made, which are names of files like any other
 
 
 @pytest.mark.slow
@@ -238,8 +272,12 @@ def test_the_usual_call_works(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of numpy, on the way to an error
-@pytest.mark.parametrize(("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS])
-def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS]
+)
+def test_junk_in_one_argument_is_taken_or_refused_by_name(
+    name: str, field: str
+) -> None:
     take_or_refuse(CALLS[name], field)
 
 
@@ -250,9 +288,13 @@ def test_junk_in_one_argument_of_a_run_in_real_time(field: str) -> None:
     take_or_refuse(REALTIME, field, [value for value in JUNK if value is not None])
 
 
-@pytest.mark.parametrize("field", ["max_sensitivity", "gain_crossover", "noise_gain", "mode_gain", "least"])
+@pytest.mark.parametrize(
+    "field", ["max_sensitivity", "gain_crossover", "noise_gain", "mode_gain", "least"]
+)
 @pytest.mark.parametrize("value", ["12", float("nan"), -1.0, np.ones(2)])
-def test_a_bound_of_the_optimisation_is_refused_before_the_search(field: str, value: object) -> None:
+def test_a_bound_of_the_optimisation_is_refused_before_the_search(
+    field: str, value: object
+) -> None:
     with pytest.raises(FieldError, match=field):
         optimise(design(), **{field: value})  # type: ignore[arg-type]
 

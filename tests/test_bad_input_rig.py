@@ -1,4 +1,6 @@
-"""Bad rig files: every fault has a test that names it; numbers are those of the catalogue of bad inputs."""
+"""Bad rig files: every fault has a test that names it; numbers are those of the
+catalogue of bad inputs.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,11 @@ def changed(line: str, folder: Path) -> str:
     """The paper's file with one `key = value` replaced."""
     key = line.partition("=")[0].strip()
     text, count = re.subn(
-        rf"^{re.escape(key)} = .*$", line, PAPER.read_text(encoding="utf-8"), count=1, flags=re.M
+        rf"^{re.escape(key)} = .*$",
+        line,
+        PAPER.read_text(encoding="utf-8"),
+        count=1,
+        flags=re.M,
     )
     assert count == 1, f"{key} is not in the paper's file"
     return text
@@ -53,21 +59,46 @@ def changed(line: str, folder: Path) -> str:
         ("b28", "inertia_kg_m2 = inf", "motor.inertia_kg_m2", "not finite"),
         ("b28", "voltage_limit_V = nan", "motor.voltage_limit_V", "not finite"),
         ("b29", "length_m = 0", "link.length_m", "out of range"),
-        ("b29", "flexural_rigidity_Nm2 = -0.26", "link.flexural_rigidity_Nm2", "out of range"),
-        ("b29", "stiffness_Nm_per_rad = 0.0", "link.stiffness_Nm_per_rad", "out of range"),
+        (
+            "b29",
+            "flexural_rigidity_Nm2 = -0.26",
+            "link.flexural_rigidity_Nm2",
+            "out of range",
+        ),
+        (
+            "b29",
+            "stiffness_Nm_per_rad = 0.0",
+            "link.stiffness_Nm_per_rad",
+            "out of range",
+        ),
         ("b31", "order = 1.0", "model.order", "out of range"),
         ("b31", "order = 2.1", "model.order", "out of range"),
         ("b41", "period_ms = 0", "period_ms", "out of range"),
         ("b41", "period_ms = -4.0", "period_ms", "out of range"),
         ("b43", "voltage_limit_V = 0", "motor.voltage_limit_V", "out of range"),
         ("b44", f"inertia_kg_m2 = 1{'0' * 400}", "motor.inertia_kg_m2", "not finite"),
-        ("b44", "torque_constant_Nm_per_V = 1e200", "motor.torque_constant_Nm_per_V", "out of range"),
+        (
+            "b44",
+            "torque_constant_Nm_per_V = 1e200",
+            "motor.torque_constant_Nm_per_V",
+            "out of range",
+        ),
         ("b45", 'length_m = "0.65"', "link.length_m", "not a number"),
         ("b45", "length_m = true", "link.length_m", "not a number"),
         ("b45", "length_m = [0.65]", "link.length_m", "not a number"),
         ("b45", "name = 7", "name", "not a text"),
-        ("b48", "delay_samples = 1.0", "motor_loop.delay_samples", "not a whole number"),
-        ("b48", "counts_per_revolution = 1e5", "encoder.counts_per_revolution", "not a whole number"),
+        (
+            "b48",
+            "delay_samples = 1.0",
+            "motor_loop.delay_samples",
+            "not a whole number",
+        ),
+        (
+            "b48",
+            "counts_per_revolution = 1e5",
+            "encoder.counts_per_revolution",
+            "not a whole number",
+        ),
     ],
 )
 def test_a_value_out_of_range_is_named(
@@ -101,7 +132,11 @@ def test_b42_delay_out_of_range() -> None:
     ("line", "place", "meant"),
     [
         ("inertia = 6.87e-5", "motor.inertia", "inertia_kg_m2"),
-        ("viscous_friction_Nm = 1e-3", "motor.viscous_friction_Nm", "viscous_friction_Nm_s"),
+        (
+            "viscous_friction_Nm = 1e-3",
+            "motor.viscous_friction_Nm",
+            "viscous_friction_Nm_s",
+        ),
     ],
 )
 def test_b46_an_unknown_key_is_answered_by_the_nearest(
@@ -117,7 +152,10 @@ def test_b46_an_unknown_key_is_answered_by_the_nearest(
 
 def test_b46_an_unknown_table_is_answered_by_the_nearest(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="Did you mean 'motor_loop'"):
-        load(PAPER.read_text(encoding="utf-8").replace("[motor_loop]", "[motor_lop]"), tmp_path)
+        load(
+            PAPER.read_text(encoding="utf-8").replace("[motor_loop]", "[motor_lop]"),
+            tmp_path,
+        )
 
 
 def test_b47_a_key_given_twice(tmp_path: Path) -> None:
@@ -135,9 +173,16 @@ def test_every_fault_is_listed_at_once(tmp_path: Path) -> None:
     with pytest.raises(FileFaults) as caught:
         load(text, tmp_path)
     fields = {fault.field for fault in caught.value.faults}
-    assert fields >= {"motor.inertia", "motor.inertia_kg_m2", "link.length_m", "payloads.low"}
+    assert fields >= {
+        "motor.inertia",
+        "motor.inertia_kg_m2",
+        "link.length_m",
+        "payloads.low",
+    }
     assert len(str(caught.value).splitlines()) == len(caught.value.faults)
-    missing = next(fault for fault in caught.value.faults if fault.field == "motor.inertia_kg_m2")
+    missing = next(
+        fault for fault in caught.value.faults if fault.field == "motor.inertia_kg_m2"
+    )
     assert "kg·m²" in missing.allowed and "add inertia_kg_m2" in missing.remedy
 
 
@@ -145,7 +190,10 @@ def test_faults_cross_a_process_border() -> None:
     from multiprocessing.reduction import ForkingPickler
 
     error = FileFaults(
-        [FieldError("a", 1, "bad", allowed="b", remedy="c"), FieldError("d", 2, "e", allowed="f", remedy="g")]
+        [
+            FieldError("a", 1, "bad", allowed="b", remedy="c"),
+            FieldError("d", 2, "e", allowed="f", remedy="g"),
+        ]
     )
     again = ForkingPickler.loads(ForkingPickler.dumps(error))
     assert str(again) == str(error)
@@ -155,7 +203,10 @@ def test_faults_cross_a_process_border() -> None:
 def test_the_period_is_stated_once(tmp_path: Path) -> None:
     text = PAPER.read_text(encoding="utf-8")
     with pytest.raises(FieldError, match="given twice"):
-        load(text.replace("period_ms = 4.0", "period_ms = 4.0\nperiod_s = 0.004"), tmp_path)
+        load(
+            text.replace("period_ms = 4.0", "period_ms = 4.0\nperiod_s = 0.004"),
+            tmp_path,
+        )
     with pytest.raises(FieldError, match=r"period_ms is required"):
         load(text.replace("period_ms = 4.0", ""), tmp_path)
 
@@ -179,7 +230,12 @@ torque = { column = "gamma", unit = "Nm" }
         ('unit = "Nm" }', 'unit = "Nm", sign = 2 }', "log.torque.sign", "1 or -1"),
         ('unit = "Nm" }', 'unit = "Nm", sign = 0 }', "log.torque.sign", "1 or -1"),
         ('unit = "Nm" }', 'unit = "Nm", scale = 0.0 }', "log.torque.scale", "1 or -1"),
-        ('unit = "Nm" }', 'unit = "Nm", offset = "last" }', "log.torque.offset", "first"),
+        (
+            'unit = "Nm" }',
+            'unit = "Nm", offset = "last" }',
+            "log.torque.offset",
+            "first",
+        ),
     ],
 )
 def test_b20_the_columns_state_unit_and_sign(
@@ -202,7 +258,9 @@ def test_a_log_has_one_output(tmp_path: Path) -> None:
 
 def test_columns_given_in_python_are_checked_too() -> None:
     with pytest.raises(FieldError, match="not a unit of time"):
-        LogColumns(Channel("t", "rad"), Channel("a", "rad"), Channel("g", "Nm"), "torque")
+        LogColumns(
+            Channel("t", "rad"), Channel("a", "rad"), Channel("g", "Nm"), "torque"
+        )
     with pytest.raises(FieldError, match="unknown"):
         LogColumns(Channel("t", "s"), Channel("a", "rad"), Channel("g", "Nm"), "force")  # type: ignore[arg-type]
 
@@ -234,7 +292,11 @@ def test_b61_long_files_lines_and_keys_are_refused_fast(tmp_path: Path) -> None:
         with pytest.raises(FileFormatError, match=r"not readable|not valid"):
             load("x = " + "[\n" * 20_000, tmp_path)
         with pytest.raises(FileFormatError, match=r"not readable|not valid"):
-            load("\n".join(f"x{i} = {'9' * 900}" for i in range(60)) + "\ny = {'9' * 5000}", tmp_path)
+            load(
+                "\n".join(f"x{i} = {'9' * 900}" for i in range(60))
+                + "\ny = {'9' * 5000}",
+                tmp_path,
+            )
 
 
 def test_b59_other_encodings(tmp_path: Path) -> None:
@@ -273,7 +335,9 @@ junk = st.one_of(
 )
 
 
-def _places(data: dict[str, Any], prefix: tuple[str, ...] = ()) -> list[tuple[str, ...]]:
+def _places(
+    data: dict[str, Any], prefix: tuple[str, ...] = ()
+) -> list[tuple[str, ...]]:
     found = []
     for key, value in data.items():
         found.append((*prefix, key))
@@ -288,7 +352,11 @@ PLACES = _places(FULL)
 
 @pytest.mark.slow
 @settings(max_examples=500, deadline=None)
-@given(st.lists(st.tuples(st.sampled_from(PLACES), junk, st.booleans()), min_size=1, max_size=4))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(PLACES), junk, st.booleans()), min_size=1, max_size=4
+    )
+)
 def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
     faults: list[tuple[tuple[str, ...], Any, bool]],
 ) -> None:
@@ -325,7 +393,9 @@ def test_the_command_line_prints_a_line_for_each_fault(
         "motor.inertia",
         "link.length_m",
     ]
-    assert [fault["field"] for fault in json.loads(answer.out)["error"]["faults"]][2] == "link.length_m"
+    assert [fault["field"] for fault in json.loads(answer.out)["error"]["faults"]][
+        2
+    ] == "link.length_m"
 
 
 def test_the_command_line_keeps_one_line_for_one_fault(

@@ -1,4 +1,6 @@
-"""Bad values of links, designs, laws and campaigns, by their numbers in the catalogue of bad inputs."""
+"""Bad values of links, designs, laws and campaigns, by their numbers in the catalogue
+of bad inputs.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,11 @@ def refused(call: Callable[[], object], field: str) -> FieldError:
 
 
 def planned(model: LinkModel = LINK, rig: fl.Rig = RIG, **changes: object) -> fl.Design:
-    request = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    request = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     return fl.design(model, rig, **(request | changes))
 
 
@@ -52,32 +58,48 @@ def test_b17_logs_of_different_periods_share_one_order() -> None:
         link = LINK.at_payload(mass)
         fine = smooth_pulse(period / 10 * np.arange(30_010))
         torque = simulated_torque(link, fine, period / 10, hold="first")[::10]
-        return Experiment(period=period, motor_angle=fine[::10], output=torque, payload=mass)
+        return Experiment(
+            period=period, motor_angle=fine[::10], output=torque, payload=mass
+        )
 
     fit = identify_payloads([recorded(0.004, 0.020), recorded(0.005, 0.040)])
     for model, mass in zip(fit.models, (0.020, 0.040), strict=True):
         assert model.order == pytest.approx(1.92, abs=1e-4)
-        assert model.natural_frequency == pytest.approx(LINK.at_payload(mass).natural_frequency, rel=1e-4)
+        assert model.natural_frequency == pytest.approx(
+            LINK.at_payload(mass).natural_frequency, rel=1e-4
+        )
 
 
 @pytest.mark.parametrize("order", [0.999, 2.001, 0.0, -1.92, math.nan, math.inf])
 def test_b31_an_order_outside_one_to_two(order: float) -> None:
-    assert "1 to 2" in refused(lambda: LinkModel(1.56, 11.0, order=order), "order").allowed
+    assert (
+        "1 to 2" in refused(lambda: LinkModel(1.56, 11.0, order=order), "order").allowed
+    )
 
 
 @pytest.mark.slow
 def test_b31_the_integer_orders_themselves() -> None:
-    # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases, nothing special-cased by the caller.
+    # λ = 1: c (1 − e^{−ω₀² t} …), λ = 2: c cos ω₀t: exact cases, nothing special-cased
+    # by the caller.
     time = np.array([0.1, 0.2, 0.7])
-    for order, wanted in ((1.0, 1.56 * np.exp(-9 * time)), (2.0, 1.56 * np.cos(3 * time))):
+    for order, wanted in (
+        (1.0, 1.56 * np.exp(-9 * time)),
+        (2.0, 1.56 * np.cos(3 * time)),
+    ):
         torque = LinkModel(1.56, 3.0, order=order).torque()
         assert fl.step_response(torque, time).output == pytest.approx(wanted, abs=1e-11)
     assert planned(dataclasses.replace(LINK, order=2.0)).passed
 
 
-@pytest.mark.parametrize(("values", "field"), [({"order": 2.4}, "order"), ({"damping": -1.0}, "damping")])
-def test_b33_an_unstable_guess_cannot_be_made(values: dict[str, float], field: str) -> None:
-    refused(lambda: fl.identify(made_log(), guess=LinkModel(1.56, 10.0, **values)), field)
+@pytest.mark.parametrize(
+    ("values", "field"), [({"order": 2.4}, "order"), ({"damping": -1.0}, "damping")]
+)
+def test_b33_an_unstable_guess_cannot_be_made(
+    values: dict[str, float], field: str
+) -> None:
+    refused(
+        lambda: fl.identify(made_log(), guess=LinkModel(1.56, 10.0, **values)), field
+    )
 
 
 def test_b33_a_guess_far_off_costs_nothing() -> None:
@@ -103,7 +125,9 @@ def test_b34_a_design_that_needs_a_controller_above_the_links_order() -> None:
 
 @pytest.mark.slow
 def test_b35_a_slow_link_has_the_paper_s_design_in_another_unit_of_time() -> None:
-    """Theorem 2 asks for ω₀ > 1, a choice of the unit of time: 20 times slower is the same design."""
+    """Theorem 2 asks for ω₀ > 1, a choice of the unit of time: 20 times slower is the
+    same design.
+    """
     slower, scale = 20.0, 20.0 ** (LINK.order / 2)
     fast, slow = (
         planned(
@@ -135,28 +159,41 @@ def test_b36_left_of_the_peak_names_the_crossover_needed(margins: str) -> None:
 def test_b37_the_largest_phase_margin_is_told_and_reached() -> None:
     with pytest.raises(InfeasibleError, match="largest phase margin") as caught:
         planned(phase_margin=fl.deg(120))
-    largest = re.search(r"at 12 rad/s the largest phase margin is ([\d.]+)°", str(caught.value))
+    largest = re.search(
+        r"at 12 rad/s the largest phase margin is ([\d.]+)°", str(caught.value)
+    )
     assert largest is not None
     assert planned(phase_margin=fl.deg(float(largest[1]) - 0.1)).passed
     with pytest.raises(InfeasibleError):
         planned(phase_margin=fl.deg(float(largest[1]) + 0.1))
 
 
-@pytest.mark.parametrize(("crossover", "bound"), [(900.0, "785.398 rad/s"), (300.0, "80 rad/s")])
-def test_b38_a_crossover_beyond_nyquist_or_the_motor_loop(crossover: float, bound: str) -> None:
-    assert bound in refused(lambda: planned(gain_crossover=crossover), "gain_crossover").allowed
+@pytest.mark.parametrize(
+    ("crossover", "bound"), [(900.0, "785.398 rad/s"), (300.0, "80 rad/s")]
+)
+def test_b38_a_crossover_beyond_nyquist_or_the_motor_loop(
+    crossover: float, bound: str
+) -> None:
+    assert (
+        bound
+        in refused(lambda: planned(gain_crossover=crossover), "gain_crossover").allowed
+    )
 
 
 @pytest.mark.slow
 def test_b39_the_papers_filter_costs_more_than_a_tenth_of_the_margin() -> None:
     design = planned(filter_time=0.16, margins="ideal")
     finding = next(finding for finding in design.findings if finding.code == "W401")
-    assert finding.evidence["cost_rad"] > fl.deg(50)  # 0.16 s costs more than all of the 50°
+    assert finding.evidence["cost_rad"] > fl.deg(
+        50
+    )  # 0.16 s costs more than all of the 50°
     assert "W401" not in {finding.code for finding in planned().findings}
 
 
 @pytest.mark.slow
-def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> None:
+def test_b40_a_certificate_that_is_not_obtained_names_payload_frequency_and_margin() -> (
+    None
+):
     printed = fl.certify(PRINTED["(58)"], model=LINK, rig=RIG, payloads=(0.020, 0.040))
     assert not printed.passed
     assert printed.payload == pytest.approx(0.040)
@@ -177,13 +214,21 @@ def test_b41_a_period_that_is_none(period: float) -> None:
 def test_b41_a_period_too_long_for_the_request() -> None:
     with pytest.raises(InfeasibleError):
         planned(rig=dataclasses.replace(RIG, period=0.2))
-    assert refused(lambda: fl.discretize(planned().controller, 0.1), "period").allowed == "0.004 s"
+    assert (
+        refused(lambda: fl.discretize(planned().controller, 0.1), "period").allowed
+        == "0.004 s"
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", [-1, 13, 65, 2.5, True])
 def test_b42_states_of_a_law_out_of_range(order: int) -> None:
-    assert "12" in refused(lambda: fl.discretize(planned().controller, 0.004, order=order), "order").allowed
+    assert (
+        "12"
+        in refused(
+            lambda: fl.discretize(planned().controller, 0.004, order=order), "order"
+        ).allowed
+    )
 
 
 @pytest.mark.slow
@@ -199,7 +244,8 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     )
     assert not run.verdict.passed
     assert abs(run.metrics.steady_state_error) > 1.0
-    # What is wrong is that the tip is not there; it does not swing, so nothing is called unstable.
+    # What is wrong is that the tip is not there; it does not swing, so nothing is
+    # called unstable.
     assert "unstable" not in run.verdict.reason
 
 
@@ -215,7 +261,12 @@ def test_b48_a_seed_that_is_no_whole_number(seed: object) -> None:
     law = default_law()
     refused(
         lambda: fl.simulate(
-            law, fl.smooth_step(1.0, duration=0.5), rig=RIG, model=LINK, motor_loop="ideal", seed=seed
+            law,
+            fl.smooth_step(1.0, duration=0.5),
+            rig=RIG,
+            model=LINK,
+            motor_loop="ideal",
+            seed=seed,
         ),
         "seed",
     )
@@ -233,7 +284,9 @@ def test_b52_more_samples_than_a_simulation_holds() -> None:
     move = fl.smooth_step(1.0, duration=0.5)
     for duration in (0.004 * 2.1e6, 1e12):
         with pytest.raises(SizeError, match="2000000 periods") as caught:
-            fl.simulate(law, move, rig=RIG, model=LINK, motor_loop="ideal", duration=duration)
+            fl.simulate(
+                law, move, rig=RIG, model=LINK, motor_loop="ideal", duration=duration
+            )
         assert caught.value.field == "duration"
 
 
@@ -255,11 +308,20 @@ def test_b54_more_runs_than_a_campaign_can_end(runs: int) -> None:
         (lambda: Experiment(10**400, np.ones(3), np.ones(3)), "period"),
         (
             lambda: fl.simulate(
-                default_law(), fl.hold(0.0), rig=RIG, model=LINK, motor_loop="ideal", payload=10**400
+                default_law(),
+                fl.hold(0.0),
+                rig=RIG,
+                model=LINK,
+                motor_loop="ideal",
+                payload=10**400,
             ),
             "payload",
         ),
     ],
 )
-def test_b44_a_whole_number_that_no_float_holds(call: Callable[[], object], field: str) -> None:
-    assert "0" * 30 not in str(refused(call, field))  # its 400 digits are not printed either
+def test_b44_a_whole_number_that_no_float_holds(
+    call: Callable[[], object], field: str
+) -> None:
+    assert "0" * 30 not in str(
+        refused(call, field)
+    )  # its 400 digits are not printed either

@@ -1,7 +1,9 @@
-"""Whatever is handed to a public class or function, in any argument: it works or raises an error of fraclink.
+"""Whatever is handed to a public class or function, in any argument: it works or raises
+an error of fraclink.
 
-The values are what scripts hand over by mistake: the file's name for the log, the design for the law, a text,
-a gap, a whole number that no float holds. Each stands alone in a call whose other arguments are right.
+The values are what scripts hand over by mistake: the file's name for the log, the
+design for the law, a text, a gap, a whole number that no float holds. Each stands alone
+in a call whose other arguments are right.
 """
 
 from __future__ import annotations
@@ -58,29 +60,48 @@ from junk import (
 )
 from made_logs import example_motor_log
 
-# Made once: its exact solution takes half a second, and every value of every argument asks for it.
+# Made once: its exact solution takes half a second, and every value of every argument
+# asks for it.
 motor_log = functools.cache(example_motor_log)
 
 
-# What is called, and arguments with which it works. Options that are plain switches are left out.
+# What is called, and arguments with which it works. Options that are plain switches are
+# left out.
 CALLS: dict[str, Call] = {
     "LinkModel": (LinkModel, lambda: fields_of(LINK)),
     "Controller": (
         fl.Controller,
         lambda: {"gain": 0.07, "order": 0.7, "filter_time": 0.01, "filter_order": 1},
     ),
-    "Experiment": (Experiment, lambda: {**fields_of(log()), "findings": (), "notes": ()}),
+    "Experiment": (
+        Experiment,
+        lambda: {**fields_of(log()), "findings": (), "notes": ()},
+    ),
     "Motor": (type(RIG.motor), lambda: fields_of(RIG.motor)),
     "Link": (type(RIG.link), lambda: fields_of(RIG.link)),
     "Payloads": (type(RIG.payloads), lambda: fields_of(RIG.payloads)),
     "Gauge": (type(RIG.gauge), lambda: fields_of(RIG.gauge)),
     "MotorLoop": (type(RIG.motor_loop), lambda: fields_of(RIG.motor_loop)),
-    "smooth_step": (fl.smooth_step, lambda: {"amplitude": 1.0, "duration": 0.5, "start": 0.0}),
-    "pulse": (fl.pulse, lambda: {"amplitude": 1.0, "width": 0.5, "start": 0.0, "rise": 0.1}),
-    "prbs": (fl.prbs, lambda: {"amplitude": 1.0, "bit": 0.1, "bits": 20, "register": 7, "start": 0.0}),
+    "smooth_step": (
+        fl.smooth_step,
+        lambda: {"amplitude": 1.0, "duration": 0.5, "start": 0.0},
+    ),
+    "pulse": (
+        fl.pulse,
+        lambda: {"amplitude": 1.0, "width": 0.5, "start": 0.0, "rise": 0.1},
+    ),
+    "prbs": (
+        fl.prbs,
+        lambda: {"amplitude": 1.0, "bit": 0.1, "bits": 20, "register": 7, "start": 0.0},
+    ),
     "chirp": (
         fl.chirp,
-        lambda: {"amplitude": 1.0, "start_frequency_hz": 1.0, "end_frequency_hz": 5.0, "duration": 2.0},
+        lambda: {
+            "amplitude": 1.0,
+            "start_frequency_hz": 1.0,
+            "end_frequency_hz": 5.0,
+            "duration": 2.0,
+        },
     ),
     "hold": (fl.hold, lambda: {"angle": 1.0, "duration": 1.0}),
     "identify": (
@@ -150,9 +171,18 @@ CALLS: dict[str, Call] = {
     ),
     "simulated_torque": (
         simulated_torque,
-        lambda: {"model": LINK, "motor_angle": ANGLE, "period": 0.004, "delay": 0.0, "hold": "auto"},
+        lambda: {
+            "model": LINK,
+            "motor_angle": ANGLE,
+            "period": 0.004,
+            "delay": 0.0,
+            "hold": "auto",
+        },
     ),
-    "compare_structures": (functools.partial(fl.compare_structures, details=False), lambda: {"log": log()}),
+    "compare_structures": (
+        functools.partial(fl.compare_structures, details=False),
+        lambda: {"log": log()},
+    ),
     "diagnose": (fl.diagnose, lambda: {"experiment": log(), "rig": RIG}),
     "simulate": (
         fl.simulate,
@@ -218,22 +248,37 @@ CALLS: dict[str, Call] = {
             "seed": 0,
         },
     ),
-    "step_response": (fl.step_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
-    "impulse_response": (impulse_response, lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1}),
+    "step_response": (
+        fl.step_response,
+        lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1},
+    ),
+    "impulse_response": (
+        impulse_response,
+        lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1},
+    ),
     "time_response": (
         fl.time_response,
         lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1, "hold": "zero"},
     ),
-    "grunwald_letnikov": (grunwald_letnikov, lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1}),
+    "grunwald_letnikov": (
+        grunwald_letnikov,
+        lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1},
+    ),
     "poles": (fl.poles, lambda: {"system": SYSTEM}),
     "is_stable": (fl.is_stable, lambda: {"system": SYSTEM}),
     "norm": (fl.norm, lambda: {"system": SYSTEM, "p": 2}),
-    "margins": (fl.margins, lambda: {"loop": SYSTEM, "limit": None, "unstable_poles": None}),
+    "margins": (
+        fl.margins,
+        lambda: {"loop": SYSTEM, "limit": None, "unstable_poles": None},
+    ),
     "disk_margin": (
         fl.disk_margin,
         lambda: {"loop": SYSTEM, "skew": 0.5, "limit": None, "unstable_poles": None},
     ),
-    "mittag_leffler": (fl.mittag_leffler, lambda: {"z": [1.0, 1j], "alpha": 0.8, "beta": 1.2}),
+    "mittag_leffler": (
+        fl.mittag_leffler,
+        lambda: {"z": [1.0, 1j], "alpha": 0.8, "beta": 1.2},
+    ),
     "commensurate_order": (fl.commensurate_order, lambda: {"system": SYSTEM}),
     "FractionalStateSpace": (
         FractionalStateSpace,
@@ -241,7 +286,13 @@ CALLS: dict[str, Call] = {
     ),
     "FractionalStateSpace.response": (
         FractionalStateSpace.from_transfer_function(SYSTEM).response,
-        lambda: {"u": np.ones(9), "period": 0.1, "initial": [1.0], "initial_rate": [1.0], "hold": "zero"},
+        lambda: {
+            "u": np.ones(9),
+            "period": 0.1,
+            "initial": [1.0],
+            "initial_rate": [1.0],
+            "hold": "zero",
+        },
     ),
     "FractionalStateSpace.from_transfer_function": (
         FractionalStateSpace.from_transfer_function,
@@ -264,12 +315,18 @@ CALLS: dict[str, Call] = {
     "Beam": (Beam, lambda: fields_of(twin().beam)),
     "Sensors": (Sensors, lambda: fields_of(twin().sensors)),
     "KelvinVoigt": (KelvinVoigt, lambda: {"time": 0.01}),
-    "FractionalKelvinVoigt": (FractionalKelvinVoigt, lambda: {"coefficient": 0.01, "order": 0.5}),
+    "FractionalKelvinVoigt": (
+        FractionalKelvinVoigt,
+        lambda: {"coefficient": 0.01, "order": 0.5},
+    ),
     "PowerLaw": (PowerLaw, lambda: {"order": 1.92}),
     "PayloadChange": (PayloadChange, lambda: {"time": 0.1, "payload": 0.030}),
     "Obstacle": (Obstacle, lambda: fields_of(Obstacle(time=0.1, until=0.2, angle=0.1))),
     "Restart": (Restart, lambda: {"time": 0.1}),
-    "SensorFault": (SensorFault, lambda: {"time": 0.1, "until": 0.2, "kind": "gauge offset", "value": 0.1}),
+    "SensorFault": (
+        SensorFault,
+        lambda: {"time": 0.1, "until": 0.2, "kind": "gauge offset", "value": 0.1},
+    ),
     "TipPulse": (TipPulse, lambda: {"time": 0.1, "force": 0.1, "duration": 0.02}),
     "geared": (geared, lambda: {"rig": RIG, "ratio": 50.0}),
 }
@@ -285,19 +342,34 @@ def test_the_usual_call_works(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of numpy, on the way to an error
-@pytest.mark.parametrize(("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS])
-def test_junk_in_one_argument_is_taken_or_refused_by_name(name: str, field: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "field"), ARGUMENTS, ids=[".".join(pair) for pair in ARGUMENTS]
+)
+def test_junk_in_one_argument_is_taken_or_refused_by_name(
+    name: str, field: str
+) -> None:
     take_or_refuse(CALLS[name], field)
 
 
-NUMBERS = [(name, field) for name, field in ARGUMENTS if isinstance(CALLS[name][1]()[field], float)]
+NUMBERS = [
+    (name, field)
+    for name, field in ARGUMENTS
+    if isinstance(CALLS[name][1]()[field], float)
+]
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(
+    max_examples=150,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
+)
 @given(st.sampled_from(NUMBERS), st.floats() | st.integers() | st.floats(-3.0, 3.0))
-def test_any_number_in_one_argument_is_taken_or_refused(where: tuple[str, str], value: float) -> None:
+def test_any_number_in_one_argument_is_taken_or_refused(
+    where: tuple[str, str], value: float
+) -> None:
     call, usual = CALLS[where[0]]
     try:
         call(**{**usual(), where[1]: value})

@@ -41,7 +41,9 @@ def test_outcomes(tmp_path: Path, code: str, figures: int, crashed: bool) -> Non
     assert (len(outcome.figures), outcome.crashed) == (figures, crashed)
 
 
-@pytest.mark.parametrize(("code", "exit_code"), [("print('MISS a 1 wanted 2')", 0), ("1 / 0", 1)])
+@pytest.mark.parametrize(
+    ("code", "exit_code"), [("print('MISS a 1 wanted 2')", 0), ("1 / 0", 1)]
+)
 def test_exit_code(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -66,7 +68,9 @@ def test_an_unknown_benchmark_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_the_history_grows_by_the_figures_of_each_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "bench_one.py").write_text("print('ok speed 3, wanted 4')\nprint('a note')", encoding="utf-8")
+    (tmp_path / "bench_one.py").write_text(
+        "print('ok speed 3, wanted 4')\nprint('a note')", encoding="utf-8"
+    )
     monkeypatch.setattr(runner, "HERE", tmp_path)
     monkeypatch.setattr(sys, "argv", ["run.py", "--record"])
     assert (runner.main(), runner.main()) == (0, 0)

@@ -1,4 +1,6 @@
-"""The box of a certificate against an own search for the worst point, with every alias summed."""
+"""The box of a certificate against an own search for the worst point, with every alias
+summed.
+"""
 
 from __future__ import annotations
 
@@ -45,19 +47,37 @@ def test_no_point_of_a_box_is_closer_to_minus_one_than_its_certificate_claims(
 
 
 @pytest.mark.slow
-def test_the_models_of_other_logs_widen_the_box(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What another log found outside the first one's intervals is inside the proof, at the same payload."""
+def test_the_models_of_other_logs_widen_the_box(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What another log found outside the first one's intervals is inside the proof, at
+    the same payload.
+    """
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
     design, _ = design_for(rig, filter_time=0.0)
     order, gain = rig.model.order - 0.05, 1.08
-    # The other log is of 20 g: its ω₀ at the first one's payload is the first one's but for a tenth.
+    # The other log is of 20 g: its ω₀ at the first one's payload is the first one's but
+    # for a tenth.
     light = rig.model.at_payload(0.020)
-    other = replace(light, order=order, gauge_gain=gain, natural_frequency=1.1 * light.natural_frequency)
+    other = replace(
+        light,
+        order=order,
+        gauge_gain=gain,
+        natural_frequency=1.1 * light.natural_frequency,
+    )
     alone, both = fl.certify(design), fl.certify(design, others=[other])
     assert alone.passed and both.passed
-    assert alone.statement.order_low > order == pytest.approx(both.statement.order_low, abs=1e-5)
-    assert alone.statement.gauge_gain_high < gain == pytest.approx(both.statement.gauge_gain_high, rel=1e-5)
+    assert (
+        alone.statement.order_low
+        > order
+        == pytest.approx(both.statement.order_low, abs=1e-5)
+    )
+    assert (
+        alone.statement.gauge_gain_high
+        < gain
+        == pytest.approx(both.statement.gauge_gain_high, rel=1e-5)
+    )
     assert both.statement.softness_low < alone.statement.softness_low
     assert both.statement.modulus < alone.statement.modulus
     with pytest.raises(FieldError, match="others"):
@@ -66,18 +86,34 @@ def test_the_models_of_other_logs_widen_the_box(tmp_path: Path, capsys: pytest.C
     design.save(tmp_path / "design.json")
     replace(design, model=other).save(tmp_path / "other.json")
     line = ["certify", "design.json", "--others", "other.json", "--out", "both.json"]
-    assert main([str(tmp_path / word) if word.endswith(".json") else word for word in line]) == 0
+    assert (
+        main(
+            [str(tmp_path / word) if word.endswith(".json") else word for word in line]
+        )
+        == 0
+    )
     capsys.readouterr()
-    assert fl.Certificate.load(tmp_path / "both.json").statement.order_low == both.statement.order_low
+    assert (
+        fl.Certificate.load(tmp_path / "both.json").statement.order_low
+        == both.statement.order_low
+    )
 
 
 def test_a_second_mode_that_another_log_does_not_show_may_have_no_gain() -> None:
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    plain, shown = rig.model, replace(rig.model, second_mode=fl.SecondMode(150.0, 0.02, 0.02))
-    alone, both = ParameterBox.of(shown, rig), ParameterBox.of(shown, rig, others=[plain])
+    plain, shown = (
+        rig.model,
+        replace(rig.model, second_mode=fl.SecondMode(150.0, 0.02, 0.02)),
+    )
+    alone, both = (
+        ParameterBox.of(shown, rig),
+        ParameterBox.of(shown, rig, others=[plain]),
+    )
     assert both == replace(alone, mode_gain=(0.0, alone.mode_gain[1]))
     assert both.holds(plain) and both.holds(shown) and not alone.holds(plain)
     assert all(arm.model.second_mode is not None for arm in arms_of(both, shown))
-    with pytest.raises(FieldError, match="with a second mode that the model does not know"):
+    with pytest.raises(
+        FieldError, match="with a second mode that the model does not know"
+    ):
         ParameterBox.of(plain, rig, others=[shown])

@@ -1,4 +1,6 @@
-"""Monte Carlo campaigns: what is drawn, simulated and measured is what one run alone would be."""
+"""Monte Carlo campaigns: what is drawn, simulated and measured is what one run alone
+would be.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,27 @@ import pytest
 import fraclink as fl
 from campaigns import small
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, replay_run, simulate_part
+from fraclink._campaign import (
+    Campaign,
+    Distribution,
+    arm_of,
+    draws_for,
+    replay_run,
+    simulate_part,
+)
 from fraclink._campaign.campaign import SHAPES, draw
 from fraclink._simulate.links import POWERS, batch_links, link_weights
 from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
 from fraclink.errors import FieldError, SizeError
 
 METRICS = (
-    *("overshoot", "settling_time", "residual_vibration", "steady_state_error", "peak_tip_error"),
+    *(
+        "overshoot",
+        "settling_time",
+        "residual_vibration",
+        "steady_state_error",
+        "peak_tip_error",
+    ),
     *("peak_voltage", "motor_reference_noise", "saturated"),
 )
 
@@ -40,15 +55,30 @@ def test_draws_follow_their_distributions():
     for name in values.keys() - {"shape", "delay_samples"}:
         about: Distribution = getattr(draws, name)
         assert values[name].min() >= about.low and values[name].max() <= about.high
-    assert kstest(values["payload"], "uniform", (payload.low, payload.high - payload.low)).pvalue > 1e-3
-    mean, deviation = 0.5 * (stiffness.low + stiffness.high), (stiffness.high - stiffness.low) / 8
-    assert kstest(values["stiffness"], truncnorm(-4, 4, mean, deviation).cdf).pvalue > 1e-3
+    assert (
+        kstest(
+            values["payload"], "uniform", (payload.low, payload.high - payload.low)
+        ).pvalue
+        > 1e-3
+    )
+    mean, deviation = (
+        0.5 * (stiffness.low + stiffness.high),
+        (stiffness.high - stiffness.low) / 8,
+    )
+    assert (
+        kstest(values["stiffness"], truncnorm(-4, 4, mean, deviation).cdf).pvalue > 1e-3
+    )
     assert np.bincount(values["delay_samples"].astype(int), minlength=3).min() > 6000
 
 
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
-    [("cauchy", 0.0, 1.0), ("uniform", 1.0, 0.0), ("uniform", 0.0, np.inf), ("whole", 0.5, 2.0)],
+    [
+        ("cauchy", 0.0, 1.0),
+        ("uniform", 1.0, 0.0),
+        ("uniform", 0.0, np.inf),
+        ("whole", 0.5, 2.0),
+    ],
 )
 def test_impossible_distributions_are_refused(kind, low, high):
     with pytest.raises(FieldError):
@@ -79,7 +109,9 @@ def test_impossible_campaigns_are_refused(field, value, error):
 
 
 def link_answers(decay, weight, pair, pair_weight, first, count):
-    """Tip after each of `count` periods of a motor that goes as xʲ in the first, then stands."""
+    """Tip after each of `count` periods of a motor that goes as xʲ in the first, then
+    stands.
+    """
     answers = np.zeros((POWERS, count))
     for j in range(POWERS):
         x, z = np.zeros(len(decay)), np.zeros(len(pair), dtype=complex)
@@ -109,7 +141,9 @@ def test_a_link_too_fast_for_the_period_is_refused():
 
 
 def varied_delay() -> Campaign:
-    return replace(small(), draws=replace(small().draws, delay_samples=Distribution("whole", 0, 1)))
+    return replace(
+        small(), draws=replace(small().draws, delay_samples=Distribution("whole", 0, 1))
+    )
 
 
 def test_a_run_of_a_part_is_the_run_that_replay_repeats():
@@ -119,16 +153,26 @@ def test_a_run_of_a_part_is_the_run_that_replay_repeats():
     for at in (0, 1, 49, 50, 263, 499):
         run = replay_run(campaign, 2000 + at)
         for name in METRICS:
-            assert float(part[name][at]) == pytest.approx(getattr(run.metrics, name), rel=1e-9, abs=1e-12)
+            assert float(part[name][at]) == pytest.approx(
+                getattr(run.metrics, name), rel=1e-9, abs=1e-12
+            )
         assert bool(part["passed"][at]) == bool(run.verdict), at
 
 
 @pytest.mark.slow
 def test_a_vibration_that_passes_through_the_band_has_not_settled():
-    """Part and replay judge by one rule; the settling time alone would let these runs hold."""
+    """Part and replay judge by one rule; the settling time alone would let these runs
+    hold.
+    """
     rig = fl.Rig.named("paper-2023")
-    asked = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
-    campaign = Campaign.of(rig, rig.model, fl.design(rig.model, rig, **asked).law(), runs=200, seed=1)
+    asked = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
+    campaign = Campaign.of(
+        rig, rig.model, fl.design(rig.model, rig, **asked).law(), runs=200, seed=1
+    )
     part = simulate_part(campaign, 0)
     told = [replay_run(campaign, run).verdict.passed for run in range(200)]
     assert part["passed"].tolist() == told
@@ -155,8 +199,11 @@ def test_a_run_is_what_simulate_says_of_its_arm():
             seed=replay_run(campaign, 2000 + at).about["seed"],
             delay_samples=int(own["delay_samples"]),
         )
-        apart.append(abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at])))
-    # The links differ by 2e-7; where that turns a count of the encoder, a motor that sticks keeps it.
+        apart.append(
+            abs(run.metrics.peak_tip_error - float(part["peak_tip_error"][at]))
+        )
+    # The links differ by 2e-7; where that turns a count of the encoder, a motor that
+    # sticks keeps it.
     assert np.median(apart) < 2e-5 and max(apart) < 2e-3
 
 
@@ -170,23 +217,41 @@ def test_many_runs_are_measured_as_one_is():
     time = 0.004 * np.arange(700)
     move = np.where(np.arange(24) % 2, 0.7, -1.1)[:, None]
     reference = move * np.clip(time / 0.5, 0, 1)
-    ring = np.exp(-rng.uniform(0.2, 6, (24, 1)) * time) * np.sin(rng.uniform(8, 15, (24, 1)) * time)
+    ring = np.exp(-rng.uniform(0.2, 6, (24, 1)) * time) * np.sin(
+        rng.uniform(8, 15, (24, 1)) * time
+    )
     tip = reference + 0.2 * ring + 1e-3 * rng.standard_normal(reference.shape)
     flags = (rng.random(tip.shape) < 0.01).astype(np.uint32) * 64
     mode = np.ones(tip.shape, dtype=np.uint32)
     reason = np.zeros(tip.shape, dtype=np.uint32)
     mode[5, 300:], reason[5, 300:] = 3, 8
     ended, vibration = np.full(24, 0.5), rng.uniform(0.4, 0.7, 24)
-    signals = Signals(reference, tip, 2 * tip, 3 * tip, flags, mode, reason, 0.004, ended, vibration)
+    signals = Signals(
+        reference, tip, 2 * tip, 3 * tip, flags, mode, reason, 0.004, ended, vibration
+    )
     metrics = measure_many(signals)
     many = metrics | judge_many(signals, metrics)
     for r in range(24):
         row = slice(r, r + 1)
-        arrays = (reference[row], tip[row], 2 * tip[row], 3 * tip[row], flags[row], mode[row], reason[row])
+        arrays = (
+            reference[row],
+            tip[row],
+            2 * tip[row],
+            3 * tip[row],
+            flags[row],
+            mode[row],
+            reason[row],
+        )
         one = measure(Signals(*arrays, 0.004, ended[row], vibration[row]))
         for name in METRICS:
-            assert many[name][r] == pytest.approx(getattr(one, name), rel=1e-9, abs=1e-12), (name, r)
-    assert (many["mode"][5], many["reason"][5], bool(many["passed"][5])) == (3, 8, False)
+            assert many[name][r] == pytest.approx(
+                getattr(one, name), rel=1e-9, abs=1e-12
+            ), (name, r)
+    assert (many["mode"][5], many["reason"][5], bool(many["passed"][5])) == (
+        3,
+        8,
+        False,
+    )
     assert (many["mode"][4], many["reason"][4]) == (1, 0)
     assert 0 < np.isfinite(many["settling_time"]).sum() < 24  # both kinds were met
 
@@ -194,24 +259,43 @@ def test_many_runs_are_measured_as_one_is():
 @pytest.mark.slow
 def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
-    wild = fl.discretize(fl.Controller(gain=3.0, order=0.9, link=rig.model), rig.period, order=4)
+    wild = fl.discretize(
+        fl.Controller(gain=3.0, order=0.9, link=rig.model), rig.period, order=4
+    )
     part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
     assert not part["passed"].any() and (part["mode"] != 1).any()
 
 
 def _first_look(campaign: Campaign, run: int) -> float:
-    """Growth [1/s] of a replayed run as its own four seconds show it, without the second look."""
+    """Growth [1/s] of a replayed run as its own four seconds show it, without the
+    second look.
+    """
     seen, (_, link, own) = replay_run(campaign, run), arm_of(campaign, run)
     assert link.payload is not None
-    pole = (own["stiffness"] / (link.payload * campaign.rig.link.length**2)) ** (1 / own["order"])
+    pole = (own["stiffness"] / (link.payload * campaign.rig.link.length**2)) ** (
+        1 / own["order"]
+    )
     cycle = 2 * np.pi / (pole * np.sin(np.pi / own["order"]))
-    names = ("reference", "tip_angle", "motor_reference", "voltage", "flags", "mode", "reason")
+    names = (
+        "reference",
+        "tip_angle",
+        "motor_reference",
+        "voltage",
+        "flags",
+        "mode",
+        "reason",
+    )
     reference, tip, motor, voltage, flags, mode, reason = (
         np.array(getattr(seen, name))[None] for name in names
     )
-    ended, cycles = np.array([SHAPES[int(own["shape"]) % len(SHAPES)]]), np.array([cycle])
+    ended, cycles = (
+        np.array([SHAPES[int(own["shape"]) % len(SHAPES)]]),
+        np.array([cycle]),
+    )
     period = campaign.law.period
-    signals = Signals(reference, tip, motor, voltage, flags, mode, reason, period, ended, cycles)
+    signals = Signals(
+        reference, tip, motor, voltage, flags, mode, reason, period, ended, cycles
+    )
     return measure(signals).growth
 
 
@@ -219,7 +303,11 @@ def _first_look(campaign: Campaign, run: int) -> float:
 def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
     """Of a thousand good arms one seems to grow for four seconds; in eight it does not."""
     rig = fl.Rig.named("paper-2023-geared")
-    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    law = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        rig.period,
+        order=4,
+    )
     campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=0)
     assert _first_look(campaign, 912) > 0.3
     part, run = simulate_part(campaign, 0), replay_run(campaign, 912)
@@ -231,10 +319,22 @@ def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
 def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
     """Controller (58) at 30 g grows by 0.14 a second, from a size that would pass."""
     rig = fl.Rig.named("paper-2023-geared")
-    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=rig.model)
-    made = Campaign.of(rig, rig.model, fl.discretize(printed, rig.period), runs=48, motor_loop="ideal")
-    fixed = {"payload": 0.030, "stiffness": 1.56, "order": 1.92, "noise": 0.0, "gauge_offset": 0.0}
-    draws = {name: Distribution("uniform", value, value) for name, value in fixed.items()}
+    printed = fl.Controller(
+        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=rig.model
+    )
+    made = Campaign.of(
+        rig, rig.model, fl.discretize(printed, rig.period), runs=48, motor_loop="ideal"
+    )
+    fixed = {
+        "payload": 0.030,
+        "stiffness": 1.56,
+        "order": 1.92,
+        "noise": 0.0,
+        "gauge_offset": 0.0,
+    }
+    draws = {
+        name: Distribution("uniform", value, value) for name, value in fixed.items()
+    }
     campaign = replace(made, draws=replace(made.draws, **draws))
     part = simulate_part(campaign, 0)
     grown = part["growth"] > 0.0
@@ -242,7 +342,9 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
     assert part["growth"][grown] == pytest.approx(0.138, abs=0.01)
     assert not part["passed"][grown].any()
     # Nothing but the growth is against some of them: they settle, in normal operation.
-    by_growth = np.flatnonzero(grown & (part["mode"] == 1) & (part["settling_time"] < 3.0))
+    by_growth = np.flatnonzero(
+        grown & (part["mode"] == 1) & (part["settling_time"] < 3.0)
+    )
     assert by_growth.size >= 8
     run = replay_run(campaign, int(by_growth[0]))
     assert run.verdict.reason.startswith("unstable: the vibration grows")
@@ -250,21 +352,31 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
 
 
 def test_an_ideal_motor_loop_is_run_too():
-    ideal = Campaign.of(small().rig, small().model, small().law, runs=19, seed=2, motor_loop="ideal")
+    ideal = Campaign.of(
+        small().rig, small().model, small().law, runs=19, seed=2, motor_loop="ideal"
+    )
     part = simulate_part(ideal, 0)
     for at in (0, 9, 18):  # in a group of eight, and in the rest of a block
         run = replay_run(ideal, at)
-        assert part["peak_tip_error"][at] == pytest.approx(run.metrics.peak_tip_error, rel=1e-9)
-        assert part["peak_voltage"][at] == pytest.approx(run.metrics.peak_voltage, rel=1e-9)
+        assert part["peak_tip_error"][at] == pytest.approx(
+            run.metrics.peak_tip_error, rel=1e-9
+        )
+        assert part["peak_voltage"][at] == pytest.approx(
+            run.metrics.peak_voltage, rel=1e-9
+        )
 
 
 def test_defaults_stay_in_the_models_range():
     rig = fl.Rig.named("paper-2023")
-    assert draws_for(rig, LinkModel(1.56, 11.0, order=2.0)).order == Distribution("normal", 2.0, 2.0)
+    assert draws_for(rig, LinkModel(1.56, 11.0, order=2.0)).order == Distribution(
+        "normal", 2.0, 2.0
+    )
 
 
 def test_a_part_has_the_gauges_delay_and_gain_and_the_second_mode():
-    """In groups of eight and one by one: what the kernel of one arm gives, to the last bit."""
+    """In groups of eight and one by one: what the kernel of one arm gives, to the last
+    bit.
+    """
     plain = small()
     model = replace(plain.model, second_mode=SecondMode(frequency=200.0, gain=0.02))
     gauge = {

@@ -1,4 +1,6 @@
-"""A campaign on a real local cluster: scheduler and workers, each a process of its own, one killed."""
+"""A campaign on a real local cluster: scheduler and workers, each a process of its own,
+one killed.
+"""
 
 from __future__ import annotations
 
@@ -20,17 +22,23 @@ from needed_tools import missing
 
 
 def spawn(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(  # noqa: S603 - our own interpreter
-        [sys.executable, "-m", module, *arguments], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    return subprocess.Popen(  # noqa: S603
+        [sys.executable, "-m", module, *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     )
 
 
 @contextlib.contextmanager
-def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(
+    folder: Path, workers: int
+) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A scheduler on a free port of this machine and its workers; all ended afterwards."""
     about = folder / "scheduler.json"
     free = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-jupyter"]
-    scheduler = spawn("distributed.cli.dask_scheduler", *free, "--scheduler-file", str(about))
+    scheduler = spawn(
+        "distributed.cli.dask_scheduler", *free, "--scheduler-file", str(about)
+    )
     started: list[subprocess.Popen[bytes]] = []
     try:
         address = ""
@@ -40,9 +48,18 @@ def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.P
             # while the file is being written it is no JSON
             with contextlib.suppress(OSError, json.JSONDecodeError):
                 address = json.loads(about.read_text())["address"]
-        one = ["--scheduler-file", str(about), "--nthreads", "1", "--no-nanny", "--no-dashboard"]
+        one = [
+            "--scheduler-file",
+            str(about),
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+        ]
         place = ["--local-directory", str(folder), "--host", "127.0.0.1"]
-        started = [spawn("distributed.cli.dask_worker", *one, *place) for _ in range(workers)]
+        started = [
+            spawn("distributed.cli.dask_worker", *one, *place) for _ in range(workers)
+        ]
         yield address, started
     finally:
         for process in (*started, scheduler):
@@ -64,9 +81,13 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
                 workers[0].kill()
                 killed.append(workers[0].pid)
 
-        done = run_campaign(small(3500), tmp_path / "cluster", scheduler=address, watch=kill_one)
+        done = run_campaign(
+            small(3500), tmp_path / "cluster", scheduler=address, watch=kill_one
+        )
     assert killed and done.done == 3500
-    assert parts_of(tmp_path / "cluster") == parts_of(computed(small(3500), tmp_path / "here"))
+    assert parts_of(tmp_path / "cluster") == parts_of(
+        computed(small(3500), tmp_path / "here")
+    )
 
 
 @pytest.mark.slow

@@ -1,4 +1,6 @@
-"""A campaign's numbers: its draws, sizes, fingerprint and files, the words of its summary, a fault's row."""
+"""A campaign's numbers: its draws, sizes, fingerprint and files, the words of its
+summary, a fault's row.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,26 @@ from scipy.special import ndtr
 
 import fraclink as fl
 from campaigns import fault_bench, small
-from fraclink._campaign import Campaign, Distribution, arm_of, draws_for, load_campaign, save_campaign
+from fraclink._campaign import (
+    Campaign,
+    Distribution,
+    arm_of,
+    draws_for,
+    load_campaign,
+    save_campaign,
+)
 from fraclink._campaign import run as run_module
 from fraclink._campaign import summary as summary_module
 from fraclink._campaign.arms import block_of, unit_paths
 from fraclink._campaign.campaign import draw
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases, fault_named
+from fraclink._campaign.faults import (
+    Case,
+    Check,
+    FaultTable,
+    Outcome,
+    cases,
+    fault_named,
+)
 from fraclink._campaign.run import part_path, read_part, run_campaign, write_part
 from fraclink._campaign.summary import _correlation, _metric, _ranks, columns, summarise
 from fraclink._show.views import view
@@ -33,14 +49,19 @@ MODEL = RIG.model
 assert MODEL is not None
 
 
-# ── draws ───────────────────────────────────────────────────────────────────────────────────────────────────
+# ── draws
+# ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def test_a_distribution_by_its_cumulated_probability() -> None:
     uniform = np.array([0.0, 0.25, 0.5, 0.9999])
-    assert Distribution("uniform", 2.0, 6.0).at(uniform) == pytest.approx([2.0, 3.0, 4.0, 5.9996])
+    assert Distribution("uniform", 2.0, 6.0).at(uniform) == pytest.approx(
+        [2.0, 3.0, 4.0, 5.9996]
+    )
     assert Distribution("whole", 1, 3).at(uniform).tolist() == [1.0, 1.0, 2.0, 3.0]
-    assert Distribution("whole", 1, 3).at(np.array([1 / 3 - 1e-9, 1 / 3 + 1e-9])).tolist() == [1.0, 2.0]
+    assert Distribution("whole", 1, 3).at(
+        np.array([1 / 3 - 1e-9, 1 / 3 + 1e-9])
+    ).tolist() == [1.0, 2.0]
     normal = Distribution("normal", 2.0, 6.0)  # mean 4, deviation 0.5, cut at ±4 of it
     cut = float(ndtr(-4.0))
     at_one = (float(ndtr(1.0)) - cut) / (1.0 - 2.0 * cut)
@@ -57,7 +78,11 @@ def test_the_default_draws_are_those_that_the_documentation_states() -> None:
     found = draws_for(RIG, late)
     assert found.payload == Distribution("uniform", 0.020, 0.040)
     assert found.stiffness == Distribution("normal", 0.92 * 1.56, 1.08 * 1.56)
-    assert (found.order.kind, found.order.low, found.order.high) == ("normal", pytest.approx(1.90), 1.94)
+    assert (found.order.kind, found.order.low, found.order.high) == (
+        "normal",
+        pytest.approx(1.90),
+        1.94,
+    )
     assert found.gauge_offset == Distribution("uniform", -0.05, 0.05)
     assert found.delay_samples == Distribution("whole", 1, 1)
     assert found.motor_gain == Distribution("normal", 0.9, 1.1)
@@ -69,8 +94,13 @@ def test_the_default_draws_are_those_that_the_documentation_states() -> None:
     assert found.gauge_gain == Distribution("uniform", 1.1, 1.1)
     assert found.payload_given == Distribution("uniform", 0.0, 0.0)
     near = draws_for(RIG, replace(MODEL, order=1.99)).order
-    assert (near.low, near.high) == (pytest.approx(1.98), pytest.approx(2.0)) and near.high <= 2.0
-    assert draws_for(RIG, replace(MODEL, gauge_delay=-0.01)).gauge_delay == Distribution("uniform", 0.0, 0.0)
+    assert (near.low, near.high) == (
+        pytest.approx(1.98),
+        pytest.approx(2.0),
+    ) and near.high <= 2.0
+    assert draws_for(
+        RIG, replace(MODEL, gauge_delay=-0.01)
+    ).gauge_delay == Distribution("uniform", 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +115,9 @@ def test_the_default_draws_are_those_that_the_documentation_states() -> None:
         ("payload_given", 0, 1.5, True), ("payload_given", -0.1, 1, False), ("gauge_offset", -9, 9, True),
     ],
 )  # fmt: skip
-def test_a_parameter_is_drawn_from_its_range(name: str, low: float, high: float, fits: bool) -> None:
+def test_a_parameter_is_drawn_from_its_range(
+    name: str, low: float, high: float, fits: bool
+) -> None:
     kind: Any = "whole" if name == "delay_samples" else "uniform"
     own = Distribution(kind, low, high)
     if fits:
@@ -96,14 +128,18 @@ def test_a_parameter_is_drawn_from_its_range(name: str, low: float, high: float,
 
 
 def test_what_came_later_is_drawn_behind_the_others() -> None:
-    """From the generator itself: the parameters of release 0.1, the shape, then the later ones."""
+    """From the generator itself: the parameters of release 0.1, the shape, then the
+    later ones.
+    """
     draws = replace(
         small().draws,
         gauge_delay=Distribution("uniform", 0.0, 1.0),
         payload_given=Distribution("uniform", 0.0, 1.0),
     )
     found = draw(draws, 7, 3, 5)
-    generator = np.random.Generator(np.random.Philox(np.random.SeedSequence(7, spawn_key=(3,))))
+    generator = np.random.Generator(
+        np.random.Philox(np.random.SeedSequence(7, spawn_key=(3,)))
+    )
     first = generator.random((10, 5))
     assert found["payload"] == pytest.approx(0.02 + 0.02 * first[0])
     assert found["amplitude"] == pytest.approx(0.2 + first[9])
@@ -113,17 +149,28 @@ def test_what_came_later_is_drawn_behind_the_others() -> None:
     assert found["payload_given"].tolist() == generator.random(5).tolist()
 
 
-# ── the campaign ────────────────────────────────────────────────────────────────────────────────────────────
+# ── the campaign
+# ────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def test_a_campaign_has_parts_of_a_thousand_and_a_rest() -> None:
-    assert [small().part_runs(part) for part in range(3)] == [1000, 1000, 500] and small().parts == 3
-    assert small(1000).parts == 1 and small(1001).parts == 2 and small(1001).part_runs(1) == 1
+    assert [small().part_runs(part) for part in range(3)] == [
+        1000,
+        1000,
+        500,
+    ] and small().parts == 3
+    assert (
+        small(1000).parts == 1
+        and small(1001).parts == 2
+        and small(1001).part_runs(1) == 1
+    )
     assert replace(small(), runs=10**9).parts == 10**6
     with pytest.raises(SizeError, match="runs"):
         replace(small(), runs=10**9 + 1)
     shortest = replace(small(), duration=2.0)
-    assert shortest.duration == 2.0 and replace(small(), duration=600.0).duration == 600.0
+    assert (
+        shortest.duration == 2.0 and replace(small(), duration=600.0).duration == 600.0
+    )
     for duration in (1.999, 600.1):
         with pytest.raises(FieldError, match="duration"):
             replace(small(), duration=duration)
@@ -132,14 +179,33 @@ def test_a_campaign_has_parts_of_a_thousand_and_a_rest() -> None:
 def test_a_campaign_follows_the_reference_that_it_is_given() -> None:
     law = small().law
     moves = [each.duration for each in small().references]
-    assert moves == [0.5, 0.75, 1.0] and small().duration == 4.0 and small().reference is None
+    assert (
+        moves == [0.5, 0.75, 1.0]
+        and small().duration == 4.0
+        and small().reference is None
+    )
     long = fl.smooth_step(0.7, 2.5)
-    own = Campaign.of(RIG, MODEL, law, runs=10, reference=long, estimated=(0.02, 0.04), told=True)
-    assert own.references == (long,) and own.duration == 5.5 and own.payloads == (0.02, 0.04)
+    own = Campaign.of(
+        RIG, MODEL, law, runs=10, reference=long, estimated=(0.02, 0.04), told=True
+    )
+    assert (
+        own.references == (long,)
+        and own.duration == 5.5
+        and own.payloads == (0.02, 0.04)
+    )
     assert own.draws.amplitude == Distribution("uniform", 1.0, 1.0)
     assert own.draws.payload_given == Distribution("uniform", 1.0, 1.0)
-    assert Campaign.of(RIG, MODEL, law, runs=10, reference=fl.smooth_step(0.7, 0.5)).duration == 4.0
-    assert unit_paths(own).shape == (1, 2, 1376) and unit_paths(own, 2).shape == (1, 2, 2751)
+    assert (
+        Campaign.of(
+            RIG, MODEL, law, runs=10, reference=fl.smooth_step(0.7, 0.5)
+        ).duration
+        == 4.0
+    )
+    assert unit_paths(own).shape == (1, 2, 1376) and unit_paths(own, 2).shape == (
+        1,
+        2,
+        2751,
+    )
     path = unit_paths(small())
     time = 0.004 * np.arange(1001)
     assert path[1, 0] == pytest.approx(fl.smooth_step(1.0, 0.75).angle(time))
@@ -163,7 +229,9 @@ def test_a_campaign_gives_the_law_the_motor_loop_of_its_rig() -> None:
 
 
 def test_the_fingerprint_is_of_all_that_a_result_depends_on() -> None:
-    """The same for more runs; another for everything else; unchanged by later fields at their defaults."""
+    """The same for more runs; another for everything else; unchanged by later fields at
+    their defaults.
+    """
     plain = small()
     assert replace(plain, runs=7).fingerprint == plain.fingerprint
     changed = [
@@ -175,38 +243,73 @@ def test_the_fingerprint_is_of_all_that_a_result_depends_on() -> None:
         replace(plain, rig=replace(RIG, name="other")),
         replace(plain, model=replace(MODEL, stiffness=1.57)),
         replace(plain, model=replace(MODEL, gauge_delay=0.001)),
-        replace(plain, draws=replace(plain.draws, payload_given=Distribution("uniform", 1.0, 1.0))),
+        replace(
+            plain,
+            draws=replace(plain.draws, payload_given=Distribution("uniform", 1.0, 1.0)),
+        ),
         replace(plain, law=replace(plain.law, stiffness=1.57)),
     ]
     assert len({campaign.fingerprint for campaign in (plain, *changed)}) == 11
-    assert replace(plain, model=replace(MODEL, unseen_up_to=None)).fingerprint == plain.fingerprint
+    assert (
+        replace(plain, model=replace(MODEL, unseen_up_to=None)).fingerprint
+        == plain.fingerprint
+    )
 
 
-def test_a_campaign_comes_back_with_its_reference_and_its_payloads(tmp_path: Path) -> None:
-    made = replace(small(), reference=fl.smooth_step(0.8, 0.6), payloads=(0.02, 0.04), motor_loop="ideal")
+def test_a_campaign_comes_back_with_its_reference_and_its_payloads(
+    tmp_path: Path,
+) -> None:
+    made = replace(
+        small(),
+        reference=fl.smooth_step(0.8, 0.6),
+        payloads=(0.02, 0.04),
+        motor_loop="ideal",
+    )
     save_campaign(made, tmp_path)
     back = load_campaign(tmp_path)
-    assert (back.payloads, back.motor_loop, back.runs, back.seed) == ((0.02, 0.04), "ideal", 2500, 7)
+    assert (back.payloads, back.motor_loop, back.runs, back.seed) == (
+        (0.02, 0.04),
+        "ideal",
+        2500,
+        7,
+    )
     assert back.reference is not None and back.fingerprint == made.fingerprint
-    assert back.reference.angle([0.3, 0.6, 2.0]) == pytest.approx([0.4, 0.8, 0.8], abs=1e-6)
+    assert back.reference.angle([0.3, 0.6, 2.0]) == pytest.approx(
+        [0.4, 0.8, 0.8], abs=1e-6
+    )
     written = json.loads((tmp_path / "campaign.json").read_text())
     assert written["part_runs"] == 1000 and written["shapes"] == [0.5, 0.75, 1.0]
 
 
-# ── its arms ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── its arms
+# ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def test_the_arm_of_a_run_is_what_was_drawn_for_it() -> None:
     campaign = small()
     rig, link, own = arm_of(campaign, 1234)
     values = draw(campaign.draws, 7, 1, 1000)
-    assert own == {name: pytest.approx(float(column[234])) for name, column in values.items()}
+    assert own == {
+        name: pytest.approx(float(column[234])) for name, column in values.items()
+    }
     motor = campaign.rig.motor
-    assert rig.motor.torque_constant == pytest.approx(motor.torque_constant * own["motor_gain"])
-    assert rig.motor.viscous_friction == pytest.approx(motor.viscous_friction * own["viscous_friction"])
-    assert rig.motor.coulomb_torque == pytest.approx(motor.coulomb_torque * own["coulomb_torque"])
-    assert link.natural_frequency == pytest.approx(math.sqrt(own["stiffness"] / (own["payload"] * 0.65**2)))
-    assert (link.stiffness, link.order, link.payload) == (own["stiffness"], own["order"], own["payload"])
+    assert rig.motor.torque_constant == pytest.approx(
+        motor.torque_constant * own["motor_gain"]
+    )
+    assert rig.motor.viscous_friction == pytest.approx(
+        motor.viscous_friction * own["viscous_friction"]
+    )
+    assert rig.motor.coulomb_torque == pytest.approx(
+        motor.coulomb_torque * own["coulomb_torque"]
+    )
+    assert link.natural_frequency == pytest.approx(
+        math.sqrt(own["stiffness"] / (own["payload"] * 0.65**2))
+    )
+    assert (link.stiffness, link.order, link.payload) == (
+        own["stiffness"],
+        own["order"],
+        own["payload"],
+    )
 
 
 def test_a_block_has_the_numbers_of_its_arms() -> None:
@@ -228,7 +331,9 @@ def test_a_block_has_the_numbers_of_its_arms() -> None:
     friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio)
     assert arms.friction == pytest.approx(friction * own["coulomb_torque"])
     # 2^64 over the golden ratio: every run of every seed has noise of its own.
-    assert [int(seed) for seed in arms.seed] == [(k * 0x9E3779B97F4A7C15 + 7) % 2**64 for k in (10, 11, 12)]
+    assert [int(seed) for seed in arms.seed] == [
+        (k * 0x9E3779B97F4A7C15 + 7) % 2**64 for k in (10, 11, 12)
+    ]
     assert chosen.tolist() == [int(shape) % 3 for shape in own["shape"]]
 
 
@@ -236,11 +341,16 @@ def test_links_of_a_block_are_valid_up_to_two_radians_in_a_period() -> None:
     for order in (1.5, 2.0):
         edge = (2.0 / 0.004) ** order
         batch_links(np.array([100.0, 0.999 * edge]), np.array([order, order]), 0.004)
-        with pytest.raises(FieldError, match=r"period: too long for the fastest link .* < 0.004 s"):
-            batch_links(np.array([100.0, 1.001 * edge]), np.array([order, order]), 0.004)
+        with pytest.raises(
+            FieldError, match=r"period: too long for the fastest link .* < 0.004 s"
+        ):
+            batch_links(
+                np.array([100.0, 1.001 * edge]), np.array([order, order]), 0.004
+            )
 
 
-# ── its parts ───────────────────────────────────────────────────────────────────────────────────────────────
+# ── its parts
+# ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.fixture(scope="module")
@@ -251,12 +361,19 @@ def one_part(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_a_part_of_another_length_place_or_campaign_is_not_believed(one_part: Path) -> None:
+def test_a_part_of_another_length_place_or_campaign_is_not_believed(
+    one_part: Path,
+) -> None:
     assert part_path(one_part, 12).name == "part-0000012.parquet"
     good = read_part(small(30), one_part, 0)
     assert good is not None and len(good["run"]) == 30
-    assert read_part(small(31), one_part, 0) is None  # of the same campaign, but not all of the part
-    assert read_part(small(30, seed=8), one_part, 0) is None and read_part(small(30), one_part, 1) is None
+    assert (
+        read_part(small(31), one_part, 0) is None
+    )  # of the same campaign, but not all of the part
+    assert (
+        read_part(small(30, seed=8), one_part, 0) is None
+        and read_part(small(30), one_part, 1) is None
+    )
     part_path(one_part, 1).write_bytes(part_path(one_part, 0).read_bytes())
     assert read_part(small(1030), one_part, 1) is None  # it says that it is part 0
     part_path(one_part, 1).unlink()
@@ -268,7 +385,9 @@ def test_a_part_of_another_length_place_or_campaign_is_not_believed(one_part: Pa
 def test_a_part_of_the_first_release_has_the_later_columns_as_they_were(
     one_part: Path, tmp_path: Path
 ) -> None:
-    """Without the columns and digests that came later: no gauge delay, a gain of one, no growth."""
+    """Without the columns and digests that came later: no gauge delay, a gain of one,
+    no growth.
+    """
     from pyarrow import parquet
 
     table = parquet.read_table(part_path(one_part, 0))
@@ -288,10 +407,18 @@ def test_progress_counts_what_was_there_and_what_failed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done: set[int] = {0}
-    monkeypatch.setattr(run_module, "_is_done", lambda campaign, place, part: part in done)
-    monkeypatch.setattr(run_module, "compute", lambda folder, part: (done.add(part), part)[1])  # type: ignore[func-returns-value]
+    monkeypatch.setattr(
+        run_module, "_is_done", lambda campaign, place, part: part in done
+    )
+    monkeypatch.setattr(
+        run_module,
+        "compute",
+        lambda folder, part: (done.add(part), part)[1],  # type: ignore[func-returns-value]
+    )
     failed = {1: np.array([1, 0, 0]), 2: np.array([1, 1, 0])}
-    monkeypatch.setattr(run_module, "read_part", lambda c, p, part, names: {"passed": failed[part]})
+    monkeypatch.setattr(
+        run_module, "read_part", lambda c, p, part, names: {"passed": failed[part]}
+    )
     seen: list[Any] = []
     last = run_campaign(small(), tmp_path, watch=seen.append)
     assert [(p.before, p.done, p.runs, p.failed) for p in seen] == [
@@ -334,19 +461,25 @@ def test_a_script_is_run_again_by_workers_unless_it_asks(
     def unguarded(text: str, name: str = "arms.py") -> Path | None:
         path = tmp_path / name
         path.write_text(text)
-        monkeypatch.setitem(run_module.sys.modules, "__main__", SimpleNamespace(__file__=str(path)))
+        monkeypatch.setitem(
+            run_module.sys.modules, "__main__", SimpleNamespace(__file__=str(path))
+        )
         return run_module._unguarded_script()
 
     assert unguarded("work()") == script
     assert unguarded('if __name__ == "__main__":\n    work()') is None
     assert unguarded("if multiprocessing.parent_process() is None: work()") is None
     assert unguarded("work()", "__main__.py") is None
-    for main in (SimpleNamespace(), SimpleNamespace(__file__=str(tmp_path / "gone.py"))):
+    for main in (
+        SimpleNamespace(),
+        SimpleNamespace(__file__=str(tmp_path / "gone.py")),
+    ):
         monkeypatch.setitem(run_module.sys.modules, "__main__", main)
         assert run_module._unguarded_script() is None
 
 
-# ── what they say together ──────────────────────────────────────────────────────────────────────────────────
+# ── what they say together
+# ──────────────────────────────────────────────────────────────────────────────────
 
 
 def test_a_metric_has_its_worst_runs_and_what_drives_it() -> None:
@@ -358,7 +491,13 @@ def test_a_metric_has_its_worst_runs_and_what_drives_it() -> None:
         "order": _ranks(np.zeros(6)),
     }
     found = _metric("steady_state_error", values, run, drawn)
-    assert found.worst == ((101, -0.9), (104, -0.5), (105, 0.4), (102, 0.3), (103, 0.2))  # by size, with sign
+    assert found.worst == (
+        (101, -0.9),
+        (104, -0.5),
+        (105, 0.4),
+        (102, 0.3),
+        (103, 0.2),
+    )  # by size, with sign
     assert [name for name, _ in found.drivers] == ["noise", "payload", "order"]
     assert found.drivers[0][1] == pytest.approx(-1.0) and found.drivers[2][1] == 0.0
     assert _metric("overshoot", values, run, drawn).worst[0] == (105, 0.4)
@@ -381,21 +520,30 @@ def test_ranks_of_ties_are_their_mean() -> None:
         ([], (), ""),
         ([2], (), "500 of 2500 runs are left out: 1 part not computed yet."),
         ([0, 2], (), "1500 of 2500 runs are left out: 2 parts not computed yet."),
-        ([1], (1,), "1000 of 2500 runs are left out: part-0000001.parquet damaged or edited."),
+        (
+            [1],
+            (1,),
+            "1000 of 2500 runs are left out: part-0000001.parquet damaged or edited.",
+        ),
     ],
 )
 def test_runs_that_are_in_no_figure_are_named(
     missing: list[int], damaged: tuple[int, ...], words: str
 ) -> None:
     found = summary_module._left_out(small(), Path(), missing, damaged)
-    assert found == (f"{words} The command that began the campaign computes them" if words else "")
+    assert found == (
+        f"{words} The command that began the campaign computes them" if words else ""
+    )
 
 
 def test_three_damaged_parts_are_named_and_the_others_counted() -> None:
     many = replace(small(), runs=9000)
     found = summary_module._left_out(many, Path(), list(range(6)), (0, 1, 2, 3, 4))
     assert found.startswith("6000 of 9000 runs are left out: part-0000000.parquet, ")
-    assert "part-0000002.parquet and 2 more damaged or edited; 1 part not computed yet. The" in found
+    assert (
+        "part-0000002.parquet and 2 more damaged or edited; 1 part not computed yet. The"
+        in found
+    )
     assert "more" not in summary_module._left_out(many, Path(), [0, 1, 2], (0, 1, 2))
 
 
@@ -403,12 +551,26 @@ def test_a_summary_of_a_finished_campaign_and_its_columns(one_part: Path) -> Non
     found = summarise(small(30), one_part)
     part = read_part(small(30), one_part, 0)
     assert part is not None
-    assert found.failure.runs == 30 and found.left_out == "" and found.damaged == () and found.given == ""
-    assert found.passed == bool(part["passed"].all()) and found.failed == tuple(part["run"][~part["passed"]])
+    assert (
+        found.failure.runs == 30
+        and found.left_out == ""
+        and found.damaged == ()
+        and found.given == ""
+    )
+    assert found.passed == bool(part["passed"].all()) and found.failed == tuple(
+        part["run"][~part["passed"]]
+    )
     payload, shape = columns(small(30), one_part, "payload", "shape")
-    assert payload.tolist() == part["payload"].tolist() and set(shape.tolist()) <= {0.0, 1.0, 2.0}
+    assert payload.tolist() == part["payload"].tolist() and set(shape.tolist()) <= {
+        0.0,
+        1.0,
+        2.0,
+    }
     estimated = replace(small(30), payloads=(0.02, 0.04))
-    assert summary_module._given(estimated) == "the law was given the payload that it estimated of each arm"
+    assert (
+        summary_module._given(estimated)
+        == "the law was given the payload that it estimated of each arm"
+    )
     cut = replace(found, damaged=(3,))
     assert not cut.passed
     others = f"of the others, {found.failure.sentence}"
@@ -428,11 +590,24 @@ def test_failures_are_told_with_their_interval() -> None:
     assert "10000 runs without a failure are needed" in none
 
 
-# ── the table of faults ─────────────────────────────────────────────────────────────────────────────────────
+# ── the table of faults
+# ─────────────────────────────────────────────────────────────────────────────────────
 
 
-def outcome(number: str, *checks: Check, seed: int = 1, detail: str = "", peak: float = 0.1) -> Outcome:
-    return Outcome(Case(number, 1, 0.03, "mid", seed), checks, peak, 0.1, 0.0, "run", "none", -1, detail)
+def outcome(
+    number: str, *checks: Check, seed: int = 1, detail: str = "", peak: float = 0.1
+) -> Outcome:
+    return Outcome(
+        Case(number, 1, 0.03, "mid", seed),
+        checks,
+        peak,
+        0.1,
+        0.0,
+        "run",
+        "none",
+        -1,
+        detail,
+    )
 
 
 def test_a_row_names_the_check_that_is_exceeded_most() -> None:
@@ -449,13 +624,23 @@ def test_a_row_names_the_check_that_is_exceeded_most() -> None:
     ))  # fmt: skip
     first, second, third = table.rows()
     assert [row.number for row in (first, second, third)] == ["F02", "F01", "F03"]
-    assert (first.passed, first.worst, first.example, first.group) == (True, "", None, "met")
+    assert (first.passed, first.worst, first.example, first.group) == (
+        True,
+        "",
+        None,
+        "met",
+    )
     assert (second.runs, second.failed, second.passed) == (3, 2, False)
     assert second.worst == "recovery [s]: 3 (limit 1) (F01-1-30g-mid-2: byte 3)"
-    assert second.example is table.outcomes[2] and second.group == "slower than promised"
+    assert (
+        second.example is table.outcomes[2] and second.group == "slower than promised"
+    )
     assert third.worst.startswith("periods in another mode than allowed: 7 (limit 0)")
     assert third.group == "trips without need"
-    assert not table.passed and table.failures == (*table.outcomes[1:3], table.outcomes[4])
+    assert not table.passed and table.failures == (
+        *table.outcomes[1:3],
+        table.outcomes[4],
+    )
     lost = FaultTable((outcome("F07", worse, never),)).rows()[0]
     assert lost.worst.startswith("periods until off (never): inf")
     assert FaultTable((outcome("F02", met),)).passed
@@ -463,30 +648,73 @@ def test_a_row_names_the_check_that_is_exceeded_most() -> None:
 
 def test_the_page_explains_what_is_missed_and_what_is_not_shown() -> None:
     missed = Check.at_most("|x|", 2.0, 1.0)
-    page = FaultTable((outcome("F21", missed), outcome("F16"), outcome("F08"))).markdown().splitlines()
-    assert page[2].endswith("| slower than promised | \\|x\\|: 2 (limit 1) (F21-1-30g-mid-1) |")
-    assert page[2].startswith("| F21 | missed ticks, few | A | ") and "| 1 | 1 | slower" in page[2]
-    causes, notes = page.index("Why, on the paper's arm:"), page.index("What this does not show:")
-    assert page[causes + 2] == "- F21: law: its modes go on by one step for up to six periods."
-    assert page[notes + 2] == "- F16: the self-test must be run: law_step alone does not refuse."
-    assert not any(line.startswith("- F08") for line in page)  # it was met: no cause is told
+    page = (
+        FaultTable((outcome("F21", missed), outcome("F16"), outcome("F08")))
+        .markdown()
+        .splitlines()
+    )
+    assert page[2].endswith(
+        "| slower than promised | \\|x\\|: 2 (limit 1) (F21-1-30g-mid-1) |"
+    )
+    assert (
+        page[2].startswith("| F21 | missed ticks, few | A | ")
+        and "| 1 | 1 | slower" in page[2]
+    )
+    causes, notes = (
+        page.index("Why, on the paper's arm:"),
+        page.index("What this does not show:"),
+    )
+    assert (
+        page[causes + 2]
+        == "- F21: law: its modes go on by one step for up to six periods."
+    )
+    assert (
+        page[notes + 2]
+        == "- F16: the self-test must be run: law_step alone does not refuse."
+    )
+    assert not any(
+        line.startswith("- F08") for line in page
+    )  # it was met: no cause is told
     assert len(page) == notes + 3
 
 
 @pytest.mark.slow
 def test_cases_are_those_that_make_sense_in_order() -> None:
     bench = fault_bench()
-    found = cases(bench, only=["F40", "f12"], severities=(3, 1), phases=("whole", "mid", "rest"), seeds=(5,))
-    blow = [(s, p, phase) for s in (3, 1) for p in (0.02, 0.03, 0.04) for phase in ("mid", "rest")]
+    found = cases(
+        bench,
+        only=["F40", "f12"],
+        severities=(3, 1),
+        phases=("whole", "mid", "rest"),
+        seeds=(5,),
+    )
+    blow = [
+        (s, p, phase)
+        for s in (3, 1)
+        for p in (0.02, 0.03, 0.04)
+        for phase in ("mid", "rest")
+    ]
     wanted = [("F40", *each) for each in blow if each[0] != 3 or each[2] != "rest"]
     wanted += [("F12", s, p, "whole") for s in (3, 1) for p in (0.02, 0.03, 0.04)]
     assert [(c.fault, c.severity, c.payload, c.phase) for c in found] == wanted
     assert {case.seed for case in found} == {5}
-    one = cases(bench, only=["F01"], severities=(2,), payloads=(0.025,), phases=("mid",), seeds=(1, 2))
+    one = cases(
+        bench,
+        only=["F01"],
+        severities=(2,),
+        payloads=(0.025,),
+        phases=("mid",),
+        seeds=(1, 2),
+    )
     assert [case.name for case in one] == ["F01-2-25g-mid-1", "F01-2-25g-mid-2"]
     every: Sequence[Case] = cases(bench)
-    assert len(every) == sum(9 * 3 * len(phases_of(number)) for number in range(1, 45)) - 27 // 3
-    with pytest.raises(FieldError, match=r"phases: none in which the fault is run .* mid, rest, start"):
+    assert (
+        len(every)
+        == sum(9 * 3 * len(phases_of(number)) for number in range(1, 45)) - 27 // 3
+    )
+    with pytest.raises(
+        FieldError, match=r"phases: none in which the fault is run .* mid, rest, start"
+    ):
         cases(bench, only=["F01"], phases=("whole",))
 
 

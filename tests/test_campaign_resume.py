@@ -1,4 +1,6 @@
-"""Campaigns that are killed, damaged or out of room: the same bytes in the end, nothing done twice."""
+"""Campaigns that are killed, damaged or out of room: the same bytes in the end, nothing
+done twice.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,14 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink._campaign import columns, load_campaign, read_part, run_campaign, save_campaign, summarise
+from fraclink._campaign import (
+    columns,
+    load_campaign,
+    read_part,
+    run_campaign,
+    save_campaign,
+    summarise,
+)
 from fraclink._campaign import run as part_module
 from fraclink._campaign import summary as summary_module
 from fraclink._campaign.run import compute, parts_there
@@ -56,8 +65,12 @@ def identities(folder: Path) -> dict[str, tuple[int, int]]:
 Begin = Callable[[Path], subprocess.Popen[str]]
 
 
-def kill_after(folder: Path, begin: Begin, delay: float, parts: int) -> dict[str, tuple[int, int]]:
-    """Begin, wait for `parts` more parts and `delay` seconds, kill the process and its workers."""
+def kill_after(
+    folder: Path, begin: Begin, delay: float, parts: int
+) -> dict[str, tuple[int, int]]:
+    """Begin, wait for `parts` more parts and `delay` seconds, kill the process and its
+    workers.
+    """
     there = len(identities(folder)) if folder.exists() else 0
     process = begin(folder)
     try:
@@ -72,8 +85,10 @@ def kill_after(folder: Path, begin: Begin, delay: float, parts: int) -> dict[str
 
 
 def killed(folder: Path, begin: Begin, kills: int) -> str:
-    """Kill a campaign `kills` times at random and let it finish: no part is done twice. What it printed."""
-    rng = random.Random(4)  # noqa: S311 - moments, not secrets
+    """Kill a campaign `kills` times at random and let it finish: no part is done twice.
+    What it printed.
+    """
+    rng = random.Random(4)  # noqa: S311
     kept: dict[str, tuple[int, int]] = {}
     for _ in range(kills):
         left = kill_after(folder, begin, rng.uniform(0.0, 0.3), rng.randrange(2))
@@ -100,7 +115,9 @@ def test_the_command_killed_five_times_resumes_to_the_same_bytes(tmp_path):
     folder = tmp_path / "killed"
     out = killed(folder, functools.partial(started, runs=RUNS), 5)
     assert f"of {RUNS} runs" in out and len(parts_of(folder)) == RUNS // 1000
-    assert parts_of(folder) == parts_of(computed(load_campaign(folder), tmp_path / "alone"))
+    assert parts_of(folder) == parts_of(
+        computed(load_campaign(folder), tmp_path / "alone")
+    )
 
 
 @pytest.mark.slow
@@ -117,15 +134,22 @@ def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
 @pytest.mark.slow
 def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
     script = tmp_path / "many_arms.py"
-    lines = ["from fraclink._campaign.run import process_pool", "with process_pool(2) as pool:"]
+    lines = [
+        "from fraclink._campaign.run import process_pool",
+        "with process_pool(2) as pool:",
+    ]
     script.write_text("\n".join([*lines, "    pool.submit(abs, -1).result()"]))
-    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, str(script)], capture_output=True, text=True
+    )
     assert answer.returncode == 1
     told = answer.stderr.splitlines()[-1]
     assert "run again by every worker" in told and 'if __name__ == "__main__":' in told
     guarded = 'if __name__ == "__main__":\n    with process_pool(2) as pool:\n        '
     script.write_text(f"{lines[0]}\n{guarded}print(pool.submit(abs, -1).result())")
-    answer = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)  # noqa: S603
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, str(script)], capture_output=True, text=True
+    )
     assert (answer.returncode, answer.stdout) == (0, "1\n"), answer.stderr
 
 
@@ -142,7 +166,9 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
 def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
     kept = identities(copy)
     longer = replace(small(), runs=3000)
-    assert run_campaign(longer, copy).before == 2000  # the last part was half full: it is done again
+    assert (
+        run_campaign(longer, copy).before == 2000
+    )  # the last part was half full: it is done again
     assert {n: v for n, v in identities(copy).items() if n[5:12] < "0000002"} == {
         n: v for n, v in kept.items() if n[5:12] < "0000002"
     }
@@ -152,7 +178,10 @@ def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
-    folder, children = tmp_path / "parts", Path(f"/proc/self/task/{os.getpid()}/children")
+    folder, children = (
+        tmp_path / "parts",
+        Path(f"/proc/self/task/{os.getpid()}/children"),
+    )
     if not children.exists():
         pytest.skip("/proc does not list children on this system")
     killed = []
@@ -202,7 +231,9 @@ def take_anothers(path: Path) -> None:
 
 
 def rewrite(path: Path) -> None:
-    """Edit one number with a program that writes good files, and keep what the file says of itself."""
+    """Edit one number with a program that writes good files, and keep what the file
+    says of itself.
+    """
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -211,7 +242,9 @@ def rewrite(path: Path) -> None:
     values = table.column(place).to_numpy().copy()
     values[3] += 1e-9
     edited = table.set_column(place, table.schema.field(place), pa.array(values))
-    parquet.write_table(edited.replace_schema_metadata(table.schema.metadata), path, compression="zstd")
+    parquet.write_table(
+        edited.replace_schema_metadata(table.schema.metadata), path, compression="zstd"
+    )
 
 
 @pytest.mark.slow
@@ -224,9 +257,13 @@ def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys
     found = summarise(small(), copy)
     assert found.damaged == (1,) and not found.passed
     runs = f"{small().runs - small().part_runs(0)} of {small().runs} runs"
-    assert found.left_out.startswith(f"{runs} are left out: part-0000001.parquet damaged or edited")
+    assert found.left_out.startswith(
+        f"{runs} are left out: part-0000001.parquet damaged or edited"
+    )
     assert "1 part not computed yet" in found.left_out
-    assert main(["campaign", "report", str(copy), "--out", str(copy / "report.html")]) == 1
+    assert (
+        main(["campaign", "report", str(copy), "--out", str(copy / "report.html")]) == 1
+    )
     assert found.left_out[:60] in " ".join(capsys.readouterr().out.split())
     assert found.left_out in (copy / "report.html").read_text("utf-8")
 
@@ -237,22 +274,30 @@ def drop_digests(path: Path) -> None:
 
     rewrite(path)
     table = parquet.read_table(path)
-    told = {key: value for key, value in table.schema.metadata.items() if key != b"digests"}
+    told = {
+        key: value for key, value in table.schema.metadata.items() if key != b"digests"
+    }
     parquet.write_table(table.replace_schema_metadata(told), path, compression="zstd")
 
 
 def state_fewer_runs(path: Path) -> None:
     about = path.with_name("campaign.json")
-    about.write_text(about.read_text("utf-8").replace('"runs": 2500', '"runs": 2000'), "utf-8")
+    about.write_text(
+        about.read_text("utf-8").replace('"runs": 2500', '"runs": 2000'), "utf-8"
+    )
 
 
 @pytest.mark.slow
-def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(copy, capsys):
+def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(
+    copy, capsys
+):
     """A campaign.json with fewer runs than were computed would hide those that failed."""
     state_fewer_runs(copy / "part-0000002.parquet")
     found = summarise(part_module.load_campaign(copy), copy)
     assert found.damaged == (2,) and not found.passed and found.failure.runs == 2000
-    assert found.left_out.startswith("part-0000002.parquet left out: beyond the 2000 runs that campaign.json")
+    assert found.left_out.startswith(
+        "part-0000002.parquet left out: beyond the 2000 runs that campaign.json"
+    )
     assert main(["campaign", "report", str(copy)]) == 1
     assert "part-0000002.parquet left out" in " ".join(capsys.readouterr().out.split())
     assert run_campaign(small(), copy).before == 2500  # its command, given again
@@ -261,16 +306,22 @@ def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(copy,
 
 @pytest.mark.slow
 def test_fewer_runs_of_a_longer_campaign_are_told_without_doubts_of_the_rest(copy):
-    """`--runs 2000` in the folder of 2500: the third part is another request's, and no damage to this one."""
+    """`--runs 2000` in the folder of 2500: the third part is another request's, and no
+    damage to this one.
+    """
     shorter = small(2000)
     assert run_campaign(shorter, copy).before == 2000
     found = summarise(shorter, copy)
     assert (found.damaged, found.left_out, found.failure.runs) == ((), "", 2000)
     assert found.passed == (not found.failure.count)
-    # A part that neither of the two states is named, with the number of runs that the file states.
+    # A part that neither of the two states is named, with the number of runs that the
+    # file states.
     (copy / "part-0000004.parquet").write_bytes(b"")
     found = summarise(shorter, copy)
-    assert found.damaged == (4,) and "beyond the 2500 runs that campaign.json" in found.left_out
+    assert (
+        found.damaged == (4,)
+        and "beyond the 2500 runs that campaign.json" in found.left_out
+    )
     # A file that cannot be read vouches for nothing.
     (copy / "part-0000004.parquet").unlink()
     (copy / "campaign.json").write_text("{}", "utf-8")
@@ -284,21 +335,34 @@ def test_fewer_runs_that_end_within_a_part_are_its_first(copy, runs):
     found = summarise(small(runs), copy)
     assert (found.damaged, found.left_out, found.failure.runs) == ((), "", runs)
     numbers, passed = columns(small(runs), copy, "run", "passed")
-    assert numbers.tolist() == list(range(runs)) and found.failure.count == int((passed == 0).sum())
-    # In a file that states no more than is asked for, the same part may hide runs that failed.
+    assert numbers.tolist() == list(range(runs)) and found.failure.count == int(
+        (passed == 0).sum()
+    )
+    # In a file that states no more than is asked for, the same part may hide runs that
+    # failed.
     about = copy / "campaign.json"
-    about.write_text(about.read_text("utf-8").replace('"runs": 2500', '"runs": 2400'), "utf-8")
+    about.write_text(
+        about.read_text("utf-8").replace('"runs": 2500', '"runs": 2400'), "utf-8"
+    )
     assert summarise(load_campaign(copy), copy).damaged == (2,)
 
 
 def test_a_part_has_one_name_and_is_counted_once(tmp_path):
-    for name in ("0000001", "00000001", "\u0660\u0660\u0660\u0660\u0660\u0660\u0662", "12345678", "1"):
+    for name in (
+        "0000001",
+        "00000001",
+        "\u0660\u0660\u0660\u0660\u0660\u0660\u0662",
+        "12345678",
+        "1",
+    ):
         (tmp_path / f"part-{name}.parquet").touch()
     assert parts_there(tmp_path) == [1, 12345678]
 
 
 @pytest.mark.slow
-def test_a_campaign_that_has_just_begun_is_not_asked_for_a_million_parts(copy, monkeypatch):
+def test_a_campaign_that_has_just_begun_is_not_asked_for_a_million_parts(
+    copy, monkeypatch
+):
     asked = set()
 
     def noted(campaign, folder, part, **names):
@@ -306,7 +370,9 @@ def test_a_campaign_that_has_just_begun_is_not_asked_for_a_million_parts(copy, m
         return read_part(campaign, folder, part, **names)
 
     monkeypatch.setattr(summary_module, "read_part", noted)
-    assert summarise(replace(small(), runs=10**9), copy).failure.runs == 2000  # the last part is a short one
+    assert (
+        summarise(replace(small(), runs=10**9), copy).failure.runs == 2000
+    )  # the last part is a short one
     assert asked == {0, 1, 2}
 
 
@@ -323,7 +389,9 @@ def test_a_pipe_in_the_place_of_a_part_holds_nobody(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damage", [truncate, flip, empty, take_anothers, rewrite, drop_digests])
+@pytest.mark.parametrize(
+    "damage", [truncate, flip, empty, take_anothers, rewrite, drop_digests]
+)
 def test_a_damaged_part_is_done_again(copy, whole, damage):
     kept = identities(copy)
     path = copy / "part-0000001.parquet"
@@ -340,7 +408,7 @@ def test_a_damaged_part_is_done_again(copy, whole, damage):
 def test_every_flipped_byte_is_noticed(copy, whole):
     path = copy / "part-0000002.parquet"
     good, wanted = path.read_bytes(), read_part(small(), whole, 2)
-    rng = random.Random(5)  # noqa: S311 - places, not secrets
+    rng = random.Random(5)  # noqa: S311
     places = rng.sample(range(len(good)), 60) + rng.sample(
         range(len(good) - 4000, len(good)), 200
     )  # and the footer
@@ -349,7 +417,8 @@ def test_every_flipped_byte_is_noticed(copy, whole):
         data[at] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
         found = read_part(small(), copy, 2)
-        # A byte that no value depends on (a comment of the writer, say) may pass; a number never.
+        # A byte that no value depends on (a comment of the writer, say) may pass; a
+        # number never.
         same = found is not None and all((found[n] == wanted[n]).all() for n in wanted)
         assert found is None or same, at
 
@@ -394,18 +463,27 @@ def test_the_folder_of_another_campaign_is_refused(copy):
 
 
 def test_a_folder_with_a_study_is_not_made_a_campaigns(tmp_path):
-    """A kill before campaign.json leaves the same two files: there the campaign goes on."""
+    """A kill before campaign.json leaves the same two files: there the campaign goes
+    on.
+    """
     save_campaign(small(), tmp_path)
     (tmp_path / "campaign.json").unlink()
     kept = (tmp_path / "law.json").read_bytes()
     part_module._claim(small(), tmp_path)
     assert load_campaign(tmp_path) == small()
     (tmp_path / "campaign.json").unlink()
-    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text("utf-8") + "# mine", "utf-8")
-    with pytest.raises(FieldError, match=r"a folder with another rig\.toml, which a campaign would replace"):
+    (tmp_path / "rig.toml").write_text(
+        (tmp_path / "rig.toml").read_text("utf-8") + "# mine", "utf-8"
+    )
+    with pytest.raises(
+        FieldError,
+        match=r"a folder with another rig\.toml, which a campaign would replace",
+    ):
         run_campaign(small(), tmp_path)
     assert (tmp_path / "rig.toml").read_text("utf-8").endswith("# mine")
-    assert (tmp_path / "law.json").read_bytes() == kept and not (tmp_path / "campaign.json").exists()
+    assert (tmp_path / "law.json").read_bytes() == kept and not (
+        tmp_path / "campaign.json"
+    ).exists()
 
 
 def test_campaigns_read_back_equal(tmp_path):
@@ -424,11 +502,16 @@ def test_impossible_workers_are_refused(tmp_path, workers):
 
 @pytest.mark.slow
 def test_no_room_for_a_part_keeps_the_finished_ones(copy, whole):
-    """A file that may not grow fails as on a full disk: the write comes back short and then with an error."""
+    """A file that may not grow fails as on a full disk: the write comes back short and
+    then with an error.
+    """
     (copy / "part-0000001.parquet").unlink()
     kept = identities(copy)
     campaign = load_campaign(copy)
-    with pytest.raises(FieldError, match="not writable") as caught, _files_up_to(20_000):
+    with (
+        pytest.raises(FieldError, match="not writable") as caught,
+        _files_up_to(20_000),
+    ):
         run_campaign(campaign, copy, workers=1)
     assert "Finished parts are kept" in str(caught.value)
     assert identities(copy) == kept and not list(copy.glob(".*.tmp"))
@@ -455,7 +538,9 @@ def test_a_full_disk_is_told(tmp_path, copy):
         pytest.skip("mounting a small disk needs root")
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)])  # noqa: S603, S607
+    mounted = subprocess.run(  # noqa: S603
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(disk)]  # noqa: S607
+    )
     if mounted.returncode:
         pytest.skip("no right to mount a small disk")
     try:
@@ -473,7 +558,14 @@ def test_an_unwritable_folder_is_told(tmp_path, capsys):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(FieldError, match="not writable"):
         run_campaign(small(), tmp_path / "file")
-    line = ["campaign", "montecarlo", "--out", str(tmp_path / "file" / "parts"), "--runs", "10"]
+    line = [
+        "campaign",
+        "montecarlo",
+        "--out",
+        str(tmp_path / "file" / "parts"),
+        "--runs",
+        "10",
+    ]
     assert main(line) == 2
     assert "not writable" in capsys.readouterr().err
 

@@ -1,4 +1,6 @@
-"""What a campaign's runs say: intervals against exact values, ranks against scipy, and the command line."""
+"""What a campaign's runs say: intervals against exact values, ranks against scipy, and
+the command line.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +32,17 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize(("count", "runs"), [(0, 10), (1, 10), (10, 10), (3, 5000), (0, 10**6), (250, 2500)])
+@pytest.mark.parametrize(
+    ("count", "runs"), [(0, 10), (1, 10), (10, 10), (3, 5000), (0, 10**6), (250, 2500)]
+)
 def test_failures_have_the_interval_of_clopper_and_pearson(count, runs):
     from scipy.stats import binomtest
 
     exact = binomtest(count, runs).proportion_ci(0.95, "exact")
     found = _failure(count, runs)
-    assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9, abs=1e-15)
+    assert (found.low, found.high) == pytest.approx(
+        (exact.low, exact.high), rel=1e-9, abs=1e-15
+    )
     assert found.estimate == count / runs
 
 
@@ -46,17 +52,23 @@ def test_a_claim_without_a_failure_states_what_a_stronger_one_needs():
 
 
 @pytest.mark.parametrize(
-    ("n", "p"), [(1000, 0.5), (1000, 0.95), (200, 0.05), (2500, 0.99), (50, 0.99), (20, 0.05)]
+    ("n", "p"),
+    [(1000, 0.5), (1000, 0.95), (200, 0.05), (2500, 0.99), (50, 0.99), (20, 0.05)],
 )
 def test_quantile_intervals_cover_and_are_the_narrowest_that_do(n, p):
     """P(x_(l) <= q_p <= x_(u)) is a binomial probability, whatever the distribution."""
     from scipy.stats import binom
 
-    found = _quantile(np.arange(1.0, n + 1.0), p)  # order statistic number i has the value i
+    found = _quantile(
+        np.arange(1.0, n + 1.0), p
+    )  # order statistic number i has the value i
     assert found.value == math.ceil(p * n)
     low = 0 if math.isinf(found.low) else int(found.low)
     high = n + 1 if math.isinf(found.high) else int(found.high)
-    below, above = binom.cdf(low - 1, n, p), binom.sf(high - 1, n, p)  # q_p < x_(l); q_p > x_(u)
+    below, above = (
+        binom.cdf(low - 1, n, p),
+        binom.sf(high - 1, n, p),
+    )  # q_p < x_(l); q_p > x_(u)
     assert below <= 0.025 and above <= 0.025
     assert binom.cdf(low, n, p) > 0.025 or low == n
     assert high == 1 or binom.sf(high - 2, n, p) > 0.025
@@ -88,14 +100,20 @@ def test_a_summary_is_that_of_all_runs(folder):
     parts = [read_part(small(), folder, part) for part in range(3)]
     column = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     found = summarise(small(), folder)
-    assert found.failure.runs == 2500 and found.failure.count == int((~column["passed"]).sum())
+    assert found.failure.runs == 2500 and found.failure.count == int(
+        (~column["passed"]).sum()
+    )
     assert list(found.failed) == column["run"][~column["passed"]][:100].tolist()
     by_name = {metric.name: metric for metric in found.metrics}
     assert set(by_name) == set(METRICS)
     metric = by_name["peak_tip_error"]
     for name, value in metric.drivers:
         drawn = column[name]
-        wanted = spearmanr(drawn, column["peak_tip_error"]).statistic if np.ptp(drawn) else 0.0
+        wanted = (
+            spearmanr(drawn, column["peak_tip_error"]).statistic
+            if np.ptp(drawn)
+            else 0.0
+        )
         assert value == pytest.approx(wanted, abs=1e-12), name
     assert {name for name, _ in metric.drivers} == set(PARAMETERS)
     worst = int(np.argmax(column["peak_tip_error"]))
@@ -103,7 +121,9 @@ def test_a_summary_is_that_of_all_runs(folder):
     left = column["mode"] != MODES.index("run")
     assert sum(count for _, _, count in found.trips) == int(left.sum())
     for mode, reason, count in found.trips:
-        assert count == int(((column["mode"] == mode) & (column["reason"] == reason)).sum())
+        assert count == int(
+            ((column["mode"] == mode) & (column["reason"] == reason)).sum()
+        )
 
 
 def test_trips_are_counted_by_mode_and_reason():
@@ -135,13 +155,38 @@ def test_the_command_reports_and_replays(folder, tmp_path, capsys):
     assert told["runs"] == 2500 and set(told["metrics"]) == set(METRICS)
     number, value = told["metrics"]["overshoot"]["worst"][0]
     out = tmp_path / "run.npz"
-    line = ["campaign", "replay", str(folder), "--run", str(number), "--out", str(out), "--json"]
+    line = [
+        "campaign",
+        "replay",
+        str(folder),
+        "--run",
+        str(number),
+        "--out",
+        str(out),
+        "--json",
+    ]
     assert main(line) in (0, 1)
     again = json.loads(capsys.readouterr().out)
-    assert again["metrics"]["overshoot"] == pytest.approx(value, rel=1e-9) and out.exists()
+    assert (
+        again["metrics"]["overshoot"] == pytest.approx(value, rel=1e-9) and out.exists()
+    )
     assert main(line) == 2  # never over a file that is there
     holding = next(n for n in range(2500) if n not in told["failed"])
-    assert main(["campaign", "replay", str(folder), "--run", str(holding), "--out", str(out), "--force"]) == 0
+    assert (
+        main(
+            [
+                "campaign",
+                "replay",
+                str(folder),
+                "--run",
+                str(holding),
+                "--out",
+                str(out),
+                "--force",
+            ]
+        )
+        == 0
+    )
 
 
 @pytest.mark.slow
@@ -164,15 +209,27 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, capsys, option, value, 
 
 @pytest.mark.slow
 def test_a_run_that_is_not_there_is_bad_input(folder, tmp_path, capsys):
-    line = ["campaign", "replay", str(folder), "--run", "2500", "--out", str(tmp_path / "x.npz")]
+    line = [
+        "campaign",
+        "replay",
+        str(folder),
+        "--run",
+        "2500",
+        "--out",
+        str(tmp_path / "x.npz"),
+    ]
     assert main(line) == 2 and "0 … 2499" in capsys.readouterr().err
 
 
 def is_one_closed_page(text: str) -> None:
     (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
-    assert html.escape(f"script-src 'sha256-{digest}';", quote=False) in html.unescape(text)
-    assert text.count("<script") == 1 and "<image" not in text  # the page's own policy would show no image
+    assert html.escape(f"script-src 'sha256-{digest}';", quote=False) in html.unescape(
+        text
+    )
+    assert (
+        text.count("<script") == 1 and "<image" not in text
+    )  # the page's own policy would show no image
     assert not re.search(r'(src|href)="(?!#)', text)
 
 

@@ -1,4 +1,6 @@
-"""Certificates: what is proved, what is refused, and that no forgery passes the independent checker."""
+"""Certificates: what is proved, what is refused, and that no forgery passes the
+independent checker.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,14 @@ from fraclink._certify.discs import Disc, Span
 from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values, worst_distance
 from fraclink._certify.search import MarginFailure, prove
-from fraclink._certify.statement import ALIASES, ALIASES_FROM, ASSUMPTIONS, AXES, CLAIM, Statement
+from fraclink._certify.statement import (
+    ALIASES,
+    ALIASES_FROM,
+    ASSUMPTIONS,
+    AXES,
+    CLAIM,
+    Statement,
+)
 from fraclink._design import Design
 from fraclink._design.assess import PRINTED
 from fraclink._export import export_c
@@ -45,7 +54,14 @@ CHECKER = Path(__file__).resolve().parents[1] / "tools" / "check_certificate.py"
 
 def plan_for(inner: str, placement: str = "tustin") -> Design:
     wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
-    return fl.design(RIG.model, RIG, payloads=(0.020, 0.040), inner=inner, placement=placement, **wanted)
+    return fl.design(
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        inner=inner,
+        placement=placement,
+        **wanted,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +84,9 @@ def certificate(law: Law) -> Certificate:
 
 
 @pytest.fixture(scope="module")
-def document(certificate: Certificate, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def document(
+    certificate: Certificate, tmp_path_factory: pytest.TempPathFactory
+) -> dict[str, Any]:
     place = tmp_path_factory.mktemp("certificate") / "certificate.json"
     certificate.save(place)
     return dict(json.loads(place.read_text(encoding="utf-8")))
@@ -79,32 +97,49 @@ def test_default_design_is_certified_and_checked_by_other_arithmetic(
     certificate: Certificate, tmp_path: Path
 ):
     assert certificate.passed
-    assert "from 0.02 to 0.04 kg" in certificate.verdict and "from 0.0 to 0.004 s" in certificate.verdict
+    assert (
+        "from 0.02 to 0.04 kg" in certificate.verdict
+        and "from 0.0 to 0.004 s" in certificate.verdict
+    )
     certificate.save(tmp_path / "c.json")
     assert Certificate.load(tmp_path / "c.json") == certificate
-    run = subprocess.run(  # noqa: S603  # our own checker on our own file
-        [sys.executable, str(CHECKER), str(tmp_path / "c.json"), certificate.statement.digest],
+    run = subprocess.run(  # our own checker on our own file  # noqa: S603
+        [
+            sys.executable,
+            str(CHECKER),
+            str(tmp_path / "c.json"),
+            certificate.statement.digest,
+        ],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert (run.returncode, run.stdout) == (0, f"PROVED: {certificate.verdict}\n"), run.stderr
+    assert (run.returncode, run.stdout) == (0, f"PROVED: {certificate.verdict}\n"), (
+        run.stderr
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("placement", ["tustin", "direct"])
-def test_sampled_motor_loop_is_certified_and_checked(placement: str, checker: ModuleType, tmp_path: Path):
-    # The direct placement rings near Nyquist: over its box of a late gauge it comes to 0.04 of -1.
+def test_sampled_motor_loop_is_certified_and_checked(
+    placement: str, checker: ModuleType, tmp_path: Path
+):
+    # The direct placement rings near Nyquist: over its box of a late gauge it comes to
+    # 0.04 of -1.
     box = ParameterBox.at(RIG.model) if placement == "direct" else None
     found = certify(plan_for("sampled", placement), modulus_margin=0.35, box=box)
     assert found.passed, found.verdict
     found.save(tmp_path / "c.json")
-    assert "|1 + L| > 0.35 " in checker.check(str(tmp_path / "c.json"), found.statement.digest)
+    assert "|1 + L| > 0.35 " in checker.check(
+        str(tmp_path / "c.json"), found.statement.digest
+    )
 
 
 @pytest.mark.slow
 def test_single_precision_law_and_default_claim(law: Law):
-    """What is claimed of the model itself is more than what is claimed of every arm of its box."""
+    """What is claimed of the model itself is more than what is claimed of every arm of
+    its box.
+    """
     single = law.in_precision("single")
     exact = certify(plan_for("ideal"), law=single, box=ParameterBox.at(RIG.model))
     found = certify(plan_for("ideal"), law=single)
@@ -122,7 +157,14 @@ def known(model: LinkModel, placement: str) -> tuple[BoxLoop, Statement, Law]:
     """The loop of a wide box about `model`, with the statement and the law."""
     inner = "ideal" if placement == "ideal" else "sampled"
     law = plan_for(inner, "tustin" if placement == "ideal" else placement).law()
-    found = certify(law, model=model, rig=RIG, payloads=(0.02, 0.04), modulus_margin=0.999, inner=inner)
+    found = certify(
+        law,
+        model=model,
+        rig=RIG,
+        payloads=(0.02, 0.04),
+        modulus_margin=0.999,
+        inner=inner,
+    )
     return BoxLoop(found.statement), found.statement, law
 
 
@@ -143,7 +185,9 @@ RICH = replace(
 def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     placement: str, model: LinkModel
 ):
-    """Values against a loop written another way; slopes against its difference quotients between points."""
+    """Values against a loop written another way; slopes against its difference
+    quotients between points.
+    """
     loop, claim, law = known(model, placement)
     low, high = loop.root()
     rng, count = np.random.default_rng(5), 80
@@ -151,12 +195,15 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
     first = low + (high - low) * rng.random((count, len(AXES))) * 0.5
     second = np.minimum(first + (high - low) * 0.5 * width, high)
     first[:, 0] = np.exp(rng.uniform(-1, 6, count))
-    first[::3, 0] = rng.uniform(320, 780, len(first[::3]))  # there L holds aliases; Nyquist: 785 rad/s
+    first[::3, 0] = rng.uniform(
+        320, 780, len(first[::3])
+    )  # there L holds aliases; Nyquist: 785 rad/s
     second[:, 0] = np.minimum(first[:, 0] * (1 + width[:, 0]), high[0, 0])
     plain, inverse, _ = loop.forms(first, second)
     held = loop.held(first[:, 0])
     assert 27 <= np.count_nonzero(held) < 40
-    # Twenty points of every box, five at once (200 MB for all): corners and places inside.
+    # Twenty points of every box, five at once (200 MB for all): corners and places
+    # inside.
     steps = 5
     for _ in range(4):
         corner = rng.random((steps, *first.shape))
@@ -176,7 +223,10 @@ def test_discs_hold_the_loop_and_its_slopes_at_random_points_of_random_boxes(
             ends = np.tile(first[:, k], steps), np.tile(second[:, k], steps)
             near[:, k] = ends[0] + (ends[1] - ends[0]) * rng.random(len(x))
             other, other_inverse, _ = loop.forms(near, near, every)
-            for disc, a, b in ((plain, at, other), (inverse, at_inverse, other_inverse)):
+            for disc, a, b in (
+                (plain, at, other),
+                (inverse, at_inverse, other_inverse),
+            ):
                 slope = np.tile(np.abs(disc.d[name].c) + disc.d[name].r, steps)
                 most = slope * np.abs(near[:, k] - x[:, k])
                 assert not np.any(np.abs(b.c - a.c) > most + a.r + b.r)
@@ -197,7 +247,9 @@ def test_loop_of_the_certificate_is_the_sampled_loop_of_the_plan(placement: str)
     place = low | {"softness": link.natural_frequency**-2, "delay": 0.004}
     main = loop_values(claim, law, w, place)
     for frequency, exact, found in zip(w, true, main, strict=True):
-        assert abs(exact - found) <= loop.alias_at(place | {"frequency": float(frequency)})
+        assert abs(exact - found) <= loop.alias_at(
+            place | {"frequency": float(frequency)}
+        )
 
 
 @pytest.mark.slow
@@ -213,7 +265,9 @@ def test_claim_above_the_truth_is_refused_with_the_place(law: Law):
 
 @pytest.mark.slow
 def test_claim_just_above_the_truth_is_not_proved(law: Law):
-    found = certify(plan_for("ideal"), law=law, modulus_margin=0.3, box=ParameterBox.at(RIG.model))
+    found = certify(
+        plan_for("ideal"), law=law, modulus_margin=0.3, box=ParameterBox.at(RIG.model)
+    )
     close = replace(found.statement, modulus=0.6572)
     outcome = prove(BoxLoop(close), most=20_000)
     assert isinstance(outcome, MarginFailure)
@@ -223,7 +277,9 @@ def test_claim_just_above_the_truth_is_not_proved(law: Law):
 
 def test_printed_controller_is_refused_with_payload_and_poles():
     point = ParameterBox.at(RIG.model)
-    found = certify(PRINTED["(58)"], model=RIG.model, rig=RIG, payloads=(0.020, 0.040), box=point)
+    found = certify(
+        PRINTED["(58)"], model=RIG.model, rig=RIG, payloads=(0.020, 0.040), box=point
+    )
     assert not found.passed and "unstable" in found.verdict
     assert found.payload == pytest.approx(0.040)
     assert found.poles[0].real == pytest.approx(0.168, abs=5e-4)
@@ -266,7 +322,8 @@ def test_half_planes_hold_no_forbidden_point(modulus: float):
         assert np.abs(normal) == pytest.approx(1)
         along = (np.conj(normal)[:, None] * values).real
         assert np.all(along <= least[:, None] + 1e-9 * np.maximum(1, np.abs(values)))
-        # It touches what it misses: a plane farther off would leave true loops unproved.
+        # It touches what it misses: a plane farther off would leave true loops
+        # unproved.
         assert np.all(along.max(axis=1) >= least - 0.01 * np.maximum(1, np.abs(least)))
 
 
@@ -277,14 +334,23 @@ def test_half_planes_hold_no_forbidden_point(modulus: float):
         ({"gauge_gain": 1.1}, 0.54),
         ({"gauge_delay": 0.004}, 0.5),
         ({"gauge_delay": 0.001, "second_mode": SecondMode(150.0, 0.02, 0.02)}, 0.5),
-        ({"second_mode": SecondMode(900.0, 0.01, 0.05)}, 0.5),  # above the Nyquist frequency
+        (
+            {"second_mode": SecondMode(900.0, 0.01, 0.05)},
+            0.5,
+        ),  # above the Nyquist frequency
     ],
 )
 @pytest.mark.parametrize("inner", ["ideal", "sampled"])
 def test_what_the_gauge_shows_is_in_the_proof(
-    gauge: dict[str, Any], distance: float, inner: str, checker: ModuleType, tmp_path: Path
+    gauge: dict[str, Any],
+    distance: float,
+    inner: str,
+    checker: ModuleType,
+    tmp_path: Path,
 ):
-    """|1 + L| of the certificate is that of a loop written here, and the checker agrees."""
+    """|1 + L| of the certificate is that of a loop written here, and the checker
+    agrees.
+    """
     model = replace(RIG.model, **gauge)
     design = plan_for(inner)
     law = design.law()
@@ -299,13 +365,26 @@ def test_what_the_gauge_shows_is_in_the_proof(
     tip = link.tip()(1j * w)
     mode = 0.0 if model.second_mode is None else model.second_mode.response(1j * w)
     read = model.gauge_gain * np.exp(-1j * w * model.gauge_delay)
-    place = claim.box[0] | {"softness": link.natural_frequency**-2, "delay": 0.001, "order": model.order}
+    place = claim.box[0] | {
+        "softness": link.natural_frequency**-2,
+        "delay": 0.001,
+        "order": model.order,
+    }
     place |= {"gauge_gain": model.gauge_gain, "gauge_delay": model.gauge_delay}
     if model.second_mode is not None:
-        place |= {"mode_frequency": model.second_mode.frequency, "mode_gain": model.second_mode.gain}
+        place |= {
+            "mode_frequency": model.second_mode.frequency,
+            "mode_gain": model.second_mode.gain,
+        }
     plain = place | {"gauge_gain": 1.0, "gauge_delay": 0.0, "mode_gain": 0.0}
-    expected = loop_values(claim, law, w, plain, held=none) / tip * (1 - read * (1 - tip + mode))
-    assert loop_values(claim, law, w, place, held=none) == pytest.approx(expected, rel=1e-9)
+    expected = (
+        loop_values(claim, law, w, plain, held=none)
+        / tip
+        * (1 - read * (1 - tip + mode))
+    )
+    assert loop_values(claim, law, w, place, held=none) == pytest.approx(
+        expected, rel=1e-9
+    )
     points = np.tile([place.get(name, 0.0) for name in AXES], (w.size, 1))
     points[:, 0] = w
     value, inverse, _ = BoxLoop(claim).forms(points, points, none)
@@ -317,7 +396,9 @@ def test_what_the_gauge_shows_is_in_the_proof(
 def test_the_link_of_the_claim_is_the_one_that_the_law_was_made_for(law: Law):
     wanted = {"modulus_margin": 0.1, "rig": RIG}
     point = ParameterBox.at(RIG.model)
-    claim = certify(law, model=RIG.model, payloads=(0.1, 0.2), box=point, **wanted).statement
+    claim = certify(
+        law, model=RIG.model, payloads=(0.1, 0.2), box=point, **wanted
+    ).statement
     assert claim.nominal_payload == pytest.approx(0.03, rel=1e-5)
     other = replace(RIG.model, damping=3.0, damping_order=0.7)
     claim = certify(law, model=other, box=ParameterBox.at(other), **wanted).statement
@@ -329,7 +410,11 @@ def test_the_link_of_the_claim_is_the_one_that_the_law_was_made_for(law: Law):
 @pytest.mark.parametrize("factor", [3.0, -2.0, 2.0, 1.5, -1.0, math.nan, 1.001, 0.999])
 def test_a_law_with_another_compliance_is_not_certified(law: Law, factor: float):
     with pytest.raises(FieldError) as caught:
-        certify(plan_for("ideal"), law=replace(law, stiffness=law.stiffness * factor), modulus_margin=0.35)
+        certify(
+            plan_for("ideal"),
+            law=replace(law, stiffness=law.stiffness * factor),
+            modulus_margin=0.35,
+        )
     assert caught.value.field == "law.stiffness"
 
 
@@ -346,15 +431,23 @@ def test_a_law_with_another_compliance_is_not_certified(law: Law, factor: float)
         {"sum_limit": math.nan},
     ],
 )
-def test_a_law_whose_limits_leave_no_room_is_not_certified(law: Law, limits: dict[str, Any]):
+def test_a_law_whose_limits_leave_no_room_is_not_certified(
+    law: Law, limits: dict[str, Any]
+):
     with pytest.raises(FieldError) as caught:
-        certify(plan_for("ideal"), law=replace(law, limits=replace(law.limits, **limits)))
+        certify(
+            plan_for("ideal"), law=replace(law, limits=replace(law.limits, **limits))
+        )
     assert caught.value.field.startswith("law.limits")
 
 
 @pytest.mark.slow
-def test_no_limit_acts_on_errors_within_the_linear_range(certificate: Certificate, law: Law):
-    """Random errors of that size through law.c itself: the correction is the linear filter's."""
+def test_no_limit_acts_on_errors_within_the_linear_range(
+    certificate: Certificate, law: Law
+):
+    """Random errors of that size through law.c itself: the correction is the linear
+    filter's.
+    """
     rng = np.random.default_rng(2)
     reach = certificate.statement.linear_range
     assert 5e-4 < reach < 5e-3
@@ -362,23 +455,34 @@ def test_no_limit_acts_on_errors_within_the_linear_range(certificate: Certificat
     error[0] = 0.0  # the law starts at rest
     zeros = np.zeros_like(error)
     outer = replace(law, drive=None)
-    _, out = outer.run(outer.initial_state(), zeros, zeros, zeros, law.stiffness * error)
+    _, out = outer.run(
+        outer.initial_state(), zeros, zeros, zeros, law.stiffness * error
+    )
     computed = law.stiffness * error / law.stiffness
-    direct, poles, gains = law.correction.direct, np.array(law.correction.poles), law.correction.gains
+    direct, poles, gains = (
+        law.correction.direct,
+        np.array(law.correction.poles),
+        law.correction.gains,
+    )
     states, expected = np.zeros(len(poles)), []
     for change in np.diff(computed, prepend=0.0):
         expected.append(direct * change + np.dot(gains, states))
         states = poles * states + change
-    credible = out.flags & 2 == 0  # the guard of the gauge's step is a sensor's, not the command's
+    credible = (
+        out.flags & 2 == 0
+    )  # the guard of the gauge's step is a sensor's, not the command's
     assert credible.all() and (out.mode == 1).all()
     assert not np.any(out.flags & 32)
     assert out.motor_reference == pytest.approx(np.array(expected), abs=1e-12)
 
 
-# Forgeries, each by somebody who also mends the certificate's own hash, and its claim where it can.
+# Forgeries, each by somebody who also mends the certificate's own hash, and its claim
+# where it can.
 
 
-def _number(field: str, factor: float = 1.0, value: float | None = None) -> Callable[[dict[str, Any]], None]:
+def _number(
+    field: str, factor: float = 1.0, value: float | None = None
+) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
         old = float.fromhex(data["statement"][field])
         data["statement"][field] = (old * factor if value is None else value).hex()
@@ -409,7 +513,9 @@ def _mended(data: dict[str, Any], block: bytearray, *, mend: bool = True) -> Non
     data["statement"]["block"] = block.hex()
 
 
-def _block(place: int, factor: float, *, mend: bool = True) -> Callable[[dict[str, Any]], None]:
+def _block(
+    place: int, factor: float, *, mend: bool = True
+) -> Callable[[dict[str, Any]], None]:
     """Scale one real number of the law."""
 
     def change(data: dict[str, Any]) -> None:
@@ -421,7 +527,9 @@ def _block(place: int, factor: float, *, mend: bool = True) -> Callable[[dict[st
     return change
 
 
-def _real(name: str, factor: float = 1.0, value: float | None = None) -> Callable[[dict[str, Any]], None]:
+def _real(
+    name: str, factor: float = 1.0, value: float | None = None
+) -> Callable[[dict[str, Any]], None]:
     """Scale or replace one real of the block, by its name in law.h."""
     place = 0
     for field, length in REALS:
@@ -432,7 +540,9 @@ def _real(name: str, factor: float = 1.0, value: float | None = None) -> Callabl
     def change(data: dict[str, Any]) -> None:
         block = bytearray.fromhex(data["statement"]["block"])
         (old,) = struct.unpack_from("<d", block, 56 + 8 * place)
-        struct.pack_into("<d", block, 56 + 8 * place, old * factor if value is None else value)
+        struct.pack_into(
+            "<d", block, 56 + 8 * place, old * factor if value is None else value
+        )
         _mended(data, block)
 
     return change
@@ -455,7 +565,9 @@ def _envelope(field: str, value: object) -> Callable[[dict[str, Any]], None]:
     return lambda data: data.__setitem__(field, value)
 
 
-def _all_of(*changes: Callable[[dict[str, Any]], None]) -> Callable[[dict[str, Any]], None]:
+def _all_of(
+    *changes: Callable[[dict[str, Any]], None],
+) -> Callable[[dict[str, Any]], None]:
     def change(data: dict[str, Any]) -> None:
         for each in changes:
             each(data)
@@ -504,7 +616,9 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "other kind of file": _envelope("fraclink", "design"),
     "other format": _envelope("format", 1),
     "format of points": _envelope("format", 2),
-    "leaf by the other form": _tree(lambda t: t.replace(".", "#").replace(",", ".").replace("#", ",")),
+    "leaf by the other form": _tree(
+        lambda t: t.replace(".", "#").replace(",", ".").replace("#", ",")
+    ),
     "cut along another axis": _tree(lambda t: t.replace("m", "t")),
     "orders up to 1.99": _number("order_high", value=1.99),
     "orders from 1.5": _number("order_low", value=1.5),
@@ -589,7 +703,9 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "claim in other words": lambda data: data.update(
         form=data["form"] + " Always.", claim=data["claim"] + " Always."
     ),
-    "claim without conditions": lambda data: data.update(form="Everything holds.", claim="Everything holds."),
+    "claim without conditions": lambda data: data.update(
+        form="Everything holds.", claim="Everything holds."
+    ),
     "no assumptions": _envelope("assumed", []),
     "an assumption less": lambda data: data["assumed"].pop(2),
 }
@@ -598,26 +714,44 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
 def _rejected(checker: ModuleType, place: Path, board: str) -> bool:
     try:
         checker.check(str(place), board)
-    except (ValueError, KeyError, TypeError, ArithmeticError, AttributeError, struct.error):
+    except (
+        ValueError,
+        KeyError,
+        TypeError,
+        ArithmeticError,
+        AttributeError,
+        struct.error,
+    ):
         return True
     return False
 
 
 def _signed(data: dict[str, Any], *, claim: bool = True) -> None:
-    """Mend the hash; with `claim` also the sentence, as the checker itself would write it."""
+    """Mend the hash; with `claim` also the sentence, as the checker itself would write
+    it.
+    """
     if claim:
         with contextlib.suppress(KeyError, ValueError, TypeError, struct.error):
-            numbers = {k: v if k in TEXTS else float.fromhex(v) for k, v in data["statement"].items()}
+            numbers = {
+                k: v if k in TEXTS else float.fromhex(v)
+                for k, v in data["statement"].items()
+            }
             data["claim"] = Statement(**numbers).words()
-    signed = {key: data[key] for key in ("assumed", "claim", "form", "statement", "tree")}
+    signed = {
+        key: data[key] for key in ("assumed", "claim", "form", "statement", "tree")
+    }
     text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     data["sha256"] = hashlib.sha256(text.encode()).hexdigest()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORGERIES)
-def test_forgeries_are_rejected(name: str, document: dict[str, Any], checker: ModuleType, tmp_path: Path):
-    """The board's own law is forged along with the certificate: the hash of the board is no help here."""
+def test_forgeries_are_rejected(
+    name: str, document: dict[str, Any], checker: ModuleType, tmp_path: Path
+):
+    """The board's own law is forged along with the certificate: the hash of the board
+    is no help here.
+    """
     forged = json.loads(json.dumps(document))
     FORGERIES[name](forged)
     _signed(forged, claim=forged["claim"] == document["claim"])
@@ -627,15 +761,23 @@ def test_forgeries_are_rejected(name: str, document: dict[str, Any], checker: Mo
 
 
 def slow_law(document: dict[str, Any], lowest: float) -> dict[str, Any]:
-    """1 s, with a second mode at 5.58 rad/s whose alias lies at 0.70 rad/s: |1 + L| is 0.09 there."""
-    said = {k: v if k in TEXTS else float.fromhex(v) for k, v in document["statement"].items()}
+    """1 s, with a second mode at 5.58 rad/s whose alias lies at 0.70 rad/s: |1 + L| is
+    0.09 there.
+    """
+    said = {
+        k: v if k in TEXTS else float.fromhex(v)
+        for k, v in document["statement"].items()
+    }
     pole, softness, order, mode = 2.0, 0.75, 1.9, 2 * math.pi - 0.7
     block = bytes.fromhex(said["block"])
     head = list(struct.unpack("<14I", block[:56]))
     numbers = list(struct.unpack(f"<{(len(block) - 56) // 8}d", block[56:]))
     head[5:7] = [0, 0]  # no modes: a correction of 0.11 (1 - z^-1)
     numbers[0], numbers[2], numbers[3:27] = 1.0, 0.11, [0.0] * 24
-    numbers[60], numbers[54] = -math.expm1(-pole), -math.expm1(-(softness ** (-1 / order)) / 3)
+    numbers[60], numbers[54] = (
+        -math.expm1(-pole),
+        -math.expm1(-(softness ** (-1 / order)) / 3),
+    )
     body = struct.pack(f"<10I{len(numbers)}d", *head[4:], *numbers)
     block = struct.pack("<4I", head[0], head[1], head[2], zlib.crc32(body)) + body
     exact = {
@@ -646,9 +788,22 @@ def slow_law(document: dict[str, Any], lowest: float) -> dict[str, Any]:
         "damping": 0.0,
         "pole": pole,
     }
-    exact |= {"gauge_gain": 1.0, "gauge_delay": 0.0, "mode_frequency": mode, "mode_gain": 1.0}
-    said |= {f"{name}_{end}": value for name, value in exact.items() for end in ("low", "high")}
-    said |= {"block": block.hex(), "digest": hashlib.sha256(block).hexdigest(), "stiffness": 1 / numbers[1]}
+    exact |= {
+        "gauge_gain": 1.0,
+        "gauge_delay": 0.0,
+        "mode_frequency": mode,
+        "mode_gain": 1.0,
+    }
+    said |= {
+        f"{name}_{end}": value
+        for name, value in exact.items()
+        for end in ("low", "high")
+    }
+    said |= {
+        "block": block.hex(),
+        "digest": hashlib.sha256(block).hexdigest(),
+        "stiffness": 1 / numbers[1],
+    }
     return said | {
         "mode_damping": 5e-4,
         "nominal_payload": 1.0,
@@ -663,7 +818,9 @@ def slow_law(document: dict[str, Any], lowest: float) -> dict[str, Any]:
 def test_what_lies_below_the_lowest_frequency_is_bounded_with_every_alias(
     lowest: float, document: dict[str, Any], checker: ModuleType
 ):
-    """From 0.2 of Nyquist on, 0.63 rad/s, leaves hold aliases in L; none does below the lowest frequency."""
+    """From 0.2 of Nyquist on, 0.63 rad/s, leaves hold aliases in L; none does below the
+    lowest frequency.
+    """
     statement = slow_law(document, lowest)
     with pytest.raises(ValueError, match=r"\|L\| is not small at low frequency"):
         checker.Loop(statement)
@@ -706,7 +863,9 @@ def test_careless_forgeries_are_rejected_by_the_hash(
 
 
 @pytest.mark.slow
-def test_a_damaged_certificate_ends_in_one_kind_of_error(document: dict[str, Any], tmp_path: Path):
+def test_a_damaged_certificate_ends_in_one_kind_of_error(
+    document: dict[str, Any], tmp_path: Path
+):
     rng, place = np.random.default_rng(7), tmp_path / "damaged.json"
     text = json.dumps(document)
     for _ in range(300):
@@ -718,35 +877,52 @@ def test_a_damaged_certificate_ends_in_one_kind_of_error(document: dict[str, Any
 
 
 def test_the_sentences_of_the_checker_are_those_of_the_package(checker: ModuleType):
-    assert checker.sha(checker.canonical([CLAIM, list(ASSUMPTIONS)])) == checker.SENTENCES
+    assert (
+        checker.sha(checker.canonical([CLAIM, list(ASSUMPTIONS)])) == checker.SENTENCES
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_law_on_the_board_is_read_from_its_header(
-    precision: str, law: Law, certificate: Certificate, checker: ModuleType, tmp_path: Path
+    precision: str,
+    law: Law,
+    certificate: Certificate,
+    checker: ModuleType,
+    tmp_path: Path,
 ):
-    pairs = law.correction._replace(pair_poles=(0.9 + 0.1j,), pair_gains=(0.02 - 0.03j,))
+    pairs = law.correction._replace(
+        pair_poles=(0.9 + 0.1j,), pair_gains=(0.02 - 0.03j,)
+    )
     for made in (law, replace(law, correction=pairs), replace(law, drive=None)):
         shipped = made.in_precision(precision)
         export_c(shipped, tmp_path / "firmware", force=True)
         header = tmp_path / "firmware" / "law_data.h"
         assert checker.board(str(header)) == shipped.digest
     text = header.read_text(encoding="utf-8")
-    header.write_text(text.replace("compliance = 0x1.4", "compliance = 0x1.5"), encoding="utf-8")
+    header.write_text(
+        text.replace("compliance = 0x1.4", "compliance = 0x1.5"), encoding="utf-8"
+    )
     assert checker.board(str(header)) != shipped.digest
 
 
 @pytest.mark.slow
 def test_nothing_is_proved_without_the_law_on_the_board(
-    document: dict[str, Any], certificate: Certificate, law: Law, checker: ModuleType, tmp_path: Path
+    document: dict[str, Any],
+    certificate: Certificate,
+    law: Law,
+    checker: ModuleType,
+    tmp_path: Path,
 ):
     place = tmp_path / "c.json"
     certificate.save(place)
     with pytest.raises(ValueError, match="without the law on the board"):
         checker.check(str(place))
     export_c(law, tmp_path / "firmware")
-    assert checker.check(str(place), str(tmp_path / "firmware" / "law_data.h")) == certificate.verdict
+    assert (
+        checker.check(str(place), str(tmp_path / "firmware" / "law_data.h"))
+        == certificate.verdict
+    )
 
 
 @pytest.mark.slow
@@ -754,7 +930,10 @@ def test_key_given_twice_and_other_law_are_rejected(
     document: dict[str, Any], checker: ModuleType, tmp_path: Path
 ):
     place, board = tmp_path / "c.json", document["statement"]["digest"]
-    place.write_text(json.dumps(document).replace('"leaves"', '"leaves": 1, "leaves"', 1), encoding="utf-8")
+    place.write_text(
+        json.dumps(document).replace('"leaves"', '"leaves": 1, "leaves"', 1),
+        encoding="utf-8",
+    )
     assert _rejected(checker, place, board)
     place.write_text(json.dumps(document), encoding="utf-8")
     assert not _rejected(checker, place, board)
@@ -768,14 +947,30 @@ def test_statement_survives_json_bit_for_bit(certificate: Certificate):
 
 
 @pytest.mark.slow
-def test_the_checker_reads_the_block_where_the_law_wrote_it(checker: ModuleType) -> None:
-    """It knows the block by offsets alone; a field that moves must not be taken for another."""
+def test_the_checker_reads_the_block_where_the_law_wrote_it(
+    checker: ModuleType,
+) -> None:
+    """It knows the block by offsets alone; a field that moves must not be taken for
+    another.
+    """
     law = plan_for("sampled").law()
     claim = certify(plan_for("sampled"), law=law, modulus_margin=0.35).statement
-    fields = {k: v if k in checker.TEXT else float.fromhex(v) for k, v in claim.to_json().items()}
+    fields = {
+        k: v if k in checker.TEXT else float.fromhex(v)
+        for k, v in claim.to_json().items()
+    }
     loop, written = checker.Loop(fields), law.coefficients
-    names = ("direct", "angle", "integral_now", "integral_before", "filter_now", "filter_before")
-    motor = [f"{'inner_' if name in ('direct', 'angle') else ''}{name}" for name in names]
+    names = (
+        "direct",
+        "angle",
+        "integral_now",
+        "integral_before",
+        "filter_now",
+        "filter_before",
+    )
+    motor = [
+        f"{'inner_' if name in ('direct', 'angle') else ''}{name}" for name in names
+    ]
     motor += ["filter_angle_now", "filter_angle_before", "filter_decay"]
     assert list(loop.pid) == [written[name] for name in motor]
     assert (loop.T, loop.direct) == (written["period"], written["direct"])
@@ -783,7 +978,13 @@ def test_the_checker_reads_the_block_where_the_law_wrote_it(checker: ModuleType)
 
 
 def test_a_law_alone_says_which_noun_is_missing() -> None:
-    made = fl.design(RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    made = fl.design(
+        RIG.model,
+        RIG,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     law = made.law()
     with pytest.raises(FieldError, match="model is required"):
         certify(law)
@@ -795,19 +996,29 @@ def test_a_law_alone_says_which_noun_is_missing() -> None:
 
 @pytest.mark.slow
 def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -> None:
-    """What it returns is a loop of the box, and no loop of two thousand random ones is closer to −1."""
+    """What it returns is a loop of the box, and no loop of two thousand random ones is
+    closer to −1.
+    """
     _, statement, law = known(RICH, "tustin")
     least, at = worst_distance(statement, law)
     here = {name: np.array([value]) for name, value in at.items()}
-    assert abs(1 + loop_values(statement, law, here["frequency"], here)[0]) == pytest.approx(least, rel=1e-12)
+    assert abs(
+        1 + loop_values(statement, law, here["frequency"], here)[0]
+    ) == pytest.approx(least, rel=1e-12)
     g = np.random.default_rng(0)
     low, high = statement.box
     place = {name: g.uniform(low[name], high[name], 2000) for name in low}
-    place["frequency"] = np.exp(g.uniform(math.log(1.0), math.log(math.pi / law.period), 2000))
+    place["frequency"] = np.exp(
+        g.uniform(math.log(1.0), math.log(math.pi / law.period), 2000)
+    )
     for name in low:  # a tenth of them beside the place that was found
-        place[name][:200] = np.clip(at[name] * (1 + 1e-3 * g.normal(size=200)), low[name], high[name])
+        place[name][:200] = np.clip(
+            at[name] * (1 + 1e-3 * g.normal(size=200)), low[name], high[name]
+        )
     place["frequency"][:200] = at["frequency"] * (1 + 1e-3 * g.normal(size=200))
-    assert np.abs(1 + loop_values(statement, law, place["frequency"], place)).min() >= least * (1 - 1e-6)
+    assert np.abs(
+        1 + loop_values(statement, law, place["frequency"], place)
+    ).min() >= least * (1 - 1e-6)
 
 
 def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() -> None:
@@ -821,7 +1032,9 @@ def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() ->
 
 
 def held(disc: Disc, points: Any, *, tight: float = 0.0) -> None:
-    """Every point lies in its disc, and (with `tight`) some point comes that near to the edge."""
+    """Every point lies in its disc, and (with `tight`) some point comes that near to
+    the edge.
+    """
     away = np.abs(points - disc.c)
     assert np.all(away <= disc.r), float(np.max(away - disc.r))
     if tight:
@@ -835,8 +1048,12 @@ def discs_and_points(seed: int) -> tuple[Disc, Any, Disc, Any]:
     def some() -> tuple[Disc, Any]:
         centre = rng.normal(size=50) * 3 + 1j * rng.normal(size=50)
         radius = 10 ** rng.uniform(-6, 0, 50) * np.abs(centre)
-        reach = np.where(np.arange(400) % 2, 1.0 - 1e-9, rng.uniform(0, 1, 400))[:, None]
-        return Disc(centre, radius), centre + radius * reach * np.exp(2j * np.pi * rng.random((400, 50)))
+        reach = np.where(np.arange(400) % 2, 1.0 - 1e-9, rng.uniform(0, 1, 400))[
+            :, None
+        ]
+        return Disc(centre, radius), centre + radius * reach * np.exp(
+            2j * np.pi * rng.random((400, 50))
+        )
 
     return *some(), *some()
 
@@ -854,7 +1071,9 @@ def test_each_operation_holds_every_point_and_little_else(seed: int):
     far = np.abs(a.c) > 1.5 * a.r
     inverse = a.inverse()
     held(Disc(inverse.c[far], inverse.r[far]), 1 / x[:, far], tight=0.9)
-    assert np.all(np.abs(x) <= a.most()) and np.all(a.most() <= np.abs(a.c) + a.r * 1.001)
+    assert np.all(np.abs(x) <= a.most()) and np.all(
+        a.most() <= np.abs(a.c) + a.r * 1.001
+    )
     zero = Disc(np.array([0.1, 1.0, 1.0]), np.array([0.2, 1.0, 0.5])).inverse()
     assert zero.r.tolist()[:2] == [math.inf, math.inf] and zero.r[2] < 1.0
 
@@ -869,7 +1088,9 @@ def test_intervals_hold_their_ends_and_become_discs():
     assert span.middle.tolist() == (0.5 * (low + high)).tolist()
     inverse = span.inverse()
     assert np.all(inverse.low <= 1 / high) and np.all(inverse.high >= 1 / low)
-    assert np.all(inverse.low >= (1 - 1e-12) / high) and np.all(inverse.high <= (1 + 1e-12) / low)
+    assert np.all(inverse.low >= (1 - 1e-12) / high) and np.all(
+        inverse.high <= (1 + 1e-12) / low
+    )
     turned = Span.around(high, low)
     assert np.all(turned.low < low) and np.all(turned.high > high)
 
@@ -904,7 +1125,11 @@ def test_slopes_hold_every_difference_quotient_and_the_mean_value_theorem_its_va
     places = np.zeros(60, dtype=bool)
     places[10:50] = True
     put = wide.placed(places)
-    assert put.c[10:50].tolist() == wide.c.tolist() and not put.c[:10].any() and not put.r[50:].any()
+    assert (
+        put.c[10:50].tolist() == wide.c.tolist()
+        and not put.c[:10].any()
+        and not put.r[50:].any()
+    )
     assert put.d["y"].c[10:50].tolist() == wide.d["y"].c.tolist()
 
 
@@ -922,7 +1147,9 @@ def test_boxes_are_halved_at_the_geometric_mean_of_frequencies_and_else_in_the_m
 
 
 def test_letters_stand_in_preorder():
-    """Cut w; its first half is a leaf by L, the second cut m into one by 1/L and one by L."""
+    """Cut w; its first half is a leaf by L, the second cut m into one by 1/L and one by
+    L.
+    """
     dot, comma = len(AXES), len(AXES) + 1
     generations = [np.array([0]), np.array([dot, 1]), np.array([comma, dot])]
     assert search._preorder(generations) == "w.m,."
@@ -936,9 +1163,14 @@ def test_the_axis_to_cut_is_where_most_is_undecided():
     weight = np.full(low.shape, -1.0)
     weight[0, 3], weight[0, 5] = 1.0, 2.0
     weight[1, 3], weight[1, 5] = 2.0, 1.0
-    weight[2, 4] = weight[2, 5] = np.nan  # unknown: the delay of the gauge turns by ω τ, here 2 · 1
+    weight[2, 4] = weight[2, 5] = (
+        np.nan
+    )  # unknown: the delay of the gauge turns by ω τ, here 2 · 1
     weight[2, 6] = 5.0  # and what is known does not count beside them
-    weight[3, 0], weight[3, 5] = np.inf, np.inf  # of a frequency three times its relative width
+    weight[3, 0], weight[3, 5] = (
+        np.inf,
+        np.inf,
+    )  # of a frequency three times its relative width
     assert search._widest(low, high, weight).tolist() == [5, 3, 4, 0]
 
 
@@ -950,13 +1182,20 @@ def test_the_sector_holds_no_angle_within_the_margin():
             normal, least = plane.plain(value, np.full(6, alias))
             assert np.abs(normal) == pytest.approx(1) and not least.any()
             inside = np.linspace(-margin - 2 * alias, margin + 2 * alias, 41)
-            assert np.all((np.conj(normal)[:, None] * -np.exp(1j * inside)).real <= 1e-12)
-        assert plane.quiet(np.array([0.98, 1.0]), np.array([0.01, 0.0])).tolist() == [True, False]
+            assert np.all(
+                (np.conj(normal)[:, None] * -np.exp(1j * inside)).real <= 1e-12
+            )
+        assert plane.quiet(np.array([0.98, 1.0]), np.array([0.01, 0.0])).tolist() == [
+            True,
+            False,
+        ]
 
 
 def test_what_is_small_enough_is_quiet_with_its_aliases():
     goal = search._distance(0.4)
-    assert goal.quiet(np.array([0.59, 0.6, 0.55]), np.array([0.0, 0.0, 0.06])).tolist() == [
+    assert goal.quiet(
+        np.array([0.59, 0.6, 0.55]), np.array([0.0, 0.0, 0.06])
+    ).tolist() == [
         True,
         False,
         False,
@@ -966,7 +1205,9 @@ def test_what_is_small_enough_is_quiet_with_its_aliases():
 @pytest.mark.slow
 @pytest.mark.parametrize("inner", ["ideal", "sampled"])
 def test_the_bound_of_the_aliases_holds_their_sum_and_is_near_it(inner: str):
-    """Σ over n of |F H| at ω + 2πn/Ts, summed here to n = 400, for the aliases that L does not hold."""
+    """Σ over n of |F H| at ω + 2πn/Ts, summed here to n = 400, for the aliases that L
+    does not hold.
+    """
     design = plan_for(inner)
     law_ = design.law()
     point = ParameterBox.at(RIG.model)
@@ -977,12 +1218,21 @@ def test_the_bound_of_the_aliases_holds_their_sum_and_is_near_it(inner: str):
     for w in (0.5, 30.0, 150.0, 170.0, 500.0, 780.0):
         kept = ALIASES if w >= 0.5 * ALIASES_FROM * turn else ()
         orders = [n for n in range(-400, 401) if n and n not in kept]
-        shared = law_.frequency_response(np.array([w])) * -np.expm1(-1j * w * law_.period) / law_.period
+        shared = (
+            law_.frequency_response(np.array([w]))
+            * -np.expm1(-1j * w * law_.period)
+            / law_.period
+        )
         if inner == "sampled":
-            shared = shared * numeric._voltage(claim, law_, np.array([w]), place["delay"], place["motor"])
+            shared = shared * numeric._voltage(
+                claim, law_, np.array([w]), place["delay"], place["motor"]
+            )
         at = {name: np.asarray(value) for name, value in place.items()}
         parts = numeric._continuous(claim, w + np.array(orders) * turn, at)
-        true, bound = float(np.abs(shared * parts).sum()), loop.alias_at(place | {"frequency": w})
+        true, bound = (
+            float(np.abs(shared * parts).sum()),
+            loop.alias_at(place | {"frequency": w}),
+        )
         assert true <= bound <= (20.0 if kept else 4.0) * true, w
 
 
@@ -991,10 +1241,18 @@ def test_a_statement_that_is_not_one_is_refused(certificate: Certificate):
     good = certificate.statement.to_json()
     assert set(good) == set(Statement.__annotations__)
     assert all(isinstance(value, str) for value in good.values())
-    for change in ({"modulus": "0.35"}, {"modulus": 0.35}, {"block": "zz"}, {"extra": "1"}, {"precision": 2}):
+    for change in (
+        {"modulus": "0.35"},
+        {"modulus": 0.35},
+        {"block": "zz"},
+        {"extra": "1"},
+        {"precision": 2},
+    ):
         bad = good | change
         if change == {"modulus": "0.35"}:
-            assert Statement.from_json(bad).modulus == float.fromhex("0.35")  # hexadecimal, as all are
+            assert Statement.from_json(bad).modulus == float.fromhex(
+                "0.35"
+            )  # hexadecimal, as all are
             continue
         with pytest.raises(FileFormatError) as refused:
             Statement.from_json(bad)
@@ -1005,18 +1263,28 @@ def test_a_statement_that_is_not_one_is_refused(certificate: Certificate):
 
 
 @pytest.mark.slow
-def test_the_box_of_a_statement_holds_every_payload_times_every_softness(certificate: Certificate):
+def test_the_box_of_a_statement_holds_every_payload_times_every_softness(
+    certificate: Certificate,
+):
     claim = certificate.statement
     low, high = claim.box
     assert set(low) == set(high) == set(AXES[1:])
     assert low["softness"] < claim.softness_low * claim.payload_low
     assert high["softness"] > claim.softness_high * claim.payload_high
-    assert high["softness"] == pytest.approx(claim.softness_high * claim.payload_high, rel=1e-15)
-    assert claim.softness == pytest.approx(0.5 * (claim.softness_low + claim.softness_high))
+    assert high["softness"] == pytest.approx(
+        claim.softness_high * claim.payload_high, rel=1e-15
+    )
+    assert claim.softness == pytest.approx(
+        0.5 * (claim.softness_low + claim.softness_high)
+    )
     assert (low["motor"], high["motor"]) == (claim.pole_low, claim.pole_high)
-    none = replace(claim, mode_gain_high=0.0, mode_frequency_low=3.0, mode_frequency_high=5.0).box
+    none = replace(
+        claim, mode_gain_high=0.0, mode_frequency_low=3.0, mode_frequency_high=5.0
+    ).box
     assert none[0]["mode_frequency"] == none[1]["mode_frequency"] == 0.0
-    some = replace(claim, mode_gain_high=0.1, mode_frequency_low=3.0, mode_frequency_high=5.0).box
+    some = replace(
+        claim, mode_gain_high=0.1, mode_frequency_low=3.0, mode_frequency_high=5.0
+    ).box
     assert (some[0]["mode_frequency"], some[1]["mode_frequency"]) == (3.0, 5.0)
     voltage = replace(claim, motor_loop="sampled", gain_low=3.0, gain_high=4.0).box
     assert (voltage[0]["motor"], voltage[1]["motor"]) == (3.0, 4.0)
@@ -1027,19 +1295,34 @@ def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law:
     said = certificate.verdict
     claim = certificate.statement
     assert said == claim.words() and said.endswith("meet no limit of the command.")
-    named = ("modulus", "payload_low", "delay_high", "order_high", "stiffness", "linear_range")
+    named = (
+        "modulus",
+        "payload_low",
+        "delay_high",
+        "order_high",
+        "stiffness",
+        "linear_range",
+    )
     for name in (*named, "softness_low", "pole_high", "nominal_payload"):
         assert f" {getattr(claim, name)}" in said
     assert f"law {law.digest[:12]} " in said and f"period {law.period} s" in said
     assert claim.lowest == pytest.approx(
-        min([2.0**-20 * math.pi, *(0.05 * (1 - abs(p)) for p in law.correction.poles)]) / law.period
+        min([2.0**-20 * math.pi, *(0.05 * (1 - abs(p)) for p in law.correction.poles)])
+        / law.period
     )
 
 
 @pytest.mark.slow
 def test_delays_up_to_what_the_proof_knows(law: Law):
-    """A sampled motor loop is known for a delay of up to a period, an ideal one for eight."""
-    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.999}
+    """A sampled motor loop is known for a delay of up to a period, an ideal one for
+    eight.
+    """
+    wanted = {
+        "model": RIG.model,
+        "rig": RIG,
+        "payloads": (0.02, 0.04),
+        "modulus_margin": 0.999,
+    }
     for inner, most in (("sampled", 0.004), ("ideal", 0.032)):
         claim = certify(law, inner=inner, delay=(0.0, most), **wanted).statement  # type: ignore[arg-type]
         assert (claim.delay_low, claim.delay_high) == (0.0, most)
@@ -1050,7 +1333,12 @@ def test_delays_up_to_what_the_proof_knows(law: Law):
 
 @pytest.mark.slow
 def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
-    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "modulus_margin": 0.95}
+    wanted = {
+        "model": RIG.model,
+        "rig": RIG,
+        "payloads": (0.02, 0.04),
+        "modulus_margin": 0.95,
+    }
     exact = certify(law, inner="ideal", box=ParameterBox.at(RIG.model), **wanted)  # type: ignore[arg-type]
     found = re.fullmatch(
         r"Not certified: \|1 \+ L\| = (\S+) is not above 0\.95 at (\S+) g, (\S+) rad/s and (\S+) ms of delay",
@@ -1076,14 +1364,18 @@ def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
 def test_a_law_of_another_link_or_none_is_refused(law: Law):
     limits = replace(law.limits, reference_rate=1.0 - 1e-15)
     with pytest.raises(FieldError, match="reference_rate"):
-        certify(replace(law, limits=limits), model=RIG.model, rig=RIG, modulus_margin=0.3)
+        certify(
+            replace(law, limits=limits), model=RIG.model, rig=RIG, modulus_margin=0.3
+        )
     still = replace(RIG, motor=replace(RIG.motor, viscous_friction=0.0))
     with pytest.raises(FieldError, match="friction"):
         certify(law, model=RIG.model, rig=still, inner="sampled", modulus_margin=0.3)
 
 
 def earlier(document: dict[str, Any], form: int) -> dict[str, Any]:
-    """The same certificate as files of formats 1 and 2 had it: points, and in format 1 no gauge at all."""
+    """The same certificate as files of formats 1 and 2 had it: points, and in format 1
+    no gauge at all.
+    """
     data = json.loads(json.dumps(document)) | {"format": form}
     old = dict(data["statement"])
     pairs = ("payload", "delay")
@@ -1105,9 +1397,16 @@ def earlier(document: dict[str, Any], form: int) -> dict[str, Any]:
         ):
             old.pop(name)
     data["statement"] = old
-    keys = ("statement", "tree") if form == 1 else ("claim", "form", "assumed", "statement", "tree")
+    keys = (
+        ("statement", "tree")
+        if form == 1
+        else ("claim", "form", "assumed", "statement", "tree")
+    )
     text = json.dumps(
-        {key: data[key] for key in keys}, sort_keys=True, separators=(",", ":"), ensure_ascii=form == 1
+        {key: data[key] for key in keys},
+        sort_keys=True,
+        separators=(",", ":"),
+        ensure_ascii=form == 1,
     )
     return data | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
 
@@ -1120,18 +1419,39 @@ def test_a_certificate_of_an_earlier_format_is_read_and_proves_nothing(
     data, place = earlier(document, form), tmp_path / "old.json"
     place.write_text(json.dumps(data), encoding="utf-8")
     found, now = Certificate.load(place), certificate.statement
-    why = "does not state the gauge" if form == 1 else "covers one link, gauge and motor only"
-    assert found.verdict == f"Not certified: a certificate of format {form} {why}; certify again"
-    assert not found.passed and found.tree == data["tree"] and found.leaves == data["tree"].count(".")
+    why = (
+        "does not state the gauge"
+        if form == 1
+        else "covers one link, gauge and motor only"
+    )
+    assert (
+        found.verdict
+        == f"Not certified: a certificate of format {form} {why}; certify again"
+    )
+    assert (
+        not found.passed
+        and found.tree == data["tree"]
+        and found.leaves == data["tree"].count(".")
+    )
     said = found.statement
     assert (said.order_low, said.order_high) == (now.order_low, now.order_low)
     assert (said.payload_low, said.payload_high) == (now.payload_low, now.payload_high)
-    assert (said.gauge_gain_low, said.gauge_gain_high, said.hold) == (1.0, 1.0, "zero-order")
+    assert (said.gauge_gain_low, said.gauge_gain_high, said.hold) == (
+        1.0,
+        1.0,
+        "zero-order",
+    )
     assert said.motor_loop == now.motor_loop
     assert said.stiffness == pytest.approx(now.stiffness, rel=1e-6)
     if form == 1:
-        assert said.gauge_delay_high == said.mode_gain_high == said.nominal_payload == 0.0
-    for change in ({"tree": data["tree"] + "."}, {"statement": "none"}, {"sha256": "0"}):
+        assert (
+            said.gauge_delay_high == said.mode_gain_high == said.nominal_payload == 0.0
+        )
+    for change in (
+        {"tree": data["tree"] + "."},
+        {"statement": "none"},
+        {"sha256": "0"},
+    ):
         place.write_text(json.dumps(data | change), encoding="utf-8")
         with pytest.raises(FileFormatError):
             Certificate.load(place)
@@ -1142,20 +1462,37 @@ def test_a_proof_that_runs_out_of_nodes_says_where(certificate: Certificate):
     loop = BoxLoop(certificate.statement)
     low, high = loop.root()
     outcome = prove(loop, most=1)
-    assert isinstance(outcome, MarginFailure) and outcome.reason == "the bound is not met"
+    assert (
+        isinstance(outcome, MarginFailure) and outcome.reason == "the bound is not met"
+    )
     assert not outcome.refuted and math.isnan(outcome.distance)
     place = np.array([outcome.place[name] for name in AXES])
     assert np.all((low[0] <= place) & (place <= high[0]))
-    # The middle of a half of the box: all but one of the parameters are in their own middle.
-    assert np.count_nonzero(np.abs(place - 0.5 * (low[0] + high[0])) > 1e-9 * np.abs(high[0])) == 1
+    # The middle of a half of the box: all but one of the parameters are in their own
+    # middle.
+    assert (
+        np.count_nonzero(
+            np.abs(place - 0.5 * (low[0] + high[0])) > 1e-9 * np.abs(high[0])
+        )
+        == 1
+    )
 
 
 @pytest.mark.slow
 def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
-    """The upper end is that of `margins` of the same loop at its worse corner; nothing is proved below."""
+    """The upper end is that of `margins` of the same loop at its worse corner; nothing
+    is proved below.
+    """
     point = ParameterBox.at(RIG.model)
-    wanted = {"model": RIG.model, "rig": RIG, "payloads": (0.02, 0.04), "delay": (0.004, 0.004)}
-    claim = certify(law, box=point, modulus_margin=0.95, inner="ideal", **wanted).statement  # type: ignore[arg-type]
+    wanted = {
+        "model": RIG.model,
+        "rig": RIG,
+        "payloads": (0.02, 0.04),
+        "delay": (0.004, 0.004),
+    }
+    claim = certify(
+        law, box=point, modulus_margin=0.95, inner="ideal", **wanted
+    ).statement  # type: ignore[arg-type]
     found = search.enclose_phase_margin(claim, law, most=1)
     assert (found.low, found.nodes) == (0.0, 0)
     low, high = claim.box
@@ -1176,7 +1513,9 @@ def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
 @pytest.mark.slow
 @pytest.mark.parametrize("placement", ["ideal", "tustin"])
 def test_points_are_enclosed_as_the_loop_that_is_written_another_way(placement: str):
-    """L and 1/L of boxes without width, with damping, gauge and second mode, with and without aliases."""
+    """L and 1/L of boxes without width, with damping, gauge and second mode, with and
+    without aliases.
+    """
     loop, claim, law = known(RICH, placement)
     low, high = loop.root()
     points = low + (high - low) * np.random.default_rng(8).random((300, len(AXES)))

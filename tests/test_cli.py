@@ -1,4 +1,6 @@
-"""The command line: whole output, exit codes, one line for every error, nothing half written."""
+"""The command line: whole output, exit codes, one line for every error, nothing half
+written.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,12 @@ from fraclink._cli import main
 from fraclink._cli.app import application
 from fraclink._cli.console import clean, guarded
 from fraclink._show.text import Table, View, plain_text, table_text
-from fraclink.errors import FieldError, InfeasibleError, MissingExtraError, NotCertifiedError
+from fraclink.errors import (
+    FieldError,
+    InfeasibleError,
+    MissingExtraError,
+    NotCertifiedError,
+)
 
 
 class Answer(NamedTuple):
@@ -36,7 +43,9 @@ Command = Callable[..., Answer]
 
 
 @pytest.fixture
-def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+def fraclink(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Command:
     """Run the command line in an empty folder."""
     monkeypatch.chdir(tmp_path)
 
@@ -48,14 +57,32 @@ def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
     return run
 
 
-DESIGN = ("design", "--rig", "paper-2023", "--payloads", "0.020", "0.040", "--gain-crossover", "12")
+DESIGN = (
+    "design",
+    "--rig",
+    "paper-2023",
+    "--payloads",
+    "0.020",
+    "0.040",
+    "--gain-crossover",
+    "12",
+)
 
 
 def test_version_and_help(fraclink: Command) -> None:
     assert fraclink("--version") == Answer(0, f"fraclink {__version__}\n", "")
     answer = fraclink("--help")
     assert answer.code == 0
-    for name in ("run", "inspect", "diagnose", "identify", "design", "simulate", "report", "certify"):
+    for name in (
+        "run",
+        "inspect",
+        "diagnose",
+        "identify",
+        "design",
+        "simulate",
+        "report",
+        "certify",
+    ):
         assert f"\n  {name} " in answer.out
     assert "Exit code: 0 passed, 1 failed or not shown, 2 bad input." in answer.out
     assert fraclink().out == answer.out
@@ -65,7 +92,9 @@ def test_the_first_page_is_one_screen_and_imports_no_command(fraclink: Command) 
     lines = fraclink("--help").out.splitlines()
     assert len(lines) <= 30 and max(map(len, lines)) <= 80
     code = "import sys; from fraclink._cli import main; main(['--help']); print(*sys.modules)"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     loaded = set(answer.stdout.splitlines()[-1].split())
     assert not {name for name in loaded if name.startswith("fraclink._cli.")} & {
         "fraclink._cli.models",
@@ -82,7 +111,9 @@ def _commands() -> Iterator[tuple[tuple[str, ...], Any]]:
     for name in top.list_commands(context):
         command = top.get_command(context, name)
         if hasattr(command, "commands"):
-            yield from (((name, inner), found) for inner, found in command.commands.items())
+            yield from (
+                ((name, inner), found) for inner, found in command.commands.items()
+            )
         else:
             yield (name,), command
 
@@ -92,7 +123,9 @@ def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> 
     listed = fraclink("help", "all").out
     for words, command in _commands():
         example = command.help.partition("\n\n$ ")[2]
-        assert example.startswith(" ".join(("fraclink", *words))) and "\n" not in example, words
+        assert (
+            example.startswith(" ".join(("fraclink", *words))) and "\n" not in example
+        ), words
         # Printed whole, so that it can be copied: the help is folded at 80 columns.
         assert f"  $ {example}\n" in fraclink("help", *words).out
         given = shlex.split(example)[1 + len(words) :]
@@ -108,30 +141,55 @@ def test_doctor_says_what_is_there(fraclink: Command) -> None:
     assert found["extras"]["matplotlib"] and found["version"] == "0.1.0"
 
 
-def test_the_manual_page_has_every_command_and_option(fraclink: Command, tmp_path: Path) -> None:
+def test_the_manual_page_has_every_command_and_option(
+    fraclink: Command, tmp_path: Path
+) -> None:
     page = fraclink("man").out
     for words, command in _commands():
         called = re.escape(" ".join(words).replace("-", r"\-"))
-        section = re.split(rf'\n\.SS "fraclink {called}["\s]', page)[1].partition("\n.S")[0]
+        section = re.split(rf'\n\.SS "fraclink {called}["\s]', page)[1].partition(
+            "\n.S"
+        )[0]
         for item in command.params:
-            for option in getattr(item, "opts", ()) if item.param_type_name == "option" else ():
+            for option in (
+                getattr(item, "opts", ()) if item.param_type_name == "option" else ()
+            ):
                 assert f"\n.B {option}".replace("-", r"\-") in section, (words, option)
     # roff reads a line that begins so as a request, and a bare hyphen as a dash.
     requests = {line.split()[0] for line in page.splitlines() if line[:1] in (".", "'")}
-    assert requests == {'.\\"', ".TH", ".SH", ".SS", ".PP", ".TP", ".B", ".I", ".EX", ".EE"}
+    assert requests == {
+        '.\\"',
+        ".TH",
+        ".SH",
+        ".SS",
+        ".PP",
+        ".TP",
+        ".B",
+        ".I",
+        ".EX",
+        ".EE",
+    }
     answer = fraclink("man", "--out", str(tmp_path / "fraclink.1"))
-    assert answer.code == 0 and (tmp_path / "fraclink.1").read_text("utf-8").strip() == page.strip()
+    assert (
+        answer.code == 0
+        and (tmp_path / "fraclink.1").read_text("utf-8").strip() == page.strip()
+    )
 
 
 def test_a_terminal_shows_links_and_the_bad_value_bold_a_pipe_neither(
     fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = tmp_path / "a page.1"
-    assert fraclink("man", "--out", str(place)).err.splitlines()[0] == f"written: {place}"
+    assert (
+        fraclink("man", "--out", str(place)).err.splitlines()[0] == f"written: {place}"
+    )
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm")
     said = fraclink("man", "--out", str(place), "--force").err.splitlines()[0]
-    assert said == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\" and "%20" in said
+    assert (
+        said == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\"
+        and "%20" in said
+    )
     said = fraclink("design", "--rig", "paper-2023", "--phase-margin-deg", "200").err
     assert said.startswith("\x1b[31merror\x1b[0m: ") and "(got \x1b[1m" in said
     monkeypatch.setenv("TERM", "dumb")
@@ -141,13 +199,22 @@ def test_a_terminal_shows_links_and_the_bad_value_bold_a_pipe_neither(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")])
+@pytest.mark.parametrize(
+    ("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")]
+)
 def test_the_shell_completes_commands(shell: str, marker: str) -> None:
     given = {"COMP_WORDS": "fraclink des", "COMP_CWORD": "1"}
-    given |= {"_TYPER_COMPLETE_ARGS": "fraclink des", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    given |= {
+        "_TYPER_COMPLETE_ARGS": "fraclink des",
+        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+    }
     environment = os.environ | given | {"_FRACLINK_COMPLETE": f"complete_{shell}"}
     answer = subprocess.run(
-        [sys.executable, "-m", "fraclink"], capture_output=True, text=True, env=environment, check=False
+        [sys.executable, "-m", "fraclink"],
+        capture_output=True,
+        text=True,
+        env=environment,
+        check=False,
     )
     assert marker in answer.stdout
     assert "inspect" not in answer.stdout
@@ -155,20 +222,40 @@ def test_the_shell_completes_commands(shell: str, marker: str) -> None:
 
 def test_every_command_is_listed_with_its_whole_sentence(fraclink: Command) -> None:
     listed = fraclink("help", "all").out
-    for shown in (listed, fraclink("export", "--help").out, fraclink("campaign", "--help").out):
+    for shown in (
+        listed,
+        fraclink("export", "--help").out,
+        fraclink("campaign", "--help").out,
+    ):
         assert "..." not in shown.replace("COMMAND [ARGS]...", "")
-    assert listed.index("\n  inspect ") < listed.index("\n  identify ") < listed.index("\n  design ")
+    assert (
+        listed.index("\n  inspect ")
+        < listed.index("\n  identify ")
+        < listed.index("\n  design ")
+    )
     assert " ".join(listed.split()).count("a mapping to paste into the rig file.") == 1
 
 
-def test_a_group_without_a_command_says_where_they_are_listed(fraclink: Command) -> None:
+def test_a_group_without_a_command_says_where_they_are_listed(
+    fraclink: Command,
+) -> None:
     answer = fraclink("campaign")
     assert answer.code == 2
     assert answer.err == "error: Missing command (see `fraclink campaign --help`)\n"
 
 
-def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Path) -> None:
-    answer = fraclink(*DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--out", "design.json")
+def test_the_design_prints_what_it_asked_and_got(
+    fraclink: Command, tmp_path: Path
+) -> None:
+    answer = fraclink(
+        *DESIGN,
+        "--phase-margin-deg",
+        "50",
+        "--filter-time",
+        "0",
+        "--out",
+        "design.json",
+    )
     assert answer.code == 0
     assert answer.out.startswith(
         "✓ passed: controller k_d = 0.069876, β = 0.6122, no filter\n\n"
@@ -178,7 +265,10 @@ def test_the_design_prints_what_it_asked_and_got(fraclink: Command, tmp_path: Pa
         "phase margin, shipped law     ≥ 49.5°     50.1°      20 g     0.6°  ✓ passed\n\n"
         "W402 info: "
     )  # no filter was asked for
-    assert answer.err == "written: design.json\nnext: fraclink simulate design.json --payload 0.02\n"
+    assert (
+        answer.err
+        == "written: design.json\nnext: fraclink simulate design.json --payload 0.02\n"
+    )
     assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
 
 
@@ -194,7 +284,9 @@ def test_bounds_may_take_the_place_of_crossover_and_margin(fraclink: Command) ->
 
 
 def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
-    answer = fraclink(*DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--json")
+    answer = fraclink(
+        *DESIGN, "--phase-margin-deg", "50", "--filter-time", "0", "--json"
+    )
     result = json.loads(answer.out)
     assert answer.out.count("\n") == 1
     assert result["passed"] is True
@@ -207,7 +299,9 @@ def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
 
 
 @pytest.mark.slow
-def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Path) -> None:
+def test_an_existing_file_is_kept_without_force(
+    fraclink: Command, tmp_path: Path
+) -> None:
     place = tmp_path / "design.json"
     place.write_text("mine")
     answer = fraclink(*DESIGN)
@@ -223,8 +317,18 @@ def test_an_existing_file_is_kept_without_force(fraclink: Command, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Command, tmp_path: Path) -> None:
-    arguments = ("design", "--rig", "paper-2023", "--gain-crossover", "30", "--phase-margin-deg", "80")
+def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
+    fraclink: Command, tmp_path: Path
+) -> None:
+    arguments = (
+        "design",
+        "--rig",
+        "paper-2023",
+        "--gain-crossover",
+        "30",
+        "--phase-margin-deg",
+        "80",
+    )
     answer = fraclink(*arguments)
     assert answer.code == 1
     assert answer.err.startswith("✗ failed: phase margin unreachable: ")
@@ -243,29 +347,59 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(fraclink: Comma
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("design", "--rig", "paper-2032"), ("rig: unknown (got paper-2032)", "Did you mean 'paper-2023'?")),
+        (
+            ("design", "--rig", "paper-2032"),
+            ("rig: unknown (got paper-2032)", "Did you mean 'paper-2023'?"),
+        ),
         (("design", "--rig", "missing.toml"), ("missing.toml", "not a file")),
         (
             (*DESIGN, "--phase-margin-deg", "200"),
             ("phase_margin_deg: out of range (got 200.0)", "expected", "179"),
         ),
-        ((*DESIGN, "--phase-margin-deg", "-5"), ("phase_margin_deg: out of range (got -5.0)", "expected")),
-        (("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"), ("payloads", "expected")),
-        (("design", "--rig", "paper-2023", "--payloads", "0", "0.02"), ("payloads", "expected")),
-        (("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"), ("payloads", "expected")),
-        (("design", "--rig", "paper-2023", "--gain-crossover", "1e300"), ("gain_crossover", "expected")),
-        (("design", "--rig", "paper-2023", "--margins", "best"), ("margins", "loop or ideal")),
-        (("design", "--rig", "paper-2023", "--filter-order", "3"), ("filter_order", "expected")),
+        (
+            (*DESIGN, "--phase-margin-deg", "-5"),
+            ("phase_margin_deg: out of range (got -5.0)", "expected"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--payloads", "0.04", "0.02"),
+            ("payloads", "expected"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--payloads", "0", "0.02"),
+            ("payloads", "expected"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--payloads", "nan", "0.02"),
+            ("payloads", "expected"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--gain-crossover", "1e300"),
+            ("gain_crossover", "expected"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--margins", "best"),
+            ("margins", "loop or ideal"),
+        ),
+        (
+            ("design", "--rig", "paper-2023", "--filter-order", "3"),
+            ("filter_order", "expected"),
+        ),
         (("design", "--rig", "paper-2023", "--payloads", "0.02"), ("--payloads",)),
         (("design", "--rig", "paper-2023", "--gain", "12"), ("--gain",)),
         (("design",), ("Missing option '--rig'",)),
         (("desing",), ("No such command 'desing'",)),
-        (("simulate", "nothing.json", "--payload", "0.02"), ("not there (got nothing.json)",)),
+        (
+            ("simulate", "nothing.json", "--payload", "0.02"),
+            ("not there (got nothing.json)",),
+        ),
         (("certify", "nothing.json"), ("not there (got nothing.json)",)),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(
-    fraclink: Command, tmp_path: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+    fraclink: Command,
+    tmp_path: Path,
+    arguments: tuple[str, ...],
+    words: tuple[str, ...],
 ) -> None:
     answer = fraclink(*arguments)
     assert (answer.code, answer.out) == (2, "")
@@ -301,10 +435,22 @@ def test_errors_are_json_too_where_json_was_asked_for(fraclink: Command) -> None
             "✗ failed: (39): too slow; nearest",
         ),
         (NotCertifiedError("at 20 g"), 1, "✗ failed: at 20 g\n"),
-        (OSError(28, "No space left on device", "out.json"), 2, "error: out.json: No space left on device\n"),
-        (PermissionError(13, "Permission denied", "/x/y"), 2, "error: /x/y: Permission denied\n"),
+        (
+            OSError(28, "No space left on device", "out.json"),
+            2,
+            "error: out.json: No space left on device\n",
+        ),
+        (
+            PermissionError(13, "Permission denied", "/x/y"),
+            2,
+            "error: /x/y: Permission denied\n",
+        ),
         (KeyboardInterrupt(), 130, "interrupted; "),
-        (ZeroDivisionError("division by zero"), 70, "error: fraclink failed inside (ZeroDivisionError: "),
+        (
+            ZeroDivisionError("division by zero"),
+            70,
+            "error: fraclink failed inside (ZeroDivisionError: ",
+        ),
     ],
 )
 def test_every_error_becomes_one_line(
@@ -326,7 +472,16 @@ def test_a_defect_shows_where_it_is_when_asked(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    "name", ["\x1b[31mred\x1b[0m", "\x1b]0;title\x07", "a\rb", "a\nb", "\u202etxt", "\x9b2J", "\x00"]
+    "name",
+    [
+        "\x1b[31mred\x1b[0m",
+        "\x1b]0;title\x07",
+        "a\rb",
+        "a\nb",
+        "\u202etxt",
+        "\x9b2J",
+        "\x00",
+    ],
 )
 def test_names_cannot_drive_the_terminal(fraclink: Command, name: str) -> None:
     answer = fraclink("design", "--rig", name)
@@ -337,7 +492,10 @@ def test_names_cannot_drive_the_terminal(fraclink: Command, name: str) -> None:
 
 
 def test_clean_leaves_greek_and_units_alone() -> None:
-    assert clean("ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m") == "ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m"
+    assert (
+        clean("ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m")
+        == "ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m"
+    )
 
 
 def test_tables_are_aligned() -> None:
@@ -348,9 +506,13 @@ def test_tables_are_aligned() -> None:
 
 
 def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken() -> None:
-    words = "a sentence of several words that must be broken between them and nowhere else"
+    words = (
+        "a sentence of several words that must be broken between them and nowhere else"
+    )
     shown = View(
-        "verdict", (Table(("fault", "worst run", "why"), (("F07", "x" * 20, words),) * 2),), (words,)
+        "verdict",
+        (Table(("fault", "worst run", "why"), (("F07", "x" * 20, words),) * 2),),
+        (words,),
     )
     lines = plain_text(shown, 60).splitlines()
     assert max(map(len, lines)) <= 60
@@ -359,10 +521,14 @@ def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken() -> None:
 
 def test_a_table_that_is_too_wide_goes_on_below() -> None:
     header = ("structure", *(f"parameter {k}" for k in range(8)), "verdict")
-    shown = Table(header, (("UD-FOM", *("1.23456 ± 0.00012",) * 8, "passed"),) * 2, judged=True)
+    shown = Table(
+        header, (("UD-FOM", *("1.23456 ± 0.00012",) * 8, "passed"),) * 2, judged=True
+    )
     lines = table_text(shown, 80).splitlines()
     assert max(map(len, lines)) <= 80
-    assert sum(line.startswith("UD-FOM") for line in lines) == 2 * sum("structure" in line for line in lines)
+    assert sum(line.startswith("UD-FOM") for line in lines) == 2 * sum(
+        "structure" in line for line in lines
+    )
     assert "\n".join(lines).count("1.23456 ± 0.00012") == 16
     assert lines[-1].endswith("✓ passed")
     assert "\n\n" not in table_text(shown, 200)
@@ -370,12 +536,17 @@ def test_a_table_that_is_too_wide_goes_on_below() -> None:
 
 def test_the_module_is_the_command() -> None:
     answer = subprocess.run(
-        [sys.executable, "-m", "fraclink", "--version"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "fraclink", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert answer.stdout == "fraclink 0.1.0\n"
 
 
-def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path) -> None:
+def test_a_rig_without_a_model_says_what_to_do(
+    fraclink: Command, tmp_path: Path
+) -> None:
     text = Rig.named("paper-2023")
     text.save(tmp_path / "rig.toml")
     kept = (tmp_path / "rig.toml").read_text().partition("[model]")
@@ -390,13 +561,22 @@ def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("shape design.json --on model --link-mass 0.05", "link_mass: given beside --on model (got 0.05)"),
-        ("shape design.json --amplitude 2 --follow p.csv", "amplitude: given beside --follow (got 2.0)"),
+        (
+            "shape design.json --on model --link-mass 0.05",
+            "link_mass: given beside --on model (got 0.05)",
+        ),
+        (
+            "shape design.json --amplitude 2 --follow p.csv",
+            "amplitude: given beside --follow (got 2.0)",
+        ),
         (
             "simulate design.json --payload 0.03 --reference p.csv --amplitude 0",
             "amplitude: given beside --reference (got 0.0)",
         ),
-        ("twin design.json --reference p.csv --move-time 1", "move_time: given beside --reference (got 1.0)"),
+        (
+            "twin design.json --reference p.csv --move-time 1",
+            "move_time: given beside --reference (got 1.0)",
+        ),
         (
             "run-realtime design.json --io shm:none --reference p.csv --amplitude 1",
             "amplitude: given beside --reference (got 1.0)",
@@ -407,13 +587,19 @@ def test_a_rig_without_a_model_says_what_to_do(fraclink: Command, tmp_path: Path
         ),
     ],
 )
-def test_an_option_without_effect_is_refused(fraclink: Command, tmp_path: Path, line: str, said: str) -> None:
+def test_an_option_without_effect_is_refused(
+    fraclink: Command, tmp_path: Path, line: str, said: str
+) -> None:
     assert fraclink(*DESIGN, "--out", "design.json").code == 0
     (tmp_path / "p.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
     answer = fraclink(*line.split())
     assert answer.code == 2
     assert said in " ".join(answer.err.split()) and "Leave out --" in answer.err
-    assert [place.name for place in tmp_path.iterdir() if place.name not in ("design.json", "p.csv")] == []
+    assert [
+        place.name
+        for place in tmp_path.iterdir()
+        if place.name not in ("design.json", "p.csv")
+    ] == []
 
 
 def test_the_usual_move_stands_in_the_help(fraclink: Command) -> None:

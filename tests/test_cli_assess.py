@@ -16,7 +16,13 @@ from fraclink._simulate import Beam
 
 def _design(place: Path) -> fl.Design:
     rig = fl.Rig.named("paper-2023")
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     design.save(place)
     return design
 
@@ -26,18 +32,28 @@ def test_assess_tells_budget_margins_rivals_and_spillover(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = _design(tmp_path / "design.json")
-    code = main(["assess", str(tmp_path / "design.json"), "--link-mass", "0.00735", "--json"])
+    code = main(
+        ["assess", str(tmp_path / "design.json"), "--link-mass", "0.00735", "--json"]
+    )
     found = json.loads(capsys.readouterr().out)
-    assert math.pi + sum(found["phase_budget"].values()) == pytest.approx(design.at(0.020).phase_margin)
-    assert found["phase_margin"]["sampled"][-1] == pytest.approx(design.sampled_at(0.020).phase_margin)
+    assert math.pi + sum(found["phase_budget"].values()) == pytest.approx(
+        design.at(0.020).phase_margin
+    )
+    assert found["phase_margin"]["sampled"][-1] == pytest.approx(
+        design.sampled_at(0.020).phase_margin
+    )
     assert len(found["rivals"]) == 5
     assert sum("unstable" in sentence for sentence in found["rivals"]) == 2
-    assert [item["name"] for item in found["spillover"]] == ["loop gain at mode 2", "loop gain at mode 3"]
+    assert [item["name"] for item in found["spillover"]] == [
+        "loop gain at mode 2",
+        "loop gain at mode 3",
+    ]
     assert code == (0 if all(item["passed"] for item in found["spillover"]) else 1)
 
 
 def test_the_shares_of_all_modes_add_up_to_the_rigid_link() -> None:
-    # Far above every mode the beam does not bend: the base feels the inertia of the straight link, ΣΓi².
+    # Far above every mode the beam does not bend: the base feels the inertia of the
+    # straight link, ΣΓi².
     beam = Beam(0.65, 0.26, 0.00735, 0.020)
     modes = beam.modes(12)
     assert float(sum(modes.participation**2)) == pytest.approx(beam.inertia, rel=1e-3)
@@ -51,7 +67,14 @@ def test_assess_writes_its_figures_and_their_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = _design(tmp_path / "design.json")
-    line = ["assess", str(tmp_path / "design.json"), "--link-mass", "0.001", "--out", str(tmp_path / "worth")]
+    line = [
+        "assess",
+        str(tmp_path / "design.json"),
+        "--link-mass",
+        "0.001",
+        "--out",
+        str(tmp_path / "worth"),
+    ]
     assert main(line) == 0
     assert "≤ 0.5" in capsys.readouterr().out
     for name in ("margins.svg", "phase-budget.svg"):
@@ -69,15 +92,21 @@ def test_assess_writes_its_figures_and_their_numbers(
 
 
 @pytest.mark.slow
-def test_a_massless_link_has_no_spillover(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_massless_link_has_no_spillover(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     design = _design(tmp_path / "design.json")
     assert main(["assess", str(tmp_path / "design.json")]) == 0
-    assert "higher modes: none, as the link has no mass" in " ".join(capsys.readouterr().out.split())
+    assert "higher modes: none, as the link has no mass" in " ".join(
+        capsys.readouterr().out.split()
+    )
     assert mode_gains(design, damping_ratio=0.02) == ()
 
 
 @pytest.mark.slow
-def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_map_is_a_figure_and_its_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     place = tmp_path / "map.svg"
     line = [
         "design-map",
@@ -97,13 +126,35 @@ def test_the_map_is_a_figure_and_its_numbers(tmp_path: Path, capsys: pytest.Capt
     cells = [x for row in found["order"] for x in row]
     assert told["feasible"] == pytest.approx(sum(x is not None for x in cells) / 81)
     rig = fl.Rig.named("paper-2023")
-    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=found["phase_margin"][3])
+    design = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=found["phase_margin"][3]
+    )
     assert found["order"][3][4] == pytest.approx(design.controller.order, rel=1e-9)
-    options = ["--filter-order", "2", "--filter-time", "0.01", "--inner", "sampled", "--placement", "direct"]
+    options = [
+        "--filter-order",
+        "2",
+        "--filter-time",
+        "0.01",
+        "--inner",
+        "sampled",
+        "--placement",
+        "direct",
+    ]
     assert main([*line, *options, "--force"]) == 0
     other = json.loads((tmp_path / "map.json").read_text("utf-8"))
-    asked = {"filter_order": 2, "filter_time": 0.01, "inner": "sampled", "placement": "direct"}
-    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=other["phase_margin"][3], **asked)
+    asked = {
+        "filter_order": 2,
+        "filter_time": 0.01,
+        "inner": "sampled",
+        "placement": "direct",
+    }
+    design = fl.design(
+        rig.model,
+        rig,
+        gain_crossover=12.0,
+        phase_margin=other["phase_margin"][3],
+        **asked,
+    )
     assert other["order"][3][4] == pytest.approx(design.controller.order, rel=1e-9)
     assert b"<svg" in place.read_bytes()
     assert main(line) == 2  # what is there is kept without --force
@@ -125,6 +176,8 @@ def test_a_map_of_no_range_or_of_another_kind_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("map.json").write_text("{}", encoding="utf-8")  # the ending is the first thing that is wrong
+    Path("map.json").write_text(
+        "{}", encoding="utf-8"
+    )  # the ending is the first thing that is wrong
     assert main(["design-map", "--rig", "paper-2023", *option]) == 2
     assert told in capsys.readouterr().err

@@ -1,6 +1,8 @@
-"""Boards, arms, campaigns: each option reaches the call that it is for, and the next command is named.
+"""Boards, arms, campaigns: each option reaches the call that it is for, and the next
+command is named.
 
-The work itself is left out: in its place stands a function that keeps what it was called with.
+The work itself is left out: in its place stands a function that keeps what it was
+called with.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ from fraclink.errors import LogError, MissingExtraError
 
 
 @pytest.fixture
-def line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Line:
+def line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Line:
     """The command line in a folder with a design and a log."""
     return prepared(monkeypatch, capsys, tmp_path)
 
@@ -39,23 +43,35 @@ def test_c_is_written_in_the_precision_and_proved_where_asked(line: Line) -> Non
     written = line.hear("boards.export_c", [Path("f/law.c"), Path("f/law.h")])
     told = line("export c design.json --out f --name block --title T --no-motor")
     law = written.given[0]
-    assert law.precision == "single" and law.drive is None and written.given[1] == Path("f")
+    assert (
+        law.precision == "single"
+        and law.drive is None
+        and written.given[1] == Path("f")
+    )
     assert told == (0, "f/law.c\nf/law.h\n", "next: fraclink replay f demo\n")
     assert written.last == {
         "name": "block", "title": "T", "prove": False, "certificate": None, "estimator": None, "force": False,
     }  # fmt: skip
     line("export c design.json --precision double --estimate --force")
     assert written.given[0].precision == "double" and written.given[0].drive is not None
-    assert written.last["estimator"] == made_design().estimator() and written.last["force"] is True
+    assert (
+        written.last["estimator"] == made_design().estimator()
+        and written.last["force"] is True
+    )
     certified = line.hear("boards.certify", "certificate")
     claims = SimpleNamespace(passed=False, claims=())
-    line.patch.setattr("fraclink._cli.boards.Proof", SimpleNamespace(load=lambda place: claims))
+    line.patch.setattr(
+        "fraclink._cli.boards.Proof", SimpleNamespace(load=lambda place: claims)
+    )
     told = line("export c design.json --out f --prove --json")
     assert told.code == 1 and json.loads(told.out) == {
         "out": ["f/law.c", "f/law.h"], "passed": False, "claims": [],
     }  # fmt: skip
     assert certified.given == (made_design(),) and certified.last["inner"] is None
-    assert certified.last["law"].precision == "single" and written.last["certificate"] == "certificate"
+    assert (
+        certified.last["law"].precision == "single"
+        and written.last["certificate"] == "certificate"
+    )
     line("export c design.json --out f --prove --no-motor")
     assert certified.last["inner"] == "ideal"
 
@@ -72,15 +88,31 @@ def test_an_fmu_has_a_library_of_each_compiler_or_none(line: Line) -> None:
     written = line.hear("boards.export_fmu", Path("a.fmu"))
     assert line("export fmu design.json --out a.fmu") == (0, "a.fmu\n", "")
     assert written.given[0].drive is not None and written.given[1] == Path("a.fmu")
-    assert written.last == {"fmi": 2, "precision": "double", "compilers": ("cc",), "force": False}
-    line("export fmu design.json --fmi 3 --precision single --compiler gcc --compiler clang --force")
-    assert written.last == {"fmi": 3, "precision": "single", "compilers": ["gcc", "clang"], "force": True}
+    assert written.last == {
+        "fmi": 2,
+        "precision": "double",
+        "compilers": ("cc",),
+        "force": False,
+    }
+    line(
+        "export fmu design.json --fmi 3 --precision single --compiler gcc --compiler clang --force"
+    )
+    assert written.last == {
+        "fmi": 3,
+        "precision": "single",
+        "compilers": ["gcc", "clang"],
+        "force": True,
+    }
     line("export fmu design.json --source --compiler gcc")
     assert written.last["compilers"] == ()
     matlab = line.hear("boards.export_matlab", Path("m.m"))
     told = line("export matlab design.json --out m.m --force --json")
     assert json.loads(told.out) == {"out": "m.m"}
-    assert matlab.given[0].drive is None and matlab.given[1] == Path("m.m") and matlab.last == {"force": True}
+    assert (
+        matlab.given[0].drive is None
+        and matlab.given[1] == Path("m.m")
+        and matlab.last == {"force": True}
+    )
 
 
 def test_a_replay_takes_the_arms_log_or_two_columns(line: Line) -> None:
@@ -89,17 +121,27 @@ def test_a_replay_takes_the_arms_log_or_two_columns(line: Line) -> None:
     read = line.hear("boards.load_log", "log")
     told = line("replay f log.csv --column torque=x --allow-changed")
     assert told == (0, "", "f/law.c was compiled and run on this computer\n")
-    assert read.given[0] == "log.csv" and read.given[1].name == "paper-2023" and read.given[2] == ["torque=x"]
-    assert replayed.given == (Path("f"), "log") and replayed.last == {"allow_changed": True}
+    assert (
+        read.given[0] == "log.csv"
+        and read.given[1].name == "paper-2023"
+        and read.given[2] == ["torque=x"]
+    )
+    assert replayed.given == (Path("f"), "log") and replayed.last == {
+        "allow_changed": True
+    }
     recorded = line.hear("boards.read_recording", "recording")
     found.passed = False
     assert line("replay f log.csv --input r --output y").code == 1
     assert recorded.given == (Path("log.csv"), "r", "y")
-    assert replayed.given[1] == "recording" and replayed.last == {"allow_changed": False}
+    assert replayed.given[1] == "recording" and replayed.last == {
+        "allow_changed": False
+    }
     assert line("replay f log.csv --output y").code == 2
 
 
-realtime = pytest.mark.skipif(not _kernels.REALTIME, reason="the real-time loop is Linux's")
+realtime = pytest.mark.skipif(
+    not _kernels.REALTIME, reason="the real-time loop is Linux's"
+)
 
 
 class Run(Found):
@@ -113,7 +155,9 @@ class Run(Found):
 
     def experiment(self) -> Found:
         if self.lost:
-            raise LogError("run", "9 of 99 samples", "lost", allowed="1 %", remedy="run it again")
+            raise LogError(
+                "run", "9 of 99 samples", "lost", allowed="1 %", remedy="run it again"
+            )
         return Found()
 
 
@@ -132,29 +176,55 @@ def test_the_loop_in_real_time_gets_what_was_asked_for(line: Line) -> None:
         f"priority: {run.scheduling}; {limits}", "written: r.npz", "written: l.csv",
     ]  # fmt: skip
     law, reference, way = ran.given
-    assert law.precision == "single" and law.drive is not None and way == Udp("127.0.0.1", 5005)
-    assert (reference.duration, float(reference.angle(np.array([9.0]))[0])) == (0.6, 0.3)
+    assert (
+        law.precision == "single"
+        and law.drive is not None
+        and way == Udp("127.0.0.1", 5005)
+    )
+    assert (reference.duration, float(reference.angle(np.array([9.0]))[0])) == (
+        0.6,
+        0.3,
+    )
     assert ran.last == {
         "relative": False, "out": Path("r.npz"), "estimator": None, "payload": 0.03, "duration": 2.0,
         "patience": 7.0, "priority": 50, "lock_memory": False, "allowed_overruns": 4,
     }  # fmt: skip
-    assert measured.given == (RIG.period,) and measured.last == {"priority": 50, "lock_memory": False}
-    line("run-realtime design.json --io shm:arm --force --out r.npz --estimate --no-motor --gear 50")
+    assert measured.given == (RIG.period,) and measured.last == {
+        "priority": 50,
+        "lock_memory": False,
+    }
+    line(
+        "run-realtime design.json --io shm:arm --force --out r.npz --estimate --no-motor --gear 50"
+    )
     law, reference, way = ran.given
-    assert way == SharedMemory("arm") and law.drive is None and law.precision == "double"
+    assert (
+        way == SharedMemory("arm") and law.drive is None and law.precision == "double"
+    )
     assert reference.duration == 1.0 and ran.last["relative"] is True
-    assert ran.last["estimator"] == options.load_design(Path("design.json"), gear=50.0).estimator()
-    line("run-realtime design.json --io shm:arm --force --out r.npz --excitation prbs --amplitude 0.2")
+    assert (
+        ran.last["estimator"]
+        == options.load_design(Path("design.json"), gear=50.0).estimator()
+    )
+    line(
+        "run-realtime design.json --io shm:arm --force --out r.npz --excitation prbs --amplitude 0.2"
+    )
     reference = ran.given[1]
     assert reference.duration == pytest.approx(0.5 + 81 * 0.24, abs=0.3)
-    assert np.abs(reference.angle(np.arange(0.0, 20.0, 0.01))).max() == pytest.approx(0.2)
+    assert np.abs(reference.angle(np.arange(0.0, 20.0, 0.01))).max() == pytest.approx(
+        0.2
+    )
     told = line("run-realtime design.json --io shm:arm --force --out other.npz")
     assert "other.npz could not be written" in told.err and "written: r.npz" in told.err
     run.lost = True
-    told = line("run-realtime design.json --io shm:arm --force --out r.npz --log m.csv --json")
+    told = line(
+        "run-realtime design.json --io shm:arm --force --out r.npz --log m.csv --json"
+    )
     assert told.code == 1 and json.loads(told.out)["out"] == "r.npz"
     told = line("run-realtime design.json --io shm:arm --force --out r.npz --log m.csv")
-    assert "no log: run: lost (got 9 of 99 samples)" in told.err and "written: m.csv" not in told.err
+    assert (
+        "no log: run: lost (got 9 of 99 samples)" in told.err
+        and "written: m.csv" not in told.err
+    )
 
 
 @realtime
@@ -171,14 +241,27 @@ def test_an_arm_is_served_as_asked(line: Line) -> None:
         SharedMemory("arm"),
         RIG.period,
     )
-    assert asked.last == {"duration": 9.0, "watchdog": 5, "once": True, "seed": 3, "priority": 20}
-    assert f"an arm at shm:arm, {1e3 * RIG.period:g} ms\n" in told.err and told.err.endswith(
-        "written: a.npz\n"
+    assert asked.last == {
+        "duration": 9.0,
+        "watchdog": 5,
+        "once": True,
+        "seed": 3,
+        "priority": 20,
+    }
+    assert (
+        f"an arm at shm:arm, {1e3 * RIG.period:g} ms\n" in told.err
+        and told.err.endswith("written: a.npz\n")
     )
     assert saved.given == (served, Path("a.npz")) and saved.last == {}
     served.passed = False
     assert line("serve-arm design.json --io shm:arm").code == 1 and len(saved) == 1
-    assert asked.last == {"duration": 600.0, "watchdog": 10, "once": False, "seed": 0, "priority": 70}
+    assert asked.last == {
+        "duration": 600.0,
+        "watchdog": 10,
+        "once": False,
+        "seed": 0,
+        "priority": 70,
+    }
 
 
 # --- tuning ----------------------------------------------------------------------------------------------
@@ -189,17 +272,30 @@ LIMITS = "--angle-deg 30 --speed 3 --torque 2 --voltage 8"
 
 @realtime
 def test_a_tuning_is_planned_from_the_options_and_moves_after_a_yes(line: Line) -> None:
-    found = fl.Tuning(fl.MotionLimits(0.5, 3.0, 2.0, 8.0), 0.03, (0.02, 0.04), 0.004, stopped="by hand")
+    found = fl.Tuning(
+        fl.MotionLimits(0.5, 3.0, 2.0, 8.0),
+        0.03,
+        (0.02, 0.04),
+        0.004,
+        stopped="by hand",
+    )
     asked = line.hear("tunings.tune_arm", found)
     words = f"tune --io shm:arm --payload 0.03 --payloads 0.02 0.04 {LIMITS} --rig paper-2023 --out t"
     told = line(f"{words} --period-ms 5 --yes --no-moves --force")
     way, plan = asked.given
     assert way == SharedMemory("arm")
-    limits = fl.MotionLimits(angle=math.radians(30.0), speed=3.0, torque=2.0, voltage=8.0)
+    limits = fl.MotionLimits(
+        angle=math.radians(30.0), speed=3.0, torque=2.0, voltage=8.0
+    )
     assert plan == fl.TuningPlan(limits, 0.03, (0.02, 0.04), 0.005, RIG)
     begin = asked.last.pop("begin")
     assert begin is console.tell
-    assert asked.last == {"out": Path("t"), "resume": False, "force": True, "moves": False}
+    assert asked.last == {
+        "out": Path("t"),
+        "resume": False,
+        "force": True,
+        "moves": False,
+    }
     assert told.code == 1 and plan.text in told.err
     assert told.err.endswith("next: fraclink tune --io shm:arm --out t --resume\n")
     line(f"tune --io shm:arm --payload 0.03 {LIMITS} --yes --out u")
@@ -223,7 +319,9 @@ def test_a_tuning_is_planned_from_the_options_and_moves_after_a_yes(line: Line) 
 
 @realtime
 def test_a_tuning_that_is_there_is_kept_or_resumed(line: Line) -> None:
-    limits = fl.MotionLimits(angle=math.radians(30.0), speed=3.0, torque=2.0, voltage=8.0)
+    limits = fl.MotionLimits(
+        angle=math.radians(30.0), speed=3.0, torque=2.0, voltage=8.0
+    )
     before = fl.Tuning(limits, 0.03, (0.02, 0.04), 0.004, rig=RIG)
     Path("t").mkdir()
     fl.save(before, Path("t/tuning.json"))
@@ -234,7 +332,9 @@ def test_a_tuning_that_is_there_is_kept_or_resumed(line: Line) -> None:
     wanted = replace(limits, speed=2.0)
     assert asked.given[1] == fl.TuningPlan(wanted, 0.03, (0.02, 0.04), None, RIG)
     assert asked.last["resume"] is True and "of these only" not in told.err
-    told = line("tune --io shm:arm --yes --out t --resume --payload 0.035 --payloads 0.03 0.05")
+    told = line(
+        "tune --io shm:arm --yes --out t --resume --payload 0.035 --payloads 0.03 0.05"
+    )
     assert asked.given[1].payload == 0.035 and asked.given[1].payloads == (0.03, 0.05)
     assert "of these only the wiring and the first moves, with 35 g" in told.err
     assert f"written: {Path('t/tuning.json')}" in told.err
@@ -255,11 +355,15 @@ def test_a_record_is_watched_against_the_tuning_of_its_folder(line: Line) -> Non
         assert watched.given[1].payload == 0.03
     seen.passed = False
     told = line("watch log.npz --tuned t")
-    assert (told.code, told.err) == (1, "next: fraclink tune --io ADDRESS --payload KG --out retuned\n")
+    assert (told.code, told.err) == (
+        1,
+        "next: fraclink tune --io ADDRESS --payload KG --out retuned\n",
+    )
     told = line("watch design.json --tuned t")
     assert (
         told.code == 2
-        and "record: neither (got design.json); expected a run in real time, or a log" in told.err
+        and "record: neither (got design.json); expected a run in real time, or a log"
+        in told.err
     )
 
 
@@ -280,12 +384,24 @@ def test_a_campaign_runs_what_was_asked_for(line: Line) -> None:
     told = line(f"{words} --told --out mc")
     assert (told.code, told.err) == (1, "next: fraclink campaign replay mc --run 12\n")
     rig, model, law = made.given
-    assert (rig, model, law.digest) == (made_design().rig, made_design().model, made_design().law().digest)
-    assert made.last == {"runs": 7, "seed": 3, "told": True, "estimated": None, "reference": None}
+    assert (rig, model, law.digest) == (
+        made_design().rig,
+        made_design().model,
+        made_design().law().digest,
+    )
+    assert made.last == {
+        "runs": 7,
+        "seed": 3,
+        "told": True,
+        "estimated": None,
+        "reference": None,
+    }
     assert ran.given == ("campaign", Path("mc"))
     assert ran.last == {"workers": 2, "scheduler": "tcp://a:1", "watch": None}
     Path("p.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
-    line("campaign montecarlo --design design.json --estimate --reference p.csv --out mc")
+    line(
+        "campaign montecarlo --design design.json --estimate --reference p.csv --out mc"
+    )
     assert made.last["estimated"] == made_design().payloads and made.last[
         "reference"
     ].duration == pytest.approx(0.7)
@@ -294,7 +410,10 @@ def test_a_campaign_runs_what_was_asked_for(line: Line) -> None:
     assert line("campaign montecarlo --design design.json --out mc") == (0, "", "")
     told = line("campaign montecarlo --design design.json --told --estimate --out mc")
     assert told.code == 2 and "told: given beside --estimate" in told.err
-    for words, said in (("", "run is required"), ("--run 1 --case F01", "run: given beside --case (got 1)")):
+    for words, said in (
+        ("", "run is required"),
+        ("--run 1 --case F01", "run: given beside --case (got 1)"),
+    ):
         told = line(f"campaign replay mc {words}")
         assert told.code == 2 and said in told.err, told.err
 
@@ -308,12 +427,18 @@ def test_a_move_is_shaped_as_asked(line: Line) -> None:
     told = line(
         f"{words} --reserve 0.3 --gauge-offset 0.01 --seeds 4 --table m.csv --out s.json --link-mass 0.007"
     )
-    assert shaped.given == (made_design(), 0.5) and shaped.last.pop("arm").beam.link_mass == 0.007
+    assert (
+        shaped.given == (made_design(), 0.5)
+        and shaped.last.pop("arm").beam.link_mass == 0.007
+    )
     assert shaped.last == {
         "on": "twin", "payloads": (0.01, 0.03), "told": True, "voltage": 8.0, "speed": 3.0, "torque": 2.0,
         "reserve": 0.3, "gauge_offset": 0.01, "seeds": 4,
     }  # fmt: skip
-    assert table.given == ("reference", Path("m.csv")) and table.last == {"period": 0.004, "force": True}
+    assert table.given == ("reference", Path("m.csv")) and table.last == {
+        "period": 0.004,
+        "force": True,
+    }
     following = "fraclink campaign montecarlo --design design.json --reference s.json --told --out moves"
     assert told == (0, "", f"written: s.json\nwritten: m.csv\nnext: {following}\n")
     told = line("shape design.json --payload 0.025 --on model --force --out s.json")
@@ -327,8 +452,14 @@ def test_a_move_is_shaped_as_asked(line: Line) -> None:
     move.payloads = (30.0, 30.0)  # type: ignore[attr-defined]
     assert line("shape design.json --force --out s.json").code == 1
     for more, said in (
-        ("--payload 0.02 --payloads 0.01 0.03", "payload: given beside payloads (got 0.02)"),
-        ("--on model --model design.json", "model: given beside --on model (got design.json)"),
+        (
+            "--payload 0.02 --payloads 0.01 0.03",
+            "payload: given beside payloads (got 0.02)",
+        ),
+        (
+            "--on model --model design.json",
+            "model: given beside --on model (got design.json)",
+        ),
     ):
         told = line(f"shape design.json --force {more}")
         assert told.code == 2 and said in told.err
@@ -348,7 +479,11 @@ def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
         "column": ["torque=x"], "period": 0.0025, "payload": 0.03, "resample": True,
         "interpolate": True, "ask": None,
     }  # fmt: skip
-    assert found.saved == [Path("a")] and figure.saved == [Path("a/fit.svg")] and drawn.given == ("log", fit)
+    assert (
+        found.saved == [Path("a")]
+        and figure.saved == [Path("a/fit.svg")]
+        and drawn.given == ("log", fit)
+    )
     filled = "fill in the 3 blanks of a/rig.toml, then fraclink design --rig a/rig.toml --model a/model.json"
     assert told == (0, "", f"written: a\nwritten: a/fit.svg\nnext: {filled}\n")
     fit.model = replace(RIG.model, payload=None)
@@ -358,7 +493,9 @@ def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
     )
     found.passed = False
     told = line("start log.csv --out a")
-    assert told.code == 1 and told.err.endswith("next: fraclink diagnose log.csv --rig a/rig.toml\n")
+    assert told.code == 1 and told.err.endswith(
+        "next: fraclink diagnose log.csv --rig a/rig.toml\n"
+    )
     assert started.last["column"] == () and started.last["period"] is None
 
 
@@ -391,21 +528,33 @@ def test_the_studio_opens_what_is_there(line: Line) -> None:
     assert made.given == (None,) and made.last == {"rig": None, "out": Path("results")}
     line("studio results --rig paper-2023 --out kept")
     calls.given[0]()
-    assert made.given == (Path("results"),) and made.last == {"rig": RIG, "out": Path("kept")}
+    assert made.given == (Path("results"),) and made.last == {
+        "rig": RIG,
+        "out": Path("kept"),
+    }
     told = line("studio nothing.json")
     assert told.code == 2 and "place: no such file (got nothing.json)" in told.err
 
 
 def test_the_manual_is_installed_where_man_looks(line: Line) -> None:
-    assert line("man --out fraclink.1").err == "written: fraclink.1\nnext: man -l fraclink.1\n"
+    assert (
+        line("man --out fraclink.1").err
+        == "written: fraclink.1\nnext: man -l fraclink.1\n"
+    )
     Path("man1").mkdir()
-    assert line("man --out man1/fraclink.1").err == "written: man1/fraclink.1\nnext: man fraclink\n"
+    assert (
+        line("man --out man1/fraclink.1").err
+        == "written: man1/fraclink.1\nnext: man fraclink\n"
+    )
     page = json.loads(line("man --json").out)["page"]
     assert page == Path("fraclink.1").read_text("utf-8") == line("man").out
     lines = page.splitlines()
     sentence = "from the log of a flexible\\-link robot to the fractional\\-order controller on its board"
     assert lines[3] == f"fraclink \\- {sentence}"
-    at = {line.removeprefix(".SH ").removeprefix(".SS "): k for k, line in enumerate(lines)}
+    at = {
+        line.removeprefix(".SH ").removeprefix(".SS "): k
+        for k, line in enumerate(lines)
+    }
     assert (
         at["NAME"]
         < at["SYNOPSIS"]
@@ -421,31 +570,43 @@ def test_the_manual_is_installed_where_man_looks(line: Line) -> None:
     ]
     assert lines[at["SEE ALSO"] + 1].startswith("fraclink help all")
     inspect = lines[at['"fraclink inspect LOG"'] :]
-    assert inspect[1] == ".PP" and inspect[2].startswith("List a log's channels, rates and ranges")
+    assert inspect[1] == ".PP" and inspect[2].startswith(
+        "List a log's channels, rates and ranges"
+    )
     assert inspect[3:7] == [".PP", ".EX", "$ fraclink inspect log.csv", ".EE"]
     assert '"fraclink export c DESIGN"' in at
 
 
 def test_doctor_names_what_is_missing_and_how_to_get_it(line: Line) -> None:
     line.patch.setattr(
-        "fraclink._cli.installation.version", lambda name: "9.9" if name != "h5py" else _absent(name)
+        "fraclink._cli.installation.version",
+        lambda name: "9.9" if name != "h5py" else _absent(name),
     )
-    others = {"gcc": "/usr/bin/gcc", "clang": "/usr/bin/clang"}  # which replay and FMU do not call
+    others = {
+        "gcc": "/usr/bin/gcc",
+        "clang": "/usr/bin/clang",
+    }  # which replay and FMU do not call
     line.patch.setenv("CC", "gcc")
     line.patch.setattr("fraclink._cli.installation.shutil.which", others.get)
     line.patch.setattr(_kernels, "REALTIME", False)
     told = line("doctor")
     assert "; without h5py, C compiler, real-time loop" in " ".join(told.out.split())
     rows = {row.split("  ")[0]: row for row in told.out.splitlines()}
-    assert "pip install 'fraclink[io]'" in rows["h5py"] and rows["h5py"].endswith("! missing")
+    assert "pip install 'fraclink[io]'" in rows["h5py"] and rows["h5py"].endswith(
+        "! missing"
+    )
     assert "none found" in rows["C compiler"] and "Linux only" in rows["real-time loop"]
     assert rows["numpy"].endswith("✓ passed") and "9.9" in rows["matplotlib"]
     assert (
-        told.code == 0 and told.err == "next: fraclink run --rig paper-2023-geared --log demo --out results\n"
+        told.code == 0
+        and told.err
+        == "next: fraclink run --rig paper-2023-geared --log demo --out results\n"
     )
     said = json.loads(line("doctor --json").out)
     assert (
-        said["compiler"] is None and said["extras"]["h5py"] is None and said["extras"]["matplotlib"] == "9.9"
+        said["compiler"] is None
+        and said["extras"]["h5py"] is None
+        and said["extras"]["matplotlib"] == "9.9"
     )
 
 

@@ -51,11 +51,15 @@ def application(seen: dict[str, Any], answer: Answer) -> Callable[..., int]:
         **extra: Unpack[Extra],
     ) -> Answer:
         """Do nothing."""
-        seen.update(place=place, size=size, kind=kind, many=many, on=on, out=out, **extra)
+        seen.update(
+            place=place, size=size, kind=kind, many=many, on=on, out=out, **extra
+        )
         return answer
 
     def run(*words: str) -> int:
-        work = lambda: typer.main.get_command(app)(args=list(words), standalone_mode=False)  # noqa: E731
+        work = lambda: typer.main.get_command(app)(  # noqa: E731
+            args=list(words), standalone_mode=False
+        )
         return console.guarded(work, as_json="--json" in words)
 
     return run
@@ -67,14 +71,38 @@ def test_a_parameter_is_an_option_with_help_range_and_default(
     seen: dict[str, Any] = {}
     run = application(seen, Answer(text="done"))
     assert run("p") == 0
-    usual = {"place": Path("p"), "size": 1.0, "kind": "a", "many": None, "on": True, "out": None}
+    usual = {
+        "place": Path("p"),
+        "size": 1.0,
+        "kind": "a",
+        "many": None,
+        "on": True,
+        "out": None,
+    }
     assert seen == usual | {"flag": False, "usual": 2.5, "none": None}
-    assert run("p", "--no-on", "--flag", "--many", "x", "--many", "y", "--kind", "b", "--none", "n") == 0
+    assert (
+        run(
+            "p",
+            "--no-on",
+            "--flag",
+            "--many",
+            "x",
+            "--many",
+            "y",
+            "--kind",
+            "b",
+            "--none",
+            "n",
+        )
+        == 0
+    )
     assert seen["on"] is False and seen["flag"] is True
     assert (seen["many"], seen["kind"], seen["none"]) == (["x", "y"], "b", "n")
     capsys.readouterr()
     assert run("p", "--size", "11") == 2
-    assert "size: out of range (got 11.0); expected 0 to 10 m" in capsys.readouterr().err
+    assert (
+        "size: out of range (got 11.0); expected 0 to 10 m" in capsys.readouterr().err
+    )
     assert run("p", "--size", "10") == 0 and seen["size"] == 10.0
     (tmp_path / "two").touch()
     capsys.readouterr()
@@ -86,7 +114,12 @@ def test_a_parameter_is_an_option_with_help_range_and_default(
     capsys.readouterr()
     run("--help")
     shown = " ".join(capsys.readouterr().out.split())
-    for words in ("Its size, 0 to 10 m.", "Words; may be repeated.", "--on --no-on", "On by default."):
+    for words in (
+        "Its size, 0 to 10 m.",
+        "Words; may be repeated.",
+        "--on --no-on",
+        "On by default.",
+    ):
         assert words in shown.replace(" / ", " ").replace("|", ""), words
     assert "--flag" in shown and "--no-flag" not in shown
 
@@ -98,10 +131,16 @@ def test_a_declared_parameter_knows_its_marks() -> None:
     ranged = Declared("long_name", float, kind, 0.5)
     assert ranged.mark(str) == "Text" and ranged.ranged and ranged.mark(Writes) is None
     parameter = ranged.parameter
-    assert (parameter.name, parameter.default, parameter.kind.name) == ("long_name", 0.5, "KEYWORD_ONLY")
+    assert (parameter.name, parameter.default, parameter.kind.name) == (
+        "long_name",
+        0.5,
+        "KEYWORD_ONLY",
+    )
     info = parameter.annotation.__metadata__[0]
     assert info.param_decls == ("--long-name",) and info.help.startswith("Text, ")
-    flag = Declared("wide_open", bool, Annotated[bool, "F"], True).parameter.annotation.__metadata__[0]
+    flag = Declared(
+        "wide_open", bool, Annotated[bool, "F"], True
+    ).parameter.annotation.__metadata__[0]
     assert flag.param_decls == ("--wide-open/--no-wide-open",)
 
 
@@ -122,7 +161,10 @@ def test_the_verdict_is_the_exit_code_and_doubts_leave_nothing_shown(
     assert "the log is upside down" in out and "passed: good" not in out
     opened: list[str] = []
     page = Answer(text="t", opened=Path("a page.html"))
-    for browser, said in ((True, ""), (False, "no browser was found; open a page.html yourself\n")):
+    for browser, said in (
+        (True, ""),
+        (False, "no browser was found; open a page.html yourself\n"),
+    ):
 
         def open_page(uri: str, found: bool = browser) -> bool:
             opened.append(uri)
@@ -134,7 +176,9 @@ def test_the_verdict_is_the_exit_code_and_doubts_leave_nothing_shown(
     assert opened == [Path("a page.html").resolve().as_uri()] * 2
 
 
-def test_what_is_said_goes_to_its_stream_in_order(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_said_goes_to_its_stream_in_order(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     answer = Answer(
         text="result",
         remarks=("note",),
@@ -158,7 +202,9 @@ def test_what_is_said_goes_to_its_stream_in_order(capsys: pytest.CaptureFixture[
     assert json.loads(capsys.readouterr().out) == {}
     finding = Finding("W100", "error", "bad", {}, "mend it")
     application({}, Answer(result=(finding,), doubts=(finding,)))("p", "--json")
-    assert [one["code"] for one in json.loads(capsys.readouterr().out)["findings"]] == ["W100"] * 2
+    assert [one["code"] for one in json.loads(capsys.readouterr().out)["findings"]] == [
+        "W100"
+    ] * 2
 
 
 # --- shared options --------------------------------------------------------------------------------------
@@ -187,7 +233,9 @@ def test_a_margin_in_degrees_becomes_one_in_radians() -> None:
     assert options.in_radians({"phase_margin_deg": None}) == {"phase_margin": None}
 
 
-def test_a_rig_is_a_file_or_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rig_is_a_file_or_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     replace(RIG, name="mine").save("mine.toml")
     assert options.load_rig("paper-2023") == RIG
@@ -218,7 +266,8 @@ def test_a_model_comes_from_a_model_or_a_design(tmp_path: Path) -> None:
     # A design carries its model, and another one is put into its rig.
     assert options.load_design(place).rig.model == RIG.model
     assert options.load_design(place, model=place).rig.model == other.model
-    # A fit of a deflection does not know the stiffness: the rig does, for every command that takes both.
+    # A fit of a deflection does not know the stiffness: the rig does, for every command
+    # that takes both.
     log = read_log(bundled_log("prbs_30g"), rig=RIG)
     angles = replace(log, output=log.output / 1.6, output_kind="deflection")
     fit = identify(angles, "UD-FOM", details=False)
@@ -231,8 +280,13 @@ def test_a_model_comes_from_a_model_or_a_design(tmp_path: Path) -> None:
     replace(other, rig=replace(RIG, model=None)).save(bare)
     assert options.load_design(bare).rig.model == other.model
     assert options.load_design(place).rig.motor.gear_ratio == RIG.motor.gear_ratio
-    assert options.load_design(place, gear=50.0).rig.motor.gear_ratio == 50.0 * RIG.motor.gear_ratio
-    arm = options.load_arm(place, {"payload": 0.025, "link_mass": 0.007, "gear": None, "model": None})[1]
+    assert (
+        options.load_design(place, gear=50.0).rig.motor.gear_ratio
+        == 50.0 * RIG.motor.gear_ratio
+    )
+    arm = options.load_arm(
+        place, {"payload": 0.025, "link_mass": 0.007, "gear": None, "model": None}
+    )[1]
     assert (arm.beam.payload, arm.beam.link_mass) == (0.025, 0.007)
 
 
@@ -249,10 +303,15 @@ def test_a_move_is_that_of_the_file_or_the_usual_one(tmp_path: Path) -> None:
     given = options.reference_of(None, 0.0, 0.7)
     assert (given.duration, float(given.angle(np.array([5.0]))[0])) == (0.7, 0.0)
     (tmp_path / "p.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
-    assert options.reference_of(tmp_path / "p.csv", None, None).duration == pytest.approx(0.7)
+    assert options.reference_of(
+        tmp_path / "p.csv", None, None
+    ).duration == pytest.approx(0.7)
     with pytest.raises(FieldError, match="move_time: given beside --reference"):
         options.reference_of(tmp_path / "p.csv", None, 0.0)
-    with pytest.raises(FieldError, match=r"link_mass: given beside --on \(got a\.csv\).*--link-mass or --on"):
+    with pytest.raises(
+        FieldError,
+        match=r"link_mass: given beside --on \(got a\.csv\).*--link-mass or --on",
+    ):
         options.refuse_beside("--on", "nothing", gear=None, link_mass=Path("a.csv"))
 
 
@@ -272,7 +331,14 @@ def test_a_recording_needs_both_columns_and_demo_is_the_bundled_log() -> None:
     assert options.log_path("demo") == bundled_log("prbs_30g")
     assert options.log_path("demo.csv") == Path("demo.csv")
     log = options.load_log(
-        "demo", RIG, ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=-torque_Nm [Nm]"], 0.04
+        "demo",
+        RIG,
+        [
+            "time=time_s [s]",
+            "motor_angle=motor_angle_rad [rad]",
+            "torque=-torque_Nm [Nm]",
+        ],
+        0.04,
     )
     right = options.load_log("demo", RIG)
     assert log.payload == 0.04 and np.array_equal(log.output, -right.output)

@@ -1,4 +1,6 @@
-"""What a terminal is shown and a pipe is not: links, colours, progress, folded remarks, questions."""
+"""What a terminal is shown and a pipe is not: links, colours, progress, folded remarks,
+questions.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,17 @@ import pytest
 
 from fraclink._cli import console, installation, main, tunings
 from fraclink._cli.app import every_command
-from fraclink._cli.console import clean, emit, emit_json, guarded, steps, tell, tell_written, watching, width
+from fraclink._cli.console import (
+    clean,
+    emit,
+    emit_json,
+    guarded,
+    steps,
+    tell,
+    tell_written,
+    watching,
+    width,
+)
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError
 
 
@@ -50,7 +62,10 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
         ("\xff", "\xff"),  # ÿ is a letter
         ("\xad", r"\xad"),  # a hyphen that nobody sees
         ("Ā", "Ā"),
-        ("\u0600", r"\u0600"),  # the first characters of more than a byte that do not print
+        (
+            "\u0600",
+            r"\u0600",
+        ),  # the first characters of more than a byte that do not print
         ("\ue000", r"\ue000"),
         ("a\nb", "a\nb"),
         (Path("a\tb"), r"a\x09b"),
@@ -60,7 +75,9 @@ def test_what_does_not_print_is_written_out(given: object, shown: str) -> None:
     assert clean(given) == shown
 
 
-def test_the_width_is_the_terminals_or_that_of_COLUMNS(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_width_is_the_terminals_or_that_of_COLUMNS(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("COLUMNS", "47")
     assert width() == 47
     monkeypatch.delenv("COLUMNS")
@@ -68,7 +85,9 @@ def test_the_width_is_the_terminals_or_that_of_COLUMNS(monkeypatch: pytest.Monke
     assert width() == 80
 
 
-def test_verdicts_have_colours_where_somebody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verdicts_have_colours_where_somebody_looks(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     text = "✓ passed: a\n✗ failed: b\n! not shown: c\nno error here"
@@ -94,15 +113,21 @@ def test_verdicts_have_colours_where_somebody_looks(monkeypatch: pytest.MonkeyPa
     assert pipe.getvalue().endswith(f"{green}✓{plain}\n")
 
 
-def test_a_program_reads_plain_numbers_and_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program_reads_plain_numbers_and_no_gap(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     emit_json({"λ": 0.1 + 0.2})
     told = capsys.readouterr().out
-    assert json.loads(told) == {"λ": 0.1 + 0.2} and told.isascii() and told.endswith("}\n")
+    assert (
+        json.loads(told) == {"λ": 0.1 + 0.2} and told.isascii() and told.endswith("}\n")
+    )
     with pytest.raises(ValueError, match="JSON"):
         emit_json({"x": float("nan")})
 
 
-def test_a_remark_is_folded_on_a_terminal_and_a_line_in_a_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_remark_is_folded_on_a_terminal_and_a_line_in_a_pipe(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     terminal = on_terminal(monkeypatch)
     words = "a sentence of many words " * 6
     tell(words)
@@ -119,7 +144,10 @@ def test_a_file_is_a_link_on_a_terminal_and_a_name_in_a_pipe(
     terminal = on_terminal(monkeypatch)
     place = tmp_path / "a file.json"
     tell_written(place)
-    assert terminal.getvalue() == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\\n"
+    assert (
+        terminal.getvalue()
+        == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\\n"
+    )
     monkeypatch.setenv("TERM", "dumb")  # Emacs' shell shows the escapes
     monkeypatch.setattr(sys, "stderr", again := Terminal())
     tell_written(place)
@@ -153,8 +181,12 @@ def _wide(stream: io.StringIO) -> Any:
     return Console(file=stream, width=120, force_terminal=True, no_color=True)
 
 
-def test_a_campaign_says_its_rate_and_the_time_that_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """200 of 1000 runs were there; 300 more took 6 s, and 15 of them failed: 50 a second, 10 s for 500."""
+def test_a_campaign_says_its_rate_and_the_time_that_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """200 of 1000 runs were there; 300 more took 6 s, and 15 of them failed: 50 a
+    second, 10 s for 500.
+    """
     now = iter([0.0])
     monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(now)))
     for progress, said in (
@@ -162,10 +194,15 @@ def test_a_campaign_says_its_rate_and_the_time_that_is_left(monkeypatch: pytest.
             SimpleNamespace(done=500, before=200, failed=15),
             "500 / 1000 · 5.0 % failed · 50 runs/s · 10 s left ",
         ),
-        (SimpleNamespace(done=200, before=200, failed=0), "200 / 1000 ━"),  # no rate yet
+        (
+            SimpleNamespace(done=200, before=200, failed=0),
+            "200 / 1000 ━",
+        ),  # no rate yet
     ):
         terminal = on_terminal(monkeypatch)
-        monkeypatch.setattr(console, "Console", lambda shown=terminal, **_: _wide(shown))
+        monkeypatch.setattr(
+            console, "Console", lambda shown=terminal, **_: _wide(shown)
+        )
         now = iter([100.0, 106.0])
         with watching(1000) as watch:
             assert watch is not None
@@ -179,7 +216,9 @@ def test_a_campaign_says_its_rate_and_the_time_that_is_left(monkeypatch: pytest.
 # --- errors and warnings ----------------------------------------------------------------------------------
 
 
-def test_warnings_of_fraclink_are_lines_and_others_are_dropped(capsys: pytest.CaptureFixture[str]) -> None:
+def test_warnings_of_fraclink_are_lines_and_others_are_dropped(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     def work() -> int:
         warnings.warn(FraclinkWarning("W999", "ours\nover two lines"), stacklevel=1)
         warnings.warn("theirs", RuntimeWarning, stacklevel=1)
@@ -187,15 +226,22 @@ def test_warnings_of_fraclink_are_lines_and_others_are_dropped(capsys: pytest.Ca
         return 1
 
     assert guarded(work, as_json=False) == 1
-    assert capsys.readouterr().err == "warning: W999: ours over two lines\nwarning: W999: ours again\n"
+    assert (
+        capsys.readouterr().err
+        == "warning: W999: ours over two lines\nwarning: W999: ours again\n"
+    )
     assert guarded(lambda: None, as_json=True) == 0
     assert capsys.readouterr() == ("", "")
 
 
 def error(kind: str) -> BaseException:
     made: dict[str, Callable[[], BaseException]] = {
-        "field": lambda: FieldError("m\x1b", -1, "negative", allowed="> 0 kg", remedy="say kg"),
-        "nearest": lambda: InfeasibleError("(39)", "too slow", {"gain_crossover": 12.0}),
+        "field": lambda: FieldError(
+            "m\x1b", -1, "negative", allowed="> 0 kg", remedy="say kg"
+        ),
+        "nearest": lambda: InfeasibleError(
+            "(39)", "too slow", {"gain_crossover": 12.0}
+        ),
         "hopeless": lambda: InfeasibleError("(39)", "too slow", {}),
         "other": lambda: FraclinkError("of\nsome kind"),
         "file": lambda: OSError(28, "No space left on device"),
@@ -223,9 +269,18 @@ def error(kind: str) -> BaseException:
             "nearest",
             1,
             "✗ failed: (39): too slow; nearest feasible: --gain-crossover 12",
-            {"condition": "(39)", "problem": "too slow", "nearest": {"gain_crossover": 12.0}},
+            {
+                "condition": "(39)",
+                "problem": "too slow",
+                "nearest": {"gain_crossover": 12.0},
+            },
         ),
-        ("hopeless", 1, "✗ failed: ", {"condition": "(39)", "problem": "too slow", "nearest": {}}),
+        (
+            "hopeless",
+            1,
+            "✗ failed: ",
+            {"condition": "(39)", "problem": "too slow", "nearest": {}},
+        ),
         ("other", 1, "✗ failed: of some kind", {"problem": "of some kind"}),
         (
             "file",
@@ -233,11 +288,20 @@ def error(kind: str) -> BaseException:
             "error: file: No space left on device",
             {"problem": "[Errno 28] No space left on device"},
         ),
-        ("loader", 2, "error: file: cannot open shared object", {"problem": "cannot open shared object"}),
+        (
+            "loader",
+            2,
+            "error: file: cannot open shared object",
+            {"problem": "cannot open shared object"},
+        ),
     ],
 )
 def test_an_error_has_one_line_for_people_and_its_parts_for_programs(
-    capsys: pytest.CaptureFixture[str], kind: str, code: int, line: str, parts: dict[str, object]
+    capsys: pytest.CaptureFixture[str],
+    kind: str,
+    code: int,
+    line: str,
+    parts: dict[str, object],
 ) -> None:
     def work() -> int:
         raise error(kind)
@@ -251,8 +315,13 @@ def test_an_error_has_one_line_for_people_and_its_parts_for_programs(
     assert json.loads(told.out) == {"exit": code, "error": parts}
 
 
-def test_a_file_with_several_faults_gets_a_line_for_each(capsys: pytest.CaptureFixture[str]) -> None:
-    faults = [FieldError(name, 1, "wrong", allowed="2", remedy="mend it") for name in ("a", "b")]
+def test_a_file_with_several_faults_gets_a_line_for_each(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    faults = [
+        FieldError(name, 1, "wrong", allowed="2", remedy="mend it")
+        for name in ("a", "b")
+    ]
     whole = FieldError("rig", "x.toml", "2 faults", allowed="none", remedy="mend them")
     whole.faults = faults  # type: ignore[attr-defined]
 
@@ -266,24 +335,40 @@ def test_a_file_with_several_faults_gets_a_line_for_each(capsys: pytest.CaptureF
         "error: b: wrong (got 1); expected 2. Mend it.",
     ]
     said = json.loads(told.out)["error"]
-    assert said["field"] == "rig" and [fault["field"] for fault in said["faults"]] == ["a", "b"]
+    assert said["field"] == "rig" and [fault["field"] for fault in said["faults"]] == [
+        "a",
+        "b",
+    ]
 
 
-def test_a_wrong_word_says_where_the_right_ones_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_word_says_where_the_right_ones_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert main(["design", "--gain", "1", "--json"]) == 2
     told = capsys.readouterr()
-    assert told.err.endswith("(see `fraclink design --help`)\n") and "--gain" in told.err
-    assert json.loads(told.out)["exit"] == 2 and "--gain" in json.loads(told.out)["error"]["problem"]
+    assert (
+        told.err.endswith("(see `fraclink design --help`)\n") and "--gain" in told.err
+    )
+    assert (
+        json.loads(told.out)["exit"] == 2
+        and "--gain" in json.loads(told.out)["error"]["problem"]
+    )
     assert main(["export", "cc"]) == 2
     assert capsys.readouterr().err.endswith("(see `fraclink export --help`)\n")
     assert main(["diagnos"]) == 2
-    assert "diagnose" in capsys.readouterr().err  # what was meant, though its module was not loaded yet
+    assert (
+        "diagnose" in capsys.readouterr().err
+    )  # what was meant, though its module was not loaded yet
 
 
-def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is flushed into it again.
+def test_a_reader_that_leaves_a_pipe_is_no_error(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """`fraclink ... | head`: what was printed is lost on purpose, and nothing is
+    flushed into it again.
 
-    A verdict that had been reached stands; left before, it is 128 + SIGPIPE, as of any program.
+    A verdict that had been reached stands; left before, it is 128 + SIGPIPE, as of any
+    program.
     """
 
     def left() -> int:
@@ -299,14 +384,19 @@ def test_a_reader_that_leaves_a_pipe_is_no_error(monkeypatch: pytest.MonkeyPatch
                 return pipe.fileno()
 
         monkeypatch.setattr(sys, "stdout", Left())
-        codes = [guarded(work, as_json=True) for work in (lambda: None, lambda: 0, lambda: 1, left)]
+        codes = [
+            guarded(work, as_json=True)
+            for work in (lambda: None, lambda: 0, lambda: 1, left)
+        ]
         assert codes == [0, 0, 1, 141]
         pipe.write("lost")
     assert (tmp_path / "pipe").read_text() == ""
 
 
 def left_pipe(*, buffered: bool) -> TextIO:
-    """A stream into a pipe whose reader has left; unbuffered as with PYTHONUNBUFFERED=1."""
+    """A stream into a pipe whose reader has left; unbuffered as with
+    PYTHONUNBUFFERED=1.
+    """
     reader, writer = os.pipe()
     os.close(reader)
     raw = os.fdopen(writer, "wb", -1 if buffered else 0)
@@ -333,7 +423,9 @@ def test_the_exit_code_outlives_the_reader_of_a_pipe(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """`fraclink ... | true`, and with `2>&1`: what typer makes of it, 1, would be a verdict."""
+    """`fraclink ... | true`, and with `2>&1`: what typer makes of it, 1, would be a
+    verdict.
+    """
     stream = left_pipe(buffered=buffered)
     monkeypatch.chdir(tmp_path)
     with monkeypatch.context() as patch:
@@ -342,7 +434,8 @@ def test_the_exit_code_outlives_the_reader_of_a_pipe(
             patch.setattr(sys, "stderr", stream)
         assert main(words.split()) == codes[buffered]
         assert sys.stdout is stream  # typer's wrapping is undone
-    stream.close()  # as the interpreter does at its end: nothing is left that nobody takes
+    # as the interpreter does at its end: nothing is left that nobody takes
+    stream.close()
 
 
 def test_a_process_whose_reader_left_ends_as_any_program_does() -> None:
@@ -359,7 +452,10 @@ def test_a_process_whose_reader_left_ends_as_any_program_does() -> None:
 
 def test_a_manual_page_holds_texts_as_roff_reads_them_back() -> None:
     assert installation._text("a\\b -c") == "a\\eb \\-c"
-    assert installation._text(".so x") == "\\&.so x" and installation._text("'q\"") == "\\&'q\\(dq"
+    assert (
+        installation._text(".so x") == "\\&.so x"
+        and installation._text("'q\"") == "\\&'q\\(dq"
+    )
 
 
 # --- lists and help -----------------------------------------------------------------------------------------
@@ -378,9 +474,14 @@ def test_help_names_a_command_or_lists_them_all_in_their_sections(
         "This installation:",
     ]
     assert sections[4] == "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
-    listed = [line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "]
+    listed = [
+        line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "
+    ]
     assert listed == list(dict.fromkeys(name.split()[0] for name in every_command()))
-    assert lines[1].split() == ["start", *every_command()["start"].help.split()[: len(lines[1].split()) - 1]]
+    assert lines[1].split() == [
+        "start",
+        *every_command()["start"].help.split()[: len(lines[1].split()) - 1],
+    ]
     assert main(["help", "export", "c"]) == 0
     assert capsys.readouterr().out.startswith("Usage: fraclink export c ")
     assert main(["help"]) == 0
@@ -391,7 +492,14 @@ def test_help_names_a_command_or_lists_them_all_in_their_sections(
 
 def test_every_command_stands_under_the_words_that_call_it() -> None:
     found = every_command()
-    assert {"export c", "export fmu", "campaign faults", "campaign montecarlo", "start", "man"} <= set(found)
+    assert {
+        "export c",
+        "export fmu",
+        "campaign faults",
+        "campaign montecarlo",
+        "start",
+        "man",
+    } <= set(found)
     assert not {"export", "campaign", "c"} & set(found)
     assert found["export c"].name == "c"
 
@@ -406,7 +514,9 @@ def test_without_typer_the_extra_is_named(
 
         def find_spec(self, name: str, *_: object) -> None:
             if name == "fraclink._cli.app":
-                raise ModuleNotFoundError(f"No module named {self.missing!r}", name=self.missing)
+                raise ModuleNotFoundError(
+                    f"No module named {self.missing!r}", name=self.missing
+                )
 
     gone = Gone()
     monkeypatch.delitem(sys.modules, "fraclink._cli.app")
@@ -414,7 +524,10 @@ def test_without_typer_the_extra_is_named(
     for gone.missing in ("typer", "rich"):
         assert main([]) == 2
         told = capsys.readouterr().err
-        assert told.startswith(f"error: {gone.missing} is not installed; ") and "fraclink[cli]" in told
+        assert (
+            told.startswith(f"error: {gone.missing} is not installed; ")
+            and "fraclink[cli]" in told
+        )
     gone.missing = "scipy"  # a broken installation, and not an extra that was left out
     with pytest.raises(ModuleNotFoundError):
         main([])
@@ -423,7 +536,9 @@ def test_without_typer_the_extra_is_named(
 # --- questions ----------------------------------------------------------------------------------------------
 
 
-def test_a_limit_is_asked_for_until_it_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limit_is_asked_for_until_it_is_a_number(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     terminal = on_terminal(monkeypatch)
     stdin = Terminal("fast\n 3.5 \n")
     monkeypatch.setattr(sys, "stdin", stdin)
@@ -437,9 +552,12 @@ def test_a_limit_is_asked_for_until_it_is_a_number(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("said", "go"), [("y", True), ("YES", True), ("no", False), ("", False), ("ye", False)]
+    ("said", "go"),
+    [("y", True), ("YES", True), ("no", False), ("", False), ("ye", False)],
 )
-def test_an_arm_moves_after_a_yes_only(monkeypatch: pytest.MonkeyPatch, said: str, go: bool) -> None:
+def test_an_arm_moves_after_a_yes_only(
+    monkeypatch: pytest.MonkeyPatch, said: str, go: bool
+) -> None:
     terminal = on_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stdin", Terminal(said + "\n"))
     assert tunings._confirmed() is go
@@ -447,11 +565,15 @@ def test_an_arm_moves_after_a_yes_only(monkeypatch: pytest.MonkeyPatch, said: st
 
 
 @pytest.mark.parametrize("blind", ["stdin", "stderr"])
-def test_nobody_is_asked_where_one_end_is_a_pipe(monkeypatch: pytest.MonkeyPatch, blind: str) -> None:
+def test_nobody_is_asked_where_one_end_is_a_pipe(
+    monkeypatch: pytest.MonkeyPatch, blind: str
+) -> None:
     on_terminal(monkeypatch)
     monkeypatch.setattr(sys, "stdin", Terminal("y\n"))
     monkeypatch.setattr(sys, blind, io.StringIO("1\n"))
-    with pytest.raises(FieldError, match=r"yes: not confirmed .*Give --yes where nobody can be asked"):
+    with pytest.raises(
+        FieldError, match=r"yes: not confirmed .*Give --yes where nobody can be asked"
+    ):
         tunings._confirmed()
     with pytest.raises(FieldError, match=r"angle_deg is required; .*Give --angle-deg"):
         tunings._asked("angle_deg", None)

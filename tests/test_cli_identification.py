@@ -43,7 +43,10 @@ def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
     assert orders[0] == orders[2] == pytest.approx(1.92, abs=0.002)
     assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--tied"]) == 1
     assert "stiffness of eq. (5) cannot be common" in capsys.readouterr().out
-    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--payload", "0.02"]) == 2
+    assert (
+        run(["identify-payloads", *logs, "--rig", "paper-2023", "--payload", "0.02"])
+        == 2
+    )
     assert "payload" in capsys.readouterr().err
 
 
@@ -54,7 +57,9 @@ def test_identify_spectrum(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         x = (1j * (1 + 0.5 * k)) ** 1.92
         h = 1.56 * x / (x + 100)
         phase = math.degrees(math.atan2(h.imag, h.real))
-        rows.append(f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}")
+        rows.append(
+            f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}"
+        )
     table = tmp_path / "response.csv"
     table.write_text("\n".join(rows) + "\n")
     result = told(["identify-spectrum", str(table)], capsys)
@@ -76,7 +81,10 @@ def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 
     voltage, angle = example_motor_log(samples=2500)
     rows = ["t,enc,u"]
-    rows += [f"{0.004 * k:.4f},{a:.9f},{v:.9f}" for k, (a, v) in enumerate(zip(angle, voltage, strict=True))]
+    rows += [
+        f"{0.004 * k:.4f},{a:.9f},{v:.9f}"
+        for k, (a, v) in enumerate(zip(angle, voltage, strict=True))
+    ]
     log = tmp_path / "motor.csv"
     log.write_text("\n".join(rows) + "\n")
     columns = ("time=t [s]", "motor_angle=enc [rad]", "voltage=u [V]")
@@ -94,14 +102,18 @@ def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_identify_motor_makes_the_load_of_a_deflection(
     sign: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A motor of J = 0.05 kg·m² that bends a link: without the load K/J is off by a tenth."""
+    """A motor of J = 0.05 kg·m² that bends a link: without the load K/J is off by a
+    tenth.
+    """
     from made_logs import made_output
 
     time = 0.004 * np.arange(3000)
     angle = 0.4 * np.sin(3 * time) - 0.15 * np.sin(8 * time)
     bent = made_output(angle, stiffness=1.0)
     stiffness = Rig.named("paper-2023").link.stiffness
-    held = time + 0.002  # an amplifier holds its voltage: that of the middle of each sample
+    held = (
+        time + 0.002
+    )  # an amplifier holds its voltage: that of the middle of each sample
     speed = 1.2 * np.cos(3 * held) - 1.2 * np.cos(8 * held)
     driven = -3.6 * np.sin(3 * held) + 9.6 * np.sin(8 * held) + 15.15 * speed
     voltage = (driven + stiffness / 0.05 * np.interp(held, time, bent)) / 61.1
@@ -117,8 +129,12 @@ def test_identify_motor_makes_the_load_of_a_deflection(
     result = told(words, capsys)
     assert result["gain"] == pytest.approx(61.1, rel=1e-3)
     assert result["inertia"] == pytest.approx(0.05, rel=2e-3)
-    stated = [w for n in ("time_s [s]", "motor_angle_rad [rad]") for w in ("--column", n)]
-    assert run(["identify-motor", str(log), *stated]) == 2  # neither role= nor a rig for the load
+    stated = [
+        w for n in ("time_s [s]", "motor_angle_rad [rad]") for w in ("--column", n)
+    ]
+    assert (
+        run(["identify-motor", str(log), *stated]) == 2
+    )  # neither role= nor a rig for the load
     capsys.readouterr()
 
 
@@ -130,8 +146,20 @@ def test_a_ring_down_is_fitted_on_the_command_line(
     held = np.concatenate((np.full(80, 0.4), ring))[:2000]
     for name, values in (("held", held), ("begun", ring)):
         log = tmp_path / f"{name}.csv"
-        np.savetxt(log, np.column_stack((time, values)), delimiter=",", header="t,strain", comments="")
-        words = ["identify-structure", str(log), "k/(s**2 + d*s + w)*exp(-L*s)", "--output", "strain"]
+        np.savetxt(
+            log,
+            np.column_stack((time, values)),
+            delimiter=",",
+            header="t,strain",
+            comments="",
+        )
+        words = [
+            "identify-structure",
+            str(log),
+            "k/(s**2 + d*s + w)*exp(-L*s)",
+            "--output",
+            "strain",
+        ]
         out = ["--out", str(tmp_path / "fit.json"), "--force"]
         assert run([*words, "--ring-down", *out]) == 0
         found = StructureFit.load(tmp_path / "fit.json").parameters
@@ -144,7 +172,15 @@ def test_a_ring_down_is_fitted_on_the_command_line(
 
 
 def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = ["plan-experiment", "--rig", "paper-2023", "--standard-error", "0.001", "--noise", "0.04"]
+    wanted = [
+        "plan-experiment",
+        "--rig",
+        "paper-2023",
+        "--standard-error",
+        "0.001",
+        "--noise",
+        "0.04",
+    ]
     assert told(wanted, capsys)["standard_error"] == pytest.approx(0.001)
     assert run(wanted) == 0
     assert "amplitude" in capsys.readouterr().out
@@ -157,7 +193,9 @@ def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The fit is as good as with the right sign; what the diagnosis says decides the exit code."""
+    """The fit is as good as with the right sign; what the diagnosis says decides the
+    exit code.
+    """
     log = tmp_path / "reversed.csv"
     lines = bundled_log("pulse_30g").read_text("utf-8").splitlines()
     names = next(line for line in lines if not line.startswith("#")).split(",")
@@ -192,15 +230,26 @@ def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
 def test_identify_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, out = str(bundled_log("prbs_30g")), str(tmp_path / "fit.json")
     channels = ["--input", "motor_angle_rad", "--output", "torque_Nm", "--out", out]
-    told_of = told(["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--fix", "a=1.92"], capsys)
+    told_of = told(
+        ["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--fix", "a=1.92"],
+        capsys,
+    )
     assert told_of["parameters"]["a"] == 1.92  # type: ignore[index]
     assert told_of["passed"]
     assert kind_of(Path(out)) == "structure-fit"
     bad = ["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--force"]
-    for wrong in (["--fix", "a"], ["--fix", "a=x"], ["--bound", "a=1"], ["--fix", "q=1"], ["--time", "none"]):
+    for wrong in (
+        ["--fix", "a"],
+        ["--fix", "a=x"],
+        ["--bound", "a=1"],
+        ["--fix", "q=1"],
+        ["--time", "none"],
+    ):
         assert run([*bad, *wrong]) == 2
     assert run(["identify-structure", log, "k/s", "--input", "motor_angle_rad"]) == 2
-    assert run(["identify-structure", log, "k/s"]) == 2  # no table of a frequency response
+    assert (
+        run(["identify-structure", log, "k/s"]) == 2
+    )  # no table of a frequency response
     capsys.readouterr()
     assert run([*bad, "--fix", "a=1.9", "--fix", "a = 2"]) == 2
     assert "fix: given beside a=1.9 (got a= 2)" in capsys.readouterr().err

@@ -44,12 +44,30 @@ class Told:
 
 @pytest.fixture(scope="module")
 def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
-    """`fraclink run` for the bundled log, once for all tests that only look at what it left."""
+    """`fraclink run` for the bundled log, once for all tests that only look at what it
+    left.
+    """
     place = tmp_path_factory.mktemp("run")
     out, err = io.StringIO(), io.StringIO()
-    # The log shows a second mode: with the 50° of the rig file no filter keeps its gain within 0.5.
-    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", "results", "--arms", "0", *EASY]
-    with contextlib.chdir(place), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    # The log shows a second mode: with the 50° of the rig file no filter keeps its gain
+    # within 0.5.
+    command = [
+        "run",
+        "--rig",
+        "paper-2023",
+        "--log",
+        "demo",
+        "--out",
+        "results",
+        "--arms",
+        "0",
+        *EASY,
+    ]
+    with (
+        contextlib.chdir(place),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
         assert main(command) == 0
     return Told(place / "results", out.getvalue(), err.getvalue())
 
@@ -99,7 +117,9 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
 
 @pytest.mark.slow
 def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
-    assert told_run.out.startswith("– not run: promise passed, model passed, reality not run\n")
+    assert told_run.out.startswith(
+        "– not run: promise passed, model passed, reality not run\n"
+    )
     assert "the log is simulated, not measured" in told_run.out
     assert told_run.err == (  # piped: no progress
         "written: results/report.html\nnext: fraclink export c results/design.json --out firmware\n"
@@ -108,12 +128,17 @@ def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
 
 @pytest.mark.slow
 def test_every_scope_of_the_demo_passes() -> None:
-    # What `make demo` runs. Of the same arms about 120 fail without the gear; with it none, seeds 0 to 2.
+    # What `make demo` runs. Of the same arms about 120 fail without the gear; with it
+    # none, seeds 0 to 2.
     rig = Rig.named("paper-2023-geared")
-    study = run(rig, read_log(bundled_log("prbs_30g"), rig=rig), certified=True, arms=1000)
+    study = run(
+        rig, read_log(bundled_log("prbs_30g"), rig=rig), certified=True, arms=1000
+    )
     assert study.verdict.reasons == ()
     assert study.verdict.state == "passed"
-    assert study.assumptions == rig.assumptions  # nothing of the request had to be given up
+    assert (
+        study.assumptions == rig.assumptions
+    )  # nothing of the request had to be given up
     assert study.arms is not None
     assert study.arms.failure.count == 0
 
@@ -122,7 +147,8 @@ def test_every_scope_of_the_demo_passes() -> None:
 def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    # The gearless motor of the paper's rig sticks in small moves: about a quarter of 1000 arms do not settle.
+    # The gearless motor of the paper's rig sticks in small moves: about a quarter of
+    # 1000 arms do not settle.
     place = tmp_path / "out"
     command = [
         "run",
@@ -139,8 +165,14 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     ]
     assert main(command) == 1
     result = json.loads(capsys.readouterr().out)
-    assert result["verdict"]["state"] == result["verdict"]["reality"]["state"] == "failed"
-    assert result["verdict"]["promise"]["state"] == result["verdict"]["model"]["state"] == "passed"
+    assert (
+        result["verdict"]["state"] == result["verdict"]["reality"]["state"] == "failed"
+    )
+    assert (
+        result["verdict"]["promise"]["state"]
+        == result["verdict"]["model"]["state"]
+        == "passed"
+    )
     assert result["arms"]["runs"] == 1000
     assert f"{result['arms']['failures']} of 1000 arms fail" in result["reasons"][0]
     study = load_study(place)
@@ -148,7 +180,13 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     page = (place / "report.html").read_text("utf-8")
     assert '<div class="verdict failed">' in page
     assert study.arms is not None
-    replay = ["campaign", "replay", str(place / "arms"), "--run", str(study.arms.failed[0])]
+    replay = [
+        "campaign",
+        "replay",
+        str(place / "arms"),
+        "--run",
+        str(study.arms.failed[0]),
+    ]
     assert main([*replay, "--out", str(tmp_path / "run.npz")]) == 1
 
 
@@ -156,9 +194,20 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
 def test_a_step_that_fails_keeps_what_was_computed_before(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out")]
+    command = [
+        "run",
+        "--rig",
+        "paper-2023",
+        "--log",
+        "demo",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main([*command, "--gain-crossover", "60"]) == 1
-    assert "✗ failed: promise failed, model not run, reality not run" in capsys.readouterr().out
+    assert (
+        "✗ failed: promise failed, model not run, reality not run"
+        in capsys.readouterr().out
+    )
     study = load_study(tmp_path / "out")
     assert study.fit is not None and study.comparison is not None
     assert study.design is None and study.stopped
@@ -170,39 +219,85 @@ def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def none(*given: object, **options: object) -> None:
-        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+        raise FieldError(
+            "order",
+            "3 pairs",
+            "more than law.c holds",
+            allowed="2 pairs",
+            remedy="lower it",
+        )
 
     for name in ("law_margins", "discretize", "discretize_controller"):
         monkeypatch.setattr(f"fraclink._law.design.{name}", none)
     place = tmp_path / "out"
-    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(place), *EASY, "--certify"]) == 1
+    assert (
+        main(
+            [
+                "run",
+                "--rig",
+                "paper-2023",
+                "--log",
+                "demo",
+                "--out",
+                str(place),
+                *EASY,
+                "--certify",
+            ]
+        )
+        == 1
+    )
     told = capsys.readouterr().out
     assert "no law follows this controller: it takes 3 pairs" in told
     assert "export c" not in told
     study = load_study(place)
-    assert study.fit is not None and study.design is not None and not study.design.has_law
+    assert (
+        study.fit is not None and study.design is not None and not study.design.has_law
+    )
     assert study.law is None and not study.runs and study.arms is None
     assert "no law follows" in (place / "report.html").read_text("utf-8")
 
 
 @pytest.mark.slow
-def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_there_is_kept(
+    told_run: Told, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = {path.name: path.read_bytes() for path in told_run.folder.iterdir()}
-    assert main(["run", "--rig", "paper-2023", "--log", "demo", "--out", str(told_run.folder)]) == 2
+    assert (
+        main(
+            [
+                "run",
+                "--rig",
+                "paper-2023",
+                "--log",
+                "demo",
+                "--out",
+                str(told_run.folder),
+            ]
+        )
+        == 2
+    )
     assert "already there" in capsys.readouterr().err
-    assert {path.name: path.read_bytes() for path in told_run.folder.iterdir()} == before
+    assert {
+        path.name: path.read_bytes() for path in told_run.folder.iterdir()
+    } == before
 
 
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("twin D --move-time 0", "move_time: out of range (got 0.0); expected 1e-9 to 1e9 s."),
+        (
+            "twin D --move-time 0",
+            "move_time: out of range (got 0.0); expected 1e-9 to 1e9 s.",
+        ),
         (
             "simulate D --payload 0.03 --move-time nan",
             "move_time: not finite (got nan); expected 1e-9 to 1e9 s.",
         ),
         ("twin D --gear -7", "gear: out of range (got -7.0); expected > 0."),
-        ("optimise D --least-percent -7", "least_percent: out of range (got -7.0); expected 0 to 100 %."),
+        (
+            "optimise D --least-percent -7",
+            "least_percent: out of range (got -7.0); expected 0 to 100 %.",
+        ),
         (
             "compare --rig paper-2023 --phase-margin-deg -7",
             "phase_margin_deg: out of range (got -7.0); expected > 0 and <= 179 °.",
@@ -210,9 +305,15 @@ def test_a_folder_that_is_there_is_kept(told_run: Told, capsys: pytest.CaptureFi
     ],
 )
 def test_an_error_about_an_option_has_its_name_and_its_unit(
-    line: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    line: str,
+    told: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Not those of the function behind it: -7 % is no 'least: -0.07', and -7° no 'phase_margin: -0.122'."""
+    """Not those of the function behind it: -7 % is no 'least: -0.07', and -7° no
+    'phase_margin: -0.122'.
+    """
     monkeypatch.chdir(tmp_path)
     design_for(Rig.named("paper-2023"), filter_time=0.0)[0].save("D")
     assert main(line.split()) == 2
@@ -222,14 +323,26 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
 @pytest.mark.parametrize(
     ("line", "files"),
     [
-        ("run --rig paper-2023 --log demo --out F", ("rig.toml", "law.json", "log.npz", "certificate.json")),
-        ("campaign montecarlo --runs 10 --rig paper-2023 --out F", ("rig.toml", "law.json")),
-        ("campaign faults --rig paper-2023 --only F01 --out F", ("run.npz", "faults.md")),
+        (
+            "run --rig paper-2023 --log demo --out F",
+            ("rig.toml", "law.json", "log.npz", "certificate.json"),
+        ),
+        (
+            "campaign montecarlo --runs 10 --rig paper-2023 --out F",
+            ("rig.toml", "law.json"),
+        ),
+        (
+            "campaign faults --rig paper-2023 --only F01 --out F",
+            ("run.npz", "faults.md"),
+        ),
         ("compare --rig paper-2023 --out F", ("comparison.json", "comparison.svg")),
     ],
 )
 def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
-    line: str, files: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: str,
+    files: tuple[str, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     for name in files:
         folder = tmp_path / name.replace(".", "-")
@@ -238,20 +351,36 @@ def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
         assert main([*line.split()[:-1], str(folder)]) == 2
         told = capsys.readouterr().err
         assert told.startswith("error: out: ") and "hoose another" in told
-        assert [(f.name, f.read_text("utf-8")) for f in folder.iterdir()] == [(name, "# mine")]
+        assert [(f.name, f.read_text("utf-8")) for f in folder.iterdir()] == [
+            (name, "# mine")
+        ]
 
 
 @pytest.mark.slow
 def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    command = ["run", "--rig", "paper-2023", "--log", "demo", "--out", str(tmp_path / "out"), *EASY]
+    command = [
+        "run",
+        "--rig",
+        "paper-2023",
+        "--log",
+        "demo",
+        "--out",
+        str(tmp_path / "out"),
+        *EASY,
+    ]
     assert main([*command, "--certify", "--arms", "0", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["promise"]["state"] == "passed"
     assert result["verdict"]["reality"]["state"] == "not run"
     assert result["passed"] is False
-    assert {fit["structure"] for fit in result["fits"]} == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}
+    assert {fit["structure"] for fit in result["fits"]} == {
+        "UD-IOM",
+        "D-IOM",
+        "UD-FOM",
+        "D-FOM",
+    }
     assert len(result["runs"]) == 3
     assert result["report"].endswith("report.html")
     study = load_study(tmp_path / "out")
@@ -260,7 +389,9 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert study.certificate.sha256 in page
     assert render_report(study) == page
     refused = replace(study, certificate=None, uncertified="because of the moon")
-    assert refused.verdict.promise == Scope("failed", ("not certified: because of the moon",))
+    assert refused.verdict.promise == Scope(
+        "failed", ("not certified: because of the moon",)
+    )
     assert "because of the moon" in render_report(refused)
 
 
@@ -281,7 +412,8 @@ def test_the_stages_chain_through_files(
     for command in commands:
         assert main(command.split()) == 0, capsys.readouterr().err
     text = Path("report.html").read_text("utf-8")
-    # models, Bode, Nyquist, margins, moves: the log itself is not in the folder; two again for paper only
+    # models, Bode, Nyquist, margins, moves: the log itself is not in the folder; two
+    # again for paper only
     assert text.count("<figure><svg") == 9 + 2 and text.count('class="armbox"') == 1
     assert Run.load("results/run.npz").payload == 0.020
 
@@ -291,7 +423,14 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
 ) -> None:
     design, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
     design.save(tmp_path / "design.json")
-    arguments = ["simulate", str(tmp_path / "design.json"), "--payload", "0.020", "--duration", "0.4"]
+    arguments = [
+        "simulate",
+        str(tmp_path / "design.json"),
+        "--payload",
+        "0.020",
+        "--duration",
+        "0.4",
+    ]
     assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
     told = capsys.readouterr()
     assert "✗ failed: not settled" in told.out
@@ -299,15 +438,20 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
 
 
 def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
-    # 0.05 rad of the tip estimate is 0.05·c on the gauge; the figure of the default design.
+    # 0.05 rad of the tip estimate is 0.05·c on the gauge; the figure of the default
+    # design.
     rig = Rig.named("paper-2023")
     design, _ = design_for(rig, filter_time=0.0)
     offset = 0.05 * rig.link.stiffness
-    run = simulate_move(design, 0.030, gauge_offset=offset, noise=0.0, inner="ideal", duration=8.0)
+    run = simulate_move(
+        design, 0.030, gauge_offset=offset, noise=0.0, inner="ideal", duration=8.0
+    )
     error = np.abs(run.tip_angle - run.reference)
     after = run.time > 4.0
     assert error[after].max() < 1e-3
-    assert error[run.time > 7.0].max() < error[(run.time > 4.0) & (run.time < 5.0)].max()
+    assert (
+        error[run.time > 7.0].max() < error[(run.time > 4.0) & (run.time < 5.0)].max()
+    )
 
 
 @pytest.mark.slow
@@ -315,8 +459,14 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     ("rig", "log", "limit", "doubt"),
     [
         ("merced.toml", ("quanser_rfl_merced", "merced_rfl.csv"), 0.0130, None),
-        # Its strain signal is no deflection in radians, whatever their script prints: the gain is 0.22.
-        ("ist.toml", ("ist_flexbar", "2_lab_a15_f10.csv"), 0.0315, "a deflection log has a gain of 1"),
+        # Its strain signal is no deflection in radians, whatever their script prints:
+        # the gain is 0.22.
+        (
+            "ist.toml",
+            ("ist_flexbar", "2_lab_a15_f10.csv"),
+            0.0315,
+            "a deflection log has a gain of 1",
+        ),
     ],
 )
 def test_real_logs_run_end_to_end(
@@ -324,7 +474,17 @@ def test_real_logs_run_end_to_end(
 ) -> None:
     path = shared_data(*log)
     code = main(
-        ["run", "--rig", str(RIGS / rig), "--log", str(path), "--arms", "0", "--out", str(tmp_path / "out")]
+        [
+            "run",
+            "--rig",
+            str(RIGS / rig),
+            "--log",
+            str(path),
+            "--arms",
+            "0",
+            "--out",
+            str(tmp_path / "out"),
+        ]
     )
     study = load_study(tmp_path / "out")
     assert code == (0 if doubt is None else 1)
@@ -335,10 +495,13 @@ def test_real_logs_run_end_to_end(
     if doubt is not None:
         assert any(doubt in reason for reason in study.verdict.reasons)
         # A gauge that reads a fifth of the torque leaves no loop that damps the link.
-        assert study.design is None and any("ring" in reason for reason in study.verdict.reasons)
+        assert study.design is None and any(
+            "ring" in reason for reason in study.verdict.reasons
+        )
         return
     assert study.design is not None and study.design.passed
-    # Neither rig states what a design should reach: the report says by which rule it was chosen.
+    # Neither rig states what a design should reach: the report says by which rule it
+    # was chosen.
     assert any("gain crossover" in sentence for sentence in study.assumptions)
     assert any("phase margin" in sentence for sentence in study.assumptions)
 
@@ -350,7 +513,23 @@ def test_a_hostile_file_name_is_harmless(
     monkeypatch.chdir(tmp_path)
     name = "<img src=x onerror=alert(1)>\x1b[31m.csv"
     Path(name).write_bytes(bundled_log("prbs_30g").read_bytes())
-    assert main(["run", "--rig", "paper-2023", "--log", name, "--arms", "0", "--out", "out", *EASY]) == 0
+    assert (
+        main(
+            [
+                "run",
+                "--rig",
+                "paper-2023",
+                "--log",
+                name,
+                "--arms",
+                "0",
+                "--out",
+                "out",
+                *EASY,
+            ]
+        )
+        == 0
+    )
     told = capsys.readouterr()
     assert "\x1b" not in told.out + told.err
     page = Path("out/report.html").read_text("utf-8")
@@ -360,7 +539,10 @@ def test_a_hostile_file_name_is_harmless(
 
 @pytest.mark.parametrize("broken", ["empty", "header", "nan", "unit"])
 def test_a_bad_log_is_one_line_and_leaves_nothing(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    broken: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     text = bundled_log("prbs_30g").read_text("utf-8")
@@ -369,7 +551,9 @@ def test_a_bad_log_is_one_line_and_leaves_nothing(
     changed: dict[str, Callable[[], str]] = {
         "empty": lambda: "",
         "header": lambda: "\n".join(lines[: body + 1]),
-        "nan": lambda: "\n".join([*lines[: body + 40], "0.156,nan,0.1", *lines[body + 41 :]]),
+        "nan": lambda: "\n".join(
+            [*lines[: body + 40], "0.156,nan,0.1", *lines[body + 41 :]]
+        ),
         "unit": lambda: text.replace("torque_Nm", "torque"),
     }
     Path("log.csv").write_text(changed[broken](), "utf-8")
@@ -381,8 +565,12 @@ def test_a_bad_log_is_one_line_and_leaves_nothing(
 
 
 @pytest.mark.slow
-def test_a_damaged_result_is_named(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "model.json").write_text((results / "model.json").read_text("utf-8")[:5000])
+def test_a_damaged_result_is_named(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "model.json").write_text(
+        (results / "model.json").read_text("utf-8")[:5000]
+    )
     with pytest.raises(FileFormatError, match=r"model\.json"):
         load_study(tmp_path)
     assert main(["report", str(tmp_path)]) == 2
@@ -393,7 +581,9 @@ def test_a_damaged_result_is_named(results: Path, tmp_path: Path, capsys: pytest
 
 
 def _until_closed(handle: int) -> bytes:
-    """Everything a pseudo-terminal shows until its other end is closed, which reads as an I/O error."""
+    """Everything a pseudo-terminal shows until its other end is closed, which reads as
+    an I/O error.
+    """
     shown = b""
     with contextlib.suppress(OSError):
         while block := os.read(handle, 4096):
@@ -403,7 +593,9 @@ def _until_closed(handle: int) -> bytes:
 
 
 @pytest.mark.slow
-def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(tmp_path: Path) -> None:
+def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
+    tmp_path: Path,
+) -> None:
     pty = pytest.importorskip("pty")
     upper, lower = pty.openpty()
     command = [
@@ -420,10 +612,14 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(tmp_path: Pa
         *EASY,
     ]
     with ThreadPoolExecutor(1) as pool:
-        # A terminal holds 4 kB: unread, it fills on a slow machine, and the command waits for ever.
+        # A terminal holds 4 kB: unread, it fills on a slow machine, and the command
+        # waits for ever.
         reading = pool.submit(_until_closed, upper)
         answer = subprocess.run(  # noqa: S603
-            [*command, "--out", str(tmp_path / "out")], stdout=subprocess.PIPE, stderr=lower, check=True
+            [*command, "--out", str(tmp_path / "out")],
+            stdout=subprocess.PIPE,
+            stderr=lower,
+            check=True,
         )
         os.close(lower)
         shown = reading.result().decode(errors="replace")

@@ -20,7 +20,9 @@ Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Command:
+def fraclink(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Command:
     """Run the command line in a folder that holds design.json."""
     monkeypatch.chdir(tmp_path)
     design, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
@@ -38,13 +40,20 @@ def fraclink(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: py
 def test_the_default_design_is_certified(fraclink: Command) -> None:
     code, out, err = fraclink("certify design.json --out certificate.json")
     assert code == 0
-    assert "every payload from 0.02 to 0.04 kg and every computation delay" in " ".join(out.split())
-    assert err == "written: certificate.json\nnext: fraclink export c design.json --out firmware\n"
+    assert "every payload from 0.02 to 0.04 kg and every computation delay" in " ".join(
+        out.split()
+    )
+    assert (
+        err
+        == "written: certificate.json\nnext: fraclink export c design.json --out firmware\n"
+    )
     assert Certificate.load("certificate.json").passed
 
 
 @pytest.mark.slow
-def test_the_printed_controller_is_refused_with_its_poles(fraclink: Command, tmp_path: Path) -> None:
+def test_the_printed_controller_is_refused_with_its_poles(
+    fraclink: Command, tmp_path: Path
+) -> None:
     design = Design.load("design.json")
     from dataclasses import replace
 
@@ -85,7 +94,9 @@ def test_the_twin_runs_the_design(fraclink: Command) -> None:
     code, out, err = fraclink("twin design.json --gear 50 --link-mass 0.00735")
     assert code == 0, err
     assert out.startswith("✓ passed: ")
-    told = json.loads(fraclink("twin design.json --gear 50 --link-mass 0.00735 --json")[1])
+    told = json.loads(
+        fraclink("twin design.json --gear 50 --link-mass 0.00735 --json")[1]
+    )
     assert told["passed"] is True
     code, _, err = fraclink("twin design.json --link-mass -1")
     assert code == 2
@@ -109,7 +120,11 @@ def test_a_log_is_inspected_without_a_rig(fraclink: Command) -> None:
     assert code == 0
     assert 'motor_angle = { column = "motor_angle_rad", unit = "rad" }' in out
     told = json.loads(fraclink(f"inspect {path} --json")[1])
-    assert [channel["name"] for channel in told["channels"]] == ["time_s", "motor_angle_rad", "torque_Nm"]
+    assert [channel["name"] for channel in told["channels"]] == [
+        "time_s",
+        "motor_angle_rad",
+        "torque_Nm",
+    ]
 
 
 @pytest.mark.slow

@@ -1,4 +1,6 @@
-"""Rivals on equal terms: every rule of tuning is kept, every controller is what it says."""
+"""Rivals on equal terms: every rule of tuning is kept, every controller is what it
+says.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,22 @@ from fraclink._campaign.rival_controllers import (
     sliding_correction,
 )
 from fraclink._campaign.rival_published import CORRECTED, INTEGER, PRINTED, integer_twin
-from fraclink._campaign.rival_runs import feed_forward, linear_growth, mode_gain, run_rival
+from fraclink._campaign.rival_runs import (
+    feed_forward,
+    linear_growth,
+    mode_gain,
+    run_rival,
+)
 from fraclink._campaign.rivals import builders, servo_law
-from fraclink._campaign.setting import Filter, NominalLoop, Setting, law_filter, sampled, tune, tustin
+from fraclink._campaign.setting import (
+    Filter,
+    NominalLoop,
+    Setting,
+    law_filter,
+    sampled,
+    tune,
+    tustin,
+)
 from fraclink._campaign.tournament import Tournament, compare
 from fraclink._simulate import Twin, geared
 from fraclink._simulate.on_twin import with_motor_loop
@@ -44,7 +59,11 @@ MOVE = smooth_step(1.0, duration=1.0)
 @pytest.fixture(scope="module")
 def setting() -> Setting:
     design = fl.design(
-        RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50.0)
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50.0),
     )
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     law = with_motor_loop(fl.discretize(design.controller, RIG.period), twin=twin)[0]
@@ -66,8 +85,12 @@ def test_law_filter_is_the_law(setting):
 
 @pytest.mark.slow
 def test_nominal_loop_is_the_designers(setting):
-    """The sampled loop of design/, made from alias sums, and ours, from a state space: the same Ms."""
-    plant = sampled_plant(RIG.model, MotorLoop(pole=80.0, delay_samples=1), RIG.motor, RIG.period)
+    """The sampled loop of design/, made from alias sums, and ours, from a state space:
+    the same Ms.
+    """
+    plant = sampled_plant(
+        RIG.model, MotorLoop(pole=80.0, delay_samples=1), RIG.motor, RIG.period
+    )
     frequency = np.array([1.0, 8.0, 12.0, 13.0, 40.0, 300.0])
     ours = setting.loop.plant.response(np.exp(1j * frequency * RIG.period))
     assert ours == pytest.approx(plant(frequency), rel=2e-6)
@@ -78,9 +101,9 @@ def test_peak_is_the_modulus_margin(setting):
     correction = law_filter(setting.law)
 
     def loop(s):
-        return correction.response(np.exp(s * RIG.period)) * setting.loop.plant.response(
+        return correction.response(
             np.exp(s * RIG.period)
-        )
+        ) * setting.loop.plant.response(np.exp(s * RIG.period))
 
     exact = margins(loop, limit=math.pi / RIG.period).modulus_margin
     assert setting.target == pytest.approx(1.0 / exact, rel=2e-3)
@@ -88,11 +111,15 @@ def test_peak_is_the_modulus_margin(setting):
 
 KNOBS = {
     "PD on the tip estimate": lambda s: (
-        lambda g: pd_correction(g, corner=integer_mode(s.model)[0], filter_time=0.01, period=0.004),
+        lambda g: pd_correction(
+            g, corner=integer_mode(s.model)[0], filter_time=0.01, period=0.004
+        ),
         (1e-3, 10.0),
     ),
     "LQG": lambda s: (
-        lambda q: lqg_correction(s.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=q),
+        lambda q: lqg_correction(
+            s.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=q
+        ),
         (1e-4, 1e4),
     ),
     "H∞": lambda s: (
@@ -109,7 +136,9 @@ def test_tuned_to_the_same_ms(setting, name):
     knob, correction, reached = tune(setting.loop, make, limits, setting.target)
     assert reached
     assert setting.loop.peak(correction) == pytest.approx(setting.target, rel=1e-3)
-    assert setting.loop.peak(make(1.1 * knob)) > setting.target  # more of it would break the rule
+    assert (
+        setting.loop.peak(make(1.1 * knob)) > setting.target
+    )  # more of it would break the rule
     assert setting.loop.radius(correction) <= 1.0 + 1e-9
 
 
@@ -125,15 +154,21 @@ def test_structures_that_cannot_reach_the_ms_get_our_noise(setting, name):
         lambda r: sliding_correction(r, w, filter_time=0.01, period=0.004),
         lambda r: gpi_correction(r, w, filter_time=0.01, period=0.004),
     ):
-        knob, correction, reached = tune(setting.loop, make, (0.3 * w, 20 * w), setting.target)
+        knob, correction, reached = tune(
+            setting.loop, make, (0.3 * w, 20 * w), setting.target
+        )
         assert not reached
         least = setting.loop.peak(correction)
-        assert all(setting.loop.peak(make(knob * f)) >= least for f in (0.8, 0.95, 1.05, 1.25))
+        assert all(
+            setting.loop.peak(make(knob * f)) >= least for f in (0.8, 0.95, 1.05, 1.25)
+        )
 
 
 @pytest.mark.slow
 def test_noise_is_what_white_noise_becomes(setting):
-    """The closed loop marched with white noise on the tip estimate, against the integral of |Ĉ S|²."""
+    """The closed loop marched with white noise on the tip estimate, against the
+    integral of |Ĉ S|².
+    """
     correction, plant = law_filter(setting.law), setting.loop.plant
     x, k = np.zeros(plant.order), np.zeros(correction.order)
     noise = np.random.default_rng(5).standard_normal(20000)
@@ -143,7 +178,9 @@ def test_noise_is_what_white_noise_becomes(setting):
         commands[i] = correction.c @ k + correction.d * error
         k = correction.a @ k + correction.b * error
         x = plant.a @ x + plant.b * commands[i]
-    assert setting.loop.noise(correction) == pytest.approx(commands[500:].std(), rel=0.03)
+    assert setting.loop.noise(correction) == pytest.approx(
+        commands[500:].std(), rel=0.03
+    )
 
 
 @pytest.mark.slow
@@ -155,12 +192,16 @@ def test_tuning_says_when_nothing_is_stable(setting):
 
 @pytest.mark.slow
 def test_offset_rejection_by_structure(setting):
-    """A constant tip error leads to no constant answer: H∞ by its weight, LQG by its offset state, ours."""
+    """A constant tip error leads to no constant answer: H∞ by its weight, LQG by its
+    offset state, ours.
+    """
     one = np.array([1.0 + 1e-7j])
     for correction in (
         law_filter(setting.law),
         hinf_correction(setting.model, period=0.004, pole=80.0, delay=1, gain=1.0),
-        lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.006, weight=1.0),
+        lqg_correction(
+            setting.model, period=0.004, pole=80.0, delay=1, noise=0.006, weight=1.0
+        ),
     ):
         assert abs(correction.response(one)[0]) < 1e-4
     pd = pd_correction(0.1, corner=12.0, filter_time=0.01, period=0.004)
@@ -172,13 +213,19 @@ def test_tustin_and_chaining():
     s = 2 / 0.01 * (np.exp(0.05j) - 1) / (np.exp(0.05j) + 1)
     assert first.response(np.exp(np.array([0.05j])))[0] == pytest.approx(3 / (s + 3))
     both = first.after(first.scaled(2.0))
-    assert both.response(np.exp(np.array([0.05j])))[0] == pytest.approx(2 * (3 / (s + 3)) ** 2)
+    assert both.response(np.exp(np.array([0.05j])))[0] == pytest.approx(
+        2 * (3 / (s + 3)) ** 2
+    )
 
 
 @pytest.mark.slow
 def test_lqg_against_separate_pieces(setting):
-    """The closed loop of plant and LQG has the regulator's and the filter's poles: separation holds."""
-    correction = lqg_correction(setting.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=1.0)
+    """The closed loop of plant and LQG has the regulator's and the filter's poles:
+    separation holds.
+    """
+    correction = lqg_correction(
+        setting.model, period=0.004, pole=80.0, delay=1, noise=0.0064, weight=1.0
+    )
     assert correction.order == 4 + 1 + 1  # arm, delay, offset
     assert setting.loop.radius(correction) <= 1.0 + 1e-9
 
@@ -207,12 +254,16 @@ def test_algebraic_estimator_finds_the_frequency(true):
 
 def test_gpi_places_four_poles():
     rate, w, period = 5.0, 12.0, 1e-4
-    c = gpi_correction(rate, w, filter_time=1e-3 * period, period=period)  # a filter that filters nothing
+    c = gpi_correction(
+        rate, w, filter_time=1e-3 * period, period=period
+    )  # a filter that filters nothing
     for s in (1j, 3 + 4j):
         z = np.exp(np.array([s * period]))
         value = c.response(z)[0] + 1.0
         # 1 + C ω²/s² = (s + r)⁴/(s³(s + 4r))
-        assert 1 + value * w**2 / s**2 == pytest.approx((s + rate) ** 4 / (s**3 * (s + 4 * rate)), rel=1e-3)
+        assert 1 + value * w**2 / s**2 == pytest.approx(
+            (s + rate) ** 4 / (s**3 * (s + 4 * rate)), rel=1e-3
+        )
 
 
 @pytest.mark.slow
@@ -243,7 +294,9 @@ def test_integer_twin_goes_through_our_crossing(setting):
     _, controller = integer_twin(setting)
     mode, _ = integer_mode(setting.model)
     s = 1j * crossover
-    loop = controller.response(crossover) * mode**2 / (s**2 + mode**2) / (1 + s / 80) ** 2
+    loop = (
+        controller.response(crossover) * mode**2 / (s**2 + mode**2) / (1 + s / 80) ** 2
+    )
     loop *= np.exp(-s * 1.5 * RIG.period)
     assert abs(loop) == pytest.approx(1.0, rel=1e-9)
     assert np.angle(-loop) == pytest.approx(margin, rel=1e-6)
@@ -251,7 +304,9 @@ def test_integer_twin_goes_through_our_crossing(setting):
 
 @pytest.mark.slow
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
-    """Our filter run tick by tick in Python, and law.c: the same motor reference to rounding."""
+    """Our filter run tick by tick in Python, and law.c: the same motor reference to
+    rounding.
+    """
 
     from fraclink._campaign.rivals import Rival
     from fraclink._law import Modes
@@ -260,10 +315,22 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     whole = servo_law(setting.law)
     bare = replace(whole, correction=Modes(0.0), feedforward=Modes(0.0))
     correction = law_filter(setting.law)
-    python = Rival("python", "", "", 1.0, 0, 0, bare, correction=correction, outer=lambda: Linear(correction))
+    python = Rival(
+        "python",
+        "",
+        "",
+        1.0,
+        0,
+        0,
+        bare,
+        correction=correction,
+        outer=lambda: Linear(correction),
+    )
     shipped = Rival("law.c", "", "", 1.0, 0, 0, whole)
     quiet = replace(twin, sensors=replace(twin.sensors, gauge_noise=0.0))
-    one, two = (run_rival(quiet, r, MOVE, setting.law, duration=1.5) for r in (python, shipped))
+    one, two = (
+        run_rival(quiet, r, MOVE, setting.law, duration=1.5) for r in (python, shipped)
+    )
     assert one.tip_angle == pytest.approx(two.tip_angle, abs=1e-6)
     same = fl.simulate(whole, MOVE, arm=quiet, duration=1.5)
     assert np.array_equal(two.tip_angle, same.tip_angle)
@@ -271,7 +338,9 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
 
 @pytest.mark.slow
 def test_feed_forward_is_the_laws(setting):
-    """The law without correction at a motor that stands at the reference asks for reference and F θ̈t*."""
+    """The law without correction at a motor that stands at the reference asks for
+    reference and F θ̈t*.
+    """
 
     from fraclink._law import LawInputs, Modes
 
@@ -292,7 +361,9 @@ def test_mode_gain_sees_only_feedback_of_the_tip(setting):
     ours = mode_gain(setting, twin, made["fraclink"]())
     assert ours > 0.1
     massless = Twin.from_rig(RIG, link_mass=0.0)
-    assert mode_gain(setting, massless, made["fraclink"]()) == 0.0  # no second mode to reach
+    assert (
+        mode_gain(setting, massless, made["fraclink"]()) == 0.0
+    )  # no second mode to reach
 
 
 @pytest.mark.slow
@@ -308,9 +379,15 @@ def test_sampled_delay_is_a_delay(setting):
 
 @pytest.mark.slow
 def test_every_rival_that_was_tuned_is_sound_at_the_nominal_payload(everything):
-    published = {INTEGER, PRINTED, CORRECTED}  # taken as the paper has them, whatever comes of it
+    published = {
+        INTEGER,
+        PRINTED,
+        CORRECTED,
+    }  # taken as the paper has them, whatever comes of it
     for standing in everything.standings:
-        assert standing.sound or standing.name in published, f"{standing.name}: {standing.reason}"
+        assert standing.sound or standing.name in published, (
+            f"{standing.name}: {standing.reason}"
+        )
         assert standing.rule and standing.knob
     assert len(everything.standings) == 13
 
@@ -321,7 +398,10 @@ def test_a_rival_that_friction_holds_is_told_from_a_sound_one(everything):
     assert printed.growth == pytest.approx(0.17, abs=0.03) and not printed.sound
     assert all(PRINTED not in names for names in everything.winners().values())
     if printed.passed:
-        assert f"{PRINTED}: the linear loop on the twin is unstable" in everything.markdown()
+        assert (
+            f"{PRINTED}: the linear loop on the twin is unstable"
+            in everything.markdown()
+        )
 
 
 @pytest.mark.slow
@@ -330,8 +410,11 @@ def test_linear_growth_is_that_of_the_loops_eigenvalues(setting):
     made = builders(setting)
     assert linear_growth(setting, twin, made["fraclink"]()) == 0.0
     assert linear_growth(setting, twin, made["ZV shaping"]()) == 0.0
-    # Without hold and delay (58) has poles at +0.106 ± 12.89j; hold and delay cost a little more.
-    assert linear_growth(setting, twin, made[PRINTED]()) == pytest.approx(0.13, abs=0.06)
+    # Without hold and delay (58) has poles at +0.106 ± 12.89j; hold and delay cost a
+    # little more.
+    assert linear_growth(setting, twin, made[PRINTED]()) == pytest.approx(
+        0.13, abs=0.06
+    )
 
 
 @pytest.mark.slow
@@ -341,7 +424,9 @@ def test_the_rule_of_the_same_ms_is_kept(everything):
         if "same Ms" in standing.rule:
             assert standing.peak == pytest.approx(ours.peak, rel=2e-3), standing.name
     printed = next(s for s in everything.standings if "printed" in s.name)
-    assert math.isinf(printed.peak)  # (58) as printed is unstable on the paper's own model
+    assert math.isinf(
+        printed.peak
+    )  # (58) as printed is unstable on the paper's own model
 
 
 @pytest.mark.slow
@@ -360,7 +445,9 @@ def test_no_winner_without_somebody_sound_or_somebody_else(everything):
     ours = everything.standings[0]
     alone = replace(everything, standings=(ours,))
     assert alone.verdicts() == ("fraclink ran alone: nothing to compare with",)
-    growing = replace(everything, standings=(replace(ours, growth=0.2), replace(ours, passed=False)))
+    growing = replace(
+        everything, standings=(replace(ours, growth=0.2), replace(ours, passed=False))
+    )
     assert growing.winners() == {}
     assert growing.verdicts()[0].startswith("no figure has a winner")
     assert "no figure has a winner" in growing.markdown()
@@ -370,7 +457,9 @@ def test_no_winner_without_somebody_sound_or_somebody_else(everything):
 def test_saved_and_drawn(everything, tmp_path):
     everything.save(tmp_path / "comparison.json")
     data = json.loads((tmp_path / "comparison.json").read_text())
-    assert [s["name"] for s in data["standings"]] == [s.name for s in everything.standings]
+    assert [s["name"] for s in data["standings"]] == [
+        s.name for s in everything.standings
+    ]
     assert "inf" in {s["peak"] for s in data["standings"]}
     everything.draw(tmp_path / "comparison.svg")
     drawn = (tmp_path / "comparison.svg").read_text("utf-8")
@@ -390,7 +479,8 @@ def test_refusals():
     with pytest.raises(FieldError, match="link_mass"):
         compare(rig, link_mass=-0.001)
     with pytest.raises(
-        FieldError, match=r"names: part of no rival's name \(got zzz\); expected fraclink, .*ZV shaping"
+        FieldError,
+        match=r"names: part of no rival's name \(got zzz\); expected fraclink, .*ZV shaping",
     ):
         compare(rig, names=["ZV shaping", "zzz"])
 
@@ -420,8 +510,12 @@ def lumped(model: fl.LinkModel, pole: float, s: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("delay", "gain"), [(0, 0.2), (1, 0.4), (2, 1.0)])
-def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(delay: int, gain: float) -> None:
-    """min |1 + PK|/√((1 + |P|²)(1 + |K|²)) over ω is at least 1/γ, and γ is 1.1 times the best there is."""
+def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(
+    delay: int, gain: float
+) -> None:
+    """min |1 + PK|/√((1 + |P|²)(1 + |K|²)) over ω is at least 1/γ, and γ is 1.1 times
+    the best there is.
+    """
     period, pole, model = 0.004, 80.0, RIG.model
     w0, ratio = integer_mode(model)
     made = hinf_correction(model, period=period, pole=pole, delay=delay, gain=gain)
@@ -429,18 +523,22 @@ def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(delay: i
     s, corner, rate = 1j * w, w0 / 10.0, 2.0 / ((delay + 0.5) * period)
     weight = gain * s / (s + corner)
     plant = weight * (rate - s) / (rate + s) * lumped(model, pole, s)
-    # Tustin's map takes jω to this point of the unit circle, so that the continuous controller is seen.
+    # Tustin's map takes jω to this point of the unit circle, so that the continuous
+    # controller is seen.
     z = (1.0 + s * period / 2.0) / (1.0 - s * period / 2.0)
     central = made.response(z) / weight
     margin = np.abs(1.0 + plant * central) / np.sqrt(
         (1.0 + np.abs(plant) ** 2) * (1.0 + np.abs(central) ** 2)
     )
-    # The best margin from Hankel's singular value of the normalised factors, by a realisation of its own.
+    # The best margin from Hankel's singular value of the normalised factors, by a
+    # realisation of its own.
     arm = signal.TransferFunction(
         gain * w0**2 * pole**2 * np.polymul([1.0, 0.0], [-1.0, rate]),
         np.polymul(
             np.polymul([1.0, corner], [1.0, rate]),
-            np.polymul(np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w0, w0**2]),
+            np.polymul(
+                np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w0, w0**2]
+            ),
         ),
     ).to_ss()
     x = linalg.solve_continuous_are(arm.A, arm.B, arm.C.T @ arm.C, np.eye(1))
@@ -450,11 +548,17 @@ def test_loop_shaping_bears_the_coprime_uncertainty_that_its_gamma_says(delay: i
 
 
 @pytest.mark.parametrize(("delay", "weight"), [(0, 1.0), (1, 4.0), (3, 0.3)])
-def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(delay: int, weight: float) -> None:
-    """Separation, with both Riccati equations solved for another realisation of the arm."""
+def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(
+    delay: int, weight: float
+) -> None:
+    """Separation, with both Riccati equations solved for another realisation of the
+    arm.
+    """
     period, pole, noise = 0.004, 80.0, 0.0064
     w, ratio = integer_mode(RIG.model)
-    denominator = np.polymul(np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w, w**2])
+    denominator = np.polymul(
+        np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w, w**2]
+    )
     arm = signal.TransferFunction([w**2 * pole**2], denominator).to_ss()
     a, b, c, *_ = signal.cont2discrete((arm.A, arm.B, arm.C, arm.D), period)
     n = 4 + delay
@@ -466,16 +570,23 @@ def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(delay: int, weight: 
         drive[-1] = 1.0
     else:
         drive[:4] = b
-    cost = linalg.solve_discrete_are(held, drive, row.T @ row, np.array([[1.0 / weight]]))
-    regulator = held - drive @ np.linalg.solve(1.0 / weight + drive.T @ cost @ drive, drive.T @ cost @ held)
-    made = lqg_correction(RIG.model, period=period, pole=pole, delay=delay, noise=noise, weight=weight)
+    cost = linalg.solve_discrete_are(
+        held, drive, row.T @ row, np.array([[1.0 / weight]])
+    )
+    regulator = held - drive @ np.linalg.solve(
+        1.0 / weight + drive.T @ cost @ drive, drive.T @ cost @ held
+    )
+    made = lqg_correction(
+        RIG.model, period=period, pole=pole, delay=delay, noise=noise, weight=weight
+    )
     loop = np.block(
         [
             [held - made.d * drive @ row, drive @ made.c[None, :]],
             [-made.b[:, None] @ row, made.a],
         ]
     )
-    # The filter: a noise of 10 mrad on the motor reference, an offset that walks by 3 mrad in ten seconds.
+    # The filter: a noise of 10 mrad on the motor reference, an offset that walks by 3
+    # mrad in ten seconds.
     wide = linalg.block_diag(held, 1.0)
     seen = np.hstack([row, [[1.0]]])
     process = linalg.block_diag(0.01**2 * drive @ drive.T, 3e-3**2 * period / 10.0)
@@ -485,7 +596,9 @@ def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(delay: int, weight: 
     kalman = spread @ seen.T / (noise**2 + seen @ spread @ seen.T)
     found, wanted = np.linalg.eigvals(loop), np.linalg.eigvals(regulator)
     slowest = np.abs(np.linalg.eigvals(wide @ (np.eye(n + 1) - kalman @ seen))).max()
-    assert np.abs(np.abs(found) - slowest).min() < 1e-8 and slowest > 0.99  # the offset's
+    assert (
+        np.abs(np.abs(found) - slowest).min() < 1e-8 and slowest > 0.99
+    )  # the offset's
     for one in wanted:  # the regulator's poles are among those of the loop
         assert np.abs(found - one).min() < 1e-4
     assert np.abs(found).max() <= 1.0 + 1e-9

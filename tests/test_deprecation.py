@@ -1,4 +1,6 @@
-"""A deprecated name warns where it is used, does what it did, and is gone in the release that it names."""
+"""A deprecated name warns where it is used, does what it did, and is gone in the
+release that it names.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def measured(text: str, *, unit: float = 1.0) -> float:
     return unit * len(text)
 
 
-def test_a_deprecated_function_warns_at_the_line_that_calls_it_and_still_works() -> None:
+def test_a_deprecated_function_warns_at_the_line_that_calls_it_and_still_works() -> (
+    None
+):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         line = inspect.currentframe().f_lineno + 1  # type: ignore[union-attr]
@@ -58,9 +62,13 @@ def test_both_names_of_one_argument_are_an_error() -> None:
         measured("abc", scale=3.0, unit=3.0)  # type: ignore[call-arg]
 
 
-def test_a_renamed_root_name_warns_and_is_the_new_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_renamed_root_name_warns_and_is_the_new_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(fraclink._RENAMED, "Plan", ("Design", "9.0"))
-    with pytest.warns(DeprecationWarning, match=r"fraclink\.Plan .* 9\.0: use fraclink\.Design") as caught:
+    with pytest.warns(
+        DeprecationWarning, match=r"fraclink\.Plan .* 9\.0: use fraclink\.Design"
+    ) as caught:
         assert fraclink.Plan is fraclink.Design  # type: ignore[attr-defined]
     assert caught[0].filename == __file__
     assert "Plan" not in fraclink.__all__

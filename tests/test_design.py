@@ -1,4 +1,6 @@
-"""The closed procedure against the recomputed numbers of the source paper and against independent loops."""
+"""The closed procedure against the recomputed numbers of the source paper and against
+independent loops.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,12 @@ from fraclink._design.assess import PRINTED, match_at
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")
-DEFAULT = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+DEFAULT = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+    "filter_time": 0.0,
+}
 PAPER = {
     "natural_frequencies": (9.42, 14.14),
     "gain_crossover": 16.0,
@@ -40,7 +47,11 @@ def plain_loop(design: Design, w: float, pi: float, *, inside: bool) -> complex:
     c, s, order = design.controller, 1j * w, design.model.order
     value = c.gain * s**c.order * pi**2 / (s**order + pi**2)
     if inside:
-        value *= cmath.exp(-1.5 * 0.004 * s) / (1 + s / 80) ** 2 / (1 + c.filter_time * s) ** c.filter_order
+        value *= (
+            cmath.exp(-1.5 * 0.004 * s)
+            / (1 + s / 80) ** 2
+            / (1 + c.filter_time * s) ** c.filter_order
+        )
     return value
 
 
@@ -58,12 +69,18 @@ def test_ideal_reading_gives_the_recomputed_numbers_of_section_7():
 def test_stiffness_156_gives_its_column():
     low, high = RIG.natural_frequency(0.040), RIG.natural_frequency(0.020)
     design = paper_plan(natural_frequencies=(low, high))
-    got = (design.chi, design.controller.order, design.controller.gain, design.gain_crossover_upper)
+    got = (
+        design.chi,
+        design.controller.order,
+        design.controller.gain,
+        design.gain_crossover_upper,
+    )
     assert got == pytest.approx((1.235891, 0.649593, 0.204076, 25.139026), abs=1e-6)
     nominal = design.at(0.030)
-    assert (nominal.gain_crossover, math.degrees(nominal.phase_margin)) == pytest.approx(
-        (19.26919, 70.81972), abs=1e-5
-    )
+    assert (
+        nominal.gain_crossover,
+        math.degrees(nominal.phase_margin),
+    ) == pytest.approx((19.26919, 70.81972), abs=1e-5)
     assert paper_plan(
         natural_frequencies=(low, high), filter_order=1
     ).controller.filter_time == pytest.approx(0.004929, abs=5e-7)
@@ -71,11 +88,15 @@ def test_stiffness_156_gives_its_column():
 
 def test_both_equations_hold_to_rounding():
     design = paper_plan()
-    assert abs(plain_loop(design, 16.0, 9.42, inside=False)) == pytest.approx(1.0, abs=1e-13)
+    assert abs(plain_loop(design, 16.0, 9.42, inside=False)) == pytest.approx(
+        1.0, abs=1e-13
+    )
     value = plain_loop(design, design.gain_crossover_upper, 14.14, inside=False)
     assert abs(value + cmath.exp(1j * fl.deg(70))) < 1e-13
     inside = default_plan()
-    value = plain_loop(inside, inside.gain_crossover_upper, inside.natural_frequencies[1], inside=True)
+    value = plain_loop(
+        inside, inside.gain_crossover_upper, inside.natural_frequencies[1], inside=True
+    )
     assert abs(value + cmath.exp(1j * fl.deg(50))) < 1e-13
 
 
@@ -83,9 +104,13 @@ def test_both_equations_hold_to_rounding():
 def test_ten_per_cent_rule(order: int, time: float):
     design = paper_plan(filter_order=order)
     assert design.controller.filter_time == pytest.approx(time, abs=5e-7)
-    filtered = replace(design.loop, filter_time=design.controller.filter_time, filter_order=order)
+    filtered = replace(
+        design.loop, filter_time=design.controller.filter_time, filter_order=order
+    )
     found = filtered.crossings(14.14)
-    assert math.degrees(float(np.min(np.abs(found.phase_margin)))) == pytest.approx(63.0, abs=1e-9)
+    assert math.degrees(float(np.min(np.abs(found.phase_margin)))) == pytest.approx(
+        63.0, abs=1e-9
+    )
 
 
 def test_default_design():
@@ -105,13 +130,20 @@ def test_grunwald_law_has_the_known_sampled_margins():
     def sums(w: np.ndarray) -> np.ndarray:  # the paper's: a backward difference for s
         return correction(-np.expm1(-1j * w * RIG.period) / RIG.period)
 
-    for payload, margin in ((0.040, 63.9), (0.030, 57.9), (0.020, 48.8), (0.016, 43.3), (0.008, 23.9)):
+    for payload, margin in (
+        (0.040, 63.9),
+        (0.030, 57.9),
+        (0.020, 48.8),
+        (0.016, 43.3),
+        (0.008, 23.9),
+    ):
         found = design.sampled_at(payload, realisation=sums)
         assert math.degrees(found.phase_margin) == pytest.approx(margin, abs=0.06)
 
 
 def test_exact_law_keeps_the_promised_margin_when_sampled():
-    # The continuous-time stand-in for hold and delay, e^{-1.5 Ts s}, is good to a hundredth of a degree here.
+    # The continuous-time stand-in for hold and delay, e^{-1.5 Ts s}, is good to a
+    # hundredth of a degree here.
     found = default_plan().sampled_at(0.020, realisation="exact")
     assert math.degrees(found.phase_margin) == pytest.approx(50.0, abs=0.01)
 
@@ -175,7 +207,11 @@ def test_filter_that_costs_too_much_is_said():
         ({"payloads": (0.04, 0.02)}, "payloads", "in ascending order"),
         ({"payloads": (math.nan, 0.04)}, "payloads[0]", "nan"),
         ({"payloads": 0.03}, "payloads", "pair"),
-        ({"payloads": None, "natural_frequencies": (14.0, 9.0)}, "natural_frequencies", "ascending"),
+        (
+            {"payloads": None, "natural_frequencies": (14.0, 9.0)},
+            "natural_frequencies",
+            "ascending",
+        ),
         ({"natural_frequencies": (9.0, 14.0)}, "natural_frequencies", "one of the two"),
         ({"filter_time": -0.1}, "filter_time", "-0.1"),
         ({"filter_order": 3}, "filter_order", "whole number 1 to 2"),
@@ -184,7 +220,9 @@ def test_filter_that_costs_too_much_is_said():
         ({"inner": "real"}, "inner", "ideal or sampled"),
     ],
 )
-def test_bad_requests_name_the_field(changes: dict[str, object], field: str, shown: str):
+def test_bad_requests_name_the_field(
+    changes: dict[str, object], field: str, shown: str
+):
     with pytest.raises(FieldError) as caught:
         default_plan(**changes)
     assert caught.value.field == field
@@ -204,7 +242,10 @@ def _works(changes: dict[str, object]) -> bool:
     ("changes", "condition"),
     [
         ({"gain_crossover": 60.0}, "phase margin unreachable"),
-        ({"gain_crossover": 9.0}, "gain crossover right of the peak at the heaviest payload"),
+        (
+            {"gain_crossover": 9.0},
+            "gain crossover right of the peak at the heaviest payload",
+        ),
         ({"phase_margin": fl.deg(120)}, "phase margin at the other gain crossing"),
         ({"margins": "ideal", "phase_margin": fl.deg(175)}, "phase margin"),
     ],
@@ -224,7 +265,14 @@ def test_infeasible_requests_name_the_bound_and_a_request_that_works(
 
 
 def test_a_loop_with_two_turns_counts_its_encirclements():
-    loop = Loop(gain=0.148, order=0.65, link_order=1.92, filter_time=0.16, filter_order=2, lag=1 / 80)
+    loop = Loop(
+        gain=0.148,
+        order=0.65,
+        link_order=1.92,
+        filter_time=0.16,
+        filter_order=2,
+        lag=1 / 80,
+    )
     assert loop.encirclements(11.547) == 1
     assert replace(loop, filter_time=0.0).encirclements(11.547) == 0
 
@@ -237,31 +285,54 @@ def test_a_loop_with_two_turns_counts_its_encirclements():
         ("(59)", 11.547, 0.602 + 13.03j),
     ],
 )
-def test_printed_controllers_are_unstable_on_the_printed_model(name: str, pi: float, pole: complex):
+def test_printed_controllers_are_unstable_on_the_printed_model(
+    name: str, pi: float, pole: complex
+):
     link = replace(RIG.model, natural_frequency=pi)
     found = closed_loop_poles(PRINTED[name], link, inner_pole=80.0)
     assert found[0].real == pytest.approx(pole.real, abs=6e-4)
     assert abs(found[0].imag) == pytest.approx(pole.imag, abs=6e-3)
     # The pole is a zero of 1 + L, evaluated once more by hand.
     s, c = complex(found[0]), PRINTED[name]
-    loop = c.gain * s**c.order / (1 + c.filter_time * s) ** 2 / (1 + s / 80) ** 2 * pi**2 / (s**1.92 + pi**2)
+    loop = (
+        c.gain
+        * s**c.order
+        / (1 + c.filter_time * s) ** 2
+        / (1 + s / 80) ** 2
+        * pi**2
+        / (s**1.92 + pi**2)
+    )
     assert abs(1 + loop) < 1e-10
 
 
 def test_integer_controller_matched_at_the_nominal_point():
     nominal = paper_plan().at_frequency(11.54)
-    matched = match_at(replace(RIG.model, order=2.0), 11.54, nominal.gain_crossover, nominal.phase_margin)
+    matched = match_at(
+        replace(RIG.model, order=2.0),
+        11.54,
+        nominal.gain_crossover,
+        nominal.phase_margin,
+    )
     assert matched.order == pytest.approx(0.786021, abs=5e-7)
     assert matched.gain == pytest.approx(0.208339, abs=5e-7)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("changes", "says"), [({}, False), ({"margins": "ideal"}, True)])
+@pytest.mark.parametrize(
+    ("changes", "says"), [({}, False), ({"margins": "ideal"}, True)]
+)
 def test_a_plan_says_what_its_law_keeps(changes: dict[str, object], says: bool):
     design = default_plan(**changes)
     shipped = design.with_law()
-    kept = min(abs(design.sampled_at(payload).phase_margin) for payload in (0.020, 0.030, 0.040))
-    assert ("W404" in {finding.code for finding in shipped.findings}) == says == (kept < design.phase_margin)
+    kept = min(
+        abs(design.sampled_at(payload).phase_margin)
+        for payload in (0.020, 0.030, 0.040)
+    )
+    assert (
+        ("W404" in {finding.code for finding in shipped.findings})
+        == says
+        == (kept < design.phase_margin)
+    )
     assert shipped.with_law() == shipped
     if says:
         assert shipped.requirements == design.requirements

@@ -1,4 +1,6 @@
-"""Bounds, maps, budgets, tolerances, rivals, the sampled motor loop, each against another computation."""
+"""Bounds, maps, budgets, tolerances, rivals, the sampled motor loop, each against
+another computation.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,13 @@ from fraclink._design.alternatives import (
     feasibility_map,
     scale_to_sensitivity,
 )
-from fraclink._design.assess import VibrationMode, margin_curve, phase_budget, spillover, tolerances
+from fraclink._design.assess import (
+    VibrationMode,
+    margin_curve,
+    phase_budget,
+    spillover,
+    tolerances,
+)
 from fraclink._design.equations import attempt, task_of
 from fraclink._design.procedure import requirements_of
 from fraclink._law import equip
@@ -31,7 +39,11 @@ from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError, SizeError
 
 RIG = Rig.named("paper-2023")
-WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+WANTED = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+}
 
 
 @pytest.fixture(scope="module")
@@ -41,22 +53,38 @@ def design() -> Design:
 
 def test_sensitivity_bound_chooses_the_margin_and_holds_on_a_fine_grid():
     found = fl.design(
-        RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, max_sensitivity=1.5, law=False
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        max_sensitivity=1.5,
+        law=False,
     )
     assert found.passed
     w = np.geomspace(1.0, 785.0, 40_000)
     peaks = [
-        float(np.max(1 / np.abs(1 + found.loop(w, pi)))) for pi in np.geomspace(*found.natural_frequencies, 7)
+        float(np.max(1 / np.abs(1 + found.loop(w, pi))))
+        for pi in np.geomspace(*found.natural_frequencies, 7)
     ]
     assert max(peaks) == pytest.approx(1.5, abs=1e-4)
 
 
 @pytest.mark.slow
 def test_noise_bound_chooses_the_filter():
-    free = fl.design(RIG.model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False)
-    loose = float(free.loop.noise_gain(np.array([free.natural_frequencies[1]]), RIG.period)[0])
+    free = fl.design(
+        RIG.model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False
+    )
+    loose = float(
+        free.loop.noise_gain(np.array([free.natural_frequencies[1]]), RIG.period)[0]
+    )
     bound = 0.7 * loose
-    found = fl.design(RIG.model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), noise_gain=bound, law=False)
+    found = fl.design(
+        RIG.model,
+        RIG,
+        **(WANTED | {"phase_margin": fl.deg(40)}),
+        noise_gain=bound,
+        law=False,
+    )
     assert found.passed
     assert found.controller.filter_time > free.controller.filter_time
     requirement = next(r for r in found.requirements if r.name == "noise gain")
@@ -69,28 +97,42 @@ def test_bounds_on_noise_and_sensitivity_hold_together():
     loose = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked, law=False)
     light = np.array([loose.natural_frequencies[1]])
     bound = 0.8 * float(loose.loop.noise_gain(light, RIG.period)[0])
-    found = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), **asked, noise_gain=bound, law=False)
+    found = fl.design(
+        RIG.model, RIG, payloads=(0.020, 0.040), **asked, noise_gain=bound, law=False
+    )
     assert found.passed, found.requirements
 
 
 def test_settling_time_sets_the_crossover():
     found = fl.design(
-        RIG.model, RIG, payloads=(0.020, 0.040), settling_time=0.5, phase_margin=fl.deg(45), law=False
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        settling_time=0.5,
+        phase_margin=fl.deg(45),
+        law=False,
     )
     assert found.gain_crossover == pytest.approx(2 * math.pi / 0.5)
-    assert {r.name for r in found.requirements} == {"gain crossover", "phase margin", "settling time"}
+    assert {r.name for r in found.requirements} == {
+        "gain crossover",
+        "phase margin",
+        "settling time",
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changes", "condition"), [({"max_sensitivity": 1.05}, "sensitivity"), ({"noise_gain": 0.01}, "noise")]
+    ("changes", "condition"),
+    [({"max_sensitivity": 1.05}, "sensitivity"), ({"noise_gain": 0.01}, "noise")],
 )
 def test_unreachable_bounds_name_themselves(changes: dict[str, float], condition: str):
     wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0}
     wanted |= {"phase_margin": fl.deg(50)} if "noise_gain" in changes else {}
     with pytest.raises(InfeasibleError, match=condition) as caught:
         fl.design(RIG.model, RIG, **wanted, **changes, law=False)
-    assert fl.design(RIG.model, RIG, **wanted, **(changes | caught.value.nearest), law=False).passed
+    assert fl.design(
+        RIG.model, RIG, **wanted, **(changes | caught.value.nearest), law=False
+    ).passed
 
 
 def test_neither_crossover_nor_settling_time_is_an_error():
@@ -107,15 +149,24 @@ def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
     for k, value in enumerate(pi):
         distance = np.abs(1 + design.loop(w, value))
         power = (np.abs(design.controller.response(w)) / distance) ** 2
-        assert design.loop.noise_gain(pi, RIG.period)[k] == pytest.approx(math.sqrt(np.mean(power)), rel=1e-4)
-        assert design.loop.sensitivity_peak(pi)[k] == pytest.approx(1 / np.min(distance), rel=1e-6)
+        assert design.loop.noise_gain(pi, RIG.period)[k] == pytest.approx(
+            math.sqrt(np.mean(power)), rel=1e-4
+        )
+        assert design.loop.sensitivity_peak(pi)[k] == pytest.approx(
+            1 / np.min(distance), rel=1e-6
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filter_time", [0.0, None, 0.03])
 def test_map_agrees_with_single_designs(filter_time: float | None):
-    axes = {"gain_crossovers": np.linspace(9.0, 45.0, 9), "phase_margins": np.radians([15, 30, 45, 60])}
-    found = feasibility_map(RIG.model, RIG, payloads=(0.020, 0.040), filter_time=filter_time, **axes)
+    axes = {
+        "gain_crossovers": np.linspace(9.0, 45.0, 9),
+        "phase_margins": np.radians([15, 30, 45, 60]),
+    }
+    found = feasibility_map(
+        RIG.model, RIG, payloads=(0.020, 0.040), filter_time=filter_time, **axes
+    )
     assert found.feasible.any() and not found.feasible.all()
     refused: set[str] = set()
     for row, column in np.ndindex(found.order.shape):
@@ -123,7 +174,11 @@ def test_map_agrees_with_single_designs(filter_time: float | None):
             "gain_crossover": float(found.gain_crossover[column]),
             "phase_margin": float(found.phase_margin[row]),
         }
-        options = {"payloads": (0.020, 0.040), "filter_time": filter_time, "filter_order": 1}
+        options = {
+            "payloads": (0.020, 0.040),
+            "filter_time": filter_time,
+            "filter_order": 1,
+        }
         try:
             single = fl.design(RIG.model, RIG, **asked, **options, law=False)
         except InfeasibleError as error:
@@ -131,19 +186,27 @@ def test_map_agrees_with_single_designs(filter_time: float | None):
             refused.add(error.condition)
             continue
         assert found.feasible[row, column]
-        assert single.controller.order == pytest.approx(found.order[row, column], abs=1e-9)
-        assert single.controller.filter_time == pytest.approx(found.filter_time[row, column], abs=1e-12)
+        assert single.controller.order == pytest.approx(
+            found.order[row, column], abs=1e-9
+        )
+        assert single.controller.filter_time == pytest.approx(
+            found.filter_time[row, column], abs=1e-12
+        )
         light = np.array([single.natural_frequencies[1]])
         assert single.loop.noise_gain(light, RIG.period)[0] == pytest.approx(
             found.noise_gain[row, column], rel=1e-6
         )
-    if filter_time == 0.03:  # a long filter asks for a large β, whose loop passes -1 closest where it rises
+    if (
+        filter_time == 0.03
+    ):  # a long filter asks for a large β, whose loop passes -1 closest where it rises
         assert "phase margin at the other gain crossing" in refused
 
 
 def test_map_refuses_what_is_too_large():
     with pytest.raises(SizeError):
-        feasibility_map(RIG.model, RIG, gain_crossovers=np.ones(2000), phase_margins=np.ones(2000))
+        feasibility_map(
+            RIG.model, RIG, gain_crossovers=np.ones(2000), phase_margins=np.ones(2000)
+        )
 
 
 @pytest.mark.parametrize("inner", ["ideal", "sampled"])
@@ -163,9 +226,13 @@ def test_margin_curves_are_the_margins_of_the_plan(design: Design):
         assert loop.gain_crossover[k] == pytest.approx(exact.gain_crossover, rel=1e-9)
         assert loop.modulus_margin[k] == pytest.approx(exact.modulus_margin, abs=1e-5)
     ideal, motor = (margin_curve(design, masses, kind=k) for k in ("ideal", "motor"))
-    assert np.all(ideal.phase_margin > motor.phase_margin) and np.all(motor.phase_margin > loop.phase_margin)
+    assert np.all(ideal.phase_margin > motor.phase_margin) and np.all(
+        motor.phase_margin > loop.phase_margin
+    )
     sampled = margin_curve(design, [0.020], kind="sampled")
-    assert sampled.phase_margin[0] == pytest.approx(design.sampled_at(0.020).phase_margin)
+    assert sampled.phase_margin[0] == pytest.approx(
+        design.sampled_at(0.020).phase_margin
+    )
     with pytest.raises(FieldError):
         margin_curve(design, [0.02], kind="digital")
 
@@ -196,14 +263,27 @@ def test_spillover_is_the_peak_of_a_mode_times_the_controller(design: Design):
 
 @pytest.mark.slow
 def test_rivals_meet_at_one_sensitivity_and_noise_tells_them_apart(design: Design):
-    rivals = {r.name: r for r in compare_at_equal_sensitivity(design, max_sensitivity=1.55)}
+    rivals = {
+        r.name: r for r in compare_at_equal_sensitivity(design, max_sensitivity=1.55)
+    }
     equal = [r for name, r in rivals.items() if not name.startswith("printed")]
-    assert all(r.sensitivity_peak == pytest.approx(1.55, abs=1e-6) and r.stable for r in equal)
+    assert all(
+        r.sensitivity_peak == pytest.approx(1.55, abs=1e-6) and r.stable for r in equal
+    )
     assert not rivals["printed (58)"].stable and not rivals["printed (59)"].stable
-    # The integer model does not lose: at equal Ms it is faster; what the lower order buys is less noise.
-    assert rivals["C', integer model"].gain_crossover > rivals["C, fractional model"].gain_crossover
-    assert rivals["C, fractional model"].noise_gain < rivals["C', integer model"].noise_gain
-    assert rivals["best β"].gain_crossover >= max(r.gain_crossover for r in equal) - 1e-9
+    # The integer model does not lose: at equal Ms it is faster; what the lower order
+    # buys is less noise.
+    assert (
+        rivals["C', integer model"].gain_crossover
+        > rivals["C, fractional model"].gain_crossover
+    )
+    assert (
+        rivals["C, fractional model"].noise_gain
+        < rivals["C', integer model"].noise_gain
+    )
+    assert (
+        rivals["best β"].gain_crossover >= max(r.gain_crossover for r in equal) - 1e-9
+    )
 
 
 def test_tustin_is_nearly_unstable_and_direct_placement_is_not():
@@ -217,16 +297,22 @@ def test_tustin_is_nearly_unstable_and_direct_placement_is_not():
 @pytest.mark.parametrize("pole", [40.0, 60.0])
 def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int):
     try:
-        inner = MotorLoop(pole, delay, "sampled", "direct").sampled(RIG.motor, RIG.period)
+        inner = MotorLoop(pole, delay, "sampled", "direct").sampled(
+            RIG.motor, RIG.period
+        )
     except FieldError:
         pytest.fail("40 and 60 rad/s can be placed with up to two samples")
     poles, wanted = inner.poles(), math.exp(-pole * RIG.period)
     assert np.all(np.abs(poles) < 1.0)
-    assert np.sort(np.abs(poles - wanted))[2] < 2e-4  # a triple root is known to the cube root of rounding
+    assert (
+        np.sort(np.abs(poles - wanted))[2] < 2e-4
+    )  # a triple root is known to the cube root of rounding
 
 
 def test_discrete_motor_loop_in_time_follows_its_reference():
-    """A difference-equation simulation, coefficient by coefficient, against the closed form in z."""
+    """A difference-equation simulation, coefficient by coefficient, against the closed
+    form in z.
+    """
     for placement in ("tustin", "direct"):
         inner = MotorLoop(60.0, 1, "sampled", placement).sampled(RIG.motor, RIG.period)
         m1, m2, e = held_motor(RIG.motor, RIG.period)
@@ -234,7 +320,10 @@ def test_discrete_motor_loop_in_time_follows_its_reference():
         angle, voltage = np.zeros(n), np.zeros(n)
         integral = filtered = 0.0
         for t in range(n):
-            past = [voltage[t - 2] if t >= 2 else 0.0, voltage[t - 3] if t >= 3 else 0.0]
+            past = [
+                voltage[t - 2] if t >= 2 else 0.0,
+                voltage[t - 3] if t >= 3 else 0.0,
+            ]
             before = [angle[t - 1] if t >= 1 else 0.0, angle[t - 2] if t >= 2 else 0.0]
             angle[t] = (1 + e) * before[0] - e * before[1] + m1 * past[0] + m2 * past[1]
             error = 1.0 - angle[t]
@@ -248,7 +337,9 @@ def test_discrete_motor_loop_in_time_follows_its_reference():
         w = np.array([20.0])
         x = np.exp(-1j * w * RIG.period)
         spectrum = np.sum(np.diff(angle, prepend=0.0) * x ** np.arange(n))
-        assert spectrum == pytest.approx(complex((inner.voltage(w) * inner.plant(x))[0]), abs=1e-6)
+        assert spectrum == pytest.approx(
+            complex((inner.voltage(w) * inner.plant(x))[0]), abs=1e-6
+        )
 
 
 def test_placement_too_fast_for_its_delay_is_refused():
@@ -260,15 +351,22 @@ def test_placement_too_fast_for_its_delay_is_refused():
 @pytest.mark.slow
 def test_design_on_the_sampled_motor_loop_keeps_its_margin_exactly():
     for placement in ("tustin", "direct"):
-        made = fl.design(RIG.model, RIG, **WANTED, inner="sampled", placement=placement, law=False)
+        made = fl.design(
+            RIG.model, RIG, **WANTED, inner="sampled", placement=placement, law=False
+        )
         for payload in (0.020, 0.040):
-            gap = made.at(payload).phase_margin - made.sampled_at(payload, realisation="exact").phase_margin
+            gap = (
+                made.at(payload).phase_margin
+                - made.sampled_at(payload, realisation="exact").phase_margin
+            )
             assert abs(math.degrees(gap)) < 1e-6
         assert made.sampled_at(0.020).stable
 
 
 def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
-    made = fl.design(RIG.model, RIG, **WANTED, inner="sampled", placement="direct", law=False)
+    made = fl.design(
+        RIG.model, RIG, **WANTED, inner="sampled", placement="direct", law=False
+    )
     drive = made.law().drive
     assert drive is not None
     placed = direct_placement(RIG.motor, 80.0, RIG.period, 1)
@@ -276,14 +374,18 @@ def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
 
 
 def test_plan_certifies_the_very_law_that_is_exported(design: Design):
-    exported = equip(fl.discretize(design.controller, RIG.period), design.rig, design.model)
+    exported = equip(
+        fl.discretize(design.controller, RIG.period), design.rig, design.model
+    )
     assert design.law().digest == exported.digest
 
 
 def test_alias_sum_is_exact_where_the_answer_is_known():
     """1/(s+a) under a hold is (1-e^{-aT})/a / (z - e^{-aT}), with any whole delay."""
     a, period = 7.0, 0.02
-    plant = SampledPlant(lambda s: 1.0 / (s + a), period, period, decay=2.0, leading=1.0)
+    plant = SampledPlant(
+        lambda s: 1.0 / (s + a), period, period, decay=2.0, leading=1.0
+    )
     w = np.array([0.5, 10.0, 100.0, 150.0])
     z = np.exp(1j * w * period)
     exact = -np.expm1(-a * period) / a / (z - math.exp(-a * period)) / z
@@ -294,7 +396,9 @@ def test_alias_sum_is_exact_where_the_answer_is_known():
 def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(design: Design):
     proper = design.law()
     point = ParameterBox.at(design.model)
-    claim = certify(design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999, box=point).statement
+    claim = certify(
+        design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999, box=point
+    ).statement
     found = enclose_phase_margin(claim, proper)
     true = design.sampled_at(0.020).phase_margin
     assert found.low <= true <= found.high + 1e-6
@@ -324,7 +428,8 @@ def test_controllers_out_of_range_are_refused(values: dict[str, object], field: 
 
 
 @pytest.mark.parametrize(
-    "values", [{"pole": 0.0}, {"delay_samples": 1.5}, {"delay_samples": 101}, {"kind": "real"}]
+    "values",
+    [{"pole": 0.0}, {"delay_samples": 1.5}, {"delay_samples": 101}, {"kind": "real"}],
 )
 def test_inner_settings_out_of_range_are_refused(values: dict[str, object]):
     with pytest.raises(FieldError):
@@ -334,11 +439,21 @@ def test_inner_settings_out_of_range_are_refused(values: dict[str, object]):
 def test_transfer_is_one_plus_the_correction():
     controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2)
     w = np.array([0.3, 12.0, 90.0])
-    assert np.allclose(controller.correction()(1j * w), controller.response(w), rtol=1e-13)
-    assert np.allclose(controller.transfer()(1j * w), 1 + controller.response(w), rtol=1e-13)
-    assert controller.is_strictly_proper and not controller.without_filter().is_strictly_proper
+    assert np.allclose(
+        controller.correction()(1j * w), controller.response(w), rtol=1e-13
+    )
+    assert np.allclose(
+        controller.transfer()(1j * w), 1 + controller.response(w), rtol=1e-13
+    )
+    assert (
+        controller.is_strictly_proper
+        and not controller.without_filter().is_strictly_proper
+    )
     assert controller.formula == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)^2"
-    assert replace(controller, filter_order=1).formula == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)"
+    assert (
+        replace(controller, filter_order=1).formula
+        == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)"
+    )
     assert controller.without_filter().formula == "C(s) = 1 + 0.148 s^0.65"
     assert not replace(controller, filter_order=1, order=1.0).is_strictly_proper
 
@@ -349,7 +464,12 @@ def test_transfer_is_one_plus_the_correction():
 def test_a_bound_alone_is_the_requirement_that_it_adds() -> None:
     base = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     names = {}
-    for bound in ({}, {"noise_gain": 5.0}, {"max_sensitivity": 9.0}, {"settling_time": 0.9}):
+    for bound in (
+        {},
+        {"noise_gain": 5.0},
+        {"max_sensitivity": 9.0},
+        {"settling_time": 0.9},
+    ):
         spec = Specification(payloads=(0.02, 0.04), **base, **bound)
         task = task_of(RIG.model, RIG, spec)
         found = attempt(task)
@@ -357,21 +477,34 @@ def test_a_bound_alone_is_the_requirement_that_it_adds() -> None:
         rows = requirements_of(task, task.controller(*found), spec)
         names[tuple(bound)] = [item.name for item in rows][2:]
         if bound:
-            assert rows[2].wanted == next(iter(bound.values())) and rows[2].bound == "at most"
+            assert (
+                rows[2].wanted == next(iter(bound.values()))
+                and rows[2].bound == "at most"
+            )
     assert names == {
         (): [],
         ("noise_gain",): ["noise gain"],
         ("max_sensitivity",): ["sensitivity peak"],
         ("settling_time",): ["settling time"],
     }
-    assert rows[2].achieved == pytest.approx(2 * math.pi / rows[0].achieved) and rows[2].unit == "s"
+    assert (
+        rows[2].achieved == pytest.approx(2 * math.pi / rows[0].achieved)
+        and rows[2].unit == "s"
+    )
     assert rows[2].at_payload == 0.04
 
 
 def test_findings_of_a_filter_that_was_given() -> None:
-    """Lag n·atan(δ ω̄_c): W401 above a tenth of the margin, W402 where nothing filters, W403 for (39)."""
-    found = {time: fl.design(RIG.model, RIG, **WANTED, filter_time=time, law=False) for time in (0.0, 0.02)}
-    codes = {time: {one.code: one for one in made.findings} for time, made in found.items()}
+    """Lag n·atan(δ ω̄_c): W401 above a tenth of the margin, W402 where nothing filters,
+    W403 for (39).
+    """
+    found = {
+        time: fl.design(RIG.model, RIG, **WANTED, filter_time=time, law=False)
+        for time in (0.0, 0.02)
+    }
+    codes = {
+        time: {one.code: one for one in made.findings} for time, made in found.items()
+    }
     assert set(codes[0.0]) == {"W402"} and set(codes[0.02]) == {"W401"}
     long = found[0.02]
     cost = long.controller.filter_order * math.atan(0.02 * long.gain_crossover_upper)
@@ -381,38 +514,66 @@ def test_findings_of_a_filter_that_was_given() -> None:
     assert codes[0.0]["W402"].evidence == pytest.approx(
         {"order": found[0.0].controller.order, "filter_time": 0.0}
     )
-    # Condition (39), (−ω₀²/cos(πλ/2))^(1/λ) at the heaviest payload, is only sufficient.
+    # Condition (39), (−ω₀²/cos(πλ/2))^(1/λ) at the heaviest payload, is only
+    # sufficient.
     low = RIG.natural_frequency(0.04)
     bound = (low**2 / -math.cos(0.96 * math.pi)) ** (1 / 1.92)
     near = {"payloads": (0.038, 0.04), "phase_margin": fl.deg(75), "law": False}
     below = fl.design(RIG.model, RIG, gain_crossover=0.999 * bound, **near)
     above = fl.design(RIG.model, RIG, gain_crossover=1.001 * bound, **near)
     (told,) = [one for one in below.findings if one.code == "W403"]
-    assert told.evidence == pytest.approx({"gain_crossover": 0.999 * bound, "condition_39": bound})
+    assert told.evidence == pytest.approx(
+        {"gain_crossover": 0.999 * bound, "condition_39": bound}
+    )
     assert "W403" not in {one.code for one in above.findings}
 
 
 def test_a_small_map_agrees_with_single_designs() -> None:
     axes = {"gain_crossovers": [8.0, 12.0, 14.0], "phase_margins": fl.deg(50)}
     for filter_time, kind in ((None, "loop"), (0.002, "loop"), (0.0, "ideal")):
-        options = {"payloads": (0.02, 0.04), "filter_time": filter_time, "margins": kind, "filter_order": 1}
+        options = {
+            "payloads": (0.02, 0.04),
+            "filter_time": filter_time,
+            "margins": kind,
+            "filter_order": 1,
+        }
         found = feasibility_map(RIG.model, RIG, **axes, **options)
         assert found.order.shape == (1, 3)
         assert found.feasible[0].tolist() == [False, True, True]
-        assert all(math.isnan(column[0, 0]) for column in (found.gain, found.upper, found.noise_gain))
+        assert all(
+            math.isnan(column[0, 0])
+            for column in (found.gain, found.upper, found.noise_gain)
+        )
         for column in (1, 2):
             crossover = float(found.gain_crossover[column])
             single = fl.design(
-                RIG.model, RIG, gain_crossover=crossover, phase_margin=fl.deg(50), **options, law=False
+                RIG.model,
+                RIG,
+                gain_crossover=crossover,
+                phase_margin=fl.deg(50),
+                **options,
+                law=False,
             )
             c = single.controller
-            got = [x[0, column] for x in (found.gain, found.order, found.upper, found.settling_time)]
-            wanted = [c.gain, c.order, single.gain_crossover_upper, 2 * math.pi / crossover]
+            got = [
+                x[0, column]
+                for x in (found.gain, found.order, found.upper, found.settling_time)
+            ]
+            wanted = [
+                c.gain,
+                c.order,
+                single.gain_crossover_upper,
+                2 * math.pi / crossover,
+            ]
             assert got == pytest.approx(wanted, rel=1e-8)
             if kind == "loop":
-                light = single.loop.noise_gain(single.natural_frequencies[1], RIG.period)[0]
+                light = single.loop.noise_gain(
+                    single.natural_frequencies[1], RIG.period
+                )[0]
                 assert found.noise_gain[0, column] == pytest.approx(light, rel=1e-6)
-                assert found.filter_time[0, column] == pytest.approx(c.filter_time, abs=1e-12)
+                assert found.filter_time[0, column] == pytest.approx(
+                    c.filter_time, abs=1e-12
+                )
     wide = feasibility_map(
         RIG.model,
         RIG,
@@ -425,19 +586,28 @@ def test_a_small_map_agrees_with_single_designs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "values", "unit"), [("gain_crossovers", [-1.0], "rad/s"), ("phase_margins", [3.2], "rad")]
+    ("field", "values", "unit"),
+    [("gain_crossovers", [-1.0], "rad/s"), ("phase_margins", [3.2], "rad")],
 )
-def test_an_axis_of_a_map_is_refused_in_its_own_unit(field: str, values: list[float], unit: str) -> None:
+def test_an_axis_of_a_map_is_refused_in_its_own_unit(
+    field: str, values: list[float], unit: str
+) -> None:
     axes = {"gain_crossovers": [12.0], "phase_margins": [0.8]} | {field: values}
     with pytest.raises(FieldError) as caught:
         feasibility_map(RIG.model, RIG, **axes)
-    assert caught.value.field == field and unit in str(caught.value) and "kg" not in str(caught.value)
+    assert (
+        caught.value.field == field
+        and unit in str(caught.value)
+        and "kg" not in str(caught.value)
+    )
     with pytest.raises(FieldError, match="without values"):
         feasibility_map(RIG.model, RIG, **(axes | {field: []}))
 
 
 def test_shares_of_the_phase_are_those_of_the_elements(design: Design) -> None:
-    late = replace(design, model=replace(design.model, gauge_delay=0.003, gauge_gain=1.02))
+    late = replace(
+        design, model=replace(design.model, gauge_delay=0.003, gauge_gain=1.02)
+    )
     w0 = late.natural_frequency(0.03)
     w = float(late.full_loop.crossings(w0).frequency.max())
     s = 1j * w
@@ -453,10 +623,12 @@ def test_shares_of_the_phase_are_those_of_the_elements(design: Design) -> None:
         "hold": -0.002 * w,
         "computation delay": -0.004 * w,
     }
-    assert {share.element: share.phase for share in phase_budget(late, 0.03)} == pytest.approx(
-        wanted, abs=1e-9
-    )
-    assert "gauge and second mode" not in {share.element for share in phase_budget(design, 0.03)}
+    assert {
+        share.element: share.phase for share in phase_budget(late, 0.03)
+    } == pytest.approx(wanted, abs=1e-9)
+    assert "gauge and second mode" not in {
+        share.element for share in phase_budget(design, 0.03)
+    }
     quiet = replace(design, controller=replace(design.controller, gain=1e-9))
     with pytest.raises(FieldError, match="without a gain crossover"):
         phase_budget(quiet, 0.03)
@@ -464,9 +636,18 @@ def test_shares_of_the_phase_are_those_of_the_elements(design: Design) -> None:
 
 def test_each_tolerance_is_where_the_signed_margin_ends() -> None:
     made = fl.design(
-        RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=25.0, phase_margin=fl.deg(40), law=False
+        RIG.model,
+        RIG,
+        payloads=(0.02, 0.04),
+        gain_crossover=25.0,
+        phase_margin=fl.deg(40),
+        law=False,
     )
-    found, loop, ends = tolerances(made), made.full_loop, np.geomspace(*made.natural_frequencies, 9)
+    found, loop, ends = (
+        tolerances(made),
+        made.full_loop,
+        np.geomspace(*made.natural_frequencies, 9),
+    )
 
     def stable(changed: Loop, w0: np.ndarray) -> bool:
         return bool(np.min(changed.margins(w0)[1]) > 0)
@@ -490,7 +671,9 @@ def test_each_tolerance_is_where_the_signed_margin_ends() -> None:
 
 
 def test_the_largest_gain_within_a_bound_on_ms(design: Design) -> None:
-    """On a dense grid: Ms is the bound at the gain that is found, and more a per cent above it."""
+    """On a dense grid: Ms is the bound at the gain that is found, and more a per cent
+    above it.
+    """
     start = replace(design.controller, gain=0.3 * design.controller.gain)
     for bound in (1.55, 8.0):
         found = scale_to_sensitivity(design, start, bound)
@@ -506,28 +689,58 @@ def test_the_largest_gain_within_a_bound_on_ms(design: Design) -> None:
         assert peak(found.gain) == pytest.approx(bound, rel=1e-4)
         assert peak(1.01 * found.gain) > bound
         assert replace(found, gain=start.gain) == start
-    with pytest.raises(InfeasibleError, match=r"no gain brings Ms to 1\.001 with β = 0\.6"):
+    with pytest.raises(
+        InfeasibleError, match=r"no gain brings Ms to 1\.001 with β = 0\.6"
+    ):
         scale_to_sensitivity(design, replace(start, gain=30.0), 1.001)
 
 
 def test_a_rival_is_rated_by_its_worst_payload(design: Design) -> None:
     own = alternatives._rate(design, "own", design.controller)
-    got = design.full_loop.achieved(np.geomspace(*design.natural_frequencies, 9), RIG.period)
+    got = design.full_loop.achieved(
+        np.geomspace(*design.natural_frequencies, 9), RIG.period
+    )
     assert (own.name, own.controller, own.stable) == ("own", design.controller, True)
-    figures = (own.sensitivity_peak, own.gain_crossover, own.phase_margin, own.noise_gain)
+    figures = (
+        own.sensitivity_peak,
+        own.gain_crossover,
+        own.phase_margin,
+        own.noise_gain,
+    )
     assert figures == pytest.approx(
-        (got.sensitivity_peak.max(), got.gain_crossover.min(), got.phase_margin.min(), got.noise_gain.max())
+        (
+            got.sensitivity_peak.max(),
+            got.gain_crossover.min(),
+            got.phase_margin.min(),
+            got.noise_gain.max(),
+        )
     )
     assert own.settling_time == pytest.approx(2 * math.pi / 12.0)
-    loud = alternatives._rate(design, "loud", replace(design.controller, gain=20 * design.controller.gain))
-    assert not loud.stable and loud.phase_margin < 0 and loud.sensitivity_peak == loud.noise_gain == math.inf
+    loud = alternatives._rate(
+        design, "loud", replace(design.controller, gain=20 * design.controller.gain)
+    )
+    assert (
+        not loud.stable
+        and loud.phase_margin < 0
+        and loud.sensitivity_peak == loud.noise_gain == math.inf
+    )
     quiet = alternatives._rate(design, "quiet", replace(design.controller, gain=1e-9))
     assert quiet.gain_crossover == 0.0 and quiet.settling_time == math.inf
 
 
-def test_a_rivals_start_has_the_gain_of_the_design_at_its_crossover(design: Design) -> None:
+def test_a_rivals_start_has_the_gain_of_the_design_at_its_crossover(
+    design: Design,
+) -> None:
     filtered = replace(design.controller, filter_time=0.004)
-    for own, order, n in ((filtered, 1.2, 2), (filtered, 0.9, 1), (design.controller, 1.2, 1)):
+    for own, order, n in (
+        (filtered, 1.2, 2),
+        (filtered, 0.9, 1),
+        (design.controller, 1.2, 1),
+    ):
         start = alternatives._start(own, order, 15.0)
-        assert (start.order, start.filter_order, start.filter_time) == (order, n, own.filter_time)
+        assert (start.order, start.filter_order, start.filter_time) == (
+            order,
+            n,
+            own.filter_time,
+        )
         assert start.gain * 15.0**order == pytest.approx(own.gain * 15.0**own.order)

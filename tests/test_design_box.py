@@ -1,4 +1,6 @@
-"""A design over a box: every requirement kept at arms that the test draws itself, and what is refused."""
+"""A design over a box: every requirement kept at arms that the test draws itself, and
+what is refused.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,18 @@ from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = fl.Rig.named("paper-2023")
-WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+WANTED = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+}
 MODE = SecondMode(180.0, 0.02, 0.02)
 
 
 def drawn(made: Design, count: int) -> list[tuple[float, float]]:
-    """(crossover, phase margin) of the loop at random arms and corners of the design's box."""
+    """(crossover, phase margin) of the loop at random arms and corners of the design's
+    box.
+    """
     box, rng, found = made.box, np.random.default_rng(2), []
     assert box is not None
     for number in range(count):
@@ -37,7 +45,9 @@ def drawn(made: Design, count: int) -> list[tuple[float, float]]:
 
         second = made.model.second_mode
         if second is not None:
-            second = replace(second, frequency=pick(box.mode_frequency), gain=pick(box.mode_gain))
+            second = replace(
+                second, frequency=pick(box.mode_frequency), gain=pick(box.mode_gain)
+            )
         link = replace(
             made.model,
             natural_frequency=pick(box.natural_frequency),
@@ -48,7 +58,9 @@ def drawn(made: Design, count: int) -> list[tuple[float, float]]:
             intervals=(),
         ).at_payload(pick(made.payloads))
         pole = RIG.motor_loop.pole * pick(box.motor_ratio)
-        true = replace(made.controller, inner=MotorLoop(pole, RIG.motor_loop.delay_samples))
+        true = replace(
+            made.controller, inner=MotorLoop(pole, RIG.motor_loop.delay_samples)
+        )
         crossover, margin = Loop.of(true, link, RIG).margins(link.natural_frequency)
         found.append((float(crossover[0]), float(margin[0])))
     return found
@@ -56,13 +68,18 @@ def drawn(made: Design, count: int) -> list[tuple[float, float]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", [None, MODE], ids=["one mode", "second mode"])
-def test_every_arm_of_the_box_keeps_crossover_and_margin(mode: SecondMode | None) -> None:
-    made = design(replace(RIG.model, second_mode=mode), RIG, **WANTED, box=True, law=False)
+def test_every_arm_of_the_box_keeps_crossover_and_margin(
+    mode: SecondMode | None,
+) -> None:
+    made = design(
+        replace(RIG.model, second_mode=mode), RIG, **WANTED, box=True, law=False
+    )
     assert made.passed
     arms = drawn(made, 80)
     assert min(crossover for crossover, _ in arms) >= 12.0 * (1 - 1e-9)
     assert min(margin for _, margin in arms) >= fl.deg(50) - 1e-9
-    # It is asked for no more than that: the worst arm has what was wanted, the model itself more.
+    # It is asked for no more than that: the worst arm has what was wanted, the model
+    # itself more.
     achieved = {item.name: item.achieved for item in made.requirements}
     assert achieved["phase margin"] < fl.deg(50.5)
     assert achieved["gain crossover"] < 12.1
@@ -72,7 +89,12 @@ def test_every_arm_of_the_box_keeps_crossover_and_margin(mode: SecondMode | None
 @pytest.mark.slow
 def test_modulus_of_the_moderate_box_is_proved() -> None:
     made = design(
-        RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, max_sensitivity=1 / 0.58, box=True
+        RIG.model,
+        RIG,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        max_sensitivity=1 / 0.58,
+        box=True,
     )
     assert made.passed and made.box == ParameterBox.of(RIG.model, RIG)
     found = fl.certify(made)
@@ -83,8 +105,11 @@ def test_modulus_of_the_moderate_box_is_proved() -> None:
 def test_finding_says_what_each_interval_costs() -> None:
     made = design(RIG.model, RIG, **WANTED, box=True, law=False)
     (cost,) = (finding for finding in made.findings if finding.code == "W407")
-    assert cost.evidence["nominal_rad"] - cost.evidence["worst_rad"] == pytest.approx(fl.deg(13.3), abs=0.01)
-    # Without the delay's interval the design has as much more margin as the finding promised.
+    assert cost.evidence["nominal_rad"] - cost.evidence["worst_rad"] == pytest.approx(
+        fl.deg(13.3), abs=0.01
+    )
+    # Without the delay's interval the design has as much more margin as the finding
+    # promised.
     known = replace(made.box, gauge_delay=(0.0, 0.0))
     worst = min(
         float(arm.loop(made.controller, RIG).margins(w0 * ratio)[1][0])
@@ -92,12 +117,16 @@ def test_finding_says_what_each_interval_costs() -> None:
         for w0 in made.natural_frequencies
         for ratio in (0.985, 1.015)
     )
-    assert worst - cost.evidence["worst_rad"] == pytest.approx(cost.evidence["gauge_delay_rad"], abs=2e-3)
+    assert worst - cost.evidence["worst_rad"] == pytest.approx(
+        cost.evidence["gauge_delay_rad"], abs=2e-3
+    )
 
 
 @pytest.mark.slow
 def test_a_law_that_falls_short_somewhere_in_the_box_is_named() -> None:
-    """Without a filter the fitted law rises towards the Nyquist frequency: an arm of the box is unstable."""
+    """Without a filter the fitted law rises towards the Nyquist frequency: an arm of
+    the box is unstable.
+    """
     made = design(RIG.model, RIG, **WANTED, filter_time=0.0, box=True).with_law()
     assert not made.passed and made.requirements[-1].achieved < 0.0
     assert "W404" in {finding.code for finding in made.findings}
@@ -108,7 +137,9 @@ def test_a_law_that_falls_short_somewhere_in_the_box_is_named() -> None:
 def test_a_law_that_is_not_stable_does_not_pass_without_a_further_look() -> None:
     made = design(RIG.model, RIG, **WANTED, filter_time=0.0, box=True)
     assert not made.passed
-    assert [finding.severity for finding in made.findings if finding.code == "W404"] == ["error"]
+    assert [
+        finding.severity for finding in made.findings if finding.code == "W404"
+    ] == ["error"]
 
 
 @pytest.mark.slow
@@ -118,7 +149,9 @@ def test_a_law_that_comes_close_to_minus_one_near_nyquist_is_named() -> None:
     bare = design(RIG.model, RIG, **wanted, filter_time=0.0, box=True)
     near = [finding for finding in bare.findings if finding.code == "W408"]
     assert bare.passed and near[0].severity == "warning"
-    assert near[0].evidence["modulus_margin"] < 0.25 < 0.5 < near[0].evidence["designed"]
+    assert (
+        near[0].evidence["modulus_margin"] < 0.25 < 0.5 < near[0].evidence["designed"]
+    )
     filtered = design(RIG.model, RIG, **wanted, box=True)
     assert "W408" not in {finding.code for finding in filtered.findings}
 
@@ -126,13 +159,21 @@ def test_a_law_that_comes_close_to_minus_one_near_nyquist_is_named() -> None:
 @pytest.mark.slow
 def test_refusal_offers_what_the_box_admits() -> None:
     with pytest.raises(InfeasibleError) as caught:
-        design(RIG.model, RIG, **WANTED | {"phase_margin": fl.deg(110)}, box=True, law=False)
+        design(
+            RIG.model,
+            RIG,
+            **WANTED | {"phase_margin": fl.deg(110)},
+            box=True,
+            law=False,
+        )
     offered = caught.value.nearest
     assert offered["phase_margin"] < fl.deg(110)
     assert design(RIG.model, RIG, **WANTED | offered, box=True, law=False).passed
 
 
-def test_box_of_one_arm_is_the_plain_design_and_files_keep_the_box(tmp_path: Path) -> None:
+def test_box_of_one_arm_is_the_plain_design_and_files_keep_the_box(
+    tmp_path: Path,
+) -> None:
     plain = design(RIG.model, RIG, **WANTED, law=False)
     point = design(RIG.model, RIG, **WANTED, box=ParameterBox.at(RIG.model), law=False)
     assert point.controller == plain.controller and plain.box is None
@@ -172,18 +213,30 @@ def test_each_interval_is_closed_towards_the_model_alone() -> None:
     assert moved("motor_ratio", 1.0, 0.5)[1].motor_ratio == pytest.approx(1.05)
     assert moved("motor_ratio", 1.0, 0.5)[1].model == arm.model
     second = moved("mode_frequency", 180.0, 0.5)[1].model.second_mode
-    assert second is not None and (second.frequency, second.gain) == (pytest.approx(185.0), MODE.gain)
+    assert second is not None and (second.frequency, second.gain) == (
+        pytest.approx(185.0),
+        MODE.gain,
+    )
     narrow, unmoved = moved("natural_frequency", 11.0, 0.5)
     assert narrow.natural_frequency == pytest.approx((10.5, 12.0)) and unmoved == arm
     assert narrow.order == box.order
 
 
-def test_the_cost_of_a_box_names_the_dearest_parameter_and_a_single_arm_costs_nothing() -> None:
+def test_the_cost_of_a_box_names_the_dearest_parameter_and_a_single_arm_costs_nothing() -> (
+    None
+):
     made = design(RIG.model, RIG, **WANTED, law=False)
-    box = replace(ParameterBox.at(RIG.model), gauge_delay=(0.0, 0.004), gauge_gain=(0.99, 1.01))
+    box = replace(
+        ParameterBox.at(RIG.model), gauge_delay=(0.0, 0.004), gauge_gain=(0.99, 1.01)
+    )
     task = task_of(RIG.model, RIG, Specification(**WANTED))
     found = cost_of_box(task, made.controller, box)
-    assert set(found.evidence) == {"nominal_rad", "worst_rad", "gauge_delay_rad", "gauge_gain_rad"}
+    assert set(found.evidence) == {
+        "nominal_rad",
+        "worst_rad",
+        "gauge_delay_rad",
+        "gauge_gain_rad",
+    }
     assert found.evidence["nominal_rad"] == pytest.approx(fl.deg(50), abs=1e-6)
     assert found.evidence["gauge_delay_rad"] > found.evidence["gauge_gain_rad"] > 0.0
     lost = math.degrees(found.evidence["nominal_rad"] - found.evidence["worst_rad"])
@@ -192,14 +245,22 @@ def test_the_cost_of_a_box_names_the_dearest_parameter_and_a_single_arm_costs_no
         f"the box costs {lost:.1f}° of phase margin, most of it the gauge's delay from 0 to 0.004: exactly "
         f"known it would give back {back:.1f}°, half as wide"
     )
-    assert found.remedy == "measuring the delay that the controller sees narrows the interval"
+    assert (
+        found.remedy
+        == "measuring the delay that the controller sees narrows the interval"
+    )
     # The delay's own part, on a loop with the other parameters where they are worst.
     late = [
-        Arm(replace(RIG.model, gauge_delay=delay, gauge_gain=gain)).loop(made.controller, RIG)
+        Arm(replace(RIG.model, gauge_delay=delay, gauge_gain=gain)).loop(
+            made.controller, RIG
+        )
         for delay in (0.004, 0.0)
         for gain in (0.99, 1.01)
     ]
-    worst = [min(float(loop.margins(w0)[1][0]) for w0 in (task.low, task.high)) for loop in late]
+    worst = [
+        min(float(loop.margins(w0)[1][0]) for w0 in (task.low, task.high))
+        for loop in late
+    ]
     assert min(worst) == pytest.approx(found.evidence["worst_rad"], abs=2e-3)
     single = cost_of_box(task, made.controller, ParameterBox.at(RIG.model))
     assert single.message == "the box is a single arm and costs nothing"

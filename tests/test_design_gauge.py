@@ -1,7 +1,8 @@
-"""Designs for what identification measured: gauge delay, gauge gain and second mode stand in the loop.
+"""Designs for what identification measured: gauge delay, gauge gain and second mode
+stand in the loop.
 
-Stability is counted here from L written out once more, independent of the package: the winding of 1 + L
-along a dense frequency axis, L with its delays as they are.
+Stability is counted here from L written out once more, independent of the package: the
+winding of 1 + L along a dense frequency axis, L with its delays as they are.
 """
 
 from __future__ import annotations
@@ -24,12 +25,24 @@ from fraclink.errors import InfeasibleError
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
 assert MODEL is not None
-WANTED = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
-FREQUENCY = np.unique(np.concatenate([np.geomspace(1e-3, 785.0, 60_000), np.linspace(0.01, 785.0, 60_000)]))
+WANTED = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+}
+FREQUENCY = np.unique(
+    np.concatenate(
+        [np.geomspace(1e-3, 785.0, 60_000), np.linspace(0.01, 785.0, 60_000)]
+    )
+)
 
 
-def written_out(design: Design, model: LinkModel, payload: float, w: np.ndarray) -> np.ndarray:
-    """L of the design's controller on `model` at `payload` [kg], in plain complex arithmetic."""
+def written_out(
+    design: Design, model: LinkModel, payload: float, w: np.ndarray
+) -> np.ndarray:
+    """L of the design's controller on `model` at `payload` [kg], in plain complex
+    arithmetic.
+    """
     c, s = design.controller, 1j * w
     spring = model.natural_frequency**2 * model.payload / payload
     inertia, drag = s**model.order, model.damping * s**model.damping_order
@@ -41,7 +54,9 @@ def written_out(design: Design, model: LinkModel, payload: float, w: np.ndarray)
         )
     tip = 1 - model.gauge_gain * np.exp(-s * model.gauge_delay) * torque
     outer = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
-    return outer * np.exp(-1.5 * RIG.period * s) / (1 + s / RIG.motor_loop.pole) ** 2 * tip
+    return (
+        outer * np.exp(-1.5 * RIG.period * s) / (1 + s / RIG.motor_loop.pole) ** 2 * tip
+    )
 
 
 def is_stable(design: Design, model: LinkModel, payload: float) -> bool:
@@ -50,11 +65,15 @@ def is_stable(design: Design, model: LinkModel, payload: float) -> bool:
 
 
 @cache
-def designed(delay: float, gain: float = 1.0, margin: float = 50.0) -> Design | dict[str, float]:
+def designed(
+    delay: float, gain: float = 1.0, margin: float = 50.0
+) -> Design | dict[str, float]:
     """The design for a late gauge, or the nearest request where there is none."""
     model = replace(MODEL, gauge_delay=delay, gauge_gain=gain)
     try:
-        return fl.design(model, RIG, **(WANTED | {"phase_margin": fl.deg(margin)}), law=False)
+        return fl.design(
+            model, RIG, **(WANTED | {"phase_margin": fl.deg(margin)}), law=False
+        )
     except InfeasibleError as error:
         return error.nearest
 
@@ -77,13 +96,17 @@ def test_a_very_late_gauge_is_refused_with_a_request_that_works(delay: float) ->
     nearest = designed(delay)
     assert isinstance(nearest, dict)
     if delay > 0.05:
-        # At 57 ms there are controllers, and with all of them moves ring; at 90 ms there is none.
+        # At 57 ms there are controllers, and with all of them moves ring; at 90 ms
+        # there is none.
         assert nearest == {}
         return
     model = replace(MODEL, gauge_delay=delay)
     found = fl.design(model, RIG, payloads=(0.020, 0.040), **nearest, law=False)
     assert found.passed
-    assert all(is_stable(found, model, payload) for payload in (0.020, 0.025, 0.030, 0.035, 0.040))
+    assert all(
+        is_stable(found, model, payload)
+        for payload in (0.020, 0.025, 0.030, 0.035, 0.040)
+    )
 
 
 def test_a_design_that_does_not_know_the_delay_is_unstable_with_it() -> None:
@@ -100,10 +123,16 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
         fl.design(model, rig, **WANTED, law=False).controller
         == fl.design(MODEL, RIG, **WANTED, law=False).controller
     )
-    # Nor is what its fit leaves open of it: the box holds the tolerance of a gauge that is not late.
-    found = replace(model, intervals=(("gauge_delay", 0.055, 0.059), ("order", 1.91, 1.93)))
+    # Nor is what its fit leaves open of it: the box holds the tolerance of a gauge that
+    # is not late.
+    found = replace(
+        model, intervals=(("gauge_delay", 0.055, 0.059), ("order", 1.91, 1.93))
+    )
     made = fl.design(found, rig, **WANTED, law=False)
-    assert fl.ParameterBox.of(made.model, rig).gauge_delay == (0.0, rig.tolerances.gauge_delay)
+    assert fl.ParameterBox.of(made.model, rig).gauge_delay == (
+        0.0,
+        rig.tolerances.gauge_delay,
+    )
     assert made.model.interval("order") == (1.91, 1.93)
 
 
@@ -113,7 +142,9 @@ def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
     base = fl.design(MODEL, RIG, **WANTED, law=False)
     verdicts = set()
     for _ in range(40):
-        mode = SecondMode(rng.uniform(60, 250), rng.uniform(0.01, 0.3), rng.uniform(0.01, 0.05))
+        mode = SecondMode(
+            rng.uniform(60, 250), rng.uniform(0.01, 0.3), rng.uniform(0.01, 0.05)
+        )
         model = replace(
             MODEL,
             order=rng.choice([1.85, 1.92, 1.98]),
@@ -121,7 +152,9 @@ def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
             gauge_gain=rng.uniform(0.7, 1.4),
             second_mode=mode if rng.random() < 0.5 else None,
         )
-        controller = replace(base.controller, gain=base.controller.gain * rng.uniform(0.3, 4.0))
+        controller = replace(
+            base.controller, gain=base.controller.gain * rng.uniform(0.3, 4.0)
+        )
         loop = Loop.of(controller, model, RIG)
         payload = rng.uniform(0.015, 0.05)
         trial = replace(base, controller=controller)
@@ -141,7 +174,9 @@ def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
         {"gauge_delay": 0.01, "second_mode": SecondMode(120.0, 0.05, 0.02)},
     ],
 )
-def test_the_loop_is_the_one_written_out_with_an_unwrapped_phase(changes: dict[str, object]) -> None:
+def test_the_loop_is_the_one_written_out_with_an_unwrapped_phase(
+    changes: dict[str, object],
+) -> None:
     model = replace(MODEL, **changes)
     design = fl.design(MODEL, RIG, **WANTED, law=False)
     loop = Loop.of(design.controller, model, RIG)
@@ -152,41 +187,64 @@ def test_the_loop_is_the_one_written_out_with_an_unwrapped_phase(changes: dict[s
     np.testing.assert_allclose(np.exp(loop.log(w, w0)), expected, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(np.exp(loop.level(w, w0)), np.abs(expected), rtol=1e-9)
     step = 1e-6
-    slope = (loop.log(w * math.exp(step), w0) - loop.log(w * math.exp(-step), w0)) / (2 * step)
+    slope = (loop.log(w * math.exp(step), w0) - loop.log(w * math.exp(-step), w0)) / (
+        2 * step
+    )
     near = np.abs(slope) < 1e3  # beyond, a zero of B is too close for differences
-    np.testing.assert_allclose(loop.slope(w, w0)[near], slope[near], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(
+        loop.slope(w, w0)[near], slope[near], rtol=1e-4, atol=1e-4
+    )
 
 
 def test_a_loop_with_a_late_gauge_is_the_limit_of_the_exact_one() -> None:
     loop = Loop.of(fl.design(MODEL, RIG, **WANTED, law=False).controller, MODEL, RIG)
     w, w0 = np.geomspace(0.1, 700.0, 500), 11.0
-    for late in (replace(loop, gauge_delay=1e-13), replace(loop, gauge_gain=1.0 + 1e-14)):
+    for late in (
+        replace(loop, gauge_delay=1e-13),
+        replace(loop, gauge_gain=1.0 + 1e-14),
+    ):
         np.testing.assert_allclose(late.log(w, w0), loop.log(w, w0), atol=1e-9)
 
 
 def test_the_sampled_plant_with_a_late_gauge_is_the_sum_of_its_aliases() -> None:
-    model = replace(MODEL, gauge_delay=0.0273, gauge_gain=1.1, second_mode=SecondMode(150.0, 0.04, 0.02))
+    model = replace(
+        MODEL,
+        gauge_delay=0.0273,
+        gauge_gain=1.1,
+        second_mode=SecondMode(150.0, 0.04, 0.02),
+    )
     plant = sampled_plant(model, MotorLoop(80.0, 1), RIG.motor, RIG.period)
     w = np.array([1.0, 12.0, 40.0, 300.0])
     s = 1j * (w[:, None] + 2 * np.pi / RIG.period * np.arange(-4000, 4001))
     g = s**model.order / (s**model.order + model.natural_frequency**2)
     g = g + 0.04 * s**2 / (s**2 + 2 * 0.02 * 150 * s + 150**2)
-    f = (1 - 1.1 * np.exp(-0.0273 * s) * g) / (1 + s / 80) ** 2 / s * np.exp(-s * RIG.period)
+    f = (
+        (1 - 1.1 * np.exp(-0.0273 * s) * g)
+        / (1 + s / 80) ** 2
+        / s
+        * np.exp(-s * RIG.period)
+    )
     exact = (1 - np.exp(-1j * w * RIG.period)) / RIG.period * f.sum(axis=1)
     np.testing.assert_allclose(plant(w), exact, rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_the_second_mode_is_bounded_by_default_and_its_cost_is_told() -> None:
-    model = replace(MODEL, second_mode=SecondMode(frequency=177.5, gain=0.2, damping_ratio=0.02))
+    model = replace(
+        MODEL, second_mode=SecondMode(frequency=177.5, gain=0.2, damping_ratio=0.02)
+    )
     plain = fl.design(MODEL, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False)
     found = fl.design(model, RIG, **(WANTED | {"phase_margin": fl.deg(40)}), law=False)
     assert found.passed
     gain = next(r for r in found.requirements if r.name == "loop gain at mode 2")
     assert gain.wanted == 0.5 and gain.achieved <= 0.5 * (1 + 1e-9)
     near = np.linspace(165.0, 190.0, 4000)
-    loudest = max(np.max(np.abs(written_out(found, model, m, near))) for m in (0.020, 0.040))
-    assert loudest <= 0.515  # the hold takes another 2 % off, which L in continuous time does not show
+    loudest = max(
+        np.max(np.abs(written_out(found, model, m, near))) for m in (0.020, 0.040)
+    )
+    assert (
+        loudest <= 0.515
+    )  # the hold takes another 2 % off, which L in continuous time does not show
     assert np.max(np.abs(written_out(plain, model, 0.020, near))) > 0.51
     cost = next(f for f in found.findings if f.code == "W406")
     assert cost.evidence["loop_gain_before"] > 0.5
@@ -197,11 +255,23 @@ def test_the_second_mode_is_bounded_by_default_and_its_cost_is_told() -> None:
 @pytest.mark.slow
 def test_the_nearest_request_is_met_by_the_design_that_it_makes() -> None:
     """The crossing once was the tangent of the peak of |L| and was lost in rounding."""
-    link = LinkModel(1.56, 11.094, order=2.0, payload=0.03, damping=1.4524995958552551, damping_order=0.7)
+    link = LinkModel(
+        1.56,
+        11.094,
+        order=2.0,
+        payload=0.03,
+        damping=1.4524995958552551,
+        damping_order=0.7,
+    )
     span = (0.013559664427007049, 0.028999623836654047)
     with pytest.raises(InfeasibleError) as caught:
         fl.design(
-            link, RIG, payloads=span, gain_crossover=9.733852162284041, phase_margin=fl.deg(47.69), law=False
+            link,
+            RIG,
+            payloads=span,
+            gain_crossover=9.733852162284041,
+            phase_margin=fl.deg(47.69),
+            law=False,
         )
     assert fl.design(link, RIG, payloads=span, **caught.value.nearest, law=False).passed
 
@@ -212,14 +282,21 @@ def test_random_refusals_offer_requests_that_pass() -> None:
     refused = 0
     for _ in range(12):
         order = rng.choice([1.85, 1.92, 2.0])
-        link = replace(MODEL, order=order, damping=rng.uniform(0.3, 1.5) if order == 2.0 else 0.0)
+        link = replace(
+            MODEL, order=order, damping=rng.uniform(0.3, 1.5) if order == 2.0 else 0.0
+        )
         light = rng.uniform(0.01, 0.03)
-        asked = {"gain_crossover": rng.uniform(8.0, 25.0), "phase_margin": fl.deg(rng.uniform(30.0, 70.0))}
+        asked = {
+            "gain_crossover": rng.uniform(8.0, 25.0),
+            "phase_margin": fl.deg(rng.uniform(30.0, 70.0)),
+        }
         span = (light, light * rng.uniform(1.2, 2.2))
         try:
             assert fl.design(link, RIG, payloads=span, **asked, law=False).passed
         except InfeasibleError as error:
             refused += 1
             if error.nearest:
-                assert fl.design(link, RIG, payloads=span, **error.nearest, law=False).passed
+                assert fl.design(
+                    link, RIG, payloads=span, **error.nearest, law=False
+                ).passed
     assert refused > 0

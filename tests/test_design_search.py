@@ -1,4 +1,6 @@
-"""The searches behind a design, on figures whose edge is known: bounds, offers, aims over a box, trials."""
+"""The searches behind a design, on figures whose edge is known: bounds, offers, aims
+over a box, trials.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ from fraclink.errors import FieldError, InfeasibleError
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
 assert MODEL is not None
-SPEC = Specification(payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+SPEC = Specification(
+    payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
+)
 
 
 def task(**changes: object) -> Task:
@@ -51,14 +55,20 @@ def test_an_edge_is_the_last_value_within_the_bound() -> None:
 
 
 def test_an_edge_may_be_where_there_is_no_controller_any_more() -> None:
-    """The figure is within its bound as soon as there is one: the border of the infinite is the edge."""
+    """The figure is within its bound as soon as there is one: the border of the
+    infinite is the edge.
+    """
     found = edge(lambda x: 1.0 if x > 3.0 else math.inf, 2.0, 10.0, 1.0)
     assert found == pytest.approx(3.0, rel=1e-8) and found > 3.0
     # or behind it, where the figure is finite and beyond the bound at first
-    assert edge(lambda x: 8.0 / x if x > 3.0 else math.inf, 2.0, 10.0, 1.0) == pytest.approx(4.0, rel=1e-9)
+    assert edge(
+        lambda x: 8.0 / x if x > 3.0 else math.inf, 2.0, 10.0, 1.0
+    ) == pytest.approx(4.0, rel=1e-9)
 
 
-def test_the_first_within_is_looked_for_at_every_fourth_value_before_the_others() -> None:
+def test_the_first_within_is_looked_for_at_every_fourth_value_before_the_others() -> (
+    None
+):
     asked: list[float] = []
 
     def figure(value: float) -> float:
@@ -80,8 +90,12 @@ def test_the_first_within_is_looked_for_at_every_fourth_value_before_the_others(
 def test_a_boundary_is_halved_to_from_the_feasible_side() -> None:
     assert boundary(lambda x: x < 5.0, 1.0, 20.0) == pytest.approx(5.0, rel=1e-8)
     assert boundary(lambda x: x < 5.0, 1.0, 20.0) < 5.0
-    assert boundary(lambda x: x >= 0.0, 1.0, -1.0, log=False, halvings=40) == pytest.approx(0.0, abs=1e-11)
-    assert boundary(lambda x: x < 5.0, 1.0, 16.0, halvings=1) == 4.0  # the geometric middle
+    assert boundary(
+        lambda x: x >= 0.0, 1.0, -1.0, log=False, halvings=40
+    ) == pytest.approx(0.0, abs=1e-11)
+    assert (
+        boundary(lambda x: x < 5.0, 1.0, 16.0, halvings=1) == 4.0
+    )  # the geometric middle
     assert boundary(lambda x: x < 5.0, 1.0, 7.0, halvings=1, log=False) == 4.0
 
 
@@ -101,8 +115,16 @@ def solution(**changes: float) -> ClosedForm:
         ({"order": 1.92}, 1.92, "β < λ"),
         ({"order": 1.91}, 1.92, None),
         ({"order": 2.0}, 2.0, "β < 2"),
-        ({"slope_low": 0.0}, 1.92, "gain crossover right of the peak at the heaviest payload"),
-        ({"slope_high": 0.0}, 1.92, "gain crossover right of the peak at the lightest payload"),
+        (
+            {"slope_low": 0.0},
+            1.92,
+            "gain crossover right of the peak at the heaviest payload",
+        ),
+        (
+            {"slope_high": 0.0},
+            1.92,
+            "gain crossover right of the peak at the lightest payload",
+        ),
     ],
 )
 def test_conditions_of_theorem_1_by_name(
@@ -139,9 +161,13 @@ def test_payloads_and_frequencies_are_the_same_range() -> None:
 
 
 class Ladder:
-    """A controller for every task; its figures fall with filter and margin by rules of their own."""
+    """A controller for every task; its figures fall with filter and margin by rules of
+    their own.
+    """
 
-    def __init__(self, noise: Callable[[float], float], margin_limit: float = math.pi) -> None:
+    def __init__(
+        self, noise: Callable[[float], float], margin_limit: float = math.pi
+    ) -> None:
         self.noise, self.margin_limit = noise, margin_limit
 
     def attempt(self, task: Task) -> tuple[ClosedForm, int] | None:
@@ -149,11 +175,17 @@ class Ladder:
         return None if task.phase_margin > self.margin_limit else (solution(), order)
 
 
-def test_a_noise_bound_lengthens_the_filter_to_its_edge(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a noise gain of (5 + n) ms/δ the bound 1 asks for 6 ms of one pole, 7 ms of two: one lags less."""
+def test_a_noise_bound_lengthens_the_filter_to_its_edge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a noise gain of (5 + n) ms/δ the bound 1 asks for 6 ms of one pole, 7 ms of
+    two: one lags less.
+    """
     monkeypatch.setattr(
         "fraclink._design.bounds._noise",
-        lambda task, controller: 1e-3 * (5 + controller.filter_order) / (task.filter_time or 1e-4),
+        lambda task, controller: (
+            1e-3 * (5 + controller.filter_order) / (task.filter_time or 1e-4)
+        ),
     )
     ladder = Ladder(lambda time: time)
     spec = replace(SPEC, noise_gain=1.0)
@@ -161,17 +193,28 @@ def test_a_noise_bound_lengthens_the_filter_to_its_edge(monkeypatch: pytest.Monk
     assert (found.filter_order, found.filter_time) == (1, pytest.approx(6e-3, rel=1e-6))
     assert found.filter_time >= 6e-3 * (1 - 1e-12)
     given = replace(spec, filter_order=2)
-    assert reach(task(noise_gain=1.0, filter_order=2), given, ladder.attempt).filter_time == pytest.approx(
-        7e-3, rel=1e-6
-    )
+    assert reach(
+        task(noise_gain=1.0, filter_order=2), given, ladder.attempt
+    ).filter_time == pytest.approx(7e-3, rel=1e-6)
     fixed = replace(spec, filter_time=1e-3)
-    assert reach(task(noise_gain=1.0, filter_time=1e-3), fixed, ladder.attempt).filter_time == 1e-3
+    assert (
+        reach(task(noise_gain=1.0, filter_time=1e-3), fixed, ladder.attempt).filter_time
+        == 1e-3
+    )
 
 
-def test_a_bound_that_no_filter_reaches_names_the_least(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bound_that_no_filter_reaches_names_the_least(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr("fraclink._design.bounds._noise", lambda task, controller: 2.5)
-    with pytest.raises(InfeasibleError, match="no filter keeps the noise gain within 1 ") as caught:
-        reach(task(noise_gain=1.0), replace(SPEC, noise_gain=1.0), Ladder(lambda x: x).attempt)
+    with pytest.raises(
+        InfeasibleError, match="no filter keeps the noise gain within 1 "
+    ) as caught:
+        reach(
+            task(noise_gain=1.0),
+            replace(SPEC, noise_gain=1.0),
+            Ladder(lambda x: x).attempt,
+        )
     assert caught.value.nearest == {"noise_gain": 2.5}
     assert caught.value.condition == "noise gain"
     # Without any controller at all it is not the noise that is in the way.
@@ -180,24 +223,41 @@ def test_a_bound_that_no_filter_reaches_names_the_least(monkeypatch: pytest.Monk
     assert reach(asked, replace(SPEC, noise_gain=1.0), hopeless.attempt) == asked
 
 
-def test_a_bound_on_ms_raises_the_margin_to_its_edge(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fraclink._design.bounds._peak", lambda task, controller: 1.4 / task.phase_margin)
+def test_a_bound_on_ms_raises_the_margin_to_its_edge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        "fraclink._design.bounds._peak",
+        lambda task, controller: 1.4 / task.phase_margin,
+    )
     spec = replace(SPEC, phase_margin=None, max_sensitivity=1.2)
     free = task(phase_margin=None, max_sensitivity=1.2)
     found = reach(free, spec, Ladder(lambda x: x).attempt)
-    assert found.phase_margin == pytest.approx(1.4 / 1.2, rel=1e-6) and 1.4 / found.phase_margin <= 1.2
-    with pytest.raises(InfeasibleError, match=r"no phase margin at 12 rad/s brings Ms to 1\.2") as caught:
+    assert (
+        found.phase_margin == pytest.approx(1.4 / 1.2, rel=1e-6)
+        and 1.4 / found.phase_margin <= 1.2
+    )
+    with pytest.raises(
+        InfeasibleError, match=r"no phase margin at 12 rad/s brings Ms to 1\.2"
+    ) as caught:
         reach(free, spec, Ladder(lambda x: x, margin_limit=1.0).attempt)
     assert caught.value.nearest["max_sensitivity"] == pytest.approx(1.4 / 1.0, rel=0.06)
     kept = task(max_sensitivity=1.2)  # beside a given margin Ms is only reported
-    assert reach(kept, replace(spec, phase_margin=fl.deg(50)), Ladder(lambda x: x).attempt) == kept
+    assert (
+        reach(kept, replace(spec, phase_margin=fl.deg(50)), Ladder(lambda x: x).attempt)
+        == kept
+    )
 
 
 # --- what a refusal offers ------------------------------------------------------------------------------
 
 
-def refused(feasible: Callable[[float, float], bool], **changes: object) -> InfeasibleError:
-    """The refusal of a request where (crossover, margin) has a controller if `feasible` says so."""
+def refused(
+    feasible: Callable[[float, float], bool], **changes: object
+) -> InfeasibleError:
+    """The refusal of a request where (crossover, margin) has a controller if `feasible`
+    says so.
+    """
 
     def tried(at: Task) -> tuple[ClosedForm, int] | None:
         return (solution(), 1) if feasible(at.gain_crossover, at.phase_margin) else None
@@ -213,11 +273,17 @@ def test_the_nearer_of_two_offers_is_made_and_both_are_told() -> None:
     assert "below the Nyquist frequency solves equation (55)" in str(error)
     assert "at 12 rad/s the largest phase margin is 45.8" in str(error)
     assert "with 50° the highest gain crossover is 5.99" in str(error)
-    assert error.nearest == {"gain_crossover": 12.0, "phase_margin": pytest.approx(0.8, rel=2e-4)}
+    assert error.nearest == {
+        "gain_crossover": 12.0,
+        "phase_margin": pytest.approx(0.8, rel=2e-4),
+    }
     assert error.nearest["phase_margin"] < 0.8  # rounded off the edge, to five digits
     other = refused(lambda w, phi: phi < 0.2 or w > 13.0)
     assert "the lowest gain crossover is 13.0" in str(other)
-    assert other.nearest == {"phase_margin": fl.deg(50), "gain_crossover": pytest.approx(13.0, rel=2e-4)}
+    assert other.nearest == {
+        "phase_margin": fl.deg(50),
+        "gain_crossover": pytest.approx(13.0, rel=2e-4),
+    }
     assert other.nearest["gain_crossover"] > 13.0
 
 
@@ -234,12 +300,26 @@ def test_where_neither_alone_helps_both_are_lowered() -> None:
 @pytest.mark.parametrize(
     ("found", "condition", "words"),
     [
-        ((solution(order=2.2),), "phase margin unreachable (β < λ)", "asks for β = 2.2"),
-        ((solution(order=-0.1), solution(order=0.4)), "phase margin at the other gain crossing", "β = 0.4 "),
-        ((solution(slope_low=0.3),), "right of the peak at the heaviest", "12 rad/s lies left of the peak"),
+        (
+            (solution(order=2.2),),
+            "phase margin unreachable (β < λ)",
+            "asks for β = 2.2",
+        ),
+        (
+            (solution(order=-0.1), solution(order=0.4)),
+            "phase margin at the other gain crossing",
+            "β = 0.4 ",
+        ),
+        (
+            (solution(slope_low=0.3),),
+            "right of the peak at the heaviest",
+            "12 rad/s lies left of the peak",
+        ),
     ],
 )
-def test_a_refusal_names_what_is_hit(found: tuple[ClosedForm, ...], condition: str, words: str) -> None:
+def test_a_refusal_names_what_is_hit(
+    found: tuple[ClosedForm, ...], condition: str, words: str
+) -> None:
     with pytest.raises(InfeasibleError) as caught:
         refuse(task(), lambda at: None, found, 80.0, nearest=False)
     assert condition in caught.value.condition and words in str(caught.value)
@@ -261,7 +341,11 @@ def test_missed_bounds_are_those_of_the_request() -> None:
         Requirement.at_most("settling time", 0.5, 0.4, "s", 0.02),
         Requirement.at_most("sensitivity peak", 1.5, 1.6, "", 0.02),
     )
-    assert missed_bounds(rows) == {"noise_gain": 1.5, "mode_gain": 0.9, "max_sensitivity": 1.6}
+    assert missed_bounds(rows) == {
+        "noise_gain": 1.5,
+        "mode_gain": 0.9,
+        "max_sensitivity": 1.6,
+    }
 
 
 def test_an_offer_is_tried_as_a_whole_and_loosened_until_it_works() -> None:
@@ -275,7 +359,8 @@ def test_an_offer_is_tried_as_a_whole_and_loosened_until_it_works() -> None:
 
     found = offered({"phase_margin": 0.8, "gain_crossover": 12.0}, spec, misses)
     assert found == {"phase_margin": 0.8, "gain_crossover": 12.0, "noise_gain": 1.6}
-    # A miss that no bound explains: what differs from the request is moved on, what does not stays.
+    # A miss that no bound explains: what differs from the request is moved on, what
+    # does not stays.
     stubborn = offered(
         {"phase_margin": 0.8, "gain_crossover": 12.0},
         spec,
@@ -289,20 +374,31 @@ def test_an_offer_is_tried_as_a_whole_and_loosened_until_it_works() -> None:
 
 def test_an_offer_is_in_the_words_of_the_request() -> None:
     timed = Specification(settling_time=0.5, phase_margin=fl.deg(50))
-    slower = offered({"gain_crossover": 10.0, "phase_margin": fl.deg(50)}, timed, lambda trial: None)
-    assert slower["settling_time"] == pytest.approx(0.62832) and "gain_crossover" not in slower
-    kept = offered({"gain_crossover": 4 * math.pi, "phase_margin": 0.6}, timed, lambda trial: None)
+    slower = offered(
+        {"gain_crossover": 10.0, "phase_margin": fl.deg(50)}, timed, lambda trial: None
+    )
+    assert (
+        slower["settling_time"] == pytest.approx(0.62832)
+        and "gain_crossover" not in slower
+    )
+    kept = offered(
+        {"gain_crossover": 4 * math.pi, "phase_margin": 0.6}, timed, lambda trial: None
+    )
     assert kept == {"settling_time": 0.5, "phase_margin": 0.6}
     peaked = Specification(gain_crossover=12.0, max_sensitivity=1.5)
     by_peak = offered({"phase_margin": 0.5}, peaked, lambda trial: None)
     assert by_peak == {"max_sensitivity": pytest.approx(0.5 / math.sin(0.25))}
-    assert offered({"phase_margin": 1.0}, peaked, lambda trial: None) == {"max_sensitivity": 1.5}
+    assert offered({"phase_margin": 1.0}, peaked, lambda trial: None) == {
+        "max_sensitivity": 1.5
+    }
 
 
 # --- aims over a box ------------------------------------------------------------------------------------
 
 
-def rows(crossover: float, margin: float, noise: float, mode: float) -> list[Requirement]:
+def rows(
+    crossover: float, margin: float, noise: float, mode: float
+) -> list[Requirement]:
     return [
         Requirement.at_least("gain crossover", 12.0, crossover, "rad/s", 0.04),
         Requirement.at_least("phase margin", fl.deg(50), margin, "rad", 0.02),
@@ -313,7 +409,9 @@ def rows(crossover: float, margin: float, noise: float, mode: float) -> list[Req
 
 def over(**changes: object) -> OverBox:
     spec = replace(SPEC, noise_gain=1.0, mode_gain=0.5, **changes)
-    return OverBox(spec, ParameterBox.at(MODEL), task(), lambda aim: None, lambda *given: ())
+    return OverBox(
+        spec, ParameterBox.at(MODEL), task(), lambda aim: None, lambda *given: ()
+    )
 
 
 def test_the_aim_is_moved_by_what_the_worst_corner_is_short_of() -> None:
@@ -324,11 +422,14 @@ def test_the_aim_is_moved_by_what_the_worst_corner_is_short_of() -> None:
     assert aim.noise_gain == pytest.approx(0.998 / 1.25)
     assert aim.mode_gain == pytest.approx(0.998 * 0.5 * 0.5 / 0.8)
     assert aim.max_sensitivity is None
-    # What is kept with room to spare is not aimed at any more, nor below what was asked.
+    # What is kept with room to spare is not aimed at any more, nor below what was
+    # asked.
     spare = search._corrected(search.spec, task(), rows(14.0, fl.deg(58), 0.5, 0.2))
     assert (spare.gain_crossover, spare.noise_gain, spare.mode_gain) == (12.0, 1.0, 0.5)
     assert spare.phase_margin == fl.deg(50)
-    high = search._corrected(search.spec, task(phase_margin=fl.deg(60)), rows(14.0, fl.deg(54), 0.5, 0.2))
+    high = search._corrected(
+        search.spec, task(phase_margin=fl.deg(60)), rows(14.0, fl.deg(54), 0.5, 0.2)
+    )
     assert high.phase_margin == pytest.approx(fl.deg(56) + middle)
     none = search._corrected(search.spec, task(), rows(0.0, -0.1, 1.0, 0.5))
     assert none.gain_crossover == pytest.approx(12.0 * 1.0005 * 1.1)
@@ -345,7 +446,10 @@ def test_what_was_given_is_only_reported() -> None:
         "noise gain",
         "loop gain at mode 2",
     ]
-    assert [item.name for item in over(filter_time=0.01)._missed(worst)] == ["gain crossover", "phase margin"]
+    assert [item.name for item in over(filter_time=0.01)._missed(worst)] == [
+        "gain crossover",
+        "phase margin",
+    ]
     bound_by_peak = over(phase_margin=None, max_sensitivity=1.5)
     assert "sensitivity peak" in [item.name for item in bound_by_peak._missed(worst)]
 
@@ -355,45 +459,73 @@ def test_a_bound_on_ms_counts_as_the_margin_that_it_allows() -> None:
     item = Requirement.at_most("sensitivity peak", 1.5, 2.0, "", 0.02)
     (margin,) = search._margins([item])
     assert margin.slack == pytest.approx(2 * math.asin(0.25) - 2 * math.asin(1 / 3))
-    assert not margin.passed and search._margins([replace(item, achieved=1.4)])[0].passed
+    assert (
+        not margin.passed and search._margins([replace(item, achieved=1.4)])[0].passed
+    )
     assert over()._margins([item]) == []
     eased = search._eased(0.5)
     assert eased.spec.max_sensitivity == 2.0
     assert eased.asked.phase_margin == pytest.approx(2 * math.asin(0.25))
     less = over()._eased(0.8)
-    assert less.spec.phase_margin == less.asked.phase_margin == pytest.approx(fl.deg(40))
+    assert (
+        less.spec.phase_margin == less.asked.phase_margin == pytest.approx(fl.deg(40))
+    )
 
 
-def test_rounds_halve_an_aim_that_has_no_controller_and_keep_the_last_that_passed() -> None:
-    """One corner, whose margin is 5° below the model's; above 56° at the model there is no controller."""
+def test_rounds_halve_an_aim_that_has_no_controller_and_keep_the_last_that_passed() -> (
+    None
+):
+    """One corner, whose margin is 5° below the model's; above 56° at the model there is
+    no controller.
+    """
     aims: list[float] = []
 
     def solve(aim: Specification) -> tuple[Task, Any] | None:
         assert aim.phase_margin is not None
         aims.append(math.degrees(aim.phase_margin))
-        return (task(phase_margin=aim.phase_margin), None) if aim.phase_margin < fl.deg(56) else None
+        return (
+            (task(phase_margin=aim.phase_margin), None)
+            if aim.phase_margin < fl.deg(56)
+            else None
+        )
 
-    def measure(at: Task, controller: Any, spec: Specification) -> tuple[Requirement, ...]:
+    def measure(
+        at: Task, controller: Any, spec: Specification
+    ) -> tuple[Requirement, ...]:
         return tuple(rows(12.5, fl.deg(aims[-1] - 5.0), 0.5, 0.2))[:2]
 
     search = OverBox(SPEC, ParameterBox.at(MODEL), task(), solve, measure)
     aim, kept = search.aimed()
-    assert math.degrees(aim.phase_margin or 0.0) == pytest.approx(55.1) and kept[1].passed
+    assert (
+        math.degrees(aim.phase_margin or 0.0) == pytest.approx(55.1) and kept[1].passed
+    )
     assert aims == pytest.approx([50.0, 55.1])
 
-    def short(at: Task, controller: Any, spec: Specification) -> tuple[Requirement, ...]:
+    def short(
+        at: Task, controller: Any, spec: Specification
+    ) -> tuple[Requirement, ...]:
         wanted = spec.phase_margin or 0.0
-        return (Requirement.at_least("phase margin", wanted, fl.deg(aims[-1] - 5), "rad", 0.02),)
+        return (
+            Requirement.at_least(
+                "phase margin", wanted, fl.deg(aims[-1] - 5), "rad", 0.02
+            ),
+        )
 
     more, asked = replace(SPEC, phase_margin=fl.deg(52)), task(phase_margin=fl.deg(52))
-    with pytest.raises(InfeasibleError, match="largest phase margin that every arm keeps is 50") as caught:
+    with pytest.raises(
+        InfeasibleError, match="largest phase margin that every arm keeps is 50"
+    ) as caught:
         OverBox(more, ParameterBox.at(MODEL), asked, solve, short).aimed()
-    assert caught.value.nearest["phase_margin"] == pytest.approx(fl.deg(50.9), abs=fl.deg(0.4))
+    assert caught.value.nearest["phase_margin"] == pytest.approx(
+        fl.deg(50.9), abs=fl.deg(0.4)
+    )
     assert caught.value.nearest["gain_crossover"] == 12.0
 
 
 def test_a_box_widens_the_range_of_frequencies_by_its_own() -> None:
-    box = replace(ParameterBox.at(MODEL), natural_frequency=(0.9 * 11.094, 1.2 * 11.094))
+    box = replace(
+        ParameterBox.at(MODEL), natural_frequency=(0.9 * 11.094, 1.2 * 11.094)
+    )
     known = replace(MODEL, natural_frequency=11.094)
     at = replace(task(), model=known)
     arm = SimpleNamespace(model=known, motor_ratio=1.1)
@@ -407,15 +539,30 @@ def test_a_box_widens_the_range_of_frequencies_by_its_own() -> None:
 
 @pytest.fixture(scope="module")
 def made() -> fl.Design:
-    return fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=0.8, law=False)
+    return fl.design(
+        MODEL,
+        RIG,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=0.8,
+        law=False,
+    )
 
 
 def test_an_objective_is_none_of_what_breaks_a_bound(made: fl.Design) -> None:
-    own = made.full_loop.achieved(np.geomspace(*made.natural_frequencies, 9), RIG.period)
+    own = made.full_loop.achieved(
+        np.geomspace(*made.natural_frequencies, 9), RIG.period
+    )
     peak, noise = float(np.max(own.sensitivity_peak)), float(np.max(own.noise_gain))
 
-    def value(goal: Any, asked: tuple[float | None, ...], controller: fl.Controller | None = None) -> float:
-        return OptimumSearch.of(made, goal, asked).objective(controller or made.controller)
+    def value(
+        goal: Any,
+        asked: tuple[float | None, ...],
+        controller: fl.Controller | None = None,
+    ) -> float:
+        return OptimumSearch.of(made, goal, asked).objective(
+            controller or made.controller
+        )
 
     assert value("noise", (None, None, None, None)) == pytest.approx(noise)
     assert value("crossover", (None, None, None, None)) == pytest.approx(12.0)
@@ -429,21 +576,31 @@ def test_an_objective_is_none_of_what_breaks_a_bound(made: fl.Design) -> None:
     assert math.isnan(value("crossover", (100.0, None, 1e5, None), louder))  # unstable
 
 
-def test_a_second_try_asks_for_as_much_less_as_the_first_was_too_much(made: fl.Design) -> None:
-    own = made.full_loop.achieved(np.geomspace(*made.natural_frequencies, 9), RIG.period)
+def test_a_second_try_asks_for_as_much_less_as_the_first_was_too_much(
+    made: fl.Design,
+) -> None:
+    own = made.full_loop.achieved(
+        np.geomspace(*made.natural_frequencies, 9), RIG.period
+    )
     peak, noise = float(np.max(own.sensitivity_peak)), float(np.max(own.noise_gain))
     over_by = 1.01
-    search = OptimumSearch.of(made, "noise", (peak / over_by, 12.0 * over_by, None, None))
+    search = OptimumSearch.of(
+        made, "noise", (peak / over_by, 12.0 * over_by, None, None)
+    )
     again = search._tightened(search.bounds, made.controller)
     assert again.max_sensitivity == pytest.approx(peak / over_by**2, rel=2e-6)
     assert again.gain_crossover == pytest.approx(12.0 * over_by**2, rel=2e-6)
-    fast = OptimumSearch.of(made, "crossover", (peak * 1.1, None, noise / over_by, None))
+    fast = OptimumSearch.of(
+        made, "crossover", (peak * 1.1, None, noise / over_by, None)
+    )
     again = fast._tightened(fast.bounds, made.controller)
     assert again.max_sensitivity == pytest.approx(peak * 1.1)  # kept: not drawn in
     assert again.noise_gain == pytest.approx(noise / over_by**2, rel=2e-6)
     far = OptimumSearch.of(made, "noise", (0.5 * (peak + 1.0), None, None, None))
     drawn = far._tightened(far.bounds, made.controller).max_sensitivity
-    assert drawn == pytest.approx(0.5 * (peak + 1.0) / 1.02, rel=2e-6)  # 2 % a round at most
+    assert drawn == pytest.approx(
+        0.5 * (peak + 1.0) / 1.02, rel=2e-6
+    )  # 2 % a round at most
 
 
 def test_steeper_starts_keep_the_gain_at_the_crossover(made: fl.Design) -> None:
@@ -454,8 +611,12 @@ def test_steeper_starts_keep_the_gain_at_the_crossover(made: fl.Design) -> None:
         pytest.approx(0.2 / 12.0),
         2,
     )
-    assert abs(steep.response(12.0)) == pytest.approx(abs(own.response(12.0)), rel=1e-12)
-    assert optimisation._steeper(replace(own, order=1.8), (0.8, 0.4), 12.0).order == 1.95
+    assert abs(steep.response(12.0)) == pytest.approx(
+        abs(own.response(12.0)), rel=1e-12
+    )
+    assert (
+        optimisation._steeper(replace(own, order=1.8), (0.8, 0.4), 12.0).order == 1.95
+    )
 
 
 def test_an_offer_that_is_loosened_is_rounded_away_from_what_was_asked() -> None:
@@ -464,9 +625,13 @@ def test_an_offer_that_is_loosened_is_rounded_away_from_what_was_asked() -> None
     assert down == pytest.approx(0.80422) and down <= 0.8123456 * 0.99
     up = nearest._loosened("noise_gain", 1.2345678, 0.1, spec)
     assert up == pytest.approx(1.3581) and up >= 1.2345678 * 1.1
-    higher = nearest._loosened("gain_crossover", 13.123456, 0.0, spec)  # more than was asked: on upwards
+    higher = nearest._loosened(
+        "gain_crossover", 13.123456, 0.0, spec
+    )  # more than was asked: on upwards
     assert higher == pytest.approx(13.124)
-    assert nearest._loosened("gain_crossover", 12.0, 0.25, spec) == 12.0  # as it was asked
+    assert (
+        nearest._loosened("gain_crossover", 12.0, 0.25, spec) == 12.0
+    )  # as it was asked
     assert nearest._loosened("max_sensitivity", 1.51, 0.0, spec) == pytest.approx(1.51)
 
 
@@ -478,10 +643,25 @@ def test_a_refusal_with_an_offer_does_not_say_that_there_is_none() -> None:
     assert caught.value.nearest and "but no request near" not in str(caught.value)
     assert caught.value.condition == "phase margin at the other gain crossing"
     with pytest.raises(InfeasibleError) as caught:
-        fl.design(MODEL, RIG, gain_crossover=12.0, phase_margin=fl.deg(110), nearest=False, **asked)
+        fl.design(
+            MODEL,
+            RIG,
+            gain_crossover=12.0,
+            phase_margin=fl.deg(110),
+            nearest=False,
+            **asked,
+        )
     assert caught.value.nearest == {} and "; but" not in str(caught.value)
     # A payload in grams is named beside the condition that it broke.
-    with pytest.raises(InfeasibleError, match="a payload of 20 kg is 500 times the heaviest"):
+    with pytest.raises(
+        InfeasibleError, match="a payload of 20 kg is 500 times the heaviest"
+    ):
         fl.design(
-            MODEL, RIG, payloads=(20.0, 40.0), gain_crossover=12.0, phase_margin=2.0, nearest=False, law=False
+            MODEL,
+            RIG,
+            payloads=(20.0, 40.0),
+            gain_crossover=12.0,
+            phase_margin=2.0,
+            nearest=False,
+            law=False,
         )

@@ -1,4 +1,6 @@
-"""Lemma 1, Theorem 1, Remark 1 and Theorem 2 over random admissible parameters, and the exact condition."""
+"""Lemma 1, Theorem 1, Remark 1 and Theorem 2 over random admissible parameters, and the
+exact condition.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ class Case:
 
 @st.composite
 def cases(draw: st.DrawFn, *, right_of_39: bool) -> Case:
-    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ω₀ > 1, crossing at ω_c, right of (39) or left of it."""
+    """A loop (34) with 1 < λ <= 2, 0 < β < λ, ω₀ > 1, crossing at ω_c, right of (39) or
+    left of it.
+    """
     order = draw(st.floats(1.05, 2.0))
     beta = order * draw(st.floats(0.05, 0.95))
     pi = draw(st.floats(1.5, 40.0))
@@ -45,9 +49,9 @@ def denominator_49(case: Case) -> float:
     """The denominator of (49): positive right of the peak of |L|."""
     loop, pi, w = case.loop, case.pi, case.crossover
     cosine, power = math.cos(0.5 * math.pi * loop.link_order), w**loop.link_order
-    return (loop.link_order - loop.order) * power * (power + cosine * pi**2) - loop.order * pi**2 * (
-        pi**2 + cosine * power
-    )
+    return (loop.link_order - loop.order) * power * (
+        power + cosine * pi**2
+    ) - loop.order * pi**2 * (pi**2 + cosine * power)
 
 
 @settings(max_examples=150, deadline=None)
@@ -76,10 +80,13 @@ def test_lemma_1_homothety(case: Case, factor: float):
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=True))
 def test_theorem_1_and_remark_1(case: Case):
-    """With (39): φ_m falls and ω_c rises with ω₀, and the denominator of (49) is positive."""
+    """With (39): φ_m falls and ω_c rises with ω₀, and the denominator of (49) is
+    positive.
+    """
     assert denominator_49(case) > 0.0
     crossovers, margins = zip(
-        *(last_crossing(case.loop, case.pi * f) for f in (1.0, 1.05, 1.2, 2.0)), strict=True
+        *(last_crossing(case.loop, case.pi * f) for f in (1.0, 1.05, 1.2, 2.0)),
+        strict=True,
     )
     assert np.all(np.diff(crossovers) > 0.0)
     assert np.all(np.diff(margins) <= 1e-9)
@@ -97,14 +104,18 @@ def test_theorem_2_condition_39_is_inherited(case: Case, factor: float):
 @settings(max_examples=200, deadline=None)
 @given(cases(right_of_39=False))
 def test_exact_condition_is_the_slope_and_reaches_further_than_39(case: Case):
-    """Left of (39) too, (49)'s denominator has the sign of minus the slope, and decides monotonicity."""
+    """Left of (39) too, (49)'s denominator has the sign of minus the slope, and decides
+    monotonicity.
+    """
     slope = float(case.loop.slope(case.crossover, case.pi).real)
     assume(abs(slope) > 1e-3)
     exact = denominator_49(case)
     assert (exact > 0.0) == (slope < 0.0)
     if exact > 0.0:
         step = 1.0 + 1e-4
-        first, second = (float(case.loop.crossings(case.pi * f).phase[-1]) for f in (1.0, step))
+        first, second = (
+            float(case.loop.crossings(case.pi * f).phase[-1]) for f in (1.0, step)
+        )
         assert second <= first + 1e-9
 
 
@@ -121,7 +132,12 @@ def test_crossings_are_exact_and_complete(case: Case):
 
 @pytest.mark.parametrize(
     ("slopes", "named"),
-    [((-1.0, -1.0), None), ((0.0, -1.0), "heaviest"), ((-1.0, 0.0), "lightest"), ((-1.0, 0.5), "lightest")],
+    [
+        ((-1.0, -1.0), None),
+        ((0.0, -1.0), "heaviest"),
+        ((-1.0, 0.0), "lightest"),
+        ((-1.0, 0.5), "lightest"),
+    ],
 )
 def test_a_crossing_left_of_the_peak_is_refused_at_either_payload(
     slopes: tuple[float, float], named: str | None

@@ -1,4 +1,6 @@
-"""Diagnosis: each fault put into a good log is found, with its numbers; a good log is left in peace."""
+"""Diagnosis: each fault put into a good log is found, with its numbers; a good log is
+left in peace.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,11 @@ def found(log: Experiment, code: str, rig: Rig | None = None) -> Finding:
 
 
 def codes(log: Experiment, *severities: str) -> set[str]:
-    return {finding.code for finding in diagnose(log) if not severities or finding.severity in severities}
+    return {
+        finding.code
+        for finding in diagnose(log)
+        if not severities or finding.severity in severities
+    }
 
 
 def test_a_good_log_has_no_warning() -> None:
@@ -60,7 +66,9 @@ def test_bundled_logs_have_no_error(name: str) -> None:
 @pytest.mark.parametrize("frequency", [3.0, 10.0, 25.0])
 @pytest.mark.parametrize("damping", [0.005, 0.05, 0.15])
 @pytest.mark.parametrize("delay", [0, 3])
-def test_the_scan_finds_frequency_gain_and_delay(frequency: float, damping: float, delay: int) -> None:
+def test_the_scan_finds_frequency_gain_and_delay(
+    frequency: float, damping: float, delay: int
+) -> None:
     _, motor = made_motion(4000)
     output = made_output(motor, frequency=frequency, damping=damping)
     output = np.concatenate((np.zeros(delay), output[: output.size - delay])) + 0.3
@@ -68,7 +76,9 @@ def test_the_scan_finds_frequency_gain_and_delay(frequency: float, damping: floa
     assert mode is not None
     assert mode.frequency == pytest.approx(frequency, rel=0.04)
     assert mode.gain == pytest.approx(1.5, rel=0.3)
-    assert mode.delay == pytest.approx(0.004 * delay, abs=0.006 + 0.04 / frequency)  # 2° of phase
+    assert mode.delay == pytest.approx(
+        0.004 * delay, abs=0.006 + 0.04 / frequency
+    )  # 2° of phase
     assert mode.share > 0.8
 
 
@@ -81,7 +91,10 @@ def test_b02_a_motor_that_hardly_moves_is_an_error() -> None:
 
 
 def test_b03_a_dead_gauge_is_an_error() -> None:
-    assert found(changed(output=np.zeros(2000)), "W203").message == "the torque is zero throughout"
+    assert (
+        found(changed(output=np.zeros(2000)), "W203").message
+        == "the torque is zero throughout"
+    )
 
 
 def test_b04_fewer_than_three_periods() -> None:
@@ -93,7 +106,9 @@ def test_b04_fewer_than_three_periods() -> None:
 
 
 def test_b04_a_handful_of_samples() -> None:
-    log = Experiment(period=0.004, motor_angle=np.arange(10.0), output=np.arange(10.0) ** 2)
+    log = Experiment(
+        period=0.004, motor_angle=np.arange(10.0), output=np.arange(10.0) ** 2
+    )
     assert found(log, "W204").evidence["samples"] == 10
 
 
@@ -129,7 +144,9 @@ def test_b12_offset_of_the_gauge(factor: float, severity: str) -> None:
 @pytest.mark.parametrize("side", [1, -1])
 def test_b13_clipped_samples(side: int) -> None:
     limit = 0.6 * float(np.abs(GOOD.output).max())
-    finding = found(changed(output=side * np.minimum(side * GOOD.output, limit)), "W213")
+    finding = found(
+        changed(output=side * np.minimum(side * GOOD.output, limit)), "W213"
+    )
     assert finding.evidence["value"] == pytest.approx(side * limit)
     assert finding.evidence["samples"] > 10
     assert f"{100 * finding.evidence['samples'] / 2000:.3g} %" in finding.message
@@ -149,7 +166,8 @@ def test_b13_a_fine_crest_is_not_clipped() -> None:
 
 
 def test_b13_a_coarse_crest_is_not_clipped() -> None:
-    # A sine in steps of a twentieth: its crest is the fullest level, the one below is nearly as full.
+    # A sine in steps of a twentieth: its crest is the fullest level, the one below is
+    # nearly as full.
     sine = 0.05 * np.round(20 * np.sin(2 * np.pi * np.arange(2000) / 200.3))
     assert "W213" not in codes(changed(output=sine))
 
@@ -163,11 +181,20 @@ def test_b14_coarse_steps() -> None:
 
 def test_b15_few_samples_in_a_period() -> None:
     _, motor = made_motion(3000, 0.004)
-    slow = Experiment(period=0.08, motor_angle=motor[::20], output=made_output(motor)[::20], payload=0.03)
+    slow = Experiment(
+        period=0.08,
+        motor_angle=motor[::20],
+        output=made_output(motor)[::20],
+        payload=0.03,
+    )
     longer = np.tile(slow.motor_angle, 3)
-    log = dataclasses.replace(slow, motor_angle=longer, output=made_output(longer, 0.08))
+    log = dataclasses.replace(
+        slow, motor_angle=longer, output=made_output(longer, 0.08)
+    )
     finding = found(log, "W215")
-    assert finding.evidence["samples_per_period"] == pytest.approx(2 * math.pi / 10 / 0.08, rel=0.1)
+    assert finding.evidence["samples_per_period"] == pytest.approx(
+        2 * math.pi / 10 / 0.08, rel=0.1
+    )
     (longest,) = re.findall(r"below ([\d.]+) ms", finding.remedy)
     assert float(longest) == pytest.approx(1e3 * 2 * math.pi / 10 / 10, rel=0.1)
 
@@ -182,15 +209,24 @@ def test_b16_a_payload_outside_the_rigs_range() -> None:
     for outside in (0.06, 0.01):
         assert found(changed(payload=outside), "W216", rig).evidence["high"] == 0.04
     for inside in (0.02, 0.04):
-        assert "W216" not in codes(dataclasses.replace(changed(payload=inside), findings=()))
-        assert "W216" not in {finding.code for finding in diagnose(changed(payload=inside), rig)}
-    assert found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity == "error"
+        assert "W216" not in codes(
+            dataclasses.replace(changed(payload=inside), findings=())
+        )
+        assert "W216" not in {
+            finding.code for finding in diagnose(changed(payload=inside), rig)
+        }
+    assert (
+        found(changed(payload=30.0), "W105", Rig.named("paper-2023")).severity
+        == "error"
+    )
 
 
 def test_b17_another_period_than_the_rigs() -> None:
     rig = dataclasses.replace(Rig.named("paper-2023"), period=0.002)
     assert found(GOOD, "W217", rig).evidence["log_period_s"] == 0.004
-    assert "W217" not in {finding.code for finding in diagnose(GOOD, Rig.named("paper-2023"))}
+    assert "W217" not in {
+        finding.code for finding in diagnose(GOOD, Rig.named("paper-2023"))
+    }
 
 
 def test_b24_outlier_rows() -> None:
@@ -200,7 +236,9 @@ def test_b24_outlier_rows() -> None:
     finding = found(changed(output=output), "W224")
     assert finding.severity == "error"
     assert "sample" in finding.message
-    assert finding.evidence["value"] == output[round(finding.evidence["time_s"] / 0.004)]
+    assert (
+        finding.evidence["value"] == output[round(finding.evidence["time_s"] / 0.004)]
+    )
 
 
 def test_a_log_that_starts_in_motion() -> None:
@@ -228,19 +266,31 @@ def test_stiction_needs_a_voltage_to_be_seen() -> None:
     speed = np.where(np.abs(voltage) > 1.0, voltage - np.sign(voltage), 0.0)
     motor = 0.001 * np.round(np.cumsum(speed) * 0.004 / 0.001)
     log = Experiment(
-        period=0.004, motor_angle=motor, output=made_output(motor), voltage=voltage, payload=0.03
+        period=0.004,
+        motor_angle=motor,
+        output=made_output(motor),
+        voltage=voltage,
+        payload=0.03,
     )
     finding = found(log, "W232")
     assert finding.evidence["voltage"] == pytest.approx(1.0, rel=0.15)
     first = round(finding.evidence["time_s"] / 0.004)
-    assert np.ptp(motor[first : first + round(finding.evidence["longest_s"] / 0.004)]) <= 0.002
+    assert (
+        np.ptp(motor[first : first + round(finding.evidence["longest_s"] / 0.004)])
+        <= 0.002
+    )
     assert "W232" not in codes(dataclasses.replace(log, voltage=None))
 
 
 def test_voltage_at_its_limit() -> None:
     voltage = np.clip(20 * GOOD.motor_angle, -10, 10)
     voltage[100:200] = 10.0
-    assert found(changed(voltage=voltage), "W236", Rig.named("paper-2023")).evidence["limit"] == 10
+    assert (
+        found(changed(voltage=voltage), "W236", Rig.named("paper-2023")).evidence[
+            "limit"
+        ]
+        == 10
+    )
 
 
 def test_findings_are_sorted_by_gravity_and_keep_those_of_the_reader() -> None:
@@ -252,7 +302,9 @@ def test_findings_are_sorted_by_gravity_and_keep_those_of_the_reader() -> None:
 
 def test_merced_is_sensible() -> None:
     rig = Rig.load(RIGS / "merced.toml")
-    log = read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0158)
+    log = read_log(
+        shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0158
+    )
     findings = {finding.code: finding for finding in diagnose(log, rig)}
     assert not [finding for finding in findings.values() if finding.severity == "error"]
     assert findings["W235"].evidence["explained"] > 0.95
@@ -265,15 +317,21 @@ def test_ist_is_sensible() -> None:
     for name in ("2_lab_a15_f10.csv", "2_lab_a10_f04.csv"):
         log = read_log(shared_data("ist_flexbar", name), rig=rig, payload=0.05)
         findings = {finding.code: finding for finding in diagnose(log, rig)}
-        assert not [finding for finding in findings.values() if finding.severity == "error"]
+        assert not [
+            finding for finding in findings.values() if finding.severity == "error"
+        ]
         assert findings["W235"].evidence["frequency"] == pytest.approx(42.5, rel=0.02)
-        assert findings["W212"].evidence["offset"] == pytest.approx(math.radians(-0.095 * 1.301), rel=0.1)
+        assert findings["W212"].evidence["offset"] == pytest.approx(
+            math.radians(-0.095 * 1.301), rel=0.1
+        )
 
 
 def test_the_other_sign_of_ist_is_noticed() -> None:
     rig = Rig.load(RIGS / "ist.toml")
     log = read_log(shared_data("ist_flexbar", "2_lab_a15_f10.csv"), rig=rig)
-    assert found(dataclasses.replace(log, output=-log.output), "W211").severity == "error"
+    assert (
+        found(dataclasses.replace(log, output=-log.output), "W211").severity == "error"
+    )
 
 
 def test_findings_travel_between_processes() -> None:
@@ -301,7 +359,11 @@ def test_signs_are_judged_right_on_links_of_any_order(kind: str, seed: int) -> N
         damping = 2 * float(rng.uniform(0.01, 0.15)) * frequency
         model = LinkModel(1.5, frequency, order=2.0, damping=damping, damping_order=1.0)
     motor = np.asarray(reference.angle(time), dtype=np.float64)
-    torque = simulated_torque(model, motor, 0.004) + rng.normal(0, 0.03, 5000) + rng.normal(0, 0.1)
+    torque = (
+        simulated_torque(model, motor, 0.004)
+        + rng.normal(0, 0.03, 5000)
+        + rng.normal(0, 0.1)
+    )
     late = int(rng.integers(0, 6))
     torque = np.concatenate((np.full(late, torque[0]), torque[: 5000 - late]))
     good = Experiment(period=0.004, motor_angle=motor, output=torque, payload=0.03)

@@ -25,43 +25,62 @@ CODE = re.compile(r"\bW[1-6]\d\d\b")
 
 
 @pytest.mark.slow
-def test_the_page_of_errors_is_what_the_source_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_of_errors_is_what_the_source_says(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     try:
         import make_error_page  # type: ignore[import-not-found]
 
-        assert make_error_page.page() == (DOCS / "reference" / "errors.md").read_text("utf-8"), (
-            "run tools/make_error_page.py"
-        )
+        assert make_error_page.page() == (DOCS / "reference" / "errors.md").read_text(
+            "utf-8"
+        ), "run tools/make_error_page.py"
     finally:
         sys.modules.pop("make_error_page", None)
 
 
 def test_every_code_and_error_of_the_source_stands_on_the_page() -> None:
     text = (DOCS / "reference" / "errors.md").read_text("utf-8")
-    sources = (path.read_text("utf-8") for path in (ROOT / "src" / "fraclink").rglob("*.py"))
-    used = {code for source in sources for code in re.findall(r'"(W[1-6]\d\d)"', source)}
+    sources = (
+        path.read_text("utf-8") for path in (ROOT / "src" / "fraclink").rglob("*.py")
+    )
+    used = {
+        code for source in sources for code in re.findall(r'"(W[1-6]\d\d)"', source)
+    }
     assert used == set(re.findall(r"\*\*(W\d\d\d)\*\*", text))
-    named = {name for name in errors.__all__ if name not in ("FraclinkError", "FraclinkWarning")}
+    named = {
+        name
+        for name in errors.__all__
+        if name not in ("FraclinkError", "FraclinkWarning")
+    }
     assert named == set(re.findall(r"^\| `(\w+)`", text, flags=re.MULTILINE))
-    assert "|  |" not in re.sub(r"\*\*W403\*\*.*", "", text)  # a remedy for each but the one that needs none
+    assert "|  |" not in re.sub(
+        r"\*\*W403\*\*.*", "", text
+    )  # a remedy for each but the one that needs none
 
 
 @pytest.mark.parametrize(
     ("code", "message"),
     [
         ("W102", "model.stiffness = … contradicts link.stiffness = …"),
-        ("W347", "the band does not show the frequency of the link with the motor held / anti-resonance"),
+        (
+            "W347",
+            "the band does not show the frequency of the link with the motor held / anti-resonance",
+        ),
         ("W348", "the band does not show the peak"),
     ],
 )
-def test_a_code_that_is_handed_over_has_the_words_of_its_own_function(code: str, message: str) -> None:
+def test_a_code_that_is_handed_over_has_the_words_of_its_own_function(
+    code: str, message: str
+) -> None:
     rows = (DOCS / "reference" / "errors.md").read_text("utf-8").splitlines()
     row = next(line for line in rows if line.startswith(f"| **{code}**"))
     assert row.split("|")[3].strip() == message
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix()
+)
 def test_codes_in_pages_exist(page: object) -> None:
     known = set(CODE.findall((DOCS / "reference" / "errors.md").read_text("utf-8")))
     assert set(CODE.findall((ROOT / str(page)).read_text("utf-8"))) <= known
@@ -79,12 +98,18 @@ def test_every_how_to_of_the_index_is_there() -> None:
         "run-a-campaign",
         "read-a-certificate",
     )
-    assert {name for name in promised if not (DOCS / "how-to" / f"{name}.md").is_file()} == set()
+    assert {
+        name for name in promised if not (DOCS / "how-to" / f"{name}.md").is_file()
+    } == set()
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix()
+)
 def test_pages_use_public_names_only(page: Path) -> None:
-    private = re.compile(r"^[ >.]*(?:from|import)\s+(fraclink\._\S+)", flags=re.MULTILINE)
+    private = re.compile(
+        r"^[ >.]*(?:from|import)\s+(fraclink\._\S+)", flags=re.MULTILINE
+    )
     assert private.findall(page.read_text("utf-8")) == []
 
 
@@ -94,7 +119,9 @@ def extension(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module(name)
 
 
-def test_every_command_has_a_page_with_example_options_and_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_has_a_page_with_example_options_and_picture(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pages = extension("command_pages", monkeypatch)
     found = pages.every_command()
     group: Any = typer.main.get_command(application())
@@ -107,26 +134,48 @@ def test_every_command_has_a_page_with_example_options_and_picture(monkeypatch: 
     assert list(found) == commands and set(pages.SHOWN) == set(commands)
     for name, command in found.items():
         text = pages.page(name, command)
-        assert "```console\n$ fraclink" in text and "{picture}" in text and "## Options" in text
+        assert (
+            "```console\n$ fraclink" in text
+            and "{picture}" in text
+            and "## Options" in text
+        )
         assert (DOCS / f"{pages.SHOWN[name][1]}.md").is_file()
 
 
-def test_every_picture_has_a_page_that_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_picture_has_a_page_that_shows_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     pictures = extension("pictures", monkeypatch).PICTURES
     commands = extension("command_pages", monkeypatch).SHOWN
     assert {picture for picture, _ in commands.values()} <= set(pictures)
-    shown = {name for page in PAGES for name in re.findall(r"\{picture\} ([\w-]+)", page.read_text("utf-8"))}
+    shown = {
+        name
+        for page in PAGES
+        for name in re.findall(r"\{picture\} ([\w-]+)", page.read_text("utf-8"))
+    }
     assert shown <= set(pictures)
-    assert {name for name, item in pictures.items() if not (DOCS / f"{item.page}.md").is_file()} == set()
+    assert {
+        name
+        for name, item in pictures.items()
+        if not (DOCS / f"{item.page}.md").is_file()
+    } == set()
 
 
 def test_every_saved_kind_stands_in_the_file_formats() -> None:
     text = (DOCS / "reference" / "file-formats.md").read_text("utf-8")
-    constant = re.compile(r"^_?(?:[A-Z]+_)?KIND(?:, _?[A-Z]+)? = \"([\w-]+)\"", flags=re.MULTILINE)
+    constant = re.compile(
+        r"^_?(?:[A-Z]+_)?KIND(?:, _?[A-Z]+)? = \"([\w-]+)\"", flags=re.MULTILINE
+    )
     literal = re.compile(r"write_(?:json|npz)\(\s*[\w/ .\"]+, \"([\w-]+)\"")
     declared = re.compile(r"^@document\(\s*\"([\w-]+)\"", flags=re.MULTILINE)
-    sources = [path.read_text("utf-8") for path in (ROOT / "src" / "fraclink").rglob("*.py")]
-    found = (pattern.findall(source) for source in sources for pattern in (constant, literal, declared))
+    sources = [
+        path.read_text("utf-8") for path in (ROOT / "src" / "fraclink").rglob("*.py")
+    ]
+    found = (
+        pattern.findall(source)
+        for source in sources
+        for pattern in (constant, literal, declared)
+    )
     kinds = {kind for some in found for kind in some}
     assert len(kinds) >= 12
     assert {kind for kind in kinds if f"`{kind}`" not in text} == set()
@@ -136,7 +185,11 @@ def documented() -> list[str]:
     """The full names of all entries of the reference."""
     pages = (DOCS / "reference").rglob("*.md")
     entry = re.compile(r"^\.\. (?:auto\w+|py:\w+):: ([\w.]+)", flags=re.MULTILINE)
-    return [name for page in sorted(pages) for name in entry.findall(page.read_text("utf-8"))]
+    return [
+        name
+        for page in sorted(pages)
+        for name in entry.findall(page.read_text("utf-8"))
+    ]
 
 
 def test_every_public_name_has_an_entry_in_the_reference() -> None:
@@ -163,14 +216,20 @@ def resolved(name: str) -> object:
 
 BROKEN = {
     "an undefined symbol": ("`fl.desing` makes a plan", "fraclink.desing"),
-    "a method that is not": ("`fl.Design.sample_at(0.02)`", "fraclink.Design.sample_at"),
+    "a method that is not": (
+        "`fl.Design.sample_at(0.02)`",
+        "fraclink.Design.sample_at",
+    ),
     "a link to no page": ("[see](no-such-page.md)", "no-such-page.md"),
     "a link to no heading": ("[see](#no-such-heading)", "no-such-heading"),
     "a type of a signature": (
         "```{eval-rst}\n.. py:function:: fraclink.told(design: fraclink.Plann) -> None\n```",
         "fraclink.Plann",
     ),
-    "a class that is not": ("```{eval-rst}\n.. autoclass:: fraclink.Plane\n```", "Plane"),
+    "a class that is not": (
+        "```{eval-rst}\n.. autoclass:: fraclink.Plane\n```",
+        "Plane",
+    ),
 }
 
 
@@ -181,9 +240,21 @@ def build(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
     shutil.copy(DOCS / "conf.py", source)
     (source / "_static").mkdir(exist_ok=True)
     (source / "index.md").write_text(f"# A page\n\n{text}\n\n{ENTRY}", "utf-8")
-    command = [sys.executable, "-m", "sphinx", "--quiet", "--fail-on-warning", "--keep-going", "-b", "html"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "--quiet",
+        "--fail-on-warning",
+        "--keep-going",
+        "-b",
+        "html",
+    ]
     return subprocess.run(  # noqa: S603
-        [*command, str(source), str(folder / "html")], capture_output=True, text=True, check=False
+        [*command, str(source), str(folder / "html")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -197,19 +268,27 @@ def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) ->
         "`fl.Design` and [the entries](#entries), `fraclink._simulate`, `fraclink run`, `law.c`",
     )
     assert done.returncode == 0, done.stderr
-    assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text("utf-8")
+    assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text(
+        "utf-8"
+    )
 
 
 @pytest.mark.slow
 def test_dead_links_and_undefined_symbols_fail_the_build(tmp_path: Path) -> None:
     done = build(tmp_path, "\n\n".join(text for text, _ in BROKEN.values()))
     assert done.returncode != 0
-    assert [what for what, (_, named) in BROKEN.items() if named not in done.stderr] == []
+    assert [
+        what for what, (_, named) in BROKEN.items() if named not in done.stderr
+    ] == []
 
 
 @pytest.mark.slow
-def test_the_table_of_peers_is_what_the_benchmark_measures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rows of tools that are not installed here stand in the table as they were measured elsewhere."""
+def test_the_table_of_peers_is_what_the_benchmark_measures(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Rows of tools that are not installed here stand in the table as they were
+    measured elsewhere.
+    """
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     try:
         import bench_peers  # type: ignore[import-not-found]
@@ -217,13 +296,19 @@ def test_the_table_of_peers_is_what_the_benchmark_measures(monkeypatch: pytest.M
         found = bench_peers.rows()
         written = bench_peers.PAGE.read_text("utf-8")
         assert len(found) >= 13
-        assert [row for row in found if f"| {row.tool} | {row.error} |" not in written] == []
-        assert [row.problem for row in found if f"| {row.problem} |" not in written] == []
+        assert [
+            row for row in found if f"| {row.tool} | {row.error} |" not in written
+        ] == []
+        assert [
+            row.problem for row in found if f"| {row.problem} |" not in written
+        ] == []
     finally:
         sys.modules.pop("bench_peers", None)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
+@pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix()
+)
 def test_no_page_shows_the_source_of_a_formula(page: Path) -> None:
     """Formulas are written in Unicode; TeX would stand on the page as it was typed."""
     text = page.read_text("utf-8")

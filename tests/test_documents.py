@@ -1,4 +1,6 @@
-"""The codec: what was saved is loaded equal, and whatever else a file holds is FileFormatError."""
+"""The codec: what was saved is loaded equal, and whatever else a file holds is
+FileFormatError.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,13 @@ class Gear:
 
     def __post_init__(self) -> None:
         if not self.ratio > 0:
-            raise FieldError("ratio", self.ratio, "not positive", allowed="> 0", remedy="give a ratio")
+            raise FieldError(
+                "ratio",
+                self.ratio,
+                "not positive",
+                allowed="> 0",
+                remedy="give a ratio",
+            )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,10 +67,17 @@ class Belt:
     version=3,
     period=lambda made: made.period,
     sources=lambda made: {"log.csv": "0" * 64},
-    summary=lambda made: {"verdict": "passed" if made.passed else "failed", "worst": math.inf},
+    summary=lambda made: {
+        "verdict": "passed" if made.passed else "failed",
+        "worst": math.inf,
+    },
     upgrades={
-        1: lambda old: {("name" if key == "title" else key): item for key, item in old.items()},
-        2: lambda old: old | {"period": old.pop("period_ms") / 1000} if "period_ms" in old else old,
+        1: lambda old: {
+            ("name" if key == "title" else key): item for key, item in old.items()
+        },
+        2: lambda old: (
+            old | {"period": old.pop("period_ms") / 1000} if "period_ms" in old else old
+        ),
     },
 )
 @dataclasses.dataclass(frozen=True)
@@ -84,7 +99,9 @@ class Made:
     notes: tuple[tuple[str, str], ...] = ()
     anything: Any = None
     mass: Annotated[float | None, "kg"] = None
-    cached: list[int] = dataclasses.field(default_factory=list, metadata={"stored": False}, compare=False)
+    cached: list[int] = dataclasses.field(
+        default_factory=list, metadata={"stored": False}, compare=False
+    )
 
 
 FULL = Made(
@@ -109,7 +126,9 @@ FULL = Made(
 )
 
 
-@document("made-up-run", version=2, container="npz", upgrades={("made-up-old-run", 1): dict})
+@document(
+    "made-up-run", version=2, container="npz", upgrades={("made-up-old-run", 1): dict}
+)
 @dataclasses.dataclass(frozen=True, eq=False)
 class Signals:
     time: NDArray[np.float64]
@@ -124,7 +143,9 @@ class Signals:
 class Exact:
     value: float
     pole: complex
-    rows: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0), compare=False)
+    rows: NDArray[np.float64] = dataclasses.field(
+        default_factory=lambda: np.zeros(0), compare=False
+    )
 
 
 SIGNALS = Signals(
@@ -144,18 +165,24 @@ def same_signals(a: Signals, b: Signals) -> bool:
         *zip(a.parts, b.parts, strict=True),
     ]
     return a.made == b.made and all(
-        x is y or (x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes()) for x, y in pairs
+        x is y
+        or (x.dtype == y.dtype and x.shape == y.shape and x.tobytes() == y.tobytes())
+        for x, y in pairs
     )
 
 
 @pytest.mark.parametrize(
-    "made", [Made("plain", 1e-3), FULL, Made("x", 1, drive=Belt(2.0), count=np.int64(3))]
+    "made",
+    [Made("plain", 1e-3), FULL, Made("x", 1, drive=Belt(2.0), count=np.int64(3))],
 )
 def test_a_nested_value_comes_back_equal(made: Made, tmp_path: Path) -> None:
     path = save(made, tmp_path / "made.json")
     assert load(path) == made
     assert load(path, Made) == made and load(path, kind=(Made, Exact)) == made
-    assert [type(load(path).drive), type(load(path).period)] == [type(made.drive), float]
+    assert [type(load(path).drive), type(load(path).period)] == [
+        type(made.drive),
+        float,
+    ]
 
 
 def test_every_bit_of_a_real_comes_back(tmp_path: Path) -> None:
@@ -168,7 +195,10 @@ def test_every_bit_of_a_real_comes_back(tmp_path: Path) -> None:
     back = load(save(exact, tmp_path / "b.json"))
     assert back == exact and back.rows.tobytes() == values.tobytes()
     assert math.copysign(1.0, back.pole.imag) == -1.0
-    assert '"0x' in (tmp_path / "b.json").read_text() and '"0x' not in (tmp_path / "a.json").read_text()
+    assert (
+        '"0x' in (tmp_path / "b.json").read_text()
+        and '"0x' not in (tmp_path / "a.json").read_text()
+    )
 
 
 def test_signals_come_back_and_anybody_can_open_them(tmp_path: Path) -> None:
@@ -182,7 +212,9 @@ def test_signals_come_back_and_anybody_can_open_them(tmp_path: Path) -> None:
 
 
 def stated_and_own_digest(text: str) -> tuple[str, str]:
-    """What a document says its digest is, and what docs/reference/file-formats.md says how to make it."""
+    """What a document says its digest is, and what docs/reference/file-formats.md says
+    how to make it.
+    """
     data = json.loads(text)
     covered = {key: item for key, item in data.items() if key not in ("sha256", "tool")}
     plain = json.dumps(covered, sort_keys=True, separators=(",", ":"))
@@ -197,16 +229,31 @@ def test_the_same_value_gives_the_same_bytes_and_digest(tmp_path: Path) -> None:
     with np.load(tmp_path / "x.npz", allow_pickle=False) as data:
         of_archive = stated_and_own_digest(str(data["about"]))
     assert stated == own and of_archive[0] == of_archive[1] != own
-    save(dataclasses.replace(FULL, period=0.0040000000000000001 + 1e-18), tmp_path / "other.json")
+    save(
+        dataclasses.replace(FULL, period=0.0040000000000000001 + 1e-18),
+        tmp_path / "other.json",
+    )
     assert stated_and_own_digest((tmp_path / "other.json").read_text())[0] != stated
 
 
 def test_the_envelope_says_what_the_file_is(tmp_path: Path) -> None:
     data = json.loads(save(FULL, tmp_path / "x.json").read_text())
-    assert (data["fraclink"], data["format"], data["units"]) == ("made-up", 3, "SI, radians")
-    assert (data["tool"], data["period"], data["sources"]) == (fl.__version__, 0.004, {"log.csv": "0" * 64})
+    assert (data["fraclink"], data["format"], data["units"]) == (
+        "made-up",
+        3,
+        "SI, radians",
+    )
+    assert (data["tool"], data["period"], data["sources"]) == (
+        fl.__version__,
+        0.004,
+        {"log.csv": "0" * 64},
+    )
     assert data["summary"] == {"verdict": "failed", "worst": "inf"}
-    assert data["content"]["drive"] == {"type": "Gear", "ratio": 50.0, "teeth": [20, 1000]}
+    assert data["content"]["drive"] == {
+        "type": "Gear",
+        "ratio": 50.0,
+        "teeth": [20, 1000],
+    }
     assert "cached" not in data["content"]
 
 
@@ -251,9 +298,16 @@ def test_another_version_of_the_tool_is_no_edit(tmp_path: Path) -> None:
 
 
 def old(tmp_path: Path, version: int, **content: Any) -> Path:
-    """A file of the first formats: envelope and content in one object, without a digest."""
+    """A file of the first formats: envelope and content in one object, without a
+    digest.
+    """
     path = tmp_path / "old.json"
-    head = {"fraclink": "made-up", "format": version, "tool": "0.0", "units": "SI, radians"}
+    head = {
+        "fraclink": "made-up",
+        "format": version,
+        "tool": "0.0",
+        "units": "SI, radians",
+    }
     path.write_text(json.dumps(head | content))
     return path
 
@@ -278,7 +332,10 @@ def test_earlier_formats_are_upgraded_step_by_step(tmp_path: Path) -> None:
         ({"name": "a", "period_ms": "x"}, "content"),
         ({"name": "a", "period": 1.0, "count": 1.0}, "count"),
         ({"name": "a", "period": 1.0, "passed": 1}, "passed"),
-        ({"name": "a", "period": 1.0, "drive": {"type": "Gear", "ratio": -1.0}}, "drive.ratio"),
+        (
+            {"name": "a", "period": 1.0, "drive": {"type": "Gear", "ratio": -1.0}},
+            "drive.ratio",
+        ),
         ({"name": "a", "period": 1.0, "drive": {"type": "Gear"}}, "drive.ratio"),
         ({"name": "a", "period": 1.0, "drive": {"type": "os.system"}}, "drive.type"),
         ({"name": "a", "period": 1.0, "drive": {"type": ["Gear"]}}, "drive.type"),
@@ -291,12 +348,24 @@ def test_earlier_formats_are_upgraded_step_by_step(tmp_path: Path) -> None:
         ({"name": "a", "period": 1.0, "pair": [1.0, 2.5]}, "pair.1"),
         ({"name": "a", "period": 1.0, "raw": "0g"}, "raw"),
         ({"name": "a", "period": 1.0, "span": {"high": 1.0}}, "span.low"),
-        ({"name": "a", "period": 1.0, "table": {"x": {"ratio": 1.0, "teeth": [1, "2"]}}}, "table.x.teeth.1"),
+        (
+            {
+                "name": "a",
+                "period": 1.0,
+                "table": {"x": {"ratio": 1.0, "teeth": [1, "2"]}},
+            },
+            "table.x.teeth.1",
+        ),
         ({"name": "a", "period": 1.0, "by_payload": {"x": 1}}, "by_payload"),
-        ({"name": "a", "period": 1.0, "findings": [{"code": "W1", "message": "x"}]}, "findings.0.severity"),
+        (
+            {"name": "a", "period": 1.0, "findings": [{"code": "W1", "message": "x"}]},
+            "findings.0.severity",
+        ),
     ],
 )
-def test_the_first_wrong_key_is_named(content: dict[str, Any], field: str, tmp_path: Path) -> None:
+def test_the_first_wrong_key_is_named(
+    content: dict[str, Any], field: str, tmp_path: Path
+) -> None:
     with pytest.raises(FileFormatError) as caught:
         load(old(tmp_path, 2, **content))
     assert caught.value.field == field
@@ -305,8 +374,17 @@ def test_the_first_wrong_key_is_named(content: dict[str, Any], field: str, tmp_p
 
 def test_a_kind_that_was_merged_into_another_is_read(tmp_path: Path) -> None:
     path = tmp_path / "x.npz"
-    about = json.dumps({"fraclink": "made-up-old-run", "format": 1, "tool": "0", "units": "SI, radians"})
-    np.savez(path, about=np.array(about), time=np.zeros(2), flags=np.zeros(2, np.uint32))
+    about = json.dumps(
+        {
+            "fraclink": "made-up-old-run",
+            "format": 1,
+            "tool": "0",
+            "units": "SI, radians",
+        }
+    )
+    np.savez(
+        path, about=np.array(about), time=np.zeros(2), flags=np.zeros(2, np.uint32)
+    )
     assert load(path, Signals).time.tolist() == [0.0, 0.0]
     np.savez(path, about=np.array(about), time=np.zeros(2), flags=np.zeros(2))
     with pytest.raises(FileFormatError, match="flags"):
@@ -323,7 +401,17 @@ def test_what_is_expected_is_compared_before_anything_is_made(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"PK", b"PK\x03\x04" + bytes(40), b"{", b"[]", b"null", b"\xff{}", b"[" * 99999]
+    "content",
+    [
+        b"",
+        b"PK",
+        b"PK\x03\x04" + bytes(40),
+        b"{",
+        b"[]",
+        b"null",
+        b"\xff{}",
+        b"[" * 99999,
+    ],
 )
 def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
     for name in ("x.json", "x.npz", "x"):
@@ -339,7 +427,9 @@ def test_foreign_files_are_refused(content: bytes, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("ending", ["json", "npz"])
-def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(ending: str, tmp_path: Path) -> None:
+def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(
+    ending: str, tmp_path: Path
+) -> None:
     """Whoever opens a pipe that nobody writes to waits for ever."""
     os.mkfifo(tmp_path / f"pipe.{ending}")
     (tmp_path / f"folder.{ending}").mkdir()
@@ -359,14 +449,20 @@ def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(ending: str, tmp
 def test_the_kind_is_known_without_reading_the_rest(tmp_path: Path) -> None:
     assert kind_of(save(FULL, tmp_path / "a.json")) == "made-up"
     assert kind_of(save(SIGNALS, tmp_path / "b.npz")) == "made-up-run"
-    assert (kind_of(tmp_path / "rig.toml"), kind_of(tmp_path / "none.json")) == ("rig", "")
+    assert (kind_of(tmp_path / "rig.toml"), kind_of(tmp_path / "none.json")) == (
+        "rig",
+        "",
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("value", "name"), [(FULL, "x.json"), (SIGNALS, "x.npz"), (Exact(0.1, 1j), "y.json")]
+    ("value", "name"),
+    [(FULL, "x.json"), (SIGNALS, "x.npz"), (Exact(0.1, 1j), "y.json")],
 )
-def test_two_thousand_mutants_are_equal_or_refused(value: Any, name: str, tmp_path: Path) -> None:
+def test_two_thousand_mutants_are_equal_or_refused(
+    value: Any, name: str, tmp_path: Path
+) -> None:
     rng, refused = np.random.default_rng(5), 0
     path = save(value, tmp_path / name)
     raw, count = path.read_bytes(), 2000
@@ -377,12 +473,18 @@ def test_two_thousand_mutants_are_equal_or_refused(value: Any, name: str, tmp_pa
         except FileFormatError:
             refused += 1
         else:  # a blank, the tool's version, what the zip archive says twice
-            assert same_signals(back, value) if isinstance(value, Signals) else back == value
+            assert (
+                same_signals(back, value)
+                if isinstance(value, Signals)
+                else back == value
+            )
     assert refused > 0.8 * count
 
 
 @pytest.mark.slow
-def test_two_thousand_mutants_without_a_digest_are_read_or_refused(tmp_path: Path) -> None:
+def test_two_thousand_mutants_without_a_digest_are_read_or_refused(
+    tmp_path: Path,
+) -> None:
     rng, refused = np.random.default_rng(6), 0
     data = json.loads(save(FULL, tmp_path / "x.json").read_text())
     path = old(tmp_path, 2, **data["content"])
@@ -414,8 +516,14 @@ def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -
     with pytest.raises(SizeError):
         save(Made("x", 1.0, anything="y" * 17_000_000), path)
     with pytest.raises(FieldError, match="float64"):
-        save(Signals(np.zeros(3, np.float32), np.zeros(3, np.uint32)), tmp_path / "x.npz")  # type: ignore[arg-type]
-    unlike: tuple[tuple[Any, str], ...] = ((FULL, "x.npz"), (SIGNALS, "x.json"), (SIGNALS, "x.csv"))
+        save(
+            Signals(np.zeros(3, np.float32), np.zeros(3, np.uint32)), tmp_path / "x.npz"
+        )  # type: ignore[arg-type]
+    unlike: tuple[tuple[Any, str], ...] = (
+        (FULL, "x.npz"),
+        (SIGNALS, "x.json"),
+        (SIGNALS, "x.csv"),
+    )
     for noun, name in unlike:
         with pytest.raises(FieldError, match="another kind of file"):
             save(noun, tmp_path / name)
@@ -475,7 +583,10 @@ def test_a_zip_archive_with_arrays_exchanged_is_refused(tmp_path: Path) -> None:
     path = save(SIGNALS, tmp_path / "x.npz")
     with zipfile.ZipFile(path) as archive:
         members = {item.filename: archive.read(item) for item in archive.infolist()}
-    members["time.npy"], members["parts.0.npy"] = members["parts.0.npy"], members["time.npy"]
+    members["time.npy"], members["parts.0.npy"] = (
+        members["parts.0.npy"],
+        members["time.npy"],
+    )
     with zipfile.ZipFile(path, "w") as archive:
         for name, blob in members.items():
             archive.writestr(name, blob)
@@ -489,8 +600,14 @@ def test_the_root_saves_and_loads(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("depth", [100, 300, 600, 900, 980])
 @pytest.mark.parametrize("version", [2, 3])
-def test_deep_nesting_ends_in_a_file_format_error(depth: int, version: int, tmp_path: Path) -> None:
-    path = old(tmp_path, version, content=1) if version == 3 else old(tmp_path, version, name="x", period=1.0)
+def test_deep_nesting_ends_in_a_file_format_error(
+    depth: int, version: int, tmp_path: Path
+) -> None:
+    path = (
+        old(tmp_path, version, content=1)
+        if version == 3
+        else old(tmp_path, version, name="x", period=1.0)
+    )
     deep = "[" * depth + "]" * depth
     path.write_text(
         path.read_text().replace("1", deep, 1)
@@ -506,7 +623,9 @@ GOLDEN = Path(__file__).parent / "golden" / "formats"
 
 def test_d9_an_edited_gain_of_a_design_is_refused(tmp_path: Path) -> None:
     rig = fl.Rig.named("paper-2023")
-    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    design = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
     path = save(design, tmp_path / "design.json")
     assert load(path, fl.Design) == design
 
@@ -518,8 +637,12 @@ def test_d9_an_edited_gain_of_a_design_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["design-format-1.json", "study/design.json", "study/log.npz"])
-def test_d8_mutants_of_a_file_of_release_0_1_are_read_or_refused(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "name", ["design-format-1.json", "study/design.json", "study/log.npz"]
+)
+def test_d8_mutants_of_a_file_of_release_0_1_are_read_or_refused(
+    name: str, tmp_path: Path
+) -> None:
     raw, rng = (GOLDEN / name).read_bytes(), np.random.default_rng(7)
     path, refused = tmp_path / Path(name).name, 0
     path.write_bytes(raw)
@@ -567,7 +690,10 @@ def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
     [
         (lambda d: d["findings"][0].pop("message"), "findings.0.message"),
         (lambda d: d["comparison"].pop("verdict"), "comparison.verdict"),
-        (lambda d: d["comparison"]["contest"].update(advantage="large"), "comparison.contest.advantage"),
+        (
+            lambda d: d["comparison"]["contest"].update(advantage="large"),
+            "comparison.contest.advantage",
+        ),
         (lambda d: d.update(assumptions=[1]), "assumptions.0"),
     ],
 )
@@ -581,12 +707,18 @@ def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(tmp_path: Path) -> None:
-    """A kind that the table lacks loads only where something else has imported its class."""
+def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(
+    tmp_path: Path,
+) -> None:
+    """A kind that the table lacks loads only where something else has imported its
+    class.
+    """
     from fraclink import _files
 
     source = Path(_files.__file__).parents[1]
-    text = "\n".join(file.read_text(encoding="utf-8") for file in sorted(source.rglob("*.py")))
+    text = "\n".join(
+        file.read_text(encoding="utf-8") for file in sorted(source.rglob("*.py"))
+    )
     kinds = set(re.findall(r'^@?document\(\s*"([\w-]+)"', text, re.MULTILINE))
     assert len(kinds) > 20 and kinds <= set(_files.HOMES)
     margins = fl.margins(2.0 / (fl.s * (fl.s + 1)))
@@ -599,7 +731,10 @@ def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(tmp_path: Path
 
 
 def test_arrays_of_a_json_file_are_read_only() -> None:
-    for kind, data in ((NDArray[np.float64], [1.0, 2.0]), (NDArray[np.complex128], [[1.0, -1.0]])):
+    for kind, data in (
+        (NDArray[np.float64], [1.0, 2.0]),
+        (NDArray[np.complex128], [[1.0, -1.0]]),
+    ):
         values = codec_of(kind).decode(data, "", Storage())
         assert values.dtype.kind in "fc" and not values.flags.writeable
 
@@ -608,10 +743,18 @@ def test_arrays_of_a_json_file_are_read_only() -> None:
     ("kind", "value", "words"),
     [
         (bytes, "0a", r"^signature: not bytes .*expected bytes"),
-        (fl.Rig, "paper-2023", r"^signature: of another type \(got str\); expected Rig"),
+        (
+            fl.Rig,
+            "paper-2023",
+            r"^signature: of another type \(got str\); expected Rig",
+        ),
     ],
 )
-def test_a_field_of_another_type_is_not_written(kind: type, value: object, words: str) -> None:
-    """A frozen dataclass does not check itself: what it was given wrongly must not become a file."""
+def test_a_field_of_another_type_is_not_written(
+    kind: type, value: object, words: str
+) -> None:
+    """A frozen dataclass does not check itself: what it was given wrongly must not
+    become a file.
+    """
     with pytest.raises(FieldError, match=words):
         codec_of(kind).encode(value, "signature", Storage())

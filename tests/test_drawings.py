@@ -1,4 +1,6 @@
-"""Drawings read back: where every mark, tick, label and name lies, in hand-computed dots and shares."""
+"""Drawings read back: where every mark, tick, label and name lies, in hand-computed
+dots and shares.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,7 @@ FRAME = Frame(Scale(0.0, 10.0), Scale(0.0, 100.0), top=24.0, height=150.0)
 
 def tree(text: str) -> ElementTree.Element:
     """The elements of a drawing; what is not well-formed fails."""
-    return ElementTree.fromstring(re.sub(r' xmlns="[^"]*"', "", text))  # noqa: S314  # our own
+    return ElementTree.fromstring(re.sub(r' xmlns="[^"]*"', "", text))  # our own  # noqa: S314
 
 
 def texts(text: str) -> list[str]:
@@ -59,16 +61,25 @@ def test_a_scale_shows_all_that_is_finite_with_some_room() -> None:
     assert Scale.around([5.0, 5.2], least=1.0).high == pytest.approx(5.6)
     nothing = Scale.around([math.nan])
     assert (nothing.low, nothing.high) == pytest.approx((-0.06, 1.06))
-    for level in (0.0, 5.0, -2e-9, 3e7):  # a record that stands still is drawn at half height
+    for level in (
+        0.0,
+        5.0,
+        -2e-9,
+        3e7,
+    ):  # a record that stands still is drawn at half height
         flat = Scale.around([level, level])
-        assert flat.low < level < flat.high and float(flat.share(level)) == pytest.approx(0.5)
+        assert flat.low < level < flat.high and float(
+            flat.share(level)
+        ) == pytest.approx(0.5)
         shown = [text for _, text in flat.marks(5)]
         assert len(shown) == len(set(shown)) >= 2
 
 
 def test_shares_of_a_scale_are_linear_or_logarithmic() -> None:
     assert Scale(-1.0, 3.0).share([-1.0, 0.0, 4.0]).tolist() == [0.0, 0.25, 1.25]
-    assert Scale(1.0, 1000.0, log=True).share([1.0, 10.0, 1000.0]).tolist() == pytest.approx([0, 1 / 3, 1])
+    assert Scale(1.0, 1000.0, log=True).share(
+        [1.0, 10.0, 1000.0]
+    ).tolist() == pytest.approx([0, 1 / 3, 1])
 
 
 @pytest.mark.parametrize(
@@ -86,7 +97,9 @@ def test_shares_of_a_scale_are_linear_or_logarithmic() -> None:
         (0.0, 1e-13, 2, "0 5×10⁻¹⁴ 1×10⁻¹³"),
     ],
 )
-def test_ticks_are_places_that_people_count_in(low: float, high: float, most: int, wanted: str) -> None:
+def test_ticks_are_places_that_people_count_in(
+    low: float, high: float, most: int, wanted: str
+) -> None:
     found = nice_ticks(low, high, most)
     assert [text for _, text in found] == wanted.split()
     assert all(low <= value <= high for value, _ in found)
@@ -107,7 +120,10 @@ def test_ticks_of_a_logarithmic_scale_are_powers_of_ten(
     found = Scale(low, high, log=True).marks(most)
     assert [text for _, text in found] == wanted.split()
     assert [math.log10(value) % 1 for value, _ in found] == pytest.approx(
-        [math.log10(float(text[0] if text[0] != "0" else text[-1])) for _, text in found]
+        [
+            math.log10(float(text[0] if text[0] != "0" else text[-1]))
+            for _, text in found
+        ]
     )
 
 
@@ -121,33 +137,65 @@ def test_a_record_is_thinned_to_the_extremes_of_its_stretches_in_their_order() -
     values[137], values[152] = -3.0, 5.0
     kept_time, kept = envelope(time, values, 4)
     assert kept_time.tolist() == [0, 50, 100, 150, 200, 250, 300, 350]
-    assert kept.tolist() == [0, 0, 5.0, -3.0, 0, 0, 0, 0] or kept.tolist() == [0, 0, -3.0, 5.0, 0, 0, 0, 0]
+    assert kept.tolist() == [0, 0, 5.0, -3.0, 0, 0, 0, 0] or kept.tolist() == [
+        0,
+        0,
+        -3.0,
+        5.0,
+        0,
+        0,
+        0,
+        0,
+    ]
     rising = envelope(time, time, 4)[1]
     assert rising.tolist() == [0, 99, 100, 199, 200, 299, 300, 399]
-    assert envelope(time, -time, 4)[1].tolist() == [0, -99, -100, -199, -200, -299, -300, -399]
+    assert envelope(time, -time, 4)[1].tolist() == [
+        0,
+        -99,
+        -100,
+        -199,
+        -200,
+        -299,
+        -300,
+        -399,
+    ]
     whole = envelope(time, values, 200)
-    assert whole[0] is time and whole[1] is values  # no more than twice the points: as it is
+    assert (
+        whole[0] is time and whole[1] is values
+    )  # no more than twice the points: as it is
 
 
 # --- marks ------------------------------------------------------------------------------------------------
 
 
 def test_places_across_are_shares_and_places_down_are_dots() -> None:
-    assert [FRAME.across(value) for value in (0.0, 2.5, 3.3333)] == ["0%", "25%", "33.33%"]
+    assert [FRAME.across(value) for value in (0.0, 2.5, 3.3333)] == [
+        "0%",
+        "25%",
+        "33.33%",
+    ]
     assert [FRAME.down(value) for value in (0.0, 25.0, 100.0)] == [174.0, 136.5, 24.0]
-    assert [FRAME.down(value) for value in (-1.0, 200.0, math.nan)] == [174.0, 24.0, 174.0]
+    assert [FRAME.down(value) for value in (-1.0, 200.0, math.nan)] == [
+        174.0,
+        24.0,
+        174.0,
+    ]
 
 
 def test_a_path_has_gaps_where_values_are_missing_and_is_clipped_far_outside() -> None:
     nan = math.nan
-    assert points(FRAME.path([0, 5, 10], [0, 50, 100])) == [[(0, 2000), (2000, 1000), (4000, 0)]]
+    assert points(FRAME.path([0, 5, 10], [0, 50, 100])) == [
+        [(0, 2000), (2000, 1000), (4000, 0)]
+    ]
     assert points(FRAME.path([0, 1, 2, 3, 4], [0, 50, nan, 50, 0])) == [
         [(0, 2000), (400, 1000)],
         [(1200, 1000), (1600, 2000)],
     ]
     far = points(FRAME.path([-100, 0, 100], [1e6, 0, -1e6]))
     assert far == [[(-4000, -2000), (0, 2000), (8000, 4000)]]
-    assert points(FRAME.path([1, 1, 1], [50, 50, 50])) == [[(400, 1000)]]  # no step is no point
+    assert points(FRAME.path([1, 1, 1], [50, 50, 50])) == [
+        [(400, 1000)]
+    ]  # no step is no point
     assert FRAME.path([0, 5], [0, nan], dots=True) == "M0 2000h0"
     assert FRAME.path([nan], [1.0]) == ""
 
@@ -166,16 +214,28 @@ def test_a_path_has_gaps_where_values_are_missing_and_is_clipped_far_outside() -
 )
 def test_a_line_has_the_style_of_its_number(mark: Any, style: str) -> None:
     found = tree(mark.drawn(FRAME).curves)
-    assert (found.tag, found.get("class"), found.get("data-name")) == ("path", style, None)
+    assert (found.tag, found.get("class"), found.get("data-name")) == (
+        "path",
+        style,
+        None,
+    )
     assert mark.drawn(FRAME).ends == ()
 
 
 def test_a_curve_is_named_where_it_leaves_the_panel() -> None:
-    named = marks.Curve([0.0, 5.0, 10.0, 12.0], [0.0, 50.0, 75.0, 100.0], 2, "a < b").drawn(FRAME)
-    assert named.ends == ((FRAME.down(75.0), "a < b", "c2 d2"),)  # the value behind the edge is not seen
+    named = marks.Curve(
+        [0.0, 5.0, 10.0, 12.0], [0.0, 50.0, 75.0, 100.0], 2, "a < b"
+    ).drawn(FRAME)
+    assert named.ends == (
+        (FRAME.down(75.0), "a < b", "c2 d2"),
+    )  # the value behind the edge is not seen
     assert tree(named.curves).get("data-name") == "a < b"
-    assert marks.Curve(5.0, [0.0, 20.0], name="upright").drawn(FRAME).ends[0][0] == FRAME.down(20.0)
-    filled = marks.Curve([0, 10, 10], [0, 0, 100], 3, weight="fill", name="none").drawn(FRAME)
+    assert marks.Curve(5.0, [0.0, 20.0], name="upright").drawn(FRAME).ends[0][
+        0
+    ] == FRAME.down(20.0)
+    filled = marks.Curve([0, 10, 10], [0, 0, 100], 3, weight="fill", name="none").drawn(
+        FRAME
+    )
     assert filled.ends == () and filled.curves == ""
     assert filled.below == '<path class="b3" d="M0 2000l4000 0 0-2000z"/>'
 
@@ -189,13 +249,22 @@ def test_a_band_runs_there_on_its_upper_edge_and_back_on_the_lower() -> None:
 def test_bars_stand_on_zero_between_their_edges() -> None:
     text = marks.Bars([0, 5, 10], [50, 100]).drawn(FRAME).below
     outline = points(re.findall(r'd="([^"]*)"', text)[0])[0]
-    assert outline == [(0, 2000), (0, 1000), (2000, 1000), (2000, 0), (4000, 0), (4000, 2000)]
+    assert outline == [
+        (0, 2000),
+        (0, 1000),
+        (2000, 1000),
+        (2000, 0),
+        (4000, 0),
+        (4000, 2000),
+    ]
     assert 'class="b1 full"' in text
 
 
 def test_cells_are_runs_of_one_level_in_each_row() -> None:
     levels = np.array([[0, 0, 1], [-1, 2, 2]])
-    cells = marks.Cells(np.array([0.0, 2.5, 5.0, 10.0]), np.array([0.0, 50.0, 100.0]), levels)
+    cells = marks.Cells(
+        np.array([0.0, 2.5, 5.0, 10.0]), np.array([0.0, 50.0, 100.0]), levels
+    )
     assert cells.drawn(FRAME).below == (
         '<path class="l0" d="M0 2000H2000V1000H0z"/>'
         '<path class="l1" d="M2000 2000H4000V1000H2000z"/>'
@@ -218,12 +287,18 @@ def test_zones_levels_and_places_span_the_panel() -> None:
     )
     line = '<line class="limit" x1="55%" x2="55%" y1="24.0" y2="174.0"/>'
     right = line + '<text class="halo" x="55%" y="35.0" dx="4">here</text>'
-    left = line + '<text class="halo" x="55%" y="35.0" text-anchor="end" dx="-4">here</text>'
+    left = (
+        line
+        + '<text class="halo" x="55%" y="35.0" text-anchor="end" dx="-4">here</text>'
+    )
     assert marks.Upright(5.5, "here").drawn(FRAME).above == right
     assert marks.Upright(5.5, "here", left=True).drawn(FRAME).above == left
     assert marks.Upright(5.5).drawn(FRAME).above == line
     assert 'text-anchor="end"' in marks.Upright(5.6, "x").drawn(FRAME).above
-    assert 'text-anchor="end"' not in marks.Upright(5.6, "x", left=False).drawn(FRAME).above
+    assert (
+        'text-anchor="end"'
+        not in marks.Upright(5.6, "x", left=False).drawn(FRAME).above
+    )
 
 
 @pytest.mark.parametrize(
@@ -234,11 +309,16 @@ def test_zones_levels_and_places_span_the_panel() -> None:
         ("cross", '<path class="c2 cross" d="M-6-6l12 12m0-12l-12 12"/>'),
     ],
 )
-def test_a_point_keeps_its_shape_and_its_text_stays_inside(sign: str, shape: str) -> None:
+def test_a_point_keeps_its_shape_and_its_text_stays_inside(
+    sign: str, shape: str
+) -> None:
     at = marks.Point(2.5, 50.0, "a", 2, sign).drawn(FRAME).above
     text = '<text class="halo name" x="9" y="-5">a</text>'
     assert at == f'<svg x="25%" y="99.0" overflow="visible">{shape}{text}</svg>'
-    assert 'text-anchor="end" x="-9"' in marks.Point(8.0, 50.0, "a", 2, sign).drawn(FRAME).above
+    assert (
+        'text-anchor="end" x="-9"'
+        in marks.Point(8.0, 50.0, "a", 2, sign).drawn(FRAME).above
+    )
     assert "<text" not in marks.Point(8.0, 50.0).drawn(FRAME).above
 
 
@@ -247,8 +327,18 @@ def test_a_point_keeps_its_shape_and_its_text_stays_inside(sign: str, shape: str
 
 def figure(**more: Any) -> Figure:
     """Two panels over ten seconds."""
-    upper = Panel("upper [V]", Scale(0.0, 100.0), [marks.Curve([0, 10], [0, 100], 1, "line")], 150.0)
-    lower = Panel("lower", Scale(-1.0, 1.0), [marks.Zone(2.0, 4.0), marks.Across(0.0, "zero")], 100.0)
+    upper = Panel(
+        "upper [V]",
+        Scale(0.0, 100.0),
+        [marks.Curve([0, 10], [0, 100], 1, "line")],
+        150.0,
+    )
+    lower = Panel(
+        "lower",
+        Scale(-1.0, 1.0),
+        [marks.Zone(2.0, 4.0), marks.Across(0.0, "zero")],
+        100.0,
+    )
     given = {"panels": (upper, lower), "xlabel": "time [s]", "link": "time", **more}
     return Figure("try", "what <it> is", Scale(0.0, 10.0), **given)
 
@@ -256,7 +346,11 @@ def figure(**more: Any) -> Figure:
 def test_panels_stand_over_one_another_on_one_scale() -> None:
     """24 above the first, 34 below each, the ticks 17 and the title 36 below the last."""
     root = tree(figure().inline())
-    assert (root.get("id"), root.get("role"), root.get("aria-label")) == ("fig-try", "img", "what <it> is")
+    assert (root.get("id"), root.get("role"), root.get("aria-label")) == (
+        "fig-try",
+        "img",
+        "what <it> is",
+    )
     assert (root.get("data-x"), root.get("data-link")) == ("0 10", "time")
     right = 38 + 6.7 * len("line")
     assert root.get("style") == f"height:352px;padding:0 {right:g}px 0 46px"
@@ -265,44 +359,104 @@ def test_panels_stand_over_one_another_on_one_scale() -> None:
         ("24.0", "150.0", "0 100"),
         ("208.0", "100.0", "-1 1"),
     ]
-    assert all(b.get("viewBox") == "0 0 4000 2000" and b.get("width") == "100%" for b in boxes)
-    labels = [(t.text, t.get("x"), t.get("y")) for t in root.iter("text") if t.get("class") == "label"]
+    assert all(
+        b.get("viewBox") == "0 0 4000 2000" and b.get("width") == "100%" for b in boxes
+    )
+    labels = [
+        (t.text, t.get("x"), t.get("y"))
+        for t in root.iter("text")
+        if t.get("class") == "label"
+    ]
     assert labels == [("upper [V]", "-42", "16.0"), ("lower", "-42", "200.0")]
     bases = [t.get("y1") for t in root.iter("line") if t.get("class") == "base"]
     assert bases == ["174.0", "308.0"]
     below = [
-        (t.text, t.get("x"), t.get("y"), t.get("class")) for t in root.iter("text") if t.get("y") == "325.0"
+        (t.text, t.get("x"), t.get("y"), t.get("class"))
+        for t in root.iter("text")
+        if t.get("y") == "325.0"
     ]
-    assert [entry[0] for entry in below] == ["0", "2", "4", "6", "8", "10"]  # of the last panel alone
+    assert [entry[0] for entry in below] == [
+        "0",
+        "2",
+        "4",
+        "6",
+        "8",
+        "10",
+    ]  # of the last panel alone
     assert [entry[1] for entry in below] == ["0%", "20%", "40%", "60%", "80%", "100%"]
-    assert [entry[3] for entry in below] == 3 * [None, "alt"]  # every second goes where there is no room
+    assert [entry[3] for entry in below] == 3 * [
+        None,
+        "alt",
+    ]  # every second goes where there is no room
     title = next(t for t in root.iter("text") if t.get("class") == "axis")
     assert (title.text, title.get("x"), title.get("y")) == ("time [s]", "50%", "344")
     up = [(t.text, t.get("y")) for t in root.iter("text") if t.get("x") == "-6"]
-    assert up[:5] == [("0", "178.0"), ("25", "140.5"), ("50", "103.0"), ("75", "65.5"), ("100", "28.0")]
-    grid = [t for t in root.iter("line") if t.get("class") == "grid" and t.get("x1") == "20%"]
-    assert [(t.get("y1"), t.get("y2")) for t in grid] == [("24.0", "174.0"), ("208.0", "308.0")]
+    assert up[:5] == [
+        ("0", "178.0"),
+        ("25", "140.5"),
+        ("50", "103.0"),
+        ("75", "65.5"),
+        ("100", "28.0"),
+    ]
+    grid = [
+        t
+        for t in root.iter("line")
+        if t.get("class") == "grid" and t.get("x1") == "20%"
+    ]
+    assert [(t.get("y1"), t.get("y2")) for t in grid] == [
+        ("24.0", "174.0"),
+        ("208.0", "308.0"),
+    ]
 
 
 def test_a_figure_without_names_titles_and_with_a_key_takes_the_room_it_needs() -> None:
     plain = figure(panels=(figure().panels[1],), xlabel="", link="", left=66.0)
     root = tree(plain.inline())
-    assert root.get("style") == "height:148px;padding:0 14px 0 66px" and root.get("data-link") == "try"
-    assert next(t for t in root.iter("text") if t.get("class") == "label").get("x") == "-42"
-    keyed = tree(figure(panels=(figure().panels[1],), key=("share", "low", "high")).inline())
+    assert (
+        root.get("style") == "height:148px;padding:0 14px 0 66px"
+        and root.get("data-link") == "try"
+    )
+    assert (
+        next(t for t in root.iter("text") if t.get("class") == "label").get("x")
+        == "-42"
+    )
+    keyed = tree(
+        figure(panels=(figure().panels[1],), key=("share", "low", "high")).inline()
+    )
     assert keyed.get("style", "").startswith("height:208px")
-    squares = [(r.get("class"), r.get("x"), r.get("y")) for r in keyed.iter("rect") if r.get("width") == "14"]
+    squares = [
+        (r.get("class"), r.get("x"), r.get("y"))
+        for r in keyed.iter("rect")
+        if r.get("width") == "14"
+    ]
     assert squares == [("l0", "0%", "190"), ("l1", "25%", "190")]
-    named = [(t.text, t.get("x"), t.get("y")) for t in keyed.iter("text") if t.get("class") == "name"]
-    assert named == [("share", None, "182"), ("low", "0%", "201"), ("high", "25%", "201")]
-    logs = Figure("l", "", Scale(1.0, 100.0, log=True), (Panel("", Scale(1.0, 10.0, log=True), ()),))
+    named = [
+        (t.text, t.get("x"), t.get("y"))
+        for t in keyed.iter("text")
+        if t.get("class") == "name"
+    ]
+    assert named == [
+        ("share", None, "182"),
+        ("low", "0%", "201"),
+        ("high", "25%", "201"),
+    ]
+    logs = Figure(
+        "l",
+        "",
+        Scale(1.0, 100.0, log=True),
+        (Panel("", Scale(1.0, 10.0, log=True), ()),),
+    )
     assert tree(logs.inline()).get("data-x") == "1 100 log"
     assert 'data-y="1 10 log"' in logs.inline() and 'class="label"' not in logs.inline()
 
 
 def test_a_file_is_as_large_as_its_panels_and_has_its_own_style() -> None:
     root = tree(figure().alone())
-    assert (root.get("width"), root.get("height"), root.get("viewBox")) == ("860", "372", "0 0 860 372")
+    assert (root.get("width"), root.get("height"), root.get("viewBox")) == (
+        "860",
+        "372",
+        "0 0 860 372",
+    )
     nested = next(found for found in root if found.tag == "svg")
     right = 38 + 6.7 * len("line")
     assert [nested.get(name) for name in ("x", "y", "width", "height")] == [
@@ -311,19 +465,31 @@ def test_a_file_is_as_large_as_its_panels_and_has_its_own_style() -> None:
         f"{814 - right:g}",
         "352",
     ]
-    assert root.find("style") is not None and "var(" not in (root.find("style").text or "")
+    assert root.find("style") is not None and "var(" not in (
+        root.find("style").text or ""
+    )
     square = figure(panels=(figure().panels[1],), rigid=True)
     root = tree(square.alone())
-    assert next(found for found in root if found.tag == "svg").get("width") == "100"  # as wide as high
+    assert (
+        next(found for found in root if found.tag == "svg").get("width") == "100"
+    )  # as wide as high
     inline = square.inline()
-    assert "<style>" not in inline and "ground" not in inline and ' id="fig-try" role="img"' in inline
+    assert (
+        "<style>" not in inline
+        and "ground" not in inline
+        and ' id="fig-try" role="img"' in inline
+    )
 
 
 def test_figures_beside_one_another_are_as_wide_as_they_say() -> None:
     one = figure(width=280.0, left=12.0, panels=(figure().panels[1],))
     text = beside([one, one], "two")
     root = tree(text)
-    assert (root.get("width"), root.get("height"), root.get("aria-label")) == ("560", "188", "two")
+    assert (root.get("width"), root.get("height"), root.get("aria-label")) == (
+        "560",
+        "188",
+        "two",
+    )
     places = [(b.get("x"), b.get("width")) for b in root if b.tag == "svg"]
     assert places == [("12", "254"), ("292", "254")]
 
@@ -343,7 +509,10 @@ def test_figures_beside_one_another_are_as_wide_as_they_say() -> None:
 def test_names_of_lines_are_pushed_apart_until_each_can_be_read(
     values: list[float], wanted: list[float]
 ) -> None:
-    curves = [marks.Curve([0, 10], [value, value], 1, f"n{k}") for k, value in enumerate(values)]
+    curves = [
+        marks.Curve([0, 10], [value, value], 1, f"n{k}")
+        for k, value in enumerate(values)
+    ]
     panel = Panel("", Scale(0.0, 100.0), curves, 150.0)
     root = tree(Figure("n", "", Scale(0.0, 10.0), (panel,)).inline())
     ends = [found for found in root.iter("svg") if found.get("x") == "100%"]
@@ -352,11 +521,15 @@ def test_names_of_lines_are_pushed_apart_until_each_can_be_read(
     assert [float(t.get("y", "nan")) for t in ends[0].iter("text")] == pytest.approx(
         [w + 4 for w in wanted], abs=0.11
     )
-    assert [t.text for t in ends[0].iter("text")] == [f"n{k}" for k in range(len(values))]
+    assert [t.text for t in ends[0].iter("text")] == [
+        f"n{k}" for k in range(len(values))
+    ]
 
 
 def test_a_line_without_a_name_has_no_end_and_dots_have_a_dot_for_a_key() -> None:
-    panel = Panel("", Scale(0.0, 100.0), [marks.Dots([0, 10], [50, 50], 2, "dots")], 150.0)
+    panel = Panel(
+        "", Scale(0.0, 100.0), [marks.Dots([0, 10], [50, 50], 2, "dots")], 150.0
+    )
     root = tree(Figure("n", "", Scale(0.0, 10.0), (panel,)).inline())
     key = next(line for line in root.iter("line") if line.get("class") == "c2 dots")
     assert (key.get("x1"), key.get("x2")) == ("14.4", "14.5")
@@ -372,7 +545,9 @@ def test_what_is_below_is_drawn_first() -> None:
         marks.Zone(0.0, 1.0),
         marks.Across(0.5),
     ]
-    text = Figure("o", "", Scale(0.0, 10.0), (Panel("", Scale(0.0, 1.0), mixed),)).inline()
+    text = Figure(
+        "o", "", Scale(0.0, 10.0), (Panel("", Scale(0.0, 1.0), mixed),)
+    ).inline()
     order = [
         text.index(part)
         for part in (
@@ -385,16 +560,24 @@ def test_what_is_below_is_drawn_first() -> None:
         )
     ]
     assert order == sorted(order)
-    raw = Panel("", Scale(0.0, 1.0), (), raw=lambda frame: f"<g id='{frame.top:g} {frame.height:g}'/>")
+    raw = Panel(
+        "",
+        Scale(0.0, 1.0),
+        (),
+        raw=lambda frame: f"<g id='{frame.top:g} {frame.height:g}'/>",
+    )
     assert "<g id='24 150'/>" in Figure("r", "", Scale(0.0, 1.0), (raw,)).inline()
 
 
 @pytest.mark.parametrize(
-    ("width", "ticks", "most"), [(860.0, 9, 9), (160.0, 9, 3), (400.0, 9, 5), (860.0, 4, 4)]
+    ("width", "ticks", "most"),
+    [(860.0, 9, 9), (160.0, 9, 3), (400.0, 9, 5), (860.0, 4, 4)],
 )
 def test_a_narrow_figure_has_fewer_ticks(width: float, ticks: int, most: int) -> None:
     panel = Panel("", Scale(0.0, 1.0, ticks=()), (), 60.0)
-    found = texts(Figure("t", "", Scale(0.0, 1.0), (panel,), width=width, ticks=ticks).inline())
+    found = texts(
+        Figure("t", "", Scale(0.0, 1.0), (panel,), width=width, ticks=ticks).inline()
+    )
     assert found == [text for _, text in nice_ticks(0.0, 1.0, most)]
 
 
@@ -412,17 +595,28 @@ def test_only_svg_files_are_written(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def design() -> fl.Design:
     rig = fl.Rig.named("paper-2023")
-    return fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    return fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
 
 
 @pytest.mark.slow
-def test_the_bode_plot_is_the_loop_at_three_payloads_with_a_dot_at_each_crossing(design: fl.Design) -> None:
+def test_the_bode_plot_is_the_loop_at_three_payloads_with_a_dot_at_each_crossing(
+    design: fl.Design,
+) -> None:
     drawn = loops.bode_figure(design)
     gain, phase = drawn.panels
     curves = [mark for mark in gain.marks if isinstance(mark, marks.Curve)]
-    assert [(curve.line, curve.name) for curve in curves] == [(1, "20 g"), (2, "30 g"), (3, "40 g")]
+    assert [(curve.line, curve.name) for curve in curves] == [
+        (1, "20 g"),
+        (2, "30 g"),
+        (3, "40 g"),
+    ]
     for curve, below, payload in zip(
-        curves, (m for m in phase.marks if isinstance(m, marks.Curve)), (0.02, 0.03, 0.04), strict=True
+        curves,
+        (m for m in phase.marks if isinstance(m, marks.Curve)),
+        (0.02, 0.03, 0.04),
+        strict=True,
     ):
         w = np.asarray(curve.x)
         value = design.loop(w, design.natural_frequency(payload))
@@ -430,27 +624,55 @@ def test_the_bode_plot_is_the_loop_at_three_payloads_with_a_dot_at_each_crossing
         turned = np.exp(1j * np.radians(np.asarray(below.y)))
         np.testing.assert_allclose(turned, value / np.abs(value), atol=1e-9)
         mode = float(design.loop.peak(design.natural_frequency(payload)))
-        assert w[0] == pytest.approx(0.03 * mode) and w[-1] == pytest.approx(math.pi / 0.004)
+        assert w[0] == pytest.approx(0.03 * mode) and w[-1] == pytest.approx(
+            math.pi / 0.004
+        )
         assert (
             np.diff(np.log(w)).max() < 0.07
             and np.diff(np.log(w[np.abs(np.log(w / mode)) < 0.02])).max() < 0.004
         )
     dots = [mark for mark in gain.marks if isinstance(mark, marks.Point)]
-    wanted = [c.frequency for m in (0.02, 0.03, 0.04) for c in design.at(m).gain_crossings]
+    wanted = [
+        c.frequency for m in (0.02, 0.03, 0.04) for c in design.at(m).gain_crossings
+    ]
     assert [dot.x for dot in dots] == wanted and all(dot.y == 0.0 for dot in dots)
     margins = [mark.y + 180.0 for mark in phase.marks if isinstance(mark, marks.Point)]
-    told = [math.degrees(c.phase_margin) for m in (0.02, 0.03, 0.04) for c in design.at(m).gain_crossings]
-    assert np.cos(np.radians(margins)) == pytest.approx(np.cos(np.radians(told)), abs=1e-9)
-    assert (gain.y.low, gain.y.high, phase.y.low, phase.y.high) == (-45.0, 30.0, -360.0, 90.0)
-    assert [text for _, text in phase.y.marks(4)] == ["−360", "−270", "−180", "−90", "0", "90"]
-    assert (drawn.x.low, drawn.x.log) == (1.0, True) and drawn.x.high == pytest.approx(math.pi / 0.004)
+    told = [
+        math.degrees(c.phase_margin)
+        for m in (0.02, 0.03, 0.04)
+        for c in design.at(m).gain_crossings
+    ]
+    assert np.cos(np.radians(margins)) == pytest.approx(
+        np.cos(np.radians(told)), abs=1e-9
+    )
+    assert (gain.y.low, gain.y.high, phase.y.low, phase.y.high) == (
+        -45.0,
+        30.0,
+        -360.0,
+        90.0,
+    )
+    assert [text for _, text in phase.y.marks(4)] == [
+        "−360",
+        "−270",
+        "−180",
+        "−90",
+        "0",
+        "90",
+    ]
+    assert (drawn.x.low, drawn.x.log) == (1.0, True) and drawn.x.high == pytest.approx(
+        math.pi / 0.004
+    )
 
 
 @pytest.mark.slow
-def test_the_nyquist_plot_shades_the_disk_that_the_curves_keep_out_of(design: fl.Design) -> None:
+def test_the_nyquist_plot_shades_the_disk_that_the_curves_keep_out_of(
+    design: fl.Design,
+) -> None:
     drawn = loops.nyquist_figure(design)
     disk = next(
-        mark for mark in drawn.panels[0].marks if isinstance(mark, marks.Curve) and mark.weight == "fill"
+        mark
+        for mark in drawn.panels[0].marks
+        if isinstance(mark, marks.Curve) and mark.weight == "fill"
     )
     radius = np.hypot(np.asarray(disk.x) + 1.0, np.asarray(disk.y))
     least = min(design.at(m).modulus_margin for m in (0.02, 0.03, 0.04))
@@ -458,11 +680,16 @@ def test_the_nyquist_plot_shades_the_disk_that_the_curves_keep_out_of(design: fl
     for curve in drawn.panels[0].marks:
         if isinstance(curve, marks.Curve) and curve.name:
             near = np.hypot(np.asarray(curve.x) + 1.0, np.asarray(curve.y))
-            assert np.nanmin(near) >= least - 1e-9 and np.nanmax(np.hypot(curve.x, curve.y)) <= 6.0
+            assert (
+                np.nanmin(near) >= least - 1e-9
+                and np.nanmax(np.hypot(curve.x, curve.y)) <= 6.0
+            )
     assert drawn.description == f"Nyquist curve around −1; worst distance {least:.3g}"
     proved = loops.nyquist_figure(design, 0.25)
     disk = next(
-        mark for mark in proved.panels[0].marks if isinstance(mark, marks.Curve) and mark.weight == "fill"
+        mark
+        for mark in proved.panels[0].marks
+        if isinstance(mark, marks.Curve) and mark.weight == "fill"
     )
     assert np.hypot(np.asarray(disk.x) + 1.0, np.asarray(disk.y)) == pytest.approx(0.25)
     assert proved.description.endswith("proved distance 0.25") and proved.rigid
@@ -471,19 +698,25 @@ def test_the_nyquist_plot_shades_the_disk_that_the_curves_keep_out_of(design: fl
     assert (dots[-1].x, dots[-1].y, dots[-1].sign) == (-1.0, 0.0, "cross")
 
 
-def test_payloads_are_told_with_the_nominal_one_where_it_lies_inside(design: fl.Design) -> None:
+def test_payloads_are_told_with_the_nominal_one_where_it_lies_inside(
+    design: fl.Design,
+) -> None:
     from dataclasses import replace
 
     assert loops.payloads_of(design) == [0.02, 0.03, 0.04]
     for nominal in (0.02, 0.04):
-        rig = replace(design.rig, payloads=replace(design.rig.payloads, nominal=nominal))
+        rig = replace(
+            design.rig, payloads=replace(design.rig.payloads, nominal=nominal)
+        )
         assert loops.payloads_of(replace(design, rig=rig)) == [0.02, 0.04]
 
 
 def test_the_waterfall_of_the_phase_ends_at_the_margin() -> None:
     from fraclink._design.assess import PhaseShare
 
-    drawn = loops.budget_figure([PhaseShare("link", -2.0), PhaseShare("lead", 1.0)], 0.02)
+    drawn = loops.budget_figure(
+        [PhaseShare("link", -2.0), PhaseShare("lead", 1.0)], 0.02
+    )
     root = tree(drawn.inline())
     bars = [r for r in root.iter("rect") if r.get("height") == "18"]
     link, lead = math.degrees(2.0), math.degrees(1.0)
@@ -494,10 +727,19 @@ def test_the_waterfall_of_the_phase_ends_at_the_margin() -> None:
         (180.0 - link, 180.0 - link + lead),
         (0.0, 180.0 - link + lead),
     ]
-    for bar, (start, end), row, style in zip(bars, spans, range(4), ("f0", "f2", "f1", "f3"), strict=True):
-        assert float(bar.get("x", "")[:-1]) == pytest.approx(100 * start / high, abs=0.01)
-        assert float(bar.get("width", "")[:-1]) == pytest.approx(100 * (end - start) / high, abs=0.01)
-        assert (float(bar.get("y", "")), bar.get("class")) == (24.0 + 26 * row + 4, style)
+    for bar, (start, end), row, style in zip(
+        bars, spans, range(4), ("f0", "f2", "f1", "f3"), strict=True
+    ):
+        assert float(bar.get("x", "")[:-1]) == pytest.approx(
+            100 * start / high, abs=0.01
+        )
+        assert float(bar.get("width", "")[:-1]) == pytest.approx(
+            100 * (end - start) / high, abs=0.01
+        )
+        assert (float(bar.get("y", "")), bar.get("class")) == (
+            24.0 + 26 * row + 4,
+            style,
+        )
     named = [t for t in root.iter("text") if t.get("class") == "name"]
     assert [t.text for t in named] == [
         "feedback",
@@ -510,7 +752,10 @@ def test_the_waterfall_of_the_phase_ends_at_the_margin() -> None:
         f"{180 - link + lead:.1f}°",
     ]
     assert [float(t.get("y", "")) for t in named[::2]] == [41.0, 67.0, 93.0, 119.0]
-    assert 'x="50%"' in drawn.inline() and drawn.xlabel == "phase at the gain crossover at 20 g"
+    assert (
+        'x="50%"' in drawn.inline()
+        and drawn.xlabel == "phase at the gain crossover at 20 g"
+    )
 
 
 # --- drawings of many runs --------------------------------------------------------------------------------
@@ -529,14 +774,20 @@ def test_a_histogram_has_a_bar_of_its_own_for_never() -> None:
     assert (never.heights, never.line) == ([4], 2)
     assert [mark.text for mark in rest] == ["never: 4 %", "median", ""]
     assert rest[1].value == pytest.approx(1.0) and rest[2].value == pytest.approx(1.45)
-    assert drawn.panels[0].label == "settling time [s]" and drawn.description.startswith(
+    assert drawn.panels[
+        0
+    ].label == "settling time [s]" and drawn.description.startswith(
         "Histogram of the settling time of 100 runs; 4 never"
     )
     assert drawn.panels[0].y.high == pytest.approx(1.15 * max(np.max(bars.heights), 4))
     plain = figures["spread-overshoot"]
     assert [mark.text for mark in plain.panels[0].marks[1:]] == ["median", "95 %"]
-    assert plain.panels[0].label == "overshoot [%]" and plain.panels[0].marks[1].value == pytest.approx(100.0)
-    assert plain.x.low == pytest.approx(50.0) and plain.x.high == pytest.approx(150.0, abs=0.2)
+    assert plain.panels[0].label == "overshoot [%]" and plain.panels[0].marks[
+        1
+    ].value == pytest.approx(100.0)
+    assert plain.x.low == pytest.approx(50.0) and plain.x.high == pytest.approx(
+        150.0, abs=0.2
+    )
 
 
 def test_cells_of_too_few_runs_are_empty_and_the_others_show_their_share() -> None:
@@ -549,20 +800,34 @@ def test_cells_of_too_few_runs_are_empty_and_the_others_show_their_share() -> No
     failed[300:329] = True  # 29 %
     keep = np.ones(900, dtype=bool)
     keep[829:900] = False  # 29 runs in the last cell
-    drawn = fleets.failures_figure(across[keep], up[keep], failed[keep], ("payload", "delay"))
+    drawn = fleets.failures_figure(
+        across[keep], up[keep], failed[keep], ("payload", "delay")
+    )
     cells = drawn.panels[0].marks[0]
     assert cells.levels.shape == (3, 3)
-    assert cells.levels.tolist() == [[1, 2, 0], [2, 0, 0], [3, 0, -1]]  # a limit belongs to the cells above
-    assert drawn.key == ("runs that fail [%]", "below 1", "1 to 10", "10 to 30", "above 30")
+    assert cells.levels.tolist() == [
+        [1, 2, 0],
+        [2, 0, 0],
+        [3, 0, -1],
+    ]  # a limit belongs to the cells above
+    assert drawn.key == (
+        "runs that fail [%]",
+        "below 1",
+        "1 to 10",
+        "10 to 30",
+        "above 30",
+    )
     assert (
-        drawn.xlabel == "payload; cells of fewer than 30 runs are empty" and drawn.panels[0].label == "delay"
+        drawn.xlabel == "payload; cells of fewer than 30 runs are empty"
+        and drawn.panels[0].label == "delay"
     )
 
 
 def test_correlations_are_a_table_in_four_levels() -> None:
     def metric(name: str, *drivers: float) -> Any:
         return SimpleNamespace(
-            name=name, drivers=tuple(zip(("payload", "gauge_delay"), drivers, strict=True))
+            name=name,
+            drivers=tuple(zip(("payload", "gauge_delay"), drivers, strict=True)),
         )
 
     summary = SimpleNamespace(
@@ -579,7 +844,9 @@ def test_correlations_are_a_table_in_four_levels() -> None:
         ("overshoot", (("", 0), ("−0.15", 1))),
     ]
     assert fleets.strongest(summary) == ("payload", "gauge_delay")  # type: ignore[arg-type]
-    turned = SimpleNamespace(name="overshoot", drivers=(("gauge_delay", 0.9), ("payload", 0.1)))
+    turned = SimpleNamespace(
+        name="overshoot", drivers=(("gauge_delay", 0.9), ("payload", 0.1))
+    )
     both = SimpleNamespace(metrics=(turned, summary.metrics[0]))
     assert fleets.strongest(both) == ("payload", "gauge_delay")  # type: ignore[arg-type]  # of the settling time
     root = tree(fleets.drivers_figure(summary))  # type: ignore[arg-type]
@@ -597,7 +864,11 @@ def test_correlations_are_a_table_in_four_levels() -> None:
         if (t.get("class") or "").startswith("on-")
     ]
     assert inside[1] == ("+0.71", "70.5%", "131.0")
-    assert [t.get("y") for t in root.iter("text") if t.text in ("settling time", "overshoot")] == [
+    assert [
+        t.get("y")
+        for t in root.iter("text")
+        if t.text in ("settling time", "overshoot")
+    ] == [
         "132.0",
         "156.0",
     ]
@@ -617,7 +888,11 @@ def rivals() -> Any:
         )
 
     return SimpleNamespace(
-        standings=(standing("fraclink", 0.5), standing("PD", 1.0), standing("LQG", math.inf, sound=False))
+        standings=(
+            standing("fraclink", 0.5),
+            standing("PD", 1.0),
+            standing("LQG", math.inf, sound=False),
+        )
     )
 
 
@@ -625,11 +900,24 @@ def test_every_rival_has_a_dot_in_every_column_or_never() -> None:
     root = tree(fleets.rivals_figure(rivals()))
     columns = [found for found in root if found.tag == "svg"]
     assert len(columns) == 6
-    assert [float(c.get("x", "")) for c in columns] == [190.0] + [190 + 128 + 140 * k + 12 for k in range(5)]
+    assert [float(c.get("x", "")) for c in columns] == [190.0] + [
+        190 + 128 + 140 * k + 12 for k in range(5)
+    ]
     first = columns[0]
-    names = [(t.text, t.get("class"), t.get("y")) for t in first.iter("text") if t.get("x") == "-10"]
-    assert names == [("fraclink", "label", "40.0"), ("PD", "name", "64.0"), ("LQG ✗", "name", "88.0")]
-    dots = [(c.get("class"), c.get("cx"), c.get("cy"), c.get("r")) for c in first.iter("circle")]
+    names = [
+        (t.text, t.get("class"), t.get("y"))
+        for t in first.iter("text")
+        if t.get("x") == "-10"
+    ]
+    assert names == [
+        ("fraclink", "label", "40.0"),
+        ("PD", "name", "64.0"),
+        ("LQG ✗", "name", "88.0"),
+    ]
+    dots = [
+        (c.get("class"), c.get("cx"), c.get("cy"), c.get("r"))
+        for c in first.iter("circle")
+    ]
     assert dots == [("f1", "45.45%", "36.0", "6"), ("f2", "90.91%", "60.0", "4.5")]
     assert [t.text for t in first.iter("text") if t.get("x") == "100%"] == ["never"]
     vibration = columns[2]  # 0.01 mrad is below the scale's left end of 0.1
@@ -638,21 +926,25 @@ def test_every_rival_has_a_dot_in_every_column_or_never() -> None:
     assert len(crosses) == 1
     offset = columns[3]  # 10 mrad on 0.001 to 16 mrad
     share = 100 * math.log(10.0 / 0.001) / math.log(16.0 / 0.001)
-    assert [float(c.get("cx", "")[:-1]) for c in offset.iter("circle")] == pytest.approx(
-        [share, share], abs=0.01
-    )
+    assert [
+        float(c.get("cx", "")[:-1]) for c in offset.iter("circle")
+    ] == pytest.approx([share, share], abs=0.01)
 
 
 # --- what a prompt and a cell show ------------------------------------------------------------------------
 
 
 def test_a_long_result_is_one_line_of_a_prompt() -> None:
-    log = fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], source=150 * "x" + ".csv")
+    log = fl.Experiment(
+        period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], source=150 * "x" + ".csv"
+    )
     text = short(log)
     assert text == f"Experiment({109 * 'x'}…)"
-    assert short(fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], source=110 * "x")) == (
-        f"Experiment({110 * 'x'})"
-    )
+    assert short(
+        fl.Experiment(
+            period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], source=110 * "x"
+        )
+    ) == (f"Experiment({110 * 'x'})")
 
 
 @pytest.mark.slow
@@ -668,9 +960,25 @@ def test_a_cell_has_the_drawing_below_the_table(design: fl.Design) -> None:
 # --- faults as a map --------------------------------------------------------------------------------------
 
 
-def outcome(fault: str, severity: int, payload: float, seed: int, *failed: str, mode: str = "run") -> Outcome:
+def outcome(
+    fault: str,
+    severity: int,
+    payload: float,
+    seed: int,
+    *failed: str,
+    mode: str = "run",
+) -> Outcome:
     checks = tuple(Check(name, 1.3, 1.1, passed=False) for name in failed)
-    return Outcome(Case(fault, severity, payload, "mid", seed), checks, 0.1, 0.1, 0.0, mode, "none", 0)
+    return Outcome(
+        Case(fault, severity, payload, "mid", seed),
+        checks,
+        0.1,
+        0.1,
+        0.0,
+        mode,
+        "none",
+        0,
+    )
 
 
 def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
@@ -692,7 +1000,13 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
         (GROUPS[0], 0, 1),
     ]
     worst, fine = fleets.fault_rows(table)
-    assert (worst.number, worst.group, worst.level, worst.runs, worst.failed) == ("F11", "unsafe", 3, 3, 2)
+    assert (worst.number, worst.group, worst.level, worst.runs, worst.failed) == (
+        "F11",
+        "unsafe",
+        3,
+        3,
+        2,
+    )
     assert [(cell.level, cell.sign, cell.words) for cell in worst.cells] == [
         (3, "✗", "severity 1, 20 g: unsafe, 1 of 2 runs"),
         (1, "!", "severity 2, 40 g: slower than promised, 1 of 1 runs"),
@@ -701,8 +1015,14 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
         (0, "✓", "severity 1, 20 g: met"),
         (-1, "", "severity 2, 40 g: not run"),
     ]
-    assert (fine.number, fine.command, fine.cause) == ("F09", "", "") and "≤" in worst.required
-    assert worst.command.startswith("c --only F11 --severity 1 --payload 0.02 --phase mid --seed 1 --out")
+    assert (fine.number, fine.command, fine.cause) == (
+        "F09",
+        "",
+        "",
+    ) and "≤" in worst.required
+    assert worst.command.startswith(
+        "c --only F11 --severity 1 --payload 0.02 --phase mid --seed 1 --out"
+    )
 
 
 # --- can the model be trusted -----------------------------------------------------------------------------
@@ -710,7 +1030,9 @@ def test_the_map_of_faults_has_a_cell_for_every_severity_and_payload() -> None:
 
 @pytest.mark.parametrize("samples", [700, 2000])
 def test_the_bands_of_noise_hold_the_share_that_they_state(samples: int) -> None:
-    """Of white noise 99 % of the lines lie in the band; the response errs by less than its bound in 95 %."""
+    """Of white noise 99 % of the lines lie in the band; the response errs by less than
+    its bound in 95 %.
+    """
     rng = np.random.default_rng(samples)
     inside, below = [], []
     for _ in range(120):
@@ -719,7 +1041,9 @@ def test_the_bands_of_noise_hold_the_share_that_they_state(samples: int) -> None
         fit: Any = SimpleNamespace(residual=noise, fitted_samples=samples, period=0.004)
         frequency, share, low, high = figures.residual_density(fit)  # type: ignore[misc]
         inside.append(np.mean((share > low) & (share < high)))
-        log: Any = SimpleNamespace(time=u, motor_angle=u, output=30 * u + noise, period=0.004)
+        log: Any = SimpleNamespace(
+            time=u, motor_angle=u, output=30 * u + noise, period=0.004
+        )
         found = figures.response_estimate(log, fit)
         assert found is not None
         off = np.abs(found.measured - found.model) / np.abs(found.model)
@@ -740,20 +1064,36 @@ def test_a_response_is_that_of_the_log_where_it_was_excited() -> None:
     fit: Any = SimpleNamespace(
         residual=0.001 * rng.normal(size=samples), fitted_samples=samples, period=0.004
     )
-    log: Any = SimpleNamespace(time=u, motor_angle=u, output=2.5 * u + fit.residual, period=0.004)
+    log: Any = SimpleNamespace(
+        time=u, motor_angle=u, output=2.5 * u + fit.residual, period=0.004
+    )
     found = figures.response_estimate(log, fit)
     assert found is not None
     assert found.model == pytest.approx(np.full(found.frequency.size, 2.5), abs=1e-9)
-    assert np.abs(found.measured / 2.5 - 1).max() < 0.05 and found.explained.min() > 0.98
+    assert (
+        np.abs(found.measured / 2.5 - 1).max() < 0.05 and found.explained.min() > 0.98
+    )
     blind = SimpleNamespace(**vars(log) | {"output": 0.0 * u})
     alone = SimpleNamespace(**vars(fit) | {"residual": rng.normal(size=samples)})
     blind.output = alone.residual
     assert figures.response_estimate(blind, alone) is None  # type: ignore[arg-type]  # nothing but noise
-    short: Any = SimpleNamespace(time=u[:280], motor_angle=u[:280], output=u[:280], period=0.004)
-    assert figures.response_estimate(short, fit) is None  # parts of less than 64 samples
-    still: Any = SimpleNamespace(residual=np.ones(samples), fitted_samples=samples, period=0.004)
+    short: Any = SimpleNamespace(
+        time=u[:280], motor_angle=u[:280], output=u[:280], period=0.004
+    )
+    assert (
+        figures.response_estimate(short, fit) is None
+    )  # parts of less than 64 samples
+    still: Any = SimpleNamespace(
+        residual=np.ones(samples), fitted_samples=samples, period=0.004
+    )
     assert figures.residual_density(still) is None
-    assert [figures._parts(n) for n in (287, 288, 575, 576, 4608)] == [0, 64, 64, 128, 1024]
+    assert [figures._parts(n) for n in (287, 288, 575, 576, 4608)] == [
+        0,
+        64,
+        64,
+        128,
+        1024,
+    ]
 
 
 # --- records, fits and moves ------------------------------------------------------------------------------
@@ -766,22 +1106,39 @@ def curves(panel: Panel) -> list[marks.Curve]:
 
 def test_a_log_is_drawn_as_it_was_recorded() -> None:
     time = 0.004 * np.arange(500)
-    log = fl.Experiment(period=0.004, motor_angle=np.sin(time), output=np.cos(time), output_kind="deflection")
+    log = fl.Experiment(
+        period=0.004,
+        motor_angle=np.sin(time),
+        output=np.cos(time),
+        output_kind="deflection",
+    )
     drawn = figures.log_figure(log)
     angle, output = drawn.panels
-    assert (angle.label, output.label) == ("motor angle θm [rad]", "deflection θm − θt [rad]")
-    assert [(c.line, c.weight) for c in (*curves(angle), *curves(output))] == [(0, ""), (1, "")]
+    assert (angle.label, output.label) == (
+        "motor angle θm [rad]",
+        "deflection θm − θt [rad]",
+    )
+    assert [(c.line, c.weight) for c in (*curves(angle), *curves(output))] == [
+        (0, ""),
+        (1, ""),
+    ]
     assert np.array_equal(curves(angle)[0].y, log.motor_angle) and np.array_equal(
         curves(output)[0].x, log.time
     )
     assert (drawn.x.low, drawn.x.high) == pytest.approx((0.0, 499 * 0.004))
-    long = fl.Experiment(period=0.001, motor_angle=np.zeros(2001), output=np.zeros(2001))
+    long = fl.Experiment(
+        period=0.001, motor_angle=np.zeros(2001), output=np.zeros(2001)
+    )
     assert [c.weight for c in curves(figures.log_figure(long).panels[0])] == ["thin"]
-    edge = fl.Experiment(period=0.001, motor_angle=np.zeros(2000), output=np.zeros(2000))
+    edge = fl.Experiment(
+        period=0.001, motor_angle=np.zeros(2000), output=np.zeros(2000)
+    )
     assert [c.weight for c in curves(figures.log_figure(edge).panels[0])] == [""]
 
 
-def fit(name: str = "UD-FOM", size: float = 0.1, samples: int = 100, fitted: int = 60) -> Any:
+def fit(
+    name: str = "UD-FOM", size: float = 0.1, samples: int = 100, fitted: int = 60
+) -> Any:
     """A fit of so many samples whose residual has this size."""
     residual = size * np.cos(np.arange(samples))
     return SimpleNamespace(
@@ -809,17 +1166,24 @@ def test_a_fit_is_drawn_over_its_log_with_the_place_behind_which_it_is_tested() 
     whole = figures.fit_figure(log, fit(fitted=100))
     assert len(whole.panels[2].marks) == 1  # nothing was held out
     part = figures.detail_figure(made)
-    assert np.array_equal(curves(part.panels[0])[0].y, (made.predicted + made.residual)[:18])  # 18 % of it
+    assert np.array_equal(
+        curves(part.panels[0])[0].y, (made.predicted + made.residual)[:18]
+    )  # 18 % of it
     assert np.array_equal(curves(part.panels[0])[1].y, made.predicted[:18])
     assert (part.x.low, part.x.high) == pytest.approx((0.0, 0.17))
-    assert len(np.asarray(curves(figures.detail_figure(fit(samples=4)).panels[0])[0].y)) == 2
+    assert (
+        len(np.asarray(curves(figures.detail_figure(fit(samples=4)).panels[0])[0].y))
+        == 2
+    )
 
 
 def test_residuals_share_a_scale_that_the_poorest_does_not_set() -> None:
     fits = {"A": fit("A", 0.1), "B": fit("B", 0.39), "C": fit("C", 0.41)}
     drawn = figures.models_figure(fits, "B")
     high = 1.1 * 0.39
-    assert [(panel.y.low, panel.y.high) for panel in drawn.panels] == 3 * [pytest.approx((-high, high))]
+    assert [(panel.y.low, panel.y.high) for panel in drawn.panels] == 3 * [
+        pytest.approx((-high, high))
+    ]
     assert [panel.label for panel in drawn.panels] == [
         "A: measured − model Γ [N·m]",
         "B (used): measured − model Γ [N·m]",
@@ -827,10 +1191,17 @@ def test_residuals_share_a_scale_that_the_poorest_does_not_set() -> None:
     ]
     assert [curves(panel)[0].line for panel in drawn.panels] == [0, 1, 0]
     assert drawn.x.high == pytest.approx(0.99)
-    far = figures.models_figure({"A": fit("A", 0.1), "C": fit("C", 0.41)}, "A").panels[1]
-    assert far.y.high == pytest.approx(0.11) and far.label.endswith("; exceeds the panel, up to 0.41")
+    far = figures.models_figure({"A": fit("A", 0.1), "C": fit("C", 0.41)}, "A").panels[
+        1
+    ]
+    assert far.y.high == pytest.approx(0.11) and far.label.endswith(
+        "; exceeds the panel, up to 0.41"
+    )
     alone = figures.models_figure({"A": fit("A", 0.0)}, "A").panels[0]
-    assert (alone.y.high, curves(alone)[0].line) == (pytest.approx(1.1), 1) and "used" not in alone.label
+    assert (alone.y.high, curves(alone)[0].line) == (
+        pytest.approx(1.1),
+        1,
+    ) and "used" not in alone.label
 
 
 def test_a_structure_is_drawn_over_time_or_over_frequency() -> None:
@@ -843,7 +1214,10 @@ def test_a_structure_is_drawn_over_time_or_over_frequency() -> None:
     assert np.asarray(curves(rest)[0].y) == pytest.approx(place**2 - place)
     assert rest.marks[1].value == pytest.approx(0.6)  # type: ignore[union-attr]
     w = np.array([1.0, 2.0, 4.0])
-    h, model = 10.0 * np.exp(-1j * w), 10.0 * np.exp(-1j * w) * np.array([1.0, 1.1, 0.9])
+    h, model = (
+        10.0 * np.exp(-1j * w),
+        10.0 * np.exp(-1j * w) * np.array([1.0, 1.1, 0.9]),
+    )
     found = SimpleNamespace(
         domain="frequency", place=w, expression="k", measured=np.concatenate([h.real, h.imag]),
         predicted=np.concatenate([model.real, model.imag]),
@@ -851,16 +1225,27 @@ def test_a_structure_is_drawn_over_time_or_over_frequency() -> None:
     drawn = figures.structure_figure(found)
     gain, phase, error = drawn.panels
     assert np.asarray(gain.marks[0].y) == pytest.approx([20.0, 20.0, 20.0])  # type: ignore[union-attr]
-    assert np.asarray(curves(gain)[0].y) == pytest.approx(20 + 20 * np.log10([1.0, 1.1, 0.9]))
+    assert np.asarray(curves(gain)[0].y) == pytest.approx(
+        20 + 20 * np.log10([1.0, 1.1, 0.9])
+    )
     assert np.asarray(curves(phase)[0].y) == pytest.approx(np.degrees(-w))
-    assert np.asarray(curves(error)[0].y) == pytest.approx([0.0, 100 * (1 - 1 / 1.1), 100 * (1 / 0.9 - 1)])
-    assert error.y.high == pytest.approx(1.05 * 100 * (1 / 0.9 - 1)) and (drawn.x.low, drawn.x.high) == (
+    assert np.asarray(curves(error)[0].y) == pytest.approx(
+        [0.0, 100 * (1 - 1 / 1.1), 100 * (1 / 0.9 - 1)]
+    )
+    assert error.y.high == pytest.approx(1.05 * 100 * (1 / 0.9 - 1)) and (
+        drawn.x.low,
+        drawn.x.high,
+    ) == (
         1.0,
         4.0,
     )
-    one, other = figures._same_sheet(np.array([10.0, 20.0, 30.0]), np.array([372.0, 380.0, 390.0]))
+    one, other = figures._same_sheet(
+        np.array([10.0, 20.0, 30.0]), np.array([372.0, 380.0, 390.0])
+    )
     assert other.tolist() == [12.0, 20.0, 30.0] and one.tolist() == [10.0, 20.0, 30.0]
-    assert figures._same_sheet(np.zeros(2), np.full(3, 720.0))[1].tolist() == 3 * [720.0]
+    assert figures._same_sheet(np.zeros(2), np.full(3, 720.0))[1].tolist() == 3 * [
+        720.0
+    ]
 
 
 def moved(payload: float, start: float = 0.0) -> Any:
@@ -873,22 +1258,44 @@ def moved(payload: float, start: float = 0.0) -> Any:
 
 
 def test_moves_are_drawn_with_the_band_in_which_they_settle() -> None:
-    """Two per cent of a move of 0.5 rad: 10 mrad about its end, and about an error of nothing."""
+    """Two per cent of a move of 0.5 rad: 10 mrad about its end, and about an error of
+    nothing.
+    """
     drawn = runs.moves_figure([moved(0.02, -0.1), moved(0.04, -0.1)])
     tip, error, torque, voltage = drawn.panels
     band, level = tip.marks[0], error.marks[0]
     assert isinstance(band, marks.Zone) and isinstance(level, marks.Zone)
-    assert (band.low, band.high, band.lying) == (pytest.approx(0.39), pytest.approx(0.41), True)
-    assert (level.low, level.high, level.lying) == (pytest.approx(-10.0), pytest.approx(10.0), True)
-    assert [(c.name, c.line) for c in curves(tip)] == [("reference", 0), ("20 g", 1), ("40 g", 2)]
-    assert np.asarray(curves(error)[1].y) == pytest.approx(1e3 * 0.04 * np.cos(9 * moved(0.04).time))
+    assert (band.low, band.high, band.lying) == (
+        pytest.approx(0.39),
+        pytest.approx(0.41),
+        True,
+    )
+    assert (level.low, level.high, level.lying) == (
+        pytest.approx(-10.0),
+        pytest.approx(10.0),
+        True,
+    )
+    assert [(c.name, c.line) for c in curves(tip)] == [
+        ("reference", 0),
+        ("20 g", 1),
+        ("40 g", 2),
+    ]
+    assert np.asarray(curves(error)[1].y) == pytest.approx(
+        1e3 * 0.04 * np.cos(9 * moved(0.04).time)
+    )
     assert [c.weight for c in (*curves(torque), *curves(voltage))] == 4 * ["thin"]
     assert [panel.height for panel in drawn.panels] == [200.0, 110.0, 90.0, 90.0]
-    assert tip.y.low < -0.1 and tip.y.high > 0.4 and (drawn.x.low, drawn.x.high) == pytest.approx((0.0, 1.99))
+    assert (
+        tip.y.low < -0.1
+        and tip.y.high > 0.4
+        and (drawn.x.low, drawn.x.high) == pytest.approx((0.0, 1.99))
+    )
     still = moved(0.02)
     still.reference = np.zeros(200)
     assert not any(
-        isinstance(mark, marks.Zone) for panel in runs.moves_figure([still]).panels for mark in panel.marks
+        isinstance(mark, marks.Zone)
+        for panel in runs.moves_figure([still]).panels
+        for mark in panel.marks
     )
 
 
@@ -902,19 +1309,30 @@ def test_a_shaped_move_is_drawn_until_twice_its_length() -> None:
     )  # fmt: skip
     drawn = runs.shaped_figure(made)
     tip, push, voltage = drawn.panels
-    assert drawn.x.high == pytest.approx(0.6) and len(np.asarray(curves(tip)[0].x)) == 151
+    assert (
+        drawn.x.high == pytest.approx(0.6) and len(np.asarray(curves(tip)[0].x)) == 151
+    )
     band, settled = tip.marks[:2]
-    assert (band.low, band.high, band.lying) == (pytest.approx(0.49), pytest.approx(0.51), True)  # type: ignore[union-attr]
+    assert (band.low, band.high, band.lying) == (
+        pytest.approx(0.49),
+        pytest.approx(0.51),
+        True,
+    )  # type: ignore[union-attr]
     assert (settled.value, settled.text) == (0.41, "settled")  # type: ignore[union-attr]
     assert [c.name for c in curves(tip)] == ["reference", "20 g", "40 g"]
-    assert np.asarray(curves(push)[0].y) == pytest.approx(reference.acceleration(time[:151]))
+    assert np.asarray(curves(push)[0].y) == pytest.approx(
+        reference.acceleration(time[:151])
+    )
     limits = [mark.value for mark in voltage.marks if isinstance(mark, marks.Across)]
-    assert limits == [8.0, -8.0] and (voltage.y.low, voltage.y.high) == pytest.approx((-8.8, 8.8))
+    assert limits == [8.0, -8.0] and (voltage.y.low, voltage.y.high) == pytest.approx(
+        (-8.8, 8.8)
+    )
     made.settling_time, made.voltage = 0.6, math.inf
     endless = runs.shaped_figure(made)
     assert not any(isinstance(mark, marks.Upright) for mark in endless.panels[0].marks)
     assert (
-        endless.panels[2].y.high == pytest.approx(-endless.panels[2].y.low) and endless.panels[2].y.high < 2.0
+        endless.panels[2].y.high == pytest.approx(-endless.panels[2].y.low)
+        and endless.panels[2].y.high < 2.0
     )
     made.target = fl.smooth_step(0.5, 0.5)
     along = runs.shaped_figure(made).panels[0]
@@ -927,10 +1345,20 @@ def test_a_fractional_pid_is_drawn_on_the_sheet_of_its_margin() -> None:
 
     w = np.geomspace(0.1, 50.0, 200_001)
     crossover = float(w[np.argmin(np.abs(np.abs(loop(1j * w)) - 1.0))])
-    exact = -90.0 - math.degrees(math.atan(0.25 * crossover)) - math.degrees(0.1 * crossover)
-    margins = SimpleNamespace(gain_crossover=crossover, phase_margin=math.radians(180.0 + exact))
+    exact = (
+        -90.0
+        - math.degrees(math.atan(0.25 * crossover))
+        - math.degrees(0.1 * crossover)
+    )
+    margins = SimpleNamespace(
+        gain_crossover=crossover, phase_margin=math.radians(180.0 + exact)
+    )
     made: Any = SimpleNamespace(
-        margins=margins, period=0.05, open_loop=loop, controller=SimpleNamespace(formula="k"), delay=0.0
+        margins=margins,
+        period=0.05,
+        open_loop=loop,
+        controller=SimpleNamespace(formula="k"),
+        delay=0.0,
     )
     drawn = loops.pid_figure(made)
     gain, phase = drawn.panels
@@ -940,11 +1368,16 @@ def test_a_fractional_pid_is_drawn_on_the_sheet_of_its_margin() -> None:
     shown = np.asarray(curves(phase)[0].y)
     told = -90.0 - np.degrees(np.arctan(0.25 * places)) - np.degrees(0.1 * places)
     seen = np.isfinite(shown)
-    assert shown[seen] == pytest.approx(told[seen], abs=1e-6) and (told[~seen] < -359.9).all()
+    assert (
+        shown[seen] == pytest.approx(told[seen], abs=1e-6)
+        and (told[~seen] < -359.9).all()
+    )
     dot = next(mark for mark in phase.marks if isinstance(mark, marks.Point))
     assert (dot.x, dot.y) == (crossover, pytest.approx(exact, abs=0.1))
     made.period = None
-    assert np.asarray(curves(loops.pid_figure(made).panels[0])[0].x)[-1] == pytest.approx(300.0 * crossover)
+    assert np.asarray(curves(loops.pid_figure(made).panels[0])[0].x)[
+        -1
+    ] == pytest.approx(300.0 * crossover)
     step: Any = SimpleNamespace(
         time=[0.0, 0.1, 0.2], output=np.array([1.0, 2.0, 3.0]), measurement=np.zeros(3)
     )
@@ -963,27 +1396,53 @@ def test_the_sketch_of_the_arm_bends_against_its_turn() -> None:
 
     root = tree(arm_sketch(("one", "two", "three")))
     assert (root.get("width"), root.get("height")) == ("425", "214")
-    beam = next(path for path in root.iter("path") if path.get("class") == "beam").get("d", "")
+    beam = next(path for path in root.iter("path") if path.get("class") == "beam").get(
+        "d", ""
+    )
     bent = np.array([[float(n) for n in pair.split()] for pair in beam[1:].split("L")])
     assert bent[0] == pytest.approx([70.0, 158.0]) and len(bent) == 25
     along = np.array([math.cos(math.radians(26)), -math.sin(math.radians(26))])
-    out, aside = (bent - bent[0]) @ along, (bent - bent[0]) @ np.array([along[1], -along[0]])
+    out, aside = (
+        (bent - bent[0]) @ along,
+        (bent - bent[0]) @ np.array([along[1], -along[0]]),
+    )
     share = out / 300.0
     assert share[-1] == pytest.approx(1.0, abs=1e-3)
-    assert np.abs(aside) == pytest.approx(300 * 0.16 * share**2 * (3 - share) / 2, abs=0.1)
+    assert np.abs(aside) == pytest.approx(
+        300 * 0.16 * share**2 * (3 - share) / 2, abs=0.1
+    )
     load = next(c for c in root.iter("circle") if c.get("class") == "f2")
-    assert (float(load.get("cx", "")), float(load.get("cy", ""))) == pytest.approx(tuple(bent[-1]), abs=0.1)
-    assert load.get("r") == "12" and float(load.get("cy", "")) > 158.0 - 300 * math.sin(math.radians(26))
+    assert (float(load.get("cx", "")), float(load.get("cy", ""))) == pytest.approx(
+        tuple(bent[-1]), abs=0.1
+    )
+    assert load.get("r") == "12" and float(load.get("cy", "")) > 158.0 - 300 * math.sin(
+        math.radians(26)
+    )
     said = texts(arm_sketch(("one", "two", "three")))
-    assert said == ["θm", "θt", "motor and encoder: one", "strain gauge: torque Γ, two", "payload m: three"]
+    assert said == [
+        "θm",
+        "θt",
+        "motor and encoder: one",
+        "strain gauge: torque Γ, two",
+        "payload m: three",
+    ]
     assert texts(arm_sketch())[2:] == [
         "motor and encoder: voltage u in, angle θm out",
         "strain gauge: torque Γ",
         "payload m",
     ]
     loop = tree(loop_sketch())
-    boxes = [(r.get("x"), r.get("y"), r.get("width")) for r in loop.iter("rect") if r.get("class") == "card"]
-    assert boxes == [("100", "44", "126"), ("300", "44", "126"), ("462", "44", "126"), ("296", "156", "296")]
+    boxes = [
+        (r.get("x"), r.get("y"), r.get("width"))
+        for r in loop.iter("rect")
+        if r.get("class") == "card"
+    ]
+    assert boxes == [
+        ("100", "44", "126"),
+        ("300", "44", "126"),
+        ("462", "44", "126"),
+        ("296", "156", "296"),
+    ]
     heads = [p.get("d") for p in loop.iter("path") if p.get("class") == "f0 head"]
     assert (
         heads[0] == "M64 70L57 66L57 74z" and "M500 155L496 148L504 148z" in heads

@@ -1,4 +1,6 @@
-"""The engine of the arm in a page: built from csrc, without a library, and bit for bit the package."""
+"""The engine of the arm in a page: built from csrc, without a library, and bit for bit
+the package.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,13 @@ from engine_bench import MARKS, SIGNALS, Engine
 from fraclink._arm.link import SecondMode
 from fraclink._design import Design
 from fraclink._simulate import KelvinVoigt, SensorFault
-from fraclink._simulate.engine import LONGEST, MOST_ROWS, RIG_NUMBERS, TWIN_MODES, engine_bytes
+from fraclink._simulate.engine import (
+    LONGEST,
+    MOST_ROWS,
+    RIG_NUMBERS,
+    TWIN_MODES,
+    engine_bytes,
+)
 from fraclink._simulate.sensors import fault_rows
 from needed_tools import missing, tool
 
@@ -31,7 +39,9 @@ FAULTS = {
     "encoder stuck": [SensorFault(0.3, 9.0, "encoder frozen")],
     "gauge reversed": [SensorFault(0.3, 9.0, "gauge gain", -1.0)],
     "missed periods": [
-        SensorFault(0.004 * k - 1e-6, 0.004 * k + 0.002, "tick missed") for k in range(75, 750) if k % 3
+        SensorFault(0.004 * k - 1e-6, 0.004 * k + 0.002, "tick missed")
+        for k in range(75, 750)
+        if k % 3
     ],
 }
 
@@ -40,7 +50,13 @@ FAULTS = {
 def design() -> Design:
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    return fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +66,9 @@ def engine() -> Engine:
 
 def builder() -> ModuleType:
     """tools/build_engine.py as a module."""
-    spec = importlib.util.spec_from_file_location("build_engine", ROOT / "tools" / "build_engine.py")
+    spec = importlib.util.spec_from_file_location(
+        "build_engine", ROOT / "tools" / "build_engine.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -81,22 +99,38 @@ def test_the_engine_is_what_csrc_compiles_to():
     build = builder()
     committed = " ".join(build.DIGEST.read_text().split()[2:])
     if build.compiler_version(clang) != committed:
-        missing(f"{committed} built the engine, {build.compiler_version(clang)} is here")
+        missing(
+            f"{committed} built the engine, {build.compiler_version(clang)} is here"
+        )
     assert build.built(clang) == engine_bytes()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.030, 0.054])
-@pytest.mark.parametrize(("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)])
-def test_a_run_has_the_packages_bits(engine, design, precision, payload, noise, offset, delay):
+@pytest.mark.parametrize(
+    ("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)]
+)
+def test_a_run_has_the_packages_bits(
+    engine, design, precision, payload, noise, offset, delay
+):
     law = design.law().in_precision(precision)
     gauge = {"noise": noise, "gauge_offset": offset, "delay_samples": delay}
     run = fl.simulate(
-        law, MOVE, rig=design.rig, model=design.model, payload=payload, duration=END, seed=7, **gauge
+        law,
+        MOVE,
+        rig=design.rig,
+        model=design.model,
+        payload=payload,
+        duration=END,
+        seed=7,
+        **gauge,
     )
     changed = {"noise": noise, "offset": offset, "delay": delay}
-    same(engine.run(design, law, MOVE, payload=payload, duration=END, seed=7, **changed), run)
+    same(
+        engine.run(design, law, MOVE, payload=payload, duration=END, seed=7, **changed),
+        run,
+    )
 
 
 @pytest.mark.slow
@@ -115,26 +149,52 @@ def test_a_fault_has_the_packages_bits_and_a_reaction(engine, design, precision,
         events=FAULTS[fault],
     )
     rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
-    same(engine.run(design, law, MOVE, payload=0.03, duration=END, faults=rows, noise=0.01), run)
+    same(
+        engine.run(
+            design, law, MOVE, payload=0.03, duration=END, faults=rows, noise=0.01
+        ),
+        run,
+    )
     assert run.mode.max() >= 2, "the law noticed nothing"
 
 
 @pytest.mark.slow
-def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages_bits(engine, design):
+def test_a_payload_that_is_told_a_late_gauge_and_a_second_mode_have_the_packages_bits(
+    engine, design
+):
     bent = replace(
-        design.model, gauge_delay=0.0061, gauge_gain=0.93, second_mode=SecondMode(190.0, 0.02, 0.08)
+        design.model,
+        gauge_delay=0.0061,
+        gauge_gain=0.93,
+        second_mode=SecondMode(190.0, 0.02, 0.08),
     )
     odd = replace(design, model=bent)
     law = design.law()
-    run = fl.simulate(law, MOVE, rig=odd.rig, model=bent, payload=0.04, duration=END, told=True, noise=0.0)
-    same(engine.run(odd, law, MOVE, payload=0.04, told=0.04, duration=END, noise=0.0), run)
+    run = fl.simulate(
+        law,
+        MOVE,
+        rig=odd.rig,
+        model=bent,
+        payload=0.04,
+        duration=END,
+        told=True,
+        noise=0.0,
+    )
+    same(
+        engine.run(odd, law, MOVE, payload=0.04, told=0.04, duration=END, noise=0.0),
+        run,
+    )
 
 
 def twin_of(design: Design, payload: float = 0.030, **sensors: float) -> fl.Twin:
     """The twin of a page, on a hub heavy enough to be held."""
     delay = int(sensors.pop("delay", 1))
     twin = fl.Twin.from_rig(
-        design.rig, model=design.model, payload=payload, link_mass=0.00735, modes=TWIN_MODES
+        design.rig,
+        model=design.model,
+        payload=payload,
+        link_mass=0.00735,
+        modes=TWIN_MODES,
     )
     return replace(twin, voltage_delay=delay, sensors=replace(twin.sensors, **sensors))
 
@@ -143,14 +203,24 @@ def twin_of(design: Design, payload: float = 0.030, **sensors: float) -> fl.Twin
 def geared() -> Design:
     rig = fl.Rig.named("paper-2023-geared")
     assert rig.model is not None
-    return fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.030, 0.054])
-@pytest.mark.parametrize(("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)])
-def test_a_run_of_the_twin_has_the_packages_bits(engine, geared, precision, payload, noise, offset, delay):
+@pytest.mark.parametrize(
+    ("noise", "offset", "delay"), [(0.0, 0.0, 1), (0.02, 0.05, 2), (0.2, -0.1, 0)]
+)
+def test_a_run_of_the_twin_has_the_packages_bits(
+    engine, geared, precision, payload, noise, offset, delay
+):
     law = geared.law().in_precision(precision)
     twin = twin_of(geared, payload, gauge_noise=noise, gauge_offset=offset, delay=delay)
     run = fl.simulate(law, MOVE, arm=twin, duration=END, seed=7, told=payload)
@@ -166,11 +236,15 @@ def test_a_fault_of_the_twin_has_the_packages_bits(engine, geared, precision, fa
     rows = fault_rows(tuple(FAULTS[fault]), law.period, run.tip_angle.size)
     page = engine.run_twin(twin, law, MOVE, duration=END, faults=rows)
     same(page, run)
-    assert not np.array_equal(page["tip_angle"], engine.run_twin(twin, law, MOVE, duration=END)["tip_angle"])
+    assert not np.array_equal(
+        page["tip_angle"], engine.run_twin(twin, law, MOVE, duration=END)["tip_angle"]
+    )
 
 
 @pytest.mark.slow
-def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(engine, geared):
+def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(
+    engine, geared
+):
     law = geared.law()
     for twin in (
         twin_of(geared, gauge_delay=0.0063, gauge_gain=0.93),
@@ -186,7 +260,8 @@ def test_a_twin_that_leaves_every_bound_stays_where_it_was(engine, geared):
     law = geared.law()
     law = replace(law, drive=replace(law.drive, voltage_limit=1e4))
     weak = replace(
-        twin_of(geared), motor=replace(twin_of(geared).motor, voltage_limit=1e9, torque_constant=1e8)
+        twin_of(geared),
+        motor=replace(twin_of(geared).motor, voltage_limit=1e9, torque_constant=1e8),
     )
     run = fl.simulate(law, MOVE, arm=weak, duration=END)
     page = engine.run_twin(weak, law, MOVE, duration=END)
@@ -197,7 +272,11 @@ def test_a_twin_that_leaves_every_bound_stays_where_it_was(engine, geared):
 
 def test_the_engine_refuses_what_it_has_no_room_for(engine):
     assert engine.call("run", 0, 0, 0, 0, 0, LONGEST) == 0
-    assert engine.call("discretise", MOST_ROWS + 1) == engine.call("run_twin", 0, MOST_ROWS + 1, 10) == 1
+    assert (
+        engine.call("discretise", MOST_ROWS + 1)
+        == engine.call("run_twin", 0, MOST_ROWS + 1, 10)
+        == 1
+    )
     assert engine.call("run_twin", 0, 8, LONGEST + 1) == 1
     assert engine.call("run", 0, 0, 0, 0, 0, LONGEST + 1) == 1
     assert engine.call("run", 0, 65, 0, 0, 0, 10) == 1
@@ -207,6 +286,8 @@ def test_the_rigs_numbers_stand_in_the_engines_order():
     text = (ROOT / "csrc" / "kernels" / "loop.h").read_text()
     fields = {
         name: re.findall(r"^    (?:int|double) (\w+);", body, re.MULTILINE)
-        for body, name in re.findall(r"^typedef struct {\n(.*?)^} (\w+);", text, re.DOTALL | re.MULTILINE)
+        for body, name in re.findall(
+            r"^typedef struct {\n(.*?)^} (\w+);", text, re.DOTALL | re.MULTILINE
+        )
     }
     assert (*fields["loop_rig"], *fields["loop_weights"]) == RIG_NUMBERS

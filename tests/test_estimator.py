@@ -1,4 +1,6 @@
-"""The payload estimator: its C against numpy, what it finds on the twin, what no input and no memory does."""
+"""The payload estimator: its C against numpy, what it finds on the twin, what no input
+and no memory does.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,13 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._campaign import Campaign, load_campaign, replay_run, save_campaign, simulate_part
+from fraclink._campaign import (
+    Campaign,
+    load_campaign,
+    replay_run,
+    save_campaign,
+    simulate_part,
+)
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._law.estimator import (
@@ -59,23 +67,31 @@ def bank(precision: str = "double") -> PayloadEstimator:
 @cache
 def moved(payload: float, *, told: object = "estimated", seed: int = 0) -> Run:
     arm = Twin.from_rig(GEARED, payload=payload)
-    return fl.simulate(designed(), MOVE, arm=arm, gauge_offset=0.05, seed=seed, told=told, duration=3.0)  # type: ignore[arg-type]
+    return fl.simulate(
+        designed(), MOVE, arm=arm, gauge_offset=0.05, seed=seed, told=told, duration=3.0
+    )  # type: ignore[arg-type]
 
 
 def sensors(run: Run) -> tuple[Real, Real]:
     return run.motor_angle_measured, run.torque_measured
 
 
-def over(made: PayloadEstimator, angle: Real, torque: Real, ticks: object = None) -> Estimates:
+def over(
+    made: PayloadEstimator, angle: Real, torque: Real, ticks: object = None
+) -> Estimates:
     return made.run(made.initial_state(), angle, torque, ticks=ticks)[1]  # type: ignore[arg-type]
 
 
 def test_the_block_is_the_struct_of_the_header() -> None:
     text = (ROOT / "csrc" / "payload_estimator.h").read_text(encoding="utf-8")
     assert int(re.search(r"PAYLOAD_MODELS (\d+)U", text)[1]) == MODELS  # type: ignore[index]
-    structs = dict(re.findall(r"typedef struct \{([^}]*)\} (\w+);", text)[i][::-1] for i in range(2))
+    structs = dict(
+        re.findall(r"typedef struct \{([^}]*)\} (\w+);", text)[i][::-1]
+        for i in range(2)
+    )
     fields = {
-        name: re.findall(r"(?:uint32_t|law_real|payload_model) (\w+)", structs[name]) for name in structs
+        name: re.findall(r"(?:uint32_t|law_real|payload_model) (\w+)", structs[name])
+        for name in structs
     }
     assert fields["payload_model"] == list(MODEL)
     assert fields["payload_params"] == [*HEADER, *COUNTS, *REALS, "model"]
@@ -84,16 +100,22 @@ def test_the_block_is_the_struct_of_the_header() -> None:
 # --- the arithmetic, by another way -----------------------------------------------------------------------
 
 
-def by_numpy(made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray[np.bool_]) -> Real:
-    """Estimates and half widths after each whole sample, from the definition: no sums that are kept up to
-    date, but weighted least squares over all samples; no recursion of the interval's root, but the root.
-    `changed` says behind which samples the estimator forgets half.
+def by_numpy(
+    made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray[np.bool_]
+) -> Real:
+    """Estimates and half widths after each whole sample, from the definition: no sums
+    that are kept up to date, but weighted least squares over all samples; no recursion
+    of the interval's root, but the root. `changed` says behind which samples the
+    estimator forgets half.
     """
     from scipy.signal import lfilter
 
     value = dict(zip(REALS, made.values, strict=True))
     size = made.together
-    theta, gamma = (x[: len(x) // size * size].reshape(-1, size).mean(axis=1) for x in (angle, torque))
+    theta, gamma = (
+        x[: len(x) // size * size].reshape(-1, size).mean(axis=1)
+        for x in (angle, torque)
+    )
     change = np.diff(np.concatenate([[angle[0]], theta]))
     y0 = gamma - torque[0]
     rows, masses = [], np.array([row[-1] for row in made.models])
@@ -103,13 +125,22 @@ def by_numpy(made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray
         rows.append((lfilter([1.0, a1, a2, a3], below, y0) - v, v, rest))
     out = []
     for k in range(changed.size):
-        keeps = np.where(changed[:k], 0.5, value["keep"])  # from each sample to the next
+        keeps = np.where(
+            changed[:k], 0.5, value["keep"]
+        )  # from each sample to the next
         weight = np.sqrt(np.append(np.cumprod(keeps[::-1])[::-1], 1.0))
         costs = []
         for e, v, rest in rows:
-            prior = [np.sqrt(value["gain_weight"]), np.sqrt(value["variance"] / value["offset_variance"])]
+            prior = [
+                np.sqrt(value["gain_weight"]),
+                np.sqrt(value["variance"] / value["offset_variance"]),
+            ]
             basis = np.vstack(
-                [np.column_stack([v[: k + 1], np.full(k + 1, rest)]) * weight[:, None], np.diag(prior)]
+                [
+                    np.column_stack([v[: k + 1], np.full(k + 1, rest)])
+                    * weight[:, None],
+                    np.diag(prior),
+                ]
             )
             wanted = np.concatenate([e[: k + 1] * weight, [0.0, 0.0]])
             x = np.linalg.lstsq(basis, wanted, rcond=None)[0]
@@ -121,7 +152,9 @@ def by_numpy(made: PayloadEstimator, angle: Real, torque: Real, changed: NDArray
         low, here, high = costs[i - 1 : i + 2]
         bend = low - 2 * here + high
         at = 0.5 * (low - high) / bend
-        curve = np.polynomial.Polynomial.fit([-1.0, 0.0, 1.0], masses[i - 1 : i + 2], 2).convert()
+        curve = np.polynomial.Polynomial.fit(
+            [-1.0, 0.0, 1.0], masses[i - 1 : i + 2], 2
+        ).convert()
         mass, slope = curve(at), curve.deriv()(at)
         noise = value["spread"] * max(
             value["variance"], (here - 0.25 * (low - high) * at) / np.sum(weight**2)
@@ -137,17 +170,29 @@ def test_the_c_is_the_least_squares_that_it_says() -> None:
     made = bank()
     found = over(made, angle, torque)
     # a sample that is whole in period k is through the bank when the last chunk is
-    last = np.arange(1, 240 // made.together) * made.together - 1 + -(-MODELS // made.chunk) - 1
-    wanted = by_numpy(made, angle, torque, (found.flags[last] & _kernels.PAYLOAD_CHANGED) != 0)
+    last = (
+        np.arange(1, 240 // made.together) * made.together
+        - 1
+        + -(-MODELS // made.chunk)
+        - 1
+    )
+    wanted = by_numpy(
+        made, angle, torque, (found.flags[last] & _kernels.PAYLOAD_CHANGED) != 0
+    )
     # before the arm moves nothing is looked at; then both forget alike
-    late = last[(found.flags[last] & (_kernels.PAYLOAD_FROZEN | _kernels.PAYLOAD_CHANGED)) == 0]
+    late = last[
+        (found.flags[last] & (_kernels.PAYLOAD_FROZEN | _kernels.PAYLOAD_CHANGED)) == 0
+    ]
     rows = (late - last[0]) // made.together
     late, rows = late[30:], rows[30:]
     assert len(late) > 20
     np.testing.assert_allclose(found.estimate[late], wanted[rows, 0], rtol=1e-7)
     half = 0.5 * (found.high - found.low)[late]
     # Newton's root begins anew behind a change, and is there three samples later
-    settled = [not np.any(found.flags[k - 4 * made.together : k] & _kernels.PAYLOAD_CHANGED) for k in late]
+    settled = [
+        not np.any(found.flags[k - 4 * made.together : k] & _kernels.PAYLOAD_CHANGED)
+        for k in late
+    ]
     assert np.count_nonzero(settled) > 20
     np.testing.assert_allclose(half[settled], wanted[rows, 1][settled], rtol=0.02)
     assert np.all(half >= wanted[rows, 1] * (1 - 1e-9))  # it comes from above
@@ -167,8 +212,9 @@ def test_both_precisions_agree() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.03, 0.04, 0.06, 0.08])
 def test_the_first_move_finds_the_payload(payload: float) -> None:
-    """Issue 16: within 10 % after 350 ms from 20 to 80 g; and never a slower move than without, but for
-    the 12 ms by which a law that is told the nominal payload itself lets the tip follow later.
+    """Issue 16: within 10 % after 350 ms from 20 to 80 g; and never a slower move than
+    without, but for the 12 ms by which a law that is told the nominal payload itself
+    lets the tip follow later.
     """
     run = moved(payload)
     late = run.time >= 0.35
@@ -181,12 +227,19 @@ def test_the_first_move_finds_the_payload(payload: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("before", "after"), [(0.008, 0.08), (0.08, 0.008), (0.04, 0.02)])
+@pytest.mark.parametrize(
+    ("before", "after"), [(0.008, 0.08), (0.08, 0.008), (0.04, 0.02)]
+)
 def test_the_second_move_after_a_change_is_fast(before: float, after: float) -> None:
     path = MOVE.then(fl.smooth_step(-1.0, 0.5, 3.0)).then(fl.smooth_step(1.0, 0.5, 3.0))
     arm = Twin.from_rig(GEARED, payload=before)
     run = fl.simulate(
-        designed(), path, arm=arm, gauge_offset=0.05, told="estimated", events=[PayloadChange(3.2, after)]
+        designed(),
+        path,
+        arm=arm,
+        gauge_offset=0.05,
+        told="estimated",
+        events=[PayloadChange(3.2, after)],
     )
     late = run.time >= 7.0
     outside = np.flatnonzero(np.abs(run.tip_angle[late] - 1.0) > 0.02)
@@ -195,11 +248,19 @@ def test_the_second_move_after_a_change_is_fast(before: float, after: float) -> 
 
 @pytest.mark.parametrize("arm", ["model", "twin"])
 def test_a_run_holds_what_the_law_was_given(arm: str) -> None:
-    """The recorded sensors and payloads give the recorded commands again, to the last bit."""
+    """The recorded sensors and payloads give the recorded commands again, to the last
+    bit.
+    """
     made = designed().law()
-    place = {"arm": Twin.from_rig(GEARED, payload=0.04)} if arm == "twin" else {"payload": 0.04}
+    place = (
+        {"arm": Twin.from_rig(GEARED, payload=0.04)}
+        if arm == "twin"
+        else {"payload": 0.04}
+    )
     missed = SensorFault(0.3, 0.304, "tick missed")
-    run = fl.simulate(designed(), MOVE, told="estimated", events=[missed], duration=1.0, **place)  # type: ignore[arg-type]
+    run = fl.simulate(
+        designed(), MOVE, told="estimated", events=[missed], duration=1.0, **place
+    )  # type: ignore[arg-type]
     came = np.ones(len(run.time), dtype=bool)
     came[np.round(0.3 / made.period).astype(int)] = False
     time = run.time[came]
@@ -219,11 +280,17 @@ def test_a_run_holds_what_the_law_was_given(arm: str) -> None:
 
 
 def test_the_certificate_is_that_of_the_law_alone() -> None:
-    """The estimate enters behind the feedback: law and digest are the same, so what was proved holds."""
+    """The estimate enters behind the feedback: law and digest are the same, so what was
+    proved holds.
+    """
     made = designed().law()
-    assert moved(0.03).about["law_sha256"] == made.digest == moved(0.03, told=False).about["law_sha256"]
-    # the feedback from sensors to the motor reference, with any payload, is that without: same sensors,
-    # same differences of the motor reference
+    assert (
+        moved(0.03).about["law_sha256"]
+        == made.digest
+        == moved(0.03, told=False).about["law_sha256"]
+    )
+    # the feedback from sensors to the motor reference, with any payload, is that
+    # without: same sensors, same differences of the motor reference
     rows = np.zeros((5, 400))
     bent = 0.01 * np.sin(0.05 * np.arange(400))
     outs = []
@@ -247,10 +314,16 @@ def test_an_estimate_is_kept_while_the_arm_stands() -> None:
     angle, torque = sensors(moved(0.03))
     rng = np.random.default_rng(1)
     rest = torque[-200:].mean() + 0.01 * rng.standard_normal(5000)
-    found = over(bank(), np.concatenate([angle, np.full(5000, angle[-1])]), np.concatenate([torque, rest]))
+    found = over(
+        bank(),
+        np.concatenate([angle, np.full(5000, angle[-1])]),
+        np.concatenate([torque, rest]),
+    )
     assert found.flags[-1] == _kernels.PAYLOAD_FROZEN | _kernels.PAYLOAD_GIVEN
     assert found.given[-1] == pytest.approx(0.03, rel=0.03)
-    assert found.given[-1] == pytest.approx(found.given[-4000], rel=0.01)  # noise of 4 σ is taken for motion
+    assert found.given[-1] == pytest.approx(
+        found.given[-4000], rel=0.01
+    )  # noise of 4 σ is taken for motion
 
 
 def test_a_payload_outside_the_design_is_told() -> None:
@@ -258,20 +331,31 @@ def test_a_payload_outside_the_design_is_told() -> None:
     assert np.any(run.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_OUTSIDE)
     assert [note[:4] for note in view(run).notes] == ["W604"]
     inside = moved(0.03)
-    assert not np.any(inside.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_OUTSIDE)
+    assert not np.any(
+        inside.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_OUTSIDE
+    )
     assert not [f for f in inside.findings if f.code.startswith("W60")]
 
 
 def test_a_contact_is_seen_and_a_healthy_move_has_none() -> None:
     arm = Twin.from_rig(GEARED, payload=0.03)
     stop = Obstacle(0.0, 9.0, angle=0.6, stiffness=2000.0)
-    run = fl.simulate(designed(), MOVE, arm=arm, told="estimated", events=[stop], duration=1.0)
+    run = fl.simulate(
+        designed(), MOVE, arm=arm, told="estimated", events=[stop], duration=1.0
+    )
     touched = run.time[np.argmax(np.abs(run.extras["contact_force"]) > 0)]
-    flagged = run.time[np.argmax(run.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_CONTACT != 0)]
+    flagged = run.time[
+        np.argmax(
+            run.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_CONTACT != 0
+        )
+    ]
     assert touched < flagged <= touched + 0.1
     assert "W605" in [finding.code for finding in run.findings]
     for payload in (0.008, 0.03, 0.08):
-        assert not np.any(moved(payload).extras["payload_flags"].astype(int) & _kernels.PAYLOAD_CONTACT)
+        assert not np.any(
+            moved(payload).extras["payload_flags"].astype(int)
+            & _kernels.PAYLOAD_CONTACT
+        )
 
 
 # --- no input and no memory does harm ----------------------------------------------------------------------
@@ -281,7 +365,9 @@ def harmless(made: PayloadEstimator, found: Estimates) -> None:
     largest = dict(zip(REALS, made.values, strict=True))["payload_limit"]
     for values in found[:4]:
         assert np.all(np.isfinite(values)) and np.all(values >= 0.0)
-    assert np.all(found.given <= largest * (1 + 1e-6)) and np.all(found.high <= 2 * largest * (1 + 1e-6))
+    assert np.all(found.given <= largest * (1 + 1e-6)) and np.all(
+        found.high <= 2 * largest * (1 + 1e-6)
+    )
     shown = found.estimate > 0
     assert np.all(found.low[shown] <= found.estimate[shown])
     assert np.all(found.estimate[shown] <= found.high[shown])
@@ -299,7 +385,9 @@ def test_no_sample_harms(precision: str) -> None:
             hit = rng.random(signal.size) < share
             signal[hit] = odd[rng.integers(0, odd.size, np.count_nonzero(hit))]
         ticks = np.cumsum(
-            rng.integers(0, 4, angle.size) if share < 1.0 else rng.integers(0, 2**31, angle.size)
+            rng.integers(0, 4, angle.size)
+            if share < 1.0
+            else rng.integers(0, 2**31, angle.size)
         )
         harmless(made, over(made, angle, torque, ticks))
 
@@ -307,13 +395,16 @@ def test_no_sample_harms(precision: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_any_memory_is_healed(precision: str) -> None:
-    """Bits of the memory flipped, or all of it random: nothing leaves its limits, and a few moves later the
-    estimate is as ever. (A sum that is too large by a flipped exponent takes the longest to fade.)
+    """Bits of the memory flipped, or all of it random: nothing leaves its limits, and a
+    few moves later the estimate is as ever. (A sum that is too large by a flipped
+    exponent takes the longest to fade.)
     """
     made = bank(precision)
     angle, torque = sensors(moved(0.03))
     there = np.array([angle[:400], torque[:400]])
-    back = np.array([[1.0], [0.1]]) - there  # the same move the other way, with the offset of 0.05
+    back = (
+        np.array([[1.0], [0.1]]) - there
+    )  # the same move the other way, with the offset of 0.05
     later = np.hstack([back, there] * 3)
     before, _ = made.run(made.initial_state(), angle[:100], torque[:100])
     rng = np.random.default_rng(3)
@@ -339,7 +430,9 @@ def test_lost_samples_and_missed_periods_cost_little() -> None:
     kept = np.ones(angle.size, dtype=bool)
     kept[[60, 61, 120]] = False
     found = over(bank(), angle[kept], torque[kept], np.flatnonzero(kept) + 1)
-    assert np.all(np.flatnonzero(found.flags & _kernels.PAYLOAD_SAMPLE) == [50, 51, 52, 78, 79])
+    assert np.all(
+        np.flatnonzero(found.flags & _kernels.PAYLOAD_SAMPLE) == [50, 51, 52, 78, 79]
+    )
     assert found.given[-1] == pytest.approx(0.03, rel=0.03)
 
 
@@ -364,7 +457,9 @@ def test_what_cannot_be_estimated_is_refused() -> None:
     with pytest.raises(FieldError, match="told"):
         fl.simulate(law, MOVE, arm=Twin.from_rig(GEARED), told="estimated")
     with pytest.raises(FieldError, match=r"told\.period"):
-        fl.simulate(law, MOVE, arm=Twin.from_rig(GEARED), told=replace(made, period=0.002))
+        fl.simulate(
+            law, MOVE, arm=Twin.from_rig(GEARED), told=replace(made, period=0.002)
+        )
     with pytest.raises(FieldError, match="torque"):
         made.run(made.initial_state(), np.zeros(3), np.zeros(4))
     damaged = replace(made, values=(*made.values[:-1], 1.0))
@@ -380,13 +475,19 @@ def test_the_memory_fits_a_small_board() -> None:
 
 
 def test_the_merced_log_gives_its_own_frequency() -> None:
-    """Issue 16: within 3 % of the offline fit's frequency after half a second, on a real link's log."""
+    """Issue 16: within 3 % of the offline fit's frequency after half a second, on a
+    real link's log.
+    """
     from fraclink._law import discretize_controller
 
     rig = fl.Rig.load(ROOT / "tests" / "rigs" / "merced.toml")
-    log = fl.read_log(shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0158)
+    log = fl.read_log(
+        shared_data("quanser_rfl_merced", "merced_rfl.csv"), rig=rig, payload=0.0158
+    )
     link = fl.identify(log).model
-    law = discretize_controller(fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig)
+    law = discretize_controller(
+        fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig
+    )
     made = payload_estimator(link, rig, law, (0.0158, 0.0158))
     found = over(made, log.motor_angle, link.stiffness * log.output)
     nominal, own = masses_of(link, rig)
@@ -400,11 +501,15 @@ def test_the_merced_log_gives_its_own_frequency() -> None:
 
 
 def test_a_campaign_estimates_the_payload_of_each_arm(tmp_path: Path) -> None:
-    """Eight arms at a time and one alone agree; a folder of it is not one of a law that estimates nothing."""
+    """Eight arms at a time and one alone agree; a folder of it is not one of a law that
+    estimates nothing.
+    """
     law = designed().law()
     assert GEARED.model is not None
     plain = Campaign.of(GEARED, GEARED.model, law, runs=16, seed=3)
-    made = Campaign.of(GEARED, GEARED.model, law, runs=16, seed=3, estimated=(0.02, 0.04))
+    made = Campaign.of(
+        GEARED, GEARED.model, law, runs=16, seed=3, estimated=(0.02, 0.04)
+    )
     assert made.fingerprint != plain.fingerprint
     save_campaign(made, tmp_path)
     assert load_campaign(tmp_path).payloads == (0.02, 0.04)
@@ -412,7 +517,9 @@ def test_a_campaign_estimates_the_payload_of_each_arm(tmp_path: Path) -> None:
     assert not np.array_equal(part["settling_time"], other["settling_time"])
     again = replay_run(made, 5)
     assert again.metrics.settling_time == part["settling_time"][5]
-    assert again.about["payload_given"] == "estimated" and np.any(again.extras["payload_given"] > 0)
+    assert again.about["payload_given"] == "estimated" and np.any(
+        again.extras["payload_given"] > 0
+    )
 
 
 def test_the_loop_in_real_time_gives_the_estimate() -> None:
@@ -437,12 +544,22 @@ def test_the_loop_in_real_time_gives_the_estimate() -> None:
     np.testing.assert_array_equal(run.payload, found.given)
     assert run.payload[-1] == pytest.approx(0.03, rel=0.1)
     with pytest.raises(FieldError, match="payload"):
-        run_realtime(law, MOVE, board, payload=0.03, estimator=bank(), priority=0, lock_memory=False)
+        run_realtime(
+            law,
+            MOVE,
+            board,
+            payload=0.03,
+            estimator=bank(),
+            priority=0,
+            lock_memory=False,
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["simulate", "twin"])
-def test_the_command_line_estimates(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_estimates(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "design.json"
     designed().save(file)
     kept = ["--out", str(tmp_path / "run.npz")] if command == "simulate" else []
@@ -455,14 +572,21 @@ def test_the_command_line_estimates(command: str, tmp_path: Path, capsys: pytest
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_the_export_has_the_estimator_and_its_self_test(precision: str, tmp_path: Path) -> None:
+def test_the_export_has_the_estimator_and_its_self_test(
+    precision: str, tmp_path: Path
+) -> None:
     """The exported files compile without a warning and give the package's bits."""
     compiler = tool("cc", "gcc")
     law = designed().law().in_precision(precision)  # type: ignore[arg-type]
     written = {path.name for path in fl.export_c(law, tmp_path, estimator=bank())}
-    own = {f"payload_{name}" for name in ("estimator.h", "estimator.c", "data.h", "selftest.c")}
+    own = {
+        f"payload_{name}"
+        for name in ("estimator.h", "estimator.c", "data.h", "selftest.c")
+    }
     assert own <= written
-    assert (tmp_path / "payload_estimator.c").read_bytes() == (ROOT / "csrc/payload_estimator.c").read_bytes()
+    assert (tmp_path / "payload_estimator.c").read_bytes() == (
+        ROOT / "csrc/payload_estimator.c"
+    ).read_bytes()
     flags = [
         "-std=c99",
         "-ffp-contract=off",
@@ -492,7 +616,10 @@ def test_the_export_has_the_estimator_and_its_self_test(precision: str, tmp_path
 
 def test_what_the_bank_counts_on_follows_from_rig_law_and_request() -> None:
     law, made = designed().law(), bank()
-    sample, values = made.together * law.period, dict(zip(REALS, made.values, strict=True))
+    sample, values = (
+        made.together * law.period,
+        dict(zip(REALS, made.values, strict=True)),
+    )
     noise = np.hypot(GEARED.gauge.noise, GEARED.gauge.quantum / 12**0.5)
     own = 33 / 140 * GEARED.link.mass
     limit, largest = law.limits.torque_limit, law.limits.payload_limit
@@ -516,15 +643,21 @@ def test_what_the_bank_counts_on_follows_from_rig_law_and_request() -> None:
     assert made.certified == (0.02, 0.04)
     masses = [row[MODEL.index("mass")] for row in made.models]
     assert len(masses) == MODELS
-    assert masses == pytest.approx(np.geomspace(0.25 * 0.02 + own, 1.15 * largest + own, MODELS))
-    # The lightest payload's vibration takes twelve samples; all models are asked within one sample.
+    assert masses == pytest.approx(
+        np.geomspace(0.25 * 0.02 + own, 1.15 * largest + own, MODELS)
+    )
+    # The lightest payload's vibration takes twelve samples; all models are asked within
+    # one sample.
     nominal, _ = masses_of(GEARED.model, GEARED)
     fastest = replace(
-        GEARED.model, natural_frequency=GEARED.model.natural_frequency * (nominal / masses[0]) ** 0.5
+        GEARED.model,
+        natural_frequency=GEARED.model.natural_frequency * (nominal / masses[0]) ** 0.5,
     )
     assert made.together == int(0.5 / (abs(fastest.pole) * law.period))
     assert made.chunk * made.together >= MODELS > (made.chunk - 1) * made.together
-    assert made.quiet_limit == max(2, round(0.12 / sample)) and made.gap_limit == max(2 * made.together, 8)
+    assert made.quiet_limit == max(2, round(0.12 / sample)) and made.gap_limit == max(
+        2 * made.together, 8
+    )
 
 
 def test_a_model_of_the_bank_is_the_links_torque_over_what_a_move_excites() -> None:
@@ -534,13 +667,15 @@ def test_a_model_of_the_bank_is_the_links_torque_over_what_a_move_excites() -> N
     for row in (made.models[2], made.models[9]):
         a1, a2, a3, b0, b1, b2, c1, c2, c3, rest, mass = row
         link = replace(
-            GEARED.model, natural_frequency=GEARED.model.natural_frequency * (nominal / mass) ** 0.5
+            GEARED.model,
+            natural_frequency=GEARED.model.natural_frequency * (nominal / mass) ** 0.5,
         )
         w = np.linspace(0.2, 1.3, 40) * abs(link.pole)
         x = np.exp(-1j * w * sample)
         got = (1 - x) * (b0 + b1 * x + b2 * x**2) / (1 + a1 * x + a2 * x**2 + a3 * x**3)
         assert np.abs(got / link.torque()(1j * w) - 1).max() < 0.03
-        # C forgets: a pair of ratio 0.35 and a real pole, both at the model's own frequency
+        # C forgets: a pair of ratio 0.35 and a real pole, both at the model's own
+        # frequency
         pole = abs(link.pole) * sample
         pair = np.exp(pole * complex(-0.35, (1 - 0.35**2) ** 0.5))
         wanted = np.convolve([1, -2 * pair.real, abs(pair) ** 2], [1, -np.exp(-pole)])
@@ -555,11 +690,15 @@ def test_doubt_of_the_gain_is_what_the_log_left_open() -> None:
 
     def doubt(changed: fl.LinkModel, **options: float) -> float:
         made = payload_estimator(changed, GEARED, law, (0.02, 0.04), **options)
-        return float((keep / dict(zip(REALS, made.values, strict=True))["gain_weight"]) ** 0.5)
+        return float(
+            (keep / dict(zip(REALS, made.values, strict=True))["gain_weight"]) ** 0.5
+        )
 
     assert doubt(model) == pytest.approx(0.05)
     known = replace(model, gauge_gain=0.9, intervals=(("gauge_gain", 0.8, 1.0),))
-    assert doubt(known) == pytest.approx(0.2 / 3.92 / 0.9)  # a 95 % interval is 3.92 deviations wide
+    assert doubt(known) == pytest.approx(
+        0.2 / 3.92 / 0.9
+    )  # a 95 % interval is 3.92 deviations wide
     sharp = replace(model, intervals=(("gauge_gain", 0.99, 1.01),))
     assert doubt(sharp) == pytest.approx(0.03)  # no log knows it better
     assert doubt(model, gain_doubt=0.2) == pytest.approx(0.2)

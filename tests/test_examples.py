@@ -49,13 +49,17 @@ def test_every_script_has_a_test_and_a_line_in_the_readme() -> None:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_scripts_use_public_names_only(name: str) -> None:
     tree = ast.parse(SCRIPTS[name].read_text("utf-8"))
-    modules = [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
+    modules = [
+        a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names
+    ]
     modules += [n.module or "" for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
     assert set(modules) <= {"fraclink", "numpy", "pathlib", "sys"}
     used = {
         node.attr
         for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "fl"
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "fl"
     }
     assert used <= set(fl.__all__)
 
@@ -70,10 +74,14 @@ def test_arrays_give_back_the_arm_they_were_made_from(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_fractional_link_has_its_poles_and_the_margins_of_the_formula(tmp_path: Path) -> None:
+def test_the_fractional_link_has_its_poles_and_the_margins_of_the_formula(
+    tmp_path: Path,
+) -> None:
     text = printed("fractional_systems", tmp_path)
     # s^λ = -100 on the principal sheet: 100^(1/λ) at the angle π/λ.
-    pole = complex(*(float(x) for x in re.findall(r"\[(-[\d.]+)([+-][\d.]+)j", text)[0]))
+    pole = complex(
+        *(float(x) for x in re.findall(r"\[(-[\d.]+)([+-][\d.]+)j", text)[0])
+    )
     assert abs(pole - 100 ** (1 / 1.92) * complex(*_unit(1 / 1.92))) < 1e-3
     assert abs(number("phase margin", text) - _margin_of_the_loop()) < 0.01
     assert 1.7 < number("peak", text) < 2.0  # below 2, the peak without damping
@@ -87,7 +95,9 @@ def _unit(turn: float) -> tuple[float, float]:
 
 
 def _margin_of_the_loop() -> float:
-    """Phase margin [°] of 0.07 s^0.61 · 100/(s^1.92 + 100), by bisection on |L| above the resonance."""
+    """Phase margin [°] of 0.07 s^0.61 · 100/(s^1.92 + 100), by bisection on |L| above
+    the resonance.
+    """
     import cmath
 
     def loop(w: float) -> complex:
@@ -103,11 +113,13 @@ def _margin_of_the_loop() -> float:
 @pytest.mark.slow
 def test_a_log_becomes_code_for_a_board(tmp_path: Path) -> None:
     text = printed("log_to_board", tmp_path)
-    assert abs(number("order", text) - 1.92) < 0.002  # what the bundled log was simulated with
+    assert (
+        abs(number("order", text) - 1.92) < 0.002
+    )  # what the bundled log was simulated with
     assert "proved for every payload: True" in text
-    assert (tmp_path / "firmware" / "law.c").read_text("utf-8") == (ROOT / "csrc" / "law.c").read_text(
-        "utf-8"
-    )
+    assert (tmp_path / "firmware" / "law.c").read_text("utf-8") == (
+        ROOT / "csrc" / "law.c"
+    ).read_text("utf-8")
     design = fl.load(tmp_path / "design.json")
     assert isinstance(design, fl.Design)
     assert design.payloads == (0.020, 0.040)

@@ -26,22 +26,31 @@ def test_arrays_are_copies_that_cannot_be_written() -> None:
 
 
 def test_time_starts_at_the_first_stamp() -> None:
-    log = Experiment(period=0.5, motor_angle=[0, 1, 2], output=[0, 1, 2], start_time=10.0)
+    log = Experiment(
+        period=0.5, motor_angle=[0, 1, 2], output=[0, 1, 2], start_time=10.0
+    )
     assert log.time.tolist() == [10.0, 10.5, 11.0]
     assert log.duration == 1.0
 
 
 @pytest.mark.parametrize("fraction", [0.1, 0.5, 0.6, 0.99])
 def test_a_split_covers_every_sample_once(fraction: float) -> None:
-    log = Experiment(period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0))
+    log = Experiment(
+        period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0)
+    )
     first, rest = log.split(fraction)
-    assert np.concatenate((log.output[first], log.output[rest])).tolist() == log.output.tolist()
+    assert (
+        np.concatenate((log.output[first], log.output[rest])).tolist()
+        == log.output.tolist()
+    )
     assert log.output[first].size == round(100 * fraction)
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan"), True])
 def test_a_split_leaves_no_part_empty(fraction: float) -> None:
-    log = Experiment(period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0))
+    log = Experiment(
+        period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0)
+    )
     with pytest.raises(FieldError) as caught:
         log.split(fraction)
     assert caught.value.field == "fraction"
@@ -63,7 +72,11 @@ def test_a_split_leaves_no_part_empty(fraction: float) -> None:
 def test_values_that_make_no_sense_are_refused(
     changes: dict[str, object], error: type[FieldError], field: str
 ) -> None:
-    good: dict[str, object] = {"period": 0.004, "motor_angle": [0.0, 1.0], "output": [0.0, 1.0]}
+    good: dict[str, object] = {
+        "period": 0.004,
+        "motor_angle": [0.0, 1.0],
+        "output": [0.0, 1.0],
+    }
     with pytest.raises(error) as caught:
         Experiment(**(good | changes))  # type: ignore[arg-type]
     assert caught.value.field == field
@@ -71,7 +84,9 @@ def test_values_that_make_no_sense_are_refused(
 
 
 def test_b18_lengths_differ() -> None:
-    with pytest.raises(LogError, match="another number of samples than motor_angle") as caught:
+    with pytest.raises(
+        LogError, match="another number of samples than motor_angle"
+    ) as caught:
         Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1])
     assert (caught.value.field, caught.value.value) == ("output", 2)
 
@@ -84,7 +99,9 @@ def test_b01_a_value_that_is_not_finite() -> None:
 
 @pytest.mark.parametrize("kind", ["torque", "deflection"])
 @pytest.mark.parametrize("voltage", [False, True])
-def test_a_saved_log_comes_back_with_the_same_bits(kind: str, voltage: bool, tmp_path: Path) -> None:
+def test_a_saved_log_comes_back_with_the_same_bits(
+    kind: str, voltage: bool, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(1)
     log = Experiment(
         period=0.004,
@@ -99,7 +116,9 @@ def test_a_saved_log_comes_back_with_the_same_bits(kind: str, voltage: bool, tmp
     log.save(tmp_path / "log.csv")
     again = read_log(tmp_path / "log.csv")
     same = ("period", "start_time", "output_kind", "payload")
-    assert [getattr(again, name) for name in same] == [getattr(log, name) for name in same]
+    assert [getattr(again, name) for name in same] == [
+        getattr(log, name) for name in same
+    ]
     assert np.array_equal(again.motor_angle, log.motor_angle)
     assert np.array_equal(again.output, log.output)
     assert (again.voltage is None) == (log.voltage is None)
@@ -113,9 +132,14 @@ def test_logs_are_equal_where_every_sample_is() -> None:
     one = Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])
     assert one == Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])
     assert one != Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 3])
-    assert one != Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2], voltage=[0, 0, 0])
+    assert one != Experiment(
+        period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2], voltage=[0, 0, 0]
+    )
     assert one != "log"
-    assert len({one, Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])}) == 1
+    assert (
+        len({one, Experiment(period=0.004, motor_angle=[0, 1, 2], output=[0, 1, 2])})
+        == 1
+    )
 
 
 def test_notes_cannot_break_out_of_their_line(tmp_path: Path) -> None:
@@ -140,8 +164,12 @@ def test_arrays_in_other_units_are_the_same_experiment() -> None:
     log = Experiment.from_arrays(TIME, ANGLE, TORQUE, payload=0.03)
     assert (log.period, log.payload, log.output_kind) == (0.004, 0.03, "torque")
     units = {"time": "ms", "motor_angle": "deg", "torque": "mNm"}
-    other = Experiment.from_arrays(1e3 * TIME, np.degrees(ANGLE), 1e3 * TORQUE, units=units, voltage=ANGLE)
-    short = Experiment.from_arrays(TIME, ANGLE, 1e3 * TORQUE, units="mNm", voltage=ANGLE)
+    other = Experiment.from_arrays(
+        1e3 * TIME, np.degrees(ANGLE), 1e3 * TORQUE, units=units, voltage=ANGLE
+    )
+    short = Experiment.from_arrays(
+        TIME, ANGLE, 1e3 * TORQUE, units="mNm", voltage=ANGLE
+    )
     np.testing.assert_allclose(short.output, TORQUE, rtol=1e-12)
     assert other.period == 0.004
     assert np.allclose(other.motor_angle, log.motor_angle, rtol=1e-14, atol=1e-15)
@@ -154,10 +182,21 @@ def test_arrays_in_other_units_are_the_same_experiment() -> None:
 def test_a_frame_reads_like_the_file_with_the_same_columns() -> None:
     pa = pytest.importorskip("pyarrow")
     columns = {"t": TIME, "pot": np.degrees(ANGLE), "gauge": -TORQUE, "u": ANGLE}
-    stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]", "voltage": "u [V]"}
-    for frame in (columns, pa.table(columns), np.rec.fromarrays(list(columns.values()), names=list(columns))):
+    stated = {
+        "time": "t [s]",
+        "motor_angle": "pot [deg]",
+        "torque": "- gauge [Nm]",
+        "voltage": "u [V]",
+    }
+    for frame in (
+        columns,
+        pa.table(columns),
+        np.rec.fromarrays(list(columns.values()), names=list(columns)),
+    ):
         log = Experiment.from_frame(frame, stated, payload=0.02)
-        assert np.allclose(log.motor_angle, ANGLE) and np.array_equal(log.output, TORQUE)
+        assert np.allclose(log.motor_angle, ANGLE) and np.array_equal(
+            log.output, TORQUE
+        )
         assert log.voltage is not None and log.payload == 0.02
 
 
@@ -173,20 +212,35 @@ def test_a_frame_reads_like_the_file_with_the_same_columns() -> None:
 )
 def test_a_frame_that_is_no_log_is_named(change: dict[str, str], words: str) -> None:
     stated = {"time": "t [s]", "motor_angle": "a [rad]", "torque": "g [Nm]"} | change
-    frame = {"t": TIME, "a": ANGLE, "g": TORQUE, "word": ["x"] * 500, "square": np.zeros((500, 2))}
+    frame = {
+        "t": TIME,
+        "a": ANGLE,
+        "g": TORQUE,
+        "word": ["x"] * 500,
+        "square": np.zeros((500, 2)),
+    }
     frame["gap"] = np.where(np.arange(500) > 250, TIME + 1.0, TIME)
     with pytest.raises(FieldError, match=words):
         Experiment.from_frame(frame, stated)
 
 
 def test_two_samples_are_a_log_and_one_is_none() -> None:
-    assert Experiment.from_arrays([0.0, 0.004], [0.0, 0.1], [0.0, 0.01]).motor_angle.size == 2
+    assert (
+        Experiment.from_arrays([0.0, 0.004], [0.0, 0.1], [0.0, 0.01]).motor_angle.size
+        == 2
+    )
     with pytest.raises(LogError, match=r"of shape \(1,\)"):
         Experiment.from_arrays([0.0], [0.0], [0.0])
 
 
 def test_findings_are_told_worst_first_and_else_in_their_order() -> None:
-    kinds: tuple[Literal["info", "warning", "error"], ...] = ("info", "warning", "error")
-    told = [Finding(f"W2{k:02d}", kind, "x", {}, "y") for k, kind in enumerate(kinds * 2)]
+    kinds: tuple[Literal["info", "warning", "error"], ...] = (
+        "info",
+        "warning",
+        "error",
+    )
+    told = [
+        Finding(f"W2{k:02d}", kind, "x", {}, "y") for k, kind in enumerate(kinds * 2)
+    ]
     order = [finding.code for finding in worst_first(told)]
     assert order == ["W202", "W205", "W201", "W204", "W200", "W203"]

@@ -24,7 +24,16 @@ from needed_tools import tool
 
 Answer = subprocess.CompletedProcess[str]
 ROOT = Path(__file__).resolve().parents[1]
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
+FLAGS = (
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-pedantic",
+    "-Werror",
+)
 
 
 def single(made: Law) -> tuple[str, ...]:
@@ -33,12 +42,19 @@ def single(made: Law) -> tuple[str, ...]:
 
 def run(*command: str | Path, cwd: Path | None = None, check: bool = True) -> Answer:
     return subprocess.run(  # noqa: S603
-        [str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=check, timeout=300
+        [str(part) for part in command],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=check,
+        timeout=300,
     )
 
 
 @pytest.fixture(scope="module", params=["single", "double"])
-def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Law, Path]:
+def exported(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Law, Path]:
     made = law(request.param)
     folder = tmp_path_factory.mktemp(request.param)
     export_c(made, folder)
@@ -53,7 +69,9 @@ def test_law_c_is_the_file_that_was_simulated(exported: tuple[Law, Path]) -> Non
 
 
 @pytest.mark.slow
-def test_the_same_law_gives_the_same_bytes(exported: tuple[Law, Path], tmp_path: Path) -> None:
+def test_the_same_law_gives_the_same_bytes(
+    exported: tuple[Law, Path], tmp_path: Path
+) -> None:
     made, folder = exported
     for path in export_c(made, tmp_path / "again"):
         assert path.read_bytes() == (folder / path.name).read_bytes()
@@ -61,7 +79,9 @@ def test_the_same_law_gives_the_same_bytes(exported: tuple[Law, Path], tmp_path:
 
 @pytest.mark.slow
 def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
-    """The block as a C compiler builds it from the hex floats is the one the package simulates with."""
+    """The block as a C compiler builds it from the hex floats is the one the package
+    simulates with.
+    """
     made, folder = exported
     program = folder / "block.c"
     program.write_text(
@@ -75,92 +95,190 @@ def test_the_data_are_the_block(exported: tuple[Law, Path]) -> None:
 
 
 @pytest.mark.slow
-def test_the_self_test_s_expectations_are_those_of_the_c(exported: tuple[Law, Path]) -> None:
-    """The hash and the eight pairs of commands that the package wrote, recomputed by the C of the folder."""
+def test_the_self_test_s_expectations_are_those_of_the_c(
+    exported: tuple[Law, Path],
+) -> None:
+    """The hash and the eight pairs of commands that the package wrote, recomputed by
+    the C of the folder.
+    """
     made, folder = exported
-    run(tool("gcc"), *FLAGS, "-O0", *single(made), "law_selftest.c", "law.c", "-o", "quick", cwd=folder)
+    run(
+        tool("gcc"),
+        *FLAGS,
+        "-O0",
+        *single(made),
+        "law_selftest.c",
+        "law.c",
+        "-o",
+        "quick",
+        cwd=folder,
+    )
     assert "checkpoints differing: 0: passed" in run(folder / "quick").stdout
     text = (folder / "law_selftest.c").read_text(encoding="utf-8")
     assert "#define PERIODS 1000U" in text
     rows = re.findall(r"^    \{(\d+)U, (\S+), (\S+)\},$", text, re.MULTILINE)
     assert [int(row[0]) for row in rows] == [1, 50, 200, 299, 400, 599, 799, 999]
-    # They are moments of a motion; at the last one the encoder has been lost, and the drive is off.
-    assert len({row[1] for row in rows}) == len(rows) and float.fromhex(rows[-1][2].rstrip("F")) == 0.0
+    # They are moments of a motion; at the last one the encoder has been lost, and the
+    # drive is off.
+    assert (
+        len({row[1] for row in rows}) == len(rows)
+        and float.fromhex(rows[-1][2].rstrip("F")) == 0.0
+    )
     # One wrong digit of a checkpoint is said.
     place = folder / "wrong_selftest.c"
     place.write_text(text.replace(rows[3][1], rows[4][1]), encoding="utf-8")
-    run(tool("gcc"), *FLAGS, "-O0", *single(made), place, "law.c", "-o", "wrong", cwd=folder)
-    assert "checkpoints differing: 1: FAILED" in run(folder / "wrong", check=False).stdout
+    run(
+        tool("gcc"),
+        *FLAGS,
+        "-O0",
+        *single(made),
+        place,
+        "law.c",
+        "-o",
+        "wrong",
+        cwd=folder,
+    )
+    assert (
+        "checkpoints differing: 1: FAILED" in run(folder / "wrong", check=False).stdout
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])
-def test_the_self_test_passes(exported: tuple[Law, Path], compiler: str, level: str) -> None:
+def test_the_self_test_passes(
+    exported: tuple[Law, Path], compiler: str, level: str
+) -> None:
     made, folder = exported
     target = folder / f"selftest{compiler}{level}"
-    run(tool(compiler), *FLAGS, level, *single(made), "law_selftest.c", "law.c", "-o", target, cwd=folder)
+    run(
+        tool(compiler),
+        *FLAGS,
+        level,
+        *single(made),
+        "law_selftest.c",
+        "law.c",
+        "-o",
+        target,
+        cwd=folder,
+    )
     answer = run(target)
     assert "passed" in answer.stdout
     hashed = re.search(r"hash ([0-9A-F]{8}),", answer.stdout)
     assert hashed is not None
-    assert f"hash {hashed.group(1)}" in (folder / "README.md").read_text(encoding="utf-8")
+    assert f"hash {hashed.group(1)}" in (folder / "README.md").read_text(
+        encoding="utf-8"
+    )
 
 
 @pytest.mark.slow
-def test_the_self_test_finds_a_compiler_that_contracts(exported: tuple[Law, Path]) -> None:
+def test_the_self_test_finds_a_compiler_that_contracts(
+    exported: tuple[Law, Path],
+) -> None:
     made, folder = exported
     if "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8"):
         pytest.skip("this processor has no fused multiply-add")
     target = folder / "contracted"
-    flags = ("-std=gnu99", "-O2", "-mfma", "-ffp-contract=fast", "-DLAW_CONTRACT_OFF", *single(made))
+    flags = (
+        "-std=gnu99",
+        "-O2",
+        "-mfma",
+        "-ffp-contract=fast",
+        "-DLAW_CONTRACT_OFF",
+        *single(made),
+    )
     run(tool("gcc"), *flags, "law_selftest.c", "law.c", "-o", target, cwd=folder)
     answer = run(target, check=False)
     assert answer.returncode == 1
     assert "FAILED" in answer.stdout
     refused = run(
-        tool("gcc"), "-std=gnu99", "-O2", "-mfma", *single(made), "-c", "law.c", cwd=folder, check=False
+        tool("gcc"),
+        "-std=gnu99",
+        "-O2",
+        "-mfma",
+        *single(made),
+        "-c",
+        "law.c",
+        cwd=folder,
+        check=False,
     )
     assert "ffp-contract=off" in refused.stderr
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("machine", ["__riscv_flen=32", "__FP_FAST_FMAF=1", "__ARM_FEATURE_FMA=1"])
-def test_machines_that_fuse_are_refused_by_their_own_words(machine: str, tmp_path: Path) -> None:
-    """What a cross compiler defines, without one: gnu modes fuse, ISO modes and -ffp-contract=off do not."""
+@pytest.mark.parametrize(
+    "machine", ["__riscv_flen=32", "__FP_FAST_FMAF=1", "__ARM_FEATURE_FMA=1"]
+)
+def test_machines_that_fuse_are_refused_by_their_own_words(
+    machine: str, tmp_path: Path
+) -> None:
+    """What a cross compiler defines, without one: gnu modes fuse, ISO modes and
+    -ffp-contract=off do not.
+    """
     export_c(law("single"), tmp_path)
     command = (tool("gcc"), "-fsyntax-only", "-DLAW_SINGLE", f"-D{machine}", "law.c")
-    assert "ffp-contract=off" in run(*command, "-std=gnu99", cwd=tmp_path, check=False).stderr
+    assert (
+        "ffp-contract=off"
+        in run(*command, "-std=gnu99", cwd=tmp_path, check=False).stderr
+    )
     run(*command, "-std=c99", cwd=tmp_path)
     run(*command, "-std=gnu99", "-ffp-contract=off", "-DLAW_CONTRACT_OFF", cwd=tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_fast_math_and_the_wrong_precision_are_refused(exported: tuple[Law, Path], compiler: str) -> None:
+def test_fast_math_and_the_wrong_precision_are_refused(
+    exported: tuple[Law, Path], compiler: str
+) -> None:
     made, folder = exported
-    # the last one alone, too: it is the part of the others that removes the tests for NaN
+    # the last one alone, too: it is the part of the others that removes the tests for
+    # NaN
     for flag in ("-Ofast", "-ffast-math", "-ffinite-math-only"):
         flags = ("-std=c99", flag, *single(made), "-c", "law.c", "-o", "x.o")
         fast = run(tool(compiler), *flags, cwd=folder, check=False)
-        assert fast.returncode != 0 and "its NaN tests would be removed" in fast.stderr, flag
+        assert (
+            fast.returncode != 0 and "its NaN tests would be removed" in fast.stderr
+        ), flag
     other = () if made.precision == "single" else ("-DLAW_SINGLE",)
-    wrong = run(tool(compiler), *FLAGS, *other, "-c", "law_selftest.c", "-o", "x.o", cwd=folder, check=False)
+    wrong = run(
+        tool(compiler),
+        *FLAGS,
+        *other,
+        "-c",
+        "law_selftest.c",
+        "-o",
+        "x.o",
+        cwd=folder,
+        check=False,
+    )
     assert "precision" in wrong.stderr
 
 
 @pytest.mark.slow
-def test_a_changed_coefficient_refuses_to_start(exported: tuple[Law, Path], tmp_path: Path) -> None:
+def test_a_changed_coefficient_refuses_to_start(
+    exported: tuple[Law, Path], tmp_path: Path
+) -> None:
     made, folder = exported
     place = tmp_path / "changed"
     shutil.copytree(folder, place)
     text = (place / "law_data.h").read_text(encoding="utf-8")
     changed = re.sub(
-        r"(\.direct = 0x1\.)(\w)", lambda m: m.group(1) + ("1" if m.group(2) != "1" else "2"), text
+        r"(\.direct = 0x1\.)(\w)",
+        lambda m: m.group(1) + ("1" if m.group(2) != "1" else "2"),
+        text,
     )
     assert changed != text
     (place / "law_data.h").write_text(changed, encoding="utf-8")
-    run(tool("gcc"), *FLAGS, *single(made), "law_selftest.c", "law.c", "-o", "selftest", cwd=place)
+    run(
+        tool("gcc"),
+        *FLAGS,
+        *single(made),
+        "law_selftest.c",
+        "law.c",
+        "-o",
+        "selftest",
+        cwd=place,
+    )
     answer = run(place / "selftest", check=False)
     assert answer.returncode == 1
     assert "hash 00000000" in answer.stdout  # law_init said no
@@ -204,7 +322,18 @@ def test_illegal_identifiers_are_refused(tmp_path: Path, name: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "title", ["*/ int x;", "a\nb", "ends with \\", "trigraph ??/", '"', "<b>", "x" * 81, "\x1b[31m", "é"]
+    "title",
+    [
+        "*/ int x;",
+        "a\nb",
+        "ends with \\",
+        "trigraph ??/",
+        '"',
+        "<b>",
+        "x" * 81,
+        "\x1b[31m",
+        "é",
+    ],
 )
 def test_titles_cannot_leave_their_comment(tmp_path: Path, title: str) -> None:
     with pytest.raises(FieldError, match="title"):
@@ -217,13 +346,27 @@ def test_a_name_and_a_title_arrive(tmp_path: Path) -> None:
     text = (tmp_path / "out" / "arm_2.h").read_text(encoding="utf-8")
     assert "static const law_params arm_2 = {" in text
     assert "Arm 2, 20-40 g" in text
-    run(tool("gcc"), *FLAGS, "law_selftest.c", "law.c", "-o", "selftest", cwd=tmp_path / "out")
+    run(
+        tool("gcc"),
+        *FLAGS,
+        "law_selftest.c",
+        "law.c",
+        "-o",
+        "selftest",
+        cwd=tmp_path / "out",
+    )
     assert "passed" in run(tmp_path / "out" / "selftest").stdout
 
 
 def test_hex_floats_come_back_exactly() -> None:
     rng = np.random.default_rng(1)
-    for value in [0.0, -0.0, 1.0, 5e-324, *(rng.standard_normal(500) * 10.0 ** rng.integers(-20, 20, 500))]:
+    for value in [
+        0.0,
+        -0.0,
+        1.0,
+        5e-324,
+        *(rng.standard_normal(500) * 10.0 ** rng.integers(-20, 20, 500)),
+    ]:
         assert float.fromhex(hex_float(float(value), "double")) == value
         rounded = float(np.float32(value))
         assert float.fromhex(hex_float(rounded, "single").rstrip("F")) == rounded
@@ -231,7 +374,9 @@ def test_hex_floats_come_back_exactly() -> None:
 
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
-    """The l1 norm is the gain for the worst signal: its sign pattern reversed in time reaches the bound."""
+    """The l1 norm is the gain for the worst signal: its sign pattern reversed in time
+    reaches the bound.
+    """
     made = law(precision, equipped=False)
     bounds = worst_case(made)
     count = 20_000
@@ -249,7 +394,9 @@ def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
 @pytest.mark.parametrize("pole", [0.9, -0.9, 0.3 + 0.85j])
 @pytest.mark.parametrize("count", [3, 400])
 def test_a_sum_that_is_cut_is_closed_by_its_tail(pole: complex, count: int) -> None:
-    """However early the plain sum ends, it is no smaller than the whole one, and late it is that one."""
+    """However early the plain sum ends, it is no smaller than the whole one, and late
+    it is that one.
+    """
     gain, direct = 0.7, 0.2
     inner = np.concatenate([[direct], (gain * pole ** np.arange(2000)).real])
     whole = np.abs(np.diff(inner, prepend=0.0)).sum()
@@ -264,7 +411,8 @@ def test_the_worst_case_gain_of_a_pair_is_its_l1_norm() -> None:
     gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
     inner = (gains[:, None] * poles[:, None] ** np.arange(30_000)).real.sum(axis=0)
     whole = np.abs(np.diff(np.concatenate([[c.direct], inner]), prepend=0.0)).sum()
-    # The law's coefficients are those of the block, rounded to single precision where they are poles.
+    # The law's coefficients are those of the block, rounded to single precision where
+    # they are poles.
     assert worst_case(made).gain == pytest.approx(whole, rel=1e-3)
 
 
@@ -274,14 +422,19 @@ def test_the_rounding_bound_holds() -> None:
     rng = np.random.default_rng(2)
     rows = np.zeros((4, 20_000))
     rows[3] = 1.56 * np.clip(0.02 * rng.standard_normal(20_000), -0.05, 0.05)
-    exact, rounded = (run_law(law(p, equipped=False), rows).motor_reference for p in ("double", "single"))
+    exact, rounded = (
+        run_law(law(p, equipped=False), rows).motor_reference
+        for p in ("double", "single")
+    )
     distance = np.abs(exact - rounded).max()
     assert 0 < distance <= bounds.rounding + 3e-7  # the coefficients' own rounding
 
 
 @pytest.mark.slow
 def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
-    """The recursion of the .m file's numbers, in Octave, gives the motor reference of the law."""
+    """The recursion of the .m file's numbers, in Octave, gives the motor reference of
+    the law.
+    """
     octave = tool("octave-cli", "octave")
     made = law("double", equipped=False)
     export_matlab(made, tmp_path / "arm_law.m")
@@ -291,7 +444,9 @@ def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
     rows[1] = np.cos(0.03 * np.arange(count))
     rows[2] = 0.02 * np.sin(0.03 * np.arange(count) - 0.2)
     rows[3] = 0.01 * np.sin(0.2 * np.arange(count))
-    (tmp_path / "rows.txt").write_text("\n".join(" ".join(map(repr, row)) for row in rows.tolist()), "utf-8")
+    (tmp_path / "rows.txt").write_text(
+        "\n".join(" ".join(map(repr, row)) for row in rows.tolist()), "utf-8"
+    )
     (tmp_path / "drive.m").write_text(
         """
         rows = load('rows.txt'); law = arm_law();
@@ -312,7 +467,10 @@ def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
     out = run_law(made, rows)
     assert (out.mode == 1).all()
     np.testing.assert_allclose(
-        np.array(printed.split(), dtype=float), out.motor_reference, rtol=1e-12, atol=1e-13
+        np.array(printed.split(), dtype=float),
+        out.motor_reference,
+        rtol=1e-12,
+        atol=1e-13,
     )
 
 
@@ -320,43 +478,66 @@ def test_a_proof_without_the_provers_names_their_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "fraclink_prove", None)
-    with pytest.raises(MissingExtraError, match=r"fraclink-prove .*pip install \./prove"):
+    with pytest.raises(
+        MissingExtraError, match=r"fraclink-prove .*pip install \./prove"
+    ):
         export_c(law("single"), tmp_path / "firmware", prove=True)
     assert not (tmp_path / "firmware").exists()
 
 
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_rounding_bound_is_the_sum_of_its_parts(precision: str) -> None:
-    """By hand, for a filter of one mode: state, product, partial sums, and the change rounded once."""
+    """By hand, for a filter of one mode: state, product, partial sums, and the change
+    rounded once.
+    """
     made = law(precision, equipped=False)
     unit, error = (2.0**-24 if precision == "single" else 2.0**-53), 0.05
     change, direct, pole, gain = 2 * error, 1.7, 0.9, -0.3
-    assert _rounding(made, direct, [], [], error) == pytest.approx(3 * direct * change * unit, rel=1e-12)
+    assert _rounding(made, direct, [], [], error) == pytest.approx(
+        3 * direct * change * unit, rel=1e-12
+    )
     step = (pole * change * 3 + change) * unit
     state = 0.3 * step / (1 - pole) + 0.3 * change * unit
     partial = direct * change + 0.3 * change
     static = direct + 0.3 / (1 - pole)
-    expected = direct * change * unit + state + 2 * partial * unit + static * change * unit
-    assert _rounding(made, direct, [pole], [gain], error) == pytest.approx(expected, rel=1e-12)
-    # A mode of alternating sign sees changes, which add up to change/(1 − |p|); a pair is rounded twice.
+    expected = (
+        direct * change * unit + state + 2 * partial * unit + static * change * unit
+    )
+    assert _rounding(made, direct, [pole], [gain], error) == pytest.approx(
+        expected, rel=1e-12
+    )
+    # A mode of alternating sign sees changes, which add up to change/(1 − |p|); a pair
+    # is rounded twice.
     size = change / (1 - pole)
     step = (pole * size * 3 + change) * unit
     state = 0.3 * step / (1 - pole) + 0.3 * size * unit
     partial = direct * change + 0.3 * size
-    expected = direct * change * unit + state + 2 * partial * unit + static * change * unit
-    assert _rounding(made, direct, [-pole], [gain], error) == pytest.approx(expected, rel=1e-12)
+    expected = (
+        direct * change * unit + state + 2 * partial * unit + static * change * unit
+    )
+    assert _rounding(made, direct, [-pole], [gain], error) == pytest.approx(
+        expected, rel=1e-12
+    )
     turning = expected + 0.3 * step / (1 - pole)
-    assert _rounding(made, direct, [pole * 1j], [gain], error) == pytest.approx(turning, rel=1e-12)
+    assert _rounding(made, direct, [pole * 1j], [gain], error) == pytest.approx(
+        turning, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("statuses", "passed"),
-    [(("proved", "proved"), True), (("proved", "failed"), False), (("not proved", "proved"), False)],
+    [
+        (("proved", "proved"), True),
+        (("proved", "failed"), False),
+        (("not proved", "proved"), False),
+    ],
 )
 def test_a_proof_passes_where_every_claim_is_proved(
     statuses: tuple[Literal["proved", "failed", "not proved"], ...], passed: bool
 ) -> None:
-    claims = tuple(fl.Claim(f"claim {k}", "holds", status) for k, status in enumerate(statuses))
+    claims = tuple(
+        fl.Claim(f"claim {k}", "holds", status) for k, status in enumerate(statuses)
+    )
     proof = fl.Proof("00", {"law.c": "11"}, claims)
     assert proof.passed is passed
     assert proof["claim 1"] == claims[1]

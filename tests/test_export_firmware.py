@@ -1,4 +1,6 @@
-"""The exported law on emulated Cortex-M boards: bit for bit what the package computes, and counted."""
+"""The exported law on emulated Cortex-M boards: bit for bit what the package computes,
+and counted.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,22 @@ from test_export import FLAGS, run, single
 
 FIRMWARE = Path(__file__).parent / "firmware"
 BOARDS = {
-    "cortex-m4f": (("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"), "mps2-an386"),
+    "cortex-m4f": (
+        ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
+        "mps2-an386",
+    ),
     "cortex-m3": (("-mcpu=cortex-m3",), "mps2-an385"),
-    "cortex-m7": (("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"), "mps2-an500"),
-    # its instructions are a part of those of the Cortex-M3, whose board has the memory for newlib's printf
+    "cortex-m7": (
+        ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", "-mfloat-abi=hard"),
+        "mps2-an500",
+    ),
+    # its instructions are a part of those of the Cortex-M3, whose board has the memory
+    # for newlib's printf
     "cortex-m0plus": (("-mcpu=cortex-m0plus",), "mps2-an385"),
 }
 SELF_TESTED = ("cortex-m4f", "cortex-m3")
-# With both precisions in hardware: a core without them needs the library of a compiler for it.
+# With both precisions in hardware: a core without them needs the library of a compiler
+# for it.
 RISCV = (
     "--target=riscv32",
     "-march=rv32imafdc",
@@ -38,14 +48,24 @@ RISCV = (
     "-fuse-ld=lld",
 )
 PERIODS = 50_000
-NEWLIB = tuple(Path(place) for place in ("/usr/include/newlib", "/usr/lib/arm-none-eabi/include"))
+NEWLIB = tuple(
+    Path(place) for place in ("/usr/include/newlib", "/usr/lib/arm-none-eabi/include")
+)
 
 
 def on_board(
-    folder: Path, made: Law, board: str, *sources: str | Path, counted: bool = False, exact: bool = False
+    folder: Path,
+    made: Law,
+    board: str,
+    *sources: str | Path,
+    counted: bool = False,
+    exact: bool = False,
 ) -> str:
     flags, machine = BOARDS[board]
-    compiler, emulator = tool("arm-none-eabi-gcc", "gcc-arm-none-eabi"), tool("qemu-system-arm")
+    compiler, emulator = (
+        tool("arm-none-eabi-gcc", "gcc-arm-none-eabi"),
+        tool("qemu-system-arm"),
+    )
     link = ("-T", FIRMWARE / "board.ld", "--specs=rdimon.specs", "-nostartfiles")
     run(
         compiler, "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", *flags, *single(made),
@@ -60,7 +80,9 @@ def on_board(
 
 
 def on_riscv(folder: Path, made: Law, *sources: str | Path) -> str:
-    """Output of `sources` on an emulated RV32 core; newlib brings headers that serve every machine."""
+    """Output of `sources` on an emulated RV32 core; newlib brings headers that serve
+    every machine.
+    """
     tool("ld.lld", "lld")
     emulator = tool("qemu-system-riscv32", "qemu-system-misc")
     include = next((place for place in NEWLIB if (place / "stdio.h").is_file()), None)
@@ -91,10 +113,14 @@ def reference_hash(made: Law) -> int:
     angle[np.arange(PERIODS) % 1000 == 700] = np.nan
     count = np.arange(PERIODS)
     payload = np.where(count % 5000 < 2500, 0.0, (1 + count // 1000) / 1024)
-    _, out = made.run(made.initial_state(), reference, noises[:, 0] / 4096, angle, torque, payload)
+    _, out = made.run(
+        made.initial_state(), reference, noises[:, 0] / 4096, angle, torque, payload
+    )
     reals = np.array(out[:5]).T.astype(kind)
     width = 1 if made.precision == "single" else 2
-    words = np.concatenate([np.ascontiguousarray(reals).view(np.uint32), np.array(out[5:]).T], axis=1)
+    words = np.concatenate(
+        [np.ascontiguousarray(reals).view(np.uint32), np.array(out[5:]).T], axis=1
+    )
     assert words.shape == (PERIODS, 5 * width + 3)
     digest = 0x811C9DC5
     for word in words.ravel().tolist():
@@ -110,17 +136,33 @@ def _hash(text: str) -> int:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
-def test_fifty_thousand_periods_agree_to_the_bit(precision: str, tmp_path: Path) -> None:
+def test_fifty_thousand_periods_agree_to_the_bit(
+    precision: str, tmp_path: Path
+) -> None:
     made = law(precision)
     export_c(made, tmp_path)
     wanted = reference_hash(made)
     sources = (FIRMWARE / "long.c", tmp_path / "law.c")
     for compiler, exact in itertools.product(("gcc", "clang"), ((), exact_flags(made))):
-        run(tool(compiler), *FLAGS, *single(made), *exact, "-I", tmp_path, *sources, "-o", tmp_path / "long")
+        run(
+            tool(compiler),
+            *FLAGS,
+            *single(made),
+            *exact,
+            "-I",
+            tmp_path,
+            *sources,
+            "-o",
+            tmp_path / "long",
+        )
         assert _hash(run(tmp_path / "long").stdout) == wanted, (compiler, exact)
     for board in BOARDS:
-        assert _hash(on_board(tmp_path, made, board, *sources, exact=True)) == wanted, board
-    assert _hash(on_board(tmp_path, made, "cortex-m4f", *sources)) == wanted  # with room for every design
+        assert _hash(on_board(tmp_path, made, board, *sources, exact=True)) == wanted, (
+            board
+        )
+    assert (
+        _hash(on_board(tmp_path, made, "cortex-m4f", *sources)) == wanted
+    )  # with room for every design
 
 
 @pytest.mark.slow
@@ -129,7 +171,9 @@ def test_a_riscv_core_computes_the_same_bits(precision: str, tmp_path: Path) -> 
     """clang for RV32; WebAssembly has tests/test_engine.py."""
     made = law(precision)
     export_c(made, tmp_path)
-    assert _hash(on_riscv(tmp_path, made, FIRMWARE / "long.c", tmp_path / "law.c")) == reference_hash(made)
+    assert _hash(
+        on_riscv(tmp_path, made, FIRMWARE / "long.c", tmp_path / "law.c")
+    ) == reference_hash(made)
 
 
 @pytest.mark.slow
@@ -137,19 +181,27 @@ def test_a_riscv_core_computes_the_same_bits(precision: str, tmp_path: Path) -> 
 def test_the_self_test_passes_on_the_board(board: str, tmp_path: Path) -> None:
     made = law("single")
     export_c(made, tmp_path)
-    text = on_board(tmp_path, made, board, tmp_path / "law_selftest.c", tmp_path / "law.c")
+    text = on_board(
+        tmp_path, made, board, tmp_path / "law_selftest.c", tmp_path / "law.c"
+    )
     assert "passed" in text
 
 
 @pytest.mark.slow
 def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
-    """Compiled for the design alone at -O2: 8 instructions a mode and 15 without guards."""
+    """Compiled for the design alone at -O2: 8 instructions a mode and 15 without
+    guards.
+    """
     made = law("single")
     export_c(made, tmp_path)
     wholes = []
     for payload in ("0", "0.03F"):
-        (tmp_path / "payload.h").write_text(f"#define PAYLOAD {payload}\n", encoding="utf-8")
-        text = on_board(tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True)
+        (tmp_path / "payload.h").write_text(
+            f"#define PAYLOAD {payload}\n", encoding="utf-8"
+        )
+        text = on_board(
+            tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True
+        )
         found = re.search(r"outer (\d+) whole (\d+) mode 1", text)
         assert found is not None, text
         outer, whole = map(int, found.groups())
@@ -161,14 +213,22 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_payload_estimator_on_a_cortex_m4f(tmp_path: Path) -> None:
-    """The desktop's bits, and with the law at most 1400 instructions a period (issue 16)."""
+    """The desktop's bits, and with the law at most 1400 instructions a period (issue
+    16).
+    """
     made, rig = law("single"), fl.Rig.named("paper-2023")
     assert rig.model is not None
-    export_c(made, tmp_path, estimator=payload_estimator(rig.model, rig, made, (0.02, 0.04)))
+    export_c(
+        made, tmp_path, estimator=payload_estimator(rig.model, rig, made, (0.02, 0.04))
+    )
     sources = (tmp_path / "payload_selftest.c", tmp_path / "payload_estimator.c")
     assert "passed" in on_board(tmp_path, made, "cortex-m4f", *sources)
-    (tmp_path / "payload.h").write_text("#define PAYLOAD 0\n#define ESTIMATE\n", encoding="utf-8")
-    text = on_board(tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True)
+    (tmp_path / "payload.h").write_text(
+        "#define PAYLOAD 0\n#define ESTIMATE\n", encoding="utf-8"
+    )
+    text = on_board(
+        tmp_path, made, "cortex-m4f", FIRMWARE / "count.c", counted=True, exact=True
+    )
     found = re.search(r"whole (\d+) mode 1", text)
     assert found is not None and 800 < int(found.group(1)) <= 1400, text
 
@@ -182,9 +242,13 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
         compiler, "-std=c99", "-Os", "-ffp-contract=off", "-mthumb", *flags, *single(made),
         "-c", tmp_path / "law.c", "-o", tmp_path / "law.o",
     )  # fmt: skip
-    size = run(tool("arm-none-eabi-size", "binutils-arm-none-eabi"), tmp_path / "law.o").stdout.split()
+    size = run(
+        tool("arm-none-eabi-size", "binutils-arm-none-eabi"), tmp_path / "law.o"
+    ).stdout.split()
     text, data, bss = map(int, size[6:9])
     assert text <= 4096
     assert data == bss == 0  # no statics
     assert struct.calcsize("<14I41f") <= 256
-    assert exact_sizes(made)[1] == struct.calcsize(f"<14I{21 + made.order + len(made.feedforward.poles)}f")
+    assert exact_sizes(made)[1] == struct.calcsize(
+        f"<14I{21 + made.order + len(made.feedforward.poles)}f"
+    )

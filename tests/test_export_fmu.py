@@ -1,4 +1,6 @@
-"""The FMU: what is in it, whether FMPy takes it, and its outputs against the package's, bit for bit."""
+"""The FMU: what is in it, whether FMPy takes it, and its outputs against the package's,
+bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -25,27 +27,35 @@ ROWS = signals(1000)
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("precision", "ending", "modes"), [("double", "degraded", {1, 2, 4}), ("single", "held", {1, 3, 4})]
+    ("precision", "ending", "modes"),
+    [("double", "degraded", {1, 2, 4}), ("single", "held", {1, 3, 4})],
 )
 @pytest.mark.parametrize("fmi", FMIS)
 def test_50_000_periods_are_those_of_the_simulation(
     fmi: int, precision: str, ending: str, modes: set[int], tmp_path: Path
 ) -> None:
-    """Noise, friction, saturation, NaN and lost sensors; every mode, and every flag that inputs can raise."""
+    """Noise, friction, saturation, NaN and lost sensors; every mode, and every flag
+    that inputs can raise.
+    """
     tool("cc", "gcc")
     made, rows, simulated = eventful(50_000, precision, ending)
-    imported = Imported(export_fmu(made, tmp_path / "arm.fmu", fmi=fmi), tmp_path / "fmu")  # type: ignore[arg-type]
+    imported = Imported(
+        export_fmu(made, tmp_path / "arm.fmu", fmi=fmi), tmp_path / "fmu"
+    )  # type: ignore[arg-type]
     imported.initialize()
     got = imported.run(rows, made.period)
     assert got.shape[0] > 50_000
-    np.testing.assert_array_equal(got, outputs_of(made.run(made.initial_state(), *rows, first_tick=0)[1]))
+    np.testing.assert_array_equal(
+        got, outputs_of(made.run(made.initial_state(), *rows, first_tick=0)[1])
+    )
     np.testing.assert_array_equal(got[:, 0], simulated.motor_reference)
     # the twin tells the voltage that acts: the one of the period before
     np.testing.assert_array_equal(got[:-1, 1], simulated.voltage[1:])
     assert set(simulated.mode.tolist()) == modes
     seen = np.bitwise_or.reduce(simulated.flags)
-    # Missed and repeated periods (8, 16) need another timer. A residual (256) that lasts needs an encoder
-    # that stands still; for a single period a motor that an event has pushed is away from its model, too.
+    # Missed and repeated periods (8, 16) need another timer. A residual (256) that
+    # lasts needs an encoder that stands still; for a single period a motor that an
+    # event has pushed is away from its model, too.
     assert seen | 256 == 0x1FF - 8 - 16
     assert ending == "held" or seen & 256
 
@@ -53,7 +63,9 @@ def test_50_000_periods_are_those_of_the_simulation(
 @pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 @pytest.mark.parametrize("precision", ["single", "double"])
-def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str, tmp_path: Path) -> None:
+def test_fmpy_finds_no_problem_and_simulates_to_the_bit(
+    fmi: int, precision: str, tmp_path: Path
+) -> None:
     fmpy = fmpy_or_skip()
     tool("cc", "gcc")
     from fmpy.validation import validate_fmu
@@ -62,31 +74,45 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(fmi: int, precision: str
     file = str(export_fmu(made, tmp_path / "arm.fmu", fmi=fmi))  # type: ignore[arg-type]
     assert validate_fmu(file) == []
     names = [variable.name for variable in VARIABLES if variable.causality == "input"]
-    table = np.zeros(ROWS.shape[1], dtype=[("time", float), *((name, float) for name in names)])
+    table = np.zeros(
+        ROWS.shape[1], dtype=[("time", float), *((name, float) for name in names)]
+    )
     table["time"] = np.arange(ROWS.shape[1]) * PERIOD
     rows = np.vstack([ROWS, np.full(ROWS.shape[1], 0.05)])
     for name, row in zip(names, rows, strict=True):
         table[name] = row
     result = fmpy.simulate_fmu(
-        file, input=table, stop_time=table["time"][-1], output_interval=PERIOD, validate=True
+        file,
+        input=table,
+        stop_time=table["time"][-1],
+        output_interval=PERIOD,
+        validate=True,
     )
     own = run(made, rows, first_tick=0)
-    got = np.column_stack([result[v.name] for v in VARIABLES if v.causality == "output"])
+    got = np.column_stack(
+        [result[v.name] for v in VARIABLES if v.causality == "output"]
+    )
     np.testing.assert_array_equal(got[1:], outputs_of(own)[:-1])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
-def test_the_description_and_the_library_know_the_same_variables(fmi: int, tmp_path: Path) -> None:
+def test_the_description_and_the_library_know_the_same_variables(
+    fmi: int, tmp_path: Path
+) -> None:
     tool("cc", "gcc")
     file = export_fmu(law(), tmp_path / "arm.fmu", fmi=fmi)  # type: ignore[arg-type]
     imported = Imported(file, tmp_path / "fmu")
     described = {v.valueReference: v for v in imported.about.modelVariables}
-    assert [described[k].name for k in range(len(VARIABLES))] == [v.name for v in VARIABLES]
+    assert [described[k].name for k in range(len(VARIABLES))] == [
+        v.name for v in VARIABLES
+    ]
     for reference, variable in enumerate(VARIABLES):
         assert described[reference].unit == (variable.unit or None)
         whole = {2: "Integer", 3: "UInt32"}[fmi]
-        assert described[reference].type == ({2: "Real", 3: "Float64"}[fmi] if variable.real else whole)
+        assert described[reference].type == (
+            {2: "Real", 3: "Float64"}[fmi] if variable.real else whole
+        )
     outputs = [v.name for v in VARIABLES if v.causality == "output"]
     assert [u.variable.name for u in imported.about.outputs] == outputs
     assert [u.variable.name for u in imported.about.initialUnknowns] == outputs
@@ -103,19 +129,33 @@ def test_sources_only_and_the_same_law_the_same_file(fmi: int, tmp_path: Path) -
     assert files[0].read_bytes() == files[1].read_bytes()
     with zipfile.ZipFile(files[0]) as archive:
         assert not any(name.startswith("binaries") for name in archive.namelist())
-        assert all(info.external_attr >> 16 & stat.S_IROTH for info in archive.infolist())
-        assert archive.read("sources/law.c") == (Path(__file__).parents[1] / "csrc" / "law.c").read_bytes()
+        assert all(
+            info.external_attr >> 16 & stat.S_IROTH for info in archive.infolist()
+        )
+        assert (
+            archive.read("sources/law.c")
+            == (Path(__file__).parents[1] / "csrc" / "law.c").read_bytes()
+        )
 
 
 @pytest.mark.parametrize("equipped", [True, False])
 def test_the_page_inside_explains_every_number(equipped: bool, tmp_path: Path) -> None:
     file = export_fmu(law(equipped=equipped), tmp_path / "arm.fmu", compilers=())
     with zipfile.ZipFile(file) as archive:
-        text, header = (archive.read(name).decode() for name in ("documentation/index.html", "sources/law.h"))
-    root = ET.fromstring(text.replace("<!doctype html>", "").replace('<meta charset="utf-8">', ""))  # noqa: S314
+        text, header = (
+            archive.read(name).decode()
+            for name in ("documentation/index.html", "sources/law.h")
+        )
+    root = ET.fromstring(  # noqa: S314
+        text.replace("<!doctype html>", "").replace('<meta charset="utf-8">', "")
+    )
     cells = [["".join(cell.itertext()) for cell in row] for row in root.iter("tr")]
-    bits = {int(bit): name for name, bit in re.findall(r"LAW_FLAG_(\w+) (\d+)U", header)}
-    assert {int(row[0]): row[1] for row in cells if len(row) == 3 and row[0].isdigit()} == bits
+    bits = {
+        int(bit): name for name, bit in re.findall(r"LAW_FLAG_(\w+) (\d+)U", header)
+    }
+    assert {
+        int(row[0]): row[1] for row in cells if len(row) == 3 and row[0].isdigit()
+    } == bits
     assert sum(bits) == next(v.largest for v in VARIABLES if v.name == "flags")
     assert [row[0] for row in cells if len(row) == 4][1:] == [v.name for v in VARIABLES]
     assert ("connect voltage, within ±10 V" in "".join(root.itertext())) == equipped
@@ -133,7 +173,7 @@ def test_another_law_has_another_token(tmp_path: Path) -> None:
                 compilers=(),  # type: ignore[arg-type]
             )
             with zipfile.ZipFile(file) as archive:
-                root = ET.fromstring(archive.read("modelDescription.xml"))  # noqa: S314 - our own file
+                root = ET.fromstring(archive.read("modelDescription.xml"))  # noqa: S314
             tokens.add(root.attrib["guid" if fmi == 2 else "instantiationToken"])
     assert len(tokens) == 4
 
@@ -160,12 +200,22 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
     out = tmp_path / "arm.fmu"
     with pytest.raises(FieldError, match=r"compiler: not installed"):
         export_fmu(law(), out, compilers=("no-such-cc",))
-    with pytest.raises(FieldError, match=r"a platform that FMI 3 has no name for .got riscv64-linux"):
-        export_fmu(law(), out, fmi=3, compilers=(_compiler(tmp_path, "riscv64-linux-gnu"),))
-    with pytest.raises(FieldError, match=r"a platform that FMI 2 has no name for .got aarch64-darwin"):
+    with pytest.raises(
+        FieldError, match=r"a platform that FMI 3 has no name for .got riscv64-linux"
+    ):
+        export_fmu(
+            law(), out, fmi=3, compilers=(_compiler(tmp_path, "riscv64-linux-gnu"),)
+        )
+    with pytest.raises(
+        FieldError, match=r"a platform that FMI 2 has no name for .got aarch64-darwin"
+    ):
         export_fmu(law(), out, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
-    with pytest.raises(FieldError, match=r"unable to compile the FMU \(all.c:1: error: no\)"):
-        export_fmu(law(), out, fmi=3, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
+    with pytest.raises(
+        FieldError, match=r"unable to compile the FMU \(all.c:1: error: no\)"
+    ):
+        export_fmu(
+            law(), out, fmi=3, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),)
+        )
     with pytest.raises(FieldError, match=r"fmi: unknown"):
         export_fmu(law(), out, fmi=1, compilers=())  # type: ignore[arg-type]
     assert not out.exists()
@@ -174,9 +224,21 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("triple", "platform", "folders"),
     [
-        ("x86_64-linux-gnu", "x86_64-linux", {2: "linux64/arm.so", 3: "x86_64-linux/arm.so"}),
-        ("x86_64-w64-mingw32", "x86_64-windows", {2: "win64/arm.dll", 3: "x86_64-windows/arm.dll"}),
-        ("x86_64-apple-darwin23", "x86_64-darwin", {2: "darwin64/arm.dylib", 3: "x86_64-darwin/arm.dylib"}),
+        (
+            "x86_64-linux-gnu",
+            "x86_64-linux",
+            {2: "linux64/arm.so", 3: "x86_64-linux/arm.so"},
+        ),
+        (
+            "x86_64-w64-mingw32",
+            "x86_64-windows",
+            {2: "win64/arm.dll", 3: "x86_64-windows/arm.dll"},
+        ),
+        (
+            "x86_64-apple-darwin23",
+            "x86_64-darwin",
+            {2: "darwin64/arm.dylib", 3: "x86_64-darwin/arm.dylib"},
+        ),
         ("arm64-apple-darwin23", "aarch64-darwin", {3: "aarch64-darwin/arm.dylib"}),
         ("aarch64-unknown-linux-gnu", "aarch64-linux", {3: "aarch64-linux/arm.so"}),
         ("riscv32-unknown-elf", "riscv32-unknown", {}),
@@ -188,17 +250,29 @@ def test_a_library_stands_where_the_version_looks_for_it(
     """A compiler that writes down how it was called, in place of the library."""
     compiler = tmp_path / "writes-it-down"
     compiler.write_text(
-        f'#!/bin/sh\n[ "$1" = -dumpmachine ] && echo {triple} && exit\necho "$@" > law.library\n', "utf-8"
+        f'#!/bin/sh\n[ "$1" = -dumpmachine ] && echo {triple} && exit\necho "$@" > law.library\n',
+        "utf-8",
     )
     compiler.chmod(0o755)
     assert platform_of(str(compiler)) == platform
     for fmi, place in folders.items():
         given = {"fmi": fmi, "compilers": (str(compiler),)}
-        with zipfile.ZipFile(export_fmu(law(), tmp_path / f"fmi{fmi}" / "arm.fmu", **given)) as archive:  # type: ignore[arg-type]
+        with zipfile.ZipFile(
+            export_fmu(law(), tmp_path / f"fmi{fmi}" / "arm.fmu", **given)
+        ) as archive:  # type: ignore[arg-type]
             called = archive.read(f"binaries/{place}").decode().split()
-            assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+            assert {info.date_time for info in archive.infolist()} == {
+                (1980, 1, 1, 0, 0, 0)
+            }
         # Without -ffp-contract=off the library would not give the simulation's bits.
-        assert {"-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "all.c"} < set(called)
+        assert {
+            "-std=c99",
+            "-O2",
+            "-ffp-contract=off",
+            "-fPIC",
+            "-shared",
+            "all.c",
+        } < set(called)
     if 3 in folders:
         twice = (str(compiler), str(compiler))
         with pytest.raises(FieldError, match=f"the second one for {platform}"):

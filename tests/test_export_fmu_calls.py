@@ -1,4 +1,6 @@
-"""The FMU's calls out of order, with wrong values, saved, restored and in pairs, as FMPy makes them."""
+"""The FMU's calls out of order, with wrong values, saved, restored and in pairs, as
+FMPy makes them.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
 
 
 @pytest.fixture(params=[2, 3])
-def arm(request: pytest.FixtureRequest, files: dict[int, Path], tmp_path: Path) -> Imported:
+def arm(
+    request: pytest.FixtureRequest, files: dict[int, Path], tmp_path: Path
+) -> Imported:
     return Imported(files[request.param], tmp_path / "fmu")
 
 
@@ -50,7 +54,11 @@ def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -
     arm.initialize()
     fresh = arm.run(ROWS, PERIOD)
     _refused(
-        arm, "set the communication step to 0.004 s (it was 0.008 s)", "DoStep", 300 * PERIOD, 2 * PERIOD
+        arm,
+        "set the communication step to 0.004 s (it was 0.008 s)",
+        "DoStep",
+        300 * PERIOD,
+        2 * PERIOD,
     )
     _refused(arm, "initialize first, or reset", "DoStep", 300 * PERIOD, PERIOD)
     assert arm.read() == fresh[-1].tolist()  # what was reached can still be read
@@ -60,7 +68,9 @@ def test_another_step_than_the_period_is_an_error_until_a_reset(arm: Imported) -
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", [0.0, -PERIOD, float("nan"), float("inf"), PERIOD * (1 + 1e-5)])
+@pytest.mark.parametrize(
+    "step", [0.0, -PERIOD, float("nan"), float("inf"), PERIOD * (1 + 1e-5)]
+)
 def test_steps_that_are_none(arm: Imported, step: float) -> None:
     arm.initialize()
     _refused(arm, "communication step", "DoStep", 0.0, step)
@@ -81,7 +91,13 @@ def test_steps_follow_each_other(arm: Imported) -> None:
     arm.initialize(5.0)
     arm.step(5.0, PERIOD)
     arm.step(5.0 + PERIOD, PERIOD)
-    _refused(arm, "the last one ended at 5.008 s, this one begins at 5.004 s", "DoStep", 5.0 + PERIOD, PERIOD)
+    _refused(
+        arm,
+        "the last one ended at 5.008 s, this one begins at 5.004 s",
+        "DoStep",
+        5.0 + PERIOD,
+        PERIOD,
+    )
     arm.call("Reset")
     arm.initialize()
     arm.step(0.0, PERIOD)
@@ -97,7 +113,11 @@ def test_calls_out_of_order(arm: Imported) -> None:
     _refused(arm, "only a simulation that runs", "Terminate")
     arm.call("Reset")
     arm.initialize()
-    _refused(arm, "before initialization only" if arm.fmi == 3 else "entered once", "EnterInitializationMode")
+    _refused(
+        arm,
+        "before initialization only" if arm.fmi == 3 else "entered once",
+        "EnterInitializationMode",
+    )
     arm.call("Reset")
     arm.initialize()
     arm.call("Terminate")
@@ -123,7 +143,11 @@ def test_only_inputs_are_set(arm: Imported, reference: int) -> None:
 @pytest.mark.slow
 def test_wrong_kinds_of_variables(arm: Imported) -> None:
     arm.initialize()
-    references, reals, wholes = (ctypes.c_uint * 1)(7), (ctypes.c_double * 1)(), (ctypes.c_uint32 * 1)()
+    references, reals, wholes = (
+        (ctypes.c_uint * 1)(7),
+        (ctypes.c_double * 1)(),
+        (ctypes.c_uint32 * 1)(),
+    )
     flags = (ctypes.c_bool * 1)() if arm.fmi == 3 else (ctypes.c_int * 1)()
     more = (1,) if arm.fmi == 3 else ()
     real, whole = {2: ("Real", "Integer"), 3: ("Float64", "UInt32")}[arm.fmi]
@@ -136,22 +160,34 @@ def test_wrong_kinds_of_variables(arm: Imported) -> None:
     arm.call("Reset")
     _refused(arm, "no variable has the type", "GetBoolean", references, 1, flags, *more)
     arm.call("Reset")
-    arm.call("GetBoolean", references, 0, flags, *(0 for _ in more))  # nothing is asked for
+    arm.call(
+        "GetBoolean", references, 0, flags, *(0 for _ in more)
+    )  # nothing is asked for
     if arm.fmi == 3:
-        _refused(arm, "one value for each reference", "GetFloat64", references, 1, reals, 2)
+        _refused(
+            arm, "one value for each reference", "GetFloat64", references, 1, reals, 2
+        )
 
 
 @pytest.mark.slow
 def test_what_is_not_offered_says_so(arm: Imported) -> None:
     arm.initialize()
-    _refused(arm, "does not offer", *(("CancelStep",) if arm.fmi == 2 else ("EnterEventMode",)))
+    _refused(
+        arm,
+        "does not offer",
+        *(("CancelStep",) if arm.fmi == 2 else ("EnterEventMode",)),
+    )
 
 
 @pytest.mark.slow
-def test_instances_that_cannot_be(arm: Imported, files: dict[int, Path], tmp_path: Path) -> None:
+def test_instances_that_cannot_be(
+    arm: Imported, files: dict[int, Path], tmp_path: Path
+) -> None:
     arm.messages.clear()
     if arm.fmi == 2:
-        answer = arm.slave.fmi2Instantiate(b"x", 0, b"", b"", ctypes.byref(arm.slave.callbacks), 0, 0)
+        answer = arm.slave.fmi2Instantiate(
+            b"x", 0, b"", b"", ctypes.byref(arm.slave.callbacks), 0, 0
+        )
         assert not answer and "not for model exchange" in arm.messages[0]
     else:
         hear = lambda *told: arm.messages.append(told[-1].decode())  # noqa: E731
@@ -159,15 +195,22 @@ def test_instances_that_cannot_be(arm: Imported, files: dict[int, Path], tmp_pat
             arm.slave.instantiate(eventModeUsed=True, logMessage=hear)
         assert "neither event mode" in arm.messages[0]
     with pytest.raises(Exception, match="instantiate"):
-        Imported(files[arm.fmi], tmp_path / "other", token="{another}")  # noqa: S106 - no secret
+        Imported(files[arm.fmi], tmp_path / "other", token="{another}")  # noqa: S106
 
 
 @pytest.mark.slow
-def test_fmi_3_is_silent_where_logging_is_off(files: dict[int, Path], tmp_path: Path) -> None:
+def test_fmi_3_is_silent_where_logging_is_off(
+    files: dict[int, Path], tmp_path: Path
+) -> None:
     from fmpy.fmi1 import FMICallException
 
     arm = Imported(files[3], tmp_path / "fmu", logging=False)
-    for wanted, categories in ((0, None), (1, [b"logStatusError"]), (0, [b"logAll"]), (1, [])):
+    for wanted, categories in (
+        (0, None),
+        (1, [b"logStatusError"]),
+        (0, [b"logAll"]),
+        (1, []),
+    ):
         if categories is not None:
             arm.slave.setDebugLogging(True, [name.decode() for name in categories])
         arm.call("Reset")
@@ -212,11 +255,15 @@ def test_a_serialized_state_goes_on_in_another_instance(
     other = Imported(files[arm.fmi], tmp_path / "other")
     other.restore(getattr(other.slave, read)(stored))
     np.testing.assert_array_equal(
-        other.run(ROWS[:, 200:], PERIOD, first=200), arm.run(ROWS[:, 200:], PERIOD, first=200)
+        other.run(ROWS[:, 200:], PERIOD, first=200),
+        arm.run(ROWS[:, 200:], PERIOD, first=200),
     )
     from fmpy.fmi1 import FMICallException
 
-    for damaged, why in ((stored[:-1], "another size"), (bytes([stored[0] ^ 1]) + stored[1:], "another law")):
+    for damaged, why in (
+        (stored[:-1], "another size"),
+        (bytes([stored[0] ^ 1]) + stored[1:], "another law"),
+    ):
         with pytest.raises(FMICallException):
             getattr(other.slave, read)(damaged)
         assert why in other.messages[-1]
@@ -235,7 +282,9 @@ def test_two_instances_do_not_see_each_other(arm: Imported) -> None:
     for k in range(ROWS.shape[1]):
         for number, instance in enumerate((first, second)):
             arm.instance = arm.slave.component = instance
-            arm.write(ROWS[:, k] * (1 - 2 * number))  # the second one moves the other way
+            arm.write(
+                ROWS[:, k] * (1 - 2 * number)
+            )  # the second one moves the other way
             arm.step(k * PERIOD, PERIOD)
             got[number].append(arm.read())
     np.testing.assert_array_equal(np.array(got[0]), alone)

@@ -19,8 +19,9 @@ from law_bench import law
 
 FMIS = [2, 3]
 
-# FMI 2.0.4, sections 2.2.7 and 2.2.8; FMI 3.0, sections 2.4.7 and 2.4.8.
-# Name, causality, unit, where the value before the first step comes from; the place is the value reference.
+# FMI 2.0.4, sections 2.2.7 and 2.2.8; FMI 3.0, sections 2.4.7 and 2.4.8. Name,
+# causality, unit, where the value before the first step comes from; the place is the
+# value reference.
 OF_ARM = (
     ("reference", "input", "rad", ()),
     ("reference_acceleration", "input", "rad/s2", ()),
@@ -69,12 +70,14 @@ def _written(made: Law, folder: Path, fmi: int) -> tuple[ET.Element, dict[str, s
     file = export_fmu(made, folder / "arm.fmu", fmi=fmi, compilers=())
     with zipfile.ZipFile(file) as archive:
         texts = {name: archive.read(name).decode() for name in archive.namelist()}
-    return ET.fromstring(texts["modelDescription.xml"]), texts  # noqa: S314 - our own file
+    return ET.fromstring(texts["modelDescription.xml"]), texts  # noqa: S314
 
 
 @pytest.mark.parametrize("of_arm", [True, False])
 @pytest.mark.parametrize("fmi", FMIS)
-def test_every_variable_is_described_as_the_standard_wants(fmi: int, of_arm: bool, tmp_path: Path) -> None:
+def test_every_variable_is_described_as_the_standard_wants(
+    fmi: int, of_arm: bool, tmp_path: Path
+) -> None:
     made, wanted = (law(), OF_ARM) if of_arm else (pid(), OF_PID)
     root, _ = _written(made, tmp_path, fmi)
     listed = [dict(item.attrib) for item in root.find("ModelVariables") or ()]
@@ -82,7 +85,9 @@ def test_every_variable_is_described_as_the_standard_wants(fmi: int, of_arm: boo
     if fmi == 2:  # the value's attributes are those of an element inside
         values = [item[0] for item in root.find("ModelVariables") or ()]
         kinds = [{"Real": "Float64", "Integer": "UInt32"}[item.tag] for item in values]
-        listed = [about | value.attrib for about, value in zip(listed, values, strict=True)]
+        listed = [
+            about | value.attrib for about, value in zip(listed, values, strict=True)
+        ]
     assert len(listed) == len(wanted)
     for place, (kind, about, (name, causality, unit, _)) in enumerate(
         zip(kinds, listed, wanted, strict=True)
@@ -90,8 +95,14 @@ def test_every_variable_is_described_as_the_standard_wants(fmi: int, of_arm: boo
         discrete = "discrete" if causality == "output" else "continuous"
         expected = {"name": name, "valueReference": str(place), "causality": causality}
         expected |= {"variability": discrete, "description": about["description"]}
-        expected |= {"unit": unit} if isinstance(unit, str) else {"min": str(unit[0]), "max": str(unit[1])}
-        expected |= {"start": "0"} if causality == "input" else {}  # FMI wants one of every input
+        expected |= (
+            {"unit": unit}
+            if isinstance(unit, str)
+            else {"min": str(unit[0]), "max": str(unit[1])}
+        )
+        expected |= (
+            {"start": "0"} if causality == "input" else {}
+        )  # FMI wants one of every input
         assert about == expected
         assert kind == ("Float64" if isinstance(unit, str) else "UInt32")
     without = "leave it at 0: without effect in a PID"
@@ -103,16 +114,28 @@ def test_every_variable_is_described_as_the_standard_wants(fmi: int, of_arm: boo
 
 @pytest.mark.parametrize("of_arm", [True, False])
 @pytest.mark.parametrize("fmi", FMIS)
-def test_dependencies_units_and_times_of_the_description(fmi: int, of_arm: bool, tmp_path: Path) -> None:
+def test_dependencies_units_and_times_of_the_description(
+    fmi: int, of_arm: bool, tmp_path: Path
+) -> None:
     made, wanted = (law(), OF_ARM) if of_arm else (pid(), OF_PID)
     root, _ = _written(made, tmp_path, fmi)
-    # FMI 2 counts variables from 1, FMI 3 has their value references; no output depends on an input at once.
+    # FMI 2 counts variables from 1, FMI 3 has their value references; no output depends
+    # on an input at once.
     first = 1 if fmi == 2 else 0
-    outputs = [k for k, (_, causality, _, _) in enumerate(wanted) if causality == "output"]
+    outputs = [
+        k for k, (_, causality, _, _) in enumerate(wanted) if causality == "output"
+    ]
     at_once = [(str(k + first), "") for k in outputs]
-    starts = [(str(k + first), " ".join(str(j + first) for j in wanted[k][3])) for k in outputs]
+    starts = [
+        (str(k + first), " ".join(str(j + first) for j in wanted[k][3]))
+        for k in outputs
+    ]
     key = "index" if fmi == 2 else "valueReference"
-    paths = ("Outputs/Unknown", "InitialUnknowns/Unknown") if fmi == 2 else ("Output", "InitialUnknown")
+    paths = (
+        ("Outputs/Unknown", "InitialUnknowns/Unknown")
+        if fmi == 2
+        else ("Output", "InitialUnknown")
+    )
     for path, expected in zip(paths, (at_once, starts), strict=True):
         found = [item.attrib for item in root.findall(f"ModelStructure/{path}")]
         assert [(item[key], item["dependencies"]) for item in found] == expected
@@ -120,10 +143,18 @@ def test_dependencies_units_and_times_of_the_description(fmi: int, of_arm: bool,
     assert set(units) == {unit for _, _, unit, _ in wanted if isinstance(unit, str)}
     for name, item in units.items():
         assert item[0].tag == "BaseUnit" and item[0].attrib == BASE[name]
-        shown = [(part.attrib["name"], float(part.attrib["factor"])) for part in item.findall("DisplayUnit")]
-        # display = factor * value, as both standards have it: 1 rad is shown as 57.3 deg
+        shown = [
+            (part.attrib["name"], float(part.attrib["factor"]))
+            for part in item.findall("DisplayUnit")
+        ]
+        # display = factor * value, as both standards have it: 1 rad is shown as 57.3
+        # deg
         degrees = {"rad": "deg", "rad/s2": "deg/s2"}
-        assert shown == ([(degrees[name], pytest.approx(57.29577951308232))] if name in degrees else [])
+        assert shown == (
+            [(degrees[name], pytest.approx(57.29577951308232))]
+            if name in degrees
+            else []
+        )
     times = root.find("DefaultExperiment")
     assert times is not None
     assert {key: float(value) for key, value in times.attrib.items()} == pytest.approx(
@@ -155,18 +186,23 @@ def test_what_an_importer_may_do_is_said(fmi: int, tmp_path: Path) -> None:
     assert root.attrib["modelName"] == "arm"
     about = f"Control law of a flexible link, one step each period of 0.004 s; law {made.digest}"
     assert root.attrib["description"] == about
-    # The library answers to no other description: FMI calls the token the proof that both belong together.
+    # The library answers to no other description: FMI calls the token the proof that
+    # both belong together.
     unit = texts["sources/all.c"]
     assert f'#define FMU_TOKEN "{token}"' in unit
     assert float.fromhex(re.findall(r"FMU_PERIOD (\S+)", unit)[0]) == made.period
     assert "#define LAW_SINGLE" in unit.splitlines()
     assert "#define law_step arm_law_step" in unit.splitlines()
-    assert re.findall(r'#include "(.+)"', unit) == ["law.c", "law_data.h", f"fmi{fmi}.c"]
+    assert re.findall(r'#include "(.+)"', unit) == [
+        "law.c",
+        "law_data.h",
+        f"fmi{fmi}.c",
+    ]
     assert f"law {made.digest}" in texts["sources/law_data.h"]
     if fmi == 2:
         assert [item.attrib for item in root.iter("File")] == [{"name": "all.c"}]
     else:
-        build = ET.fromstring(texts["sources/buildDescription.xml"])  # noqa: S314 - our own file
+        build = ET.fromstring(texts["sources/buildDescription.xml"])  # noqa: S314
         tree = [(item.tag, item.attrib) for item in build.iter()]
         assert tree == [
             ("fmiBuildDescription", {"fmiVersion": "3.0"}),
@@ -178,8 +214,12 @@ def test_what_an_importer_may_do_is_said(fmi: int, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("of_arm", [True, False])
 @pytest.mark.parametrize("fmi", FMIS)
-def test_another_program_takes_the_description(fmi: int, of_arm: bool, tmp_path: Path) -> None:
-    """FMPy compares it with the schema of the standard and with the rules that a schema cannot hold."""
+def test_another_program_takes_the_description(
+    fmi: int, of_arm: bool, tmp_path: Path
+) -> None:
+    """FMPy compares it with the schema of the standard and with the rules that a schema
+    cannot hold.
+    """
     fmpy = fmpy_or_skip()
     made = law() if of_arm else pid()
     file = export_fmu(made, tmp_path / "arm.fmu", fmi=fmi, compilers=())
@@ -193,10 +233,25 @@ def test_another_program_takes_the_description(fmi: int, of_arm: bool, tmp_path:
     [
         (
             partial(law, equipped=False),
-            ("connect motor_reference, not voltage", "the arm is taken to rest at motor_angle"),
+            (
+                "connect motor_reference, not voltage",
+                "the arm is taken to rest at motor_angle",
+            ),
         ),
-        (law, ("connect voltage, within ±10 V.", "the arm is taken to rest at motor_angle")),
-        (pid, ("connect output, within ±7.5.", "the controller is at rest, and its filter empty")),
+        (
+            law,
+            (
+                "connect voltage, within ±10 V.",
+                "the arm is taken to rest at motor_angle",
+            ),
+        ),
+        (
+            pid,
+            (
+                "connect output, within ±7.5.",
+                "the controller is at rest, and its filter empty",
+            ),
+        ),
     ],
     ids=["its own motor loop", "arm", "PID"],
 )
@@ -206,5 +261,9 @@ def test_the_page_says_what_to_connect(
     made = make()
     _, texts = _written(made, tmp_path, 2)
     page = re.sub(r"<[^>]+>", "", texts["documentation/index.html"])
-    for words in (*told, f"step is {made.period!r} s, constant", f"law {made.digest}; double precision"):
+    for words in (
+        *told,
+        f"step is {made.period!r} s, constant",
+        f"law {made.digest}; double precision",
+    ):
         assert words in page

@@ -1,4 +1,6 @@
-"""The C files of an FMU: compilers, checkers, sanitizers, an importer that builds them, other platforms."""
+"""The C files of an FMU: compilers, checkers, sanitizers, an importer that builds them,
+other platforms.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ ROWS = signals(1000)
 
 def test_the_largest_flags_are_all_flags_of_the_law() -> None:
     bits = re.findall(r"#define LAW_FLAG_\w+ (\d+)U", law_source("law.h").decode())
-    assert next(v.largest for v in VARIABLES if v.name == "flags") == sum(map(int, bits))
+    assert next(v.largest for v in VARIABLES if v.name == "flags") == sum(
+        map(int, bits)
+    )
 
 
 @pytest.mark.slow
@@ -37,7 +41,9 @@ def test_an_importer_builds_the_same_from_the_sources(
 ) -> None:
     fmpy_or_skip()
     # cmake is one of the build's packages: it lies beside the interpreter
-    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setenv(
+        "PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    )
     tool("cmake")
     from fmpy.build import build_platform_binary
 
@@ -50,22 +56,44 @@ def test_an_importer_builds_the_same_from_the_sources(
     rebuilt = shutil.make_archive(str(tmp_path / "again"), "zip", folder)
     imported = Imported(Path(rebuilt), tmp_path / "fmu")
     imported.initialize()
-    np.testing.assert_array_equal(imported.run(ROWS, made.period), outputs_of(run(made, ROWS, first_tick=0)))
+    np.testing.assert_array_equal(
+        imported.run(ROWS, made.period), outputs_of(run(made, ROWS, first_tick=0))
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fmi", FMIS)
 def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) -> None:
-    """The standard's own header in front: compilers then compare; strict warnings, with and without it."""
+    """The standard's own header in front: compilers then compare; strict warnings, with
+    and without it.
+    """
     headers = Path(fmpy_or_skip().__file__).parent / "c-code"
     for precision in ("single", "double"):
-        file = export_fmu(law(precision), tmp_path / f"{precision}_law.fmu", fmi=fmi, compilers=())  # type: ignore[arg-type]
+        file = export_fmu(
+            law(precision), tmp_path / f"{precision}_law.fmu", fmi=fmi, compilers=()
+        )  # type: ignore[arg-type]
         sources = sources_of(file, tmp_path / precision)
-        for compiler, flags in (("gcc", GCC), ("clang", (*CLANG, "-Wno-missing-prototypes"))):
+        for compiler, flags in (
+            ("gcc", GCC),
+            ("clang", (*CLANG, "-Wno-missing-prototypes")),
+        ):
             shell(tool(compiler), *flags, "-c", "all.c", "-o", "all.o", cwd=sources)
-    with_header = ("-isystem", str(headers), "-include", f"fmi{fmi}Functions.h", "-fsyntax-only", "all.c")
+    with_header = (
+        "-isystem",
+        str(headers),
+        "-include",
+        f"fmi{fmi}Functions.h",
+        "-fsyntax-only",
+        "all.c",
+    )
     # that header refers each function's name to itself
-    shell(tool("clang"), *CLANG, "-Wno-disabled-macro-expansion", *with_header, cwd=sources)
+    shell(
+        tool("clang"),
+        *CLANG,
+        "-Wno-disabled-macro-expansion",
+        *with_header,
+        cwd=sources,
+    )
 
 
 @pytest.mark.slow
@@ -75,17 +103,23 @@ def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
         export_fmu(law("single"), tmp_path / "arm.fmu", fmi=fmi, compilers=()),  # type: ignore[arg-type]
         tmp_path / "fmu",
     )
-    unset = [f"-U{name}" for name in ("_WIN32", "LAW_REALS", "LAW_PAIRS", "LAW_FORWARDS")]
+    unset = [
+        f"-U{name}" for name in ("_WIN32", "LAW_REALS", "LAW_PAIRS", "LAW_FORWARDS")
+    ]
     unset += [f"-UFMI{fmi}_{kind}FUNCTION_PREFIX" for kind in ("", "ACTUAL_")]
     command = [tool("cppcheck"), "-q", "--std=c99", "--inconclusive", *unset]
     command += ["--enable=warning,style,performance,portability", "all.c"]
     answer = shell(*command, cwd=sources, check=False)
     assert answer.stdout + answer.stderr == ""
     # one file that includes the others is what all.c is for
-    checks = "--checks=-*,bugprone-*,-bugprone-suspicious-include,cert-*,clang-analyzer-*"
+    checks = (
+        "--checks=-*,bugprone-*,-bugprone-suspicious-include,cert-*,clang-analyzer-*"
+    )
     command = [tool("clang-tidy"), "all.c", checks, "--", "-std=c99"]
     answer = shell(*command, cwd=sources, check=False)
-    assert "warning:" not in answer.stdout and "error:" not in answer.stdout, answer.stdout[:2000]
+    assert "warning:" not in answer.stdout and "error:" not in answer.stdout, (
+        answer.stdout[:2000]
+    )
 
 
 @pytest.mark.slow
@@ -107,14 +141,18 @@ def test_a_life_under_sanitizers(fmi: int, tmp_path: Path) -> None:
 
 
 def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
-    """Importers for real-time targets compile sources and link them; each FMU brings its own law."""
+    """Importers for real-time targets compile sources and link them; each FMU brings
+    its own law.
+    """
     compiler = tool("gcc")
     names = ("first", "second")
     for name, precision in zip(names, ("single", "double"), strict=True):
         file = export_fmu(law(precision), tmp_path / f"{name}.fmu", compilers=())
         sources = sources_of(file, tmp_path / name)
         flags = ["-std=c99", "-ffp-contract=off", f"-DFMI2_FUNCTION_PREFIX={name}_"]
-        shell(compiler, *flags, "-c", "all.c", "-o", tmp_path / f"{name}.o", cwd=sources)
+        shell(
+            compiler, *flags, "-c", "all.c", "-o", tmp_path / f"{name}.o", cwd=sources
+        )
     calls = "".join(f"const char *{name}_fmi2GetVersion(void);\n" for name in names)
     calls += "int main(void) { return first_fmi2GetVersion()[0] != second_fmi2GetVersion()[0]; }\n"
     (tmp_path / "main.c").write_text(calls, encoding="utf-8")
@@ -126,18 +164,26 @@ def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fmi", FMIS)
 def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
     cross = tool("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32")
-    file = export_fmu(law(), tmp_path / "arm.fmu", fmi=fmi, compilers=(tool("gcc"), cross))  # type: ignore[arg-type]
+    file = export_fmu(
+        law(), tmp_path / "arm.fmu", fmi=fmi, compilers=(tool("gcc"), cross)
+    )  # type: ignore[arg-type]
     sources_of(file, tmp_path / "fmu")
-    linux, windows = {2: ("linux64", "win64"), 3: ("x86_64-linux", "x86_64-windows")}[fmi]
+    linux, windows = {2: ("linux64", "win64"), 3: ("x86_64-linux", "x86_64-windows")}[
+        fmi
+    ]
     exported = []
     for path, lister in (
         (f"{linux}/arm.so", "nm -D"),
         (f"{windows}/arm.dll", "x86_64-w64-mingw32-objdump -p"),
     ):
         program, option = lister.split()
-        told = shell(tool(program, "binutils"), option, tmp_path / "fmu" / "binaries" / path).stdout
+        told = shell(
+            tool(program, "binutils"), option, tmp_path / "fmu" / "binaries" / path
+        ).stdout
         exported.append(set(re.findall(rf"\bfmi{fmi}\w+", told)))
     assert exported[0] == exported[1]
-    assert len(exported[0]) == {2: 34, 3: 75}[fmi]  # all that the standard wants for co-simulation
+    assert (
+        len(exported[0]) == {2: 34, 3: 75}[fmi]
+    )  # all that the standard wants for co-simulation
     with pytest.raises(FieldError, match=r"the second one for x86_64-linux"):
         export_fmu(law(), tmp_path / "other.fmu", fmi=fmi, compilers=("gcc", "cc"))  # type: ignore[arg-type]

@@ -1,4 +1,6 @@
-"""Gates of law.c: compilers at their strictest, checkers, prover, fuzzer, coverage, and seeded defects."""
+"""Gates of law.c: compilers at their strictest, checkers, prover, fuzzer, coverage, and
+seeded defects.
+"""
 
 from __future__ import annotations
 
@@ -24,10 +26,33 @@ from test_export import run, single
 
 FIRMWARE = Path(__file__).parent / "firmware"
 GCC = (
-    *("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-Wdouble-promotion"),
-    *("-Wshadow", "-Wcast-qual", "-Wundef", "-Wvla", "-ffp-contract=off", "-O2", "-Werror"),
+    *(
+        "-std=c99",
+        "-pedantic",
+        "-Wall",
+        "-Wextra",
+        "-Wconversion",
+        "-Wsign-conversion",
+        "-Wdouble-promotion",
+    ),
+    *(
+        "-Wshadow",
+        "-Wcast-qual",
+        "-Wundef",
+        "-Wvla",
+        "-ffp-contract=off",
+        "-O2",
+        "-Werror",
+    ),
 )
-CLANG = ("-std=c99", "-Weverything", "-Wno-padded", "-Wno-declaration-after-statement", "-O2", "-Werror")
+CLANG = (
+    "-std=c99",
+    "-Weverything",
+    "-Wno-padded",
+    "-Wno-declaration-after-statement",
+    "-O2",
+    "-Werror",
+)
 Result = TypeVar("Result")
 
 
@@ -45,13 +70,31 @@ def test_the_compilers_have_nothing_to_say(precision: str, tmp_path: Path) -> No
     export_c(made, tmp_path)
     for name, flags in (("gcc", GCC), ("clang", CLANG)):
         for exact in ((), exact_flags(made)):
-            run(tool(name), *flags, *single(made), *exact, "-c", tmp_path / "law.c", "-o", tmp_path / "law.o")
-    run(tool("gcc"), *GCC, *single(made), "-c", tmp_path / "law_selftest.c", "-o", tmp_path / "test.o")
+            run(
+                tool(name),
+                *flags,
+                *single(made),
+                *exact,
+                "-c",
+                tmp_path / "law.c",
+                "-o",
+                tmp_path / "law.o",
+            )
+    run(
+        tool("gcc"),
+        *GCC,
+        *single(made),
+        "-c",
+        tmp_path / "law_selftest.c",
+        "-o",
+        tmp_path / "test.o",
+    )
 
 
 @pytest.mark.slow
 def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
-    # unusedFunction: a library's functions are used by others; missingIncludeSystem: stdint.h is not parsed
+    # unusedFunction: a library's functions are used by others; missingIncludeSystem:
+    # stdint.h is not parsed
     general = tuple(f"-ULAW_{kind}" for kind in ("REALS", "PAIRS", "FORWARDS"))
     for build in (general, ("-ULAW_PAIRS", *exact_flags(law("single")))):
         answer = run(
@@ -65,7 +108,15 @@ def test_cppcheck_and_misra_have_nothing_to_say(folder: Path) -> None:
 @pytest.mark.parametrize("define", [(), ("-DLAW_SINGLE",)])
 def test_clang_tidy_has_nothing_to_say(folder: Path, define: tuple[str, ...]) -> None:
     checks = "--checks=-*,bugprone-*,cert-*,clang-analyzer-*"
-    answer = run(tool("clang-tidy"), folder / "law.c", checks, "--", "-std=c99", *define, check=False)
+    answer = run(
+        tool("clang-tidy"),
+        folder / "law.c",
+        checks,
+        "--",
+        "-std=c99",
+        *define,
+        check=False,
+    )
     assert "warning:" not in answer.stdout
     assert "error:" not in answer.stdout
 
@@ -85,7 +136,9 @@ def test_the_fuzzer_breaks_no_invariant() -> None:
 
 @pytest.mark.slow
 def test_every_line_and_branch_of_the_law_is_run(folder: Path) -> None:
-    (folder / "one.c").write_text('#include "law.c"\n#include "drive.c"\n', encoding="utf-8")
+    (folder / "one.c").write_text(
+        '#include "law.c"\n#include "drive.c"\n', encoding="utf-8"
+    )
     run(
         tool("gcc"), "-std=c99", "-DLAW_SINGLE", "-O0", "--coverage", "-ffp-contract=off", "-I", folder,
         "-I", FIRMWARE, "one.c", "-lm", "-o", "one", cwd=folder,
@@ -98,43 +151,91 @@ def test_every_line_and_branch_of_the_law_is_run(folder: Path) -> None:
 
 
 def both_cores(work: Callable[[int], Result], items: Sequence[int]) -> list[Result]:
-    """Compilers are processes of their own: two threads that wait for them keep two cores busy."""
+    """Compilers are processes of their own: two threads that wait for them keep two
+    cores busy.
+    """
     with ThreadPoolExecutor(2) as pool:
         return list(pool.map(work, items))
 
 
 CONTROLLERS = (
-    *((0.03, 0.4, 0.0), (0.03, 0.4, 0.16), (0.07, 0.61, 0.0), (0.07, 0.61, 0.005), (0.15, 0.65, 0.0)),
-    *((0.15, 0.65, 0.16), (0.2, 0.8, 0.005), (0.2, 0.8, 0.16), (0.3, 0.5, 0.0), (0.3, 0.5, 0.005)),
+    *(
+        (0.03, 0.4, 0.0),
+        (0.03, 0.4, 0.16),
+        (0.07, 0.61, 0.0),
+        (0.07, 0.61, 0.005),
+        (0.15, 0.65, 0.0),
+    ),
+    *(
+        (0.15, 0.65, 0.16),
+        (0.2, 0.8, 0.005),
+        (0.2, 0.8, 0.16),
+        (0.3, 0.5, 0.0),
+        (0.3, 0.5, 0.005),
+    ),
 )
 LINKS = ((7.0, 1.7), (9.6, 1.92), (11.1, 1.8), (13.6, 2.0), (16.0, 1.96), (20.0, 1.5))
 
 
-def law_of(gain: float, order: float, delta: float, natural: float, exponent: float, *, modes: int) -> Law:
+def law_of(
+    gain: float,
+    order: float,
+    delta: float,
+    natural: float,
+    exponent: float,
+    *,
+    modes: int,
+) -> Law:
     link = fl.LinkModel(stiffness=1.56, natural_frequency=natural, order=exponent)
-    controller = fl.Controller(gain=gain, order=order, filter_time=delta, filter_order=2, link=link)
-    return discretize_controller(controller, PERIOD, order=modes, rig=fl.Rig.named("paper-2023"))
+    controller = fl.Controller(
+        gain=gain, order=order, filter_time=delta, filter_order=2, link=link
+    )
+    return discretize_controller(
+        controller, PERIOD, order=modes, rig=fl.Rig.named("paper-2023")
+    )
 
 
 @pytest.mark.slow
 def test_many_designs_compile_clean_and_pass_their_self_test(tmp_path: Path) -> None:
     export_c(law("double"), tmp_path / "law")
     for define, name in (("-DLAW_DOUBLE", "double"), ("-DLAW_SINGLE", "single")):
-        run(tool("gcc"), *GCC, define, "-c", "law.c", "-o", f"{name}.o", cwd=tmp_path / "law")
-    # a fit takes a second: each controller is fitted once, each link without one, and every two are combined
-    corrections = [law_of(*controller, 11.1, 1.8, modes=4).correction for controller in CONTROLLERS]
+        run(
+            tool("gcc"),
+            *GCC,
+            define,
+            "-c",
+            "law.c",
+            "-o",
+            f"{name}.o",
+            cwd=tmp_path / "law",
+        )
+    # a fit takes a second: each controller is fitted once, each link without one, and
+    # every two are combined
+    corrections = [
+        law_of(*controller, 11.1, 1.8, modes=4).correction for controller in CONTROLLERS
+    ]
     links = [law_of(*CONTROLLERS[0], *link, modes=0) for link in LINKS]
     designs = list(itertools.product(links, corrections))
     assert len(designs) >= 50
 
     def check(number: int) -> None:
         made, correction = designs[number]
-        made = replace(made, correction=correction).in_precision("single" if number % 2 else "double")
+        made = replace(made, correction=correction).in_precision(
+            "single" if number % 2 else "double"
+        )
         place = tmp_path / str(number)
         export_c(made, place)
         law_object = tmp_path / "law" / f"{made.precision}.o"
         run(
-            tool("gcc"), *GCC, "-O0", *single(made), "law_selftest.c", law_object, "-o", "selftest", cwd=place
+            tool("gcc"),
+            *GCC,
+            "-O0",
+            *single(made),
+            "law_selftest.c",
+            law_object,
+            "-o",
+            "selftest",
+            cwd=place,
         )
         assert "passed" in run(place / "selftest").stdout, made
 
@@ -158,15 +259,20 @@ def _caught(folder: Path, made: Law, number: int) -> str | None:
     place = folder / f"mutant{number}"
     place.mkdir()
     (place / "law.c").write_text(text.replace(old, new, 1), encoding="utf-8")
-    (place / "one.c").write_text('#include "law.c"\n#include "drive.c"\n', encoding="utf-8")
+    (place / "one.c").write_text(
+        '#include "law.c"\n#include "drive.c"\n', encoding="utf-8"
+    )
     gcc, flags = tool("gcc"), (*single(made), "-I", place, "-I", folder, "-I", FIRMWARE)
-    if run(gcc, *GCC, *flags, "-c", "law.c", "-o", "law.o", cwd=place, check=False).returncode:
+    if run(
+        gcc, *GCC, *flags, "-c", "law.c", "-o", "law.o", cwd=place, check=False
+    ).returncode:
         return "gcc"
     run(gcc, "law.o", folder / "selftest.o", "-o", "selftest", cwd=place)
     if run(place / "selftest", check=False).returncode:
         return "self-test"
     plain = ("-std=c99", "-ffp-contract=off", *flags)
-    # what breaks an invariant needs no sanitizer, and a build without them is six times as fast
+    # what breaks an invariant needs no sanitizer, and a build without them is six times
+    # as fast
     for options in (("-O0",), ("-O1", "-fsanitize=address,undefined")):
         run(gcc, *plain, *options, "one.c", "-lm", "-o", "one", cwd=place)
         answer = run(place / "one", "10", check=False)
@@ -179,9 +285,21 @@ def _caught(folder: Path, made: Law, number: int) -> str | None:
 def test_seeded_defects_are_caught(with_pairs: tuple[Path, Law]) -> None:
     assert len(MUTANTS) >= 30
     folder, made = with_pairs
-    run(tool("gcc"), "-std=c99", "-O1", *single(made), "-c", "law_selftest.c", "-o", "selftest.o", cwd=folder)
+    run(
+        tool("gcc"),
+        "-std=c99",
+        "-O1",
+        *single(made),
+        "-c",
+        "law_selftest.c",
+        "-o",
+        "selftest.o",
+        cwd=folder,
+    )
     gates = both_cores(lambda number: _caught(*with_pairs, number), range(len(MUTANTS)))
-    table = {f"{old} -> {new}": gate for (old, new), gate in zip(MUTANTS, gates, strict=True)}
+    table = {
+        f"{old} -> {new}": gate for (old, new), gate in zip(MUTANTS, gates, strict=True)
+    }
     survivors = [name for name, gate in table.items() if gate is None]
     for name, gate in table.items():
         print(f"{gate or 'SURVIVED':12} {name}")

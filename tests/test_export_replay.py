@@ -21,17 +21,23 @@ from test_export import run as shell
 ROWS = signals(2000)
 
 
-def _replay(folder: Path, made: Law, compiler: str = "gcc", *, allow_changed: bool = False) -> Replay:
+def _replay(
+    folder: Path, made: Law, compiler: str = "gcc", *, allow_changed: bool = False
+) -> Replay:
     tool(compiler)
     names = ("reference", "reference_acceleration", "motor_angle", "torque")
     signals = dict(zip(names, ROWS, strict=True))
-    return replay(folder, made, compiler=compiler, allow_changed=allow_changed, **signals)
+    return replay(
+        folder, made, compiler=compiler, allow_changed=allow_changed, **signals
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str, tmp_path: Path) -> None:
+def test_the_export_repeats_the_package_to_the_bit(
+    precision: str, compiler: str, tmp_path: Path
+) -> None:
     made = law(precision)
     export_c(made, tmp_path / "firmware")
     result = _replay(tmp_path / "firmware", made, compiler)
@@ -44,7 +50,9 @@ def test_the_export_repeats_the_package_to_the_bit(precision: str, compiler: str
 
 @pytest.mark.slow
 def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
-    """Each signal beside the package's; the same ones as the law's own run where a payload is given."""
+    """Each signal beside the package's; the same ones as the law's own run where a
+    payload is given.
+    """
     made = law("single")
     export_c(made, tmp_path, name="arm_2")
     names = ("reference", "reference_acceleration", "motor_angle", "torque")
@@ -59,7 +67,10 @@ def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="not an export"):
         replay(tmp_path, made, **given)  # its block has another name
     for field, values in (("torque", ROWS[3, :399]), ("motor_angle", ROWS[2, :401])):
-        with pytest.raises(FieldError, match=f"{field}: of another length .got {values.size}.*400 samples"):
+        with pytest.raises(
+            FieldError,
+            match=f"{field}: of another length .got {values.size}.*400 samples",
+        ):
             replay(tmp_path, made, **(given | {field: values}), name="arm_2")
     with pytest.raises(FieldError, match="payload"):
         replay(tmp_path, made, **given, payload=-0.01, name="arm_2")
@@ -75,10 +86,14 @@ def test_a_difference_is_told_with_its_period_and_size(tmp_path: Path) -> None:
     changed = "    output->voltage += (input->tick > 100U) ? 0.25 : 0.0;\n}\n"
     head, brace, tail = text.partition("void law_step(")
     body = tail.index("\n}\n")
-    source.write_text(head + brace + tail[: body + 1] + changed + tail[body + 3 :], encoding="utf-8")
+    source.write_text(
+        head + brace + tail[: body + 1] + changed + tail[body + 3 :], encoding="utf-8"
+    )
     names = ("reference", "reference_acceleration", "motor_angle", "torque")
     given = dict(zip(names, ROWS[:, :200], strict=True))
-    with pytest.raises(FieldError, match="firmware: not as this release exports it") as refused:
+    with pytest.raises(
+        FieldError, match="firmware: not as this release exports it"
+    ) as refused:
         replay(tmp_path, made, **given)
     assert refused.value.value == "law.c"
     result = replay(tmp_path, made, **given, allow_changed=True)
@@ -93,7 +108,8 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
     source = tmp_path / "firmware" / "law.c"
     text = source.read_text(encoding="utf-8")
     source.write_text(
-        text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"), encoding="utf-8"
+        text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"),
+        encoding="utf-8",
     )
     result = _replay(tmp_path / "firmware", made, allow_changed=True)
     assert not result.passed
@@ -112,7 +128,10 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
     wrong = "int one(void)\n{\n    return nothing;\n}\n"
     source.write_text(source.read_text(encoding="utf-8") + wrong, encoding="utf-8")
     # The line of the error, not the one before it that only names the function.
-    with pytest.raises(FieldError, match=r"refused by the compiler .got law\.c:\d+:\d+: error: .*nothing"):
+    with pytest.raises(
+        FieldError,
+        match=r"refused by the compiler .got law\.c:\d+:\d+: error: .*nothing",
+    ):
         _replay(tmp_path / "firmware", law("double"), allow_changed=True)
     rest = np.zeros(3)
     with pytest.raises(FieldError, match="not installed"):
@@ -133,13 +152,22 @@ _RUN = '__attribute__((constructor)) static void ran(void) {{ fclose(fopen("{mar
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", ["law.c", "law.h", "law_data.h"])
-@pytest.mark.parametrize("how", ["appended", "in front", "behind a comment", "in the first comment's line"])
-def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: str, tmp_path: Path) -> None:
-    """The changed file writes a mark as soon as it is run: the oracle is the file system."""
+@pytest.mark.parametrize(
+    "how", ["appended", "in front", "behind a comment", "in the first comment's line"]
+)
+def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(
+    file: str, how: str, tmp_path: Path
+) -> None:
+    """The changed file writes a mark as soon as it is run: the oracle is the file
+    system.
+    """
     made, mark = law("double"), tmp_path / "ran"
     export_c(made, tmp_path / "firmware", title="its title is free")
     path = tmp_path / "firmware" / file
-    own, code = path.read_text(encoding="utf-8"), "#include <stdio.h>\n" + _RUN.format(mark=mark)
+    own, code = (
+        path.read_text(encoding="utf-8"),
+        "#include <stdio.h>\n" + _RUN.format(mark=mark),
+    )
     changed = {
         "appended": own + code,
         "in front": code + own,
@@ -147,7 +175,9 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: s
         "in the first comment's line": own.replace("*/", "*/\n" + code, 1),
     }[how]
     path.write_text(changed, encoding="utf-8")
-    with pytest.raises(FieldError, match="compiles and runs it on this computer") as refused:
+    with pytest.raises(
+        FieldError, match="compiles and runs it on this computer"
+    ) as refused:
         _replay(tmp_path / "firmware", made)
     assert refused.value.value == file
     assert not mark.exists()
@@ -160,7 +190,9 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(file: str, how: s
 def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) -> None:
     export_c(law("double"), tmp_path / "firmware")
     for header in ("math.h", "string.h", "stdint.h", "stdio.h"):
-        (tmp_path / "firmware" / header).write_text("#error not the header of C\n", encoding="utf-8")
+        (tmp_path / "firmware" / header).write_text(
+            "#error not the header of C\n", encoding="utf-8"
+        )
     assert _replay(tmp_path / "firmware", law("double")).passed
 
 
@@ -174,7 +206,9 @@ def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
     inner = data["correction_direct"][0, 0] + (
         data["correction_residues"].ravel() / (z - data["correction_poles"].ravel())
     ).sum(axis=1)
-    np.testing.assert_allclose((1 - 1 / z[:, 0]) * inner, made.frequency_response(w), rtol=1e-9)
+    np.testing.assert_allclose(
+        (1 - 1 / z[:, 0]) * inner, made.frequency_response(w), rtol=1e-9
+    )
     assert data["period"][0, 0] == PERIOD
 
 
@@ -199,7 +233,9 @@ def test_the_mat_file_holds_the_rest_of_the_law(tmp_path: Path) -> None:
         f"payload_{name}": value for name, value in asdict(made.tracking).items()
     }
     plain = loadmat(export_matlab(law(equipped=False), tmp_path / "plain.mat"))
-    assert law(equipped=False).tracking is not None or not [name for name in plain if "payload" in name]
+    assert law(equipped=False).tracking is not None or not [
+        name for name in plain if "payload" in name
+    ]
 
 
 def _numbers(text: str, name: str) -> list[complex]:
@@ -219,15 +255,23 @@ def test_the_m_file_states_the_same_filters(tmp_path: Path) -> None:
     z = np.exp(1j * w * PERIOD)[:, None]
     responses = {}
     for part in ("correction", "feedforward"):
-        poles, residues = (np.array(_numbers(text, f"{part}.{name}")) for name in ("poles", "residues"))
-        responses[part] = _numbers(text, f"{part}.direct")[0] + (residues / (z - poles)).sum(axis=1)
+        poles, residues = (
+            np.array(_numbers(text, f"{part}.{name}")) for name in ("poles", "residues")
+        )
+        responses[part] = _numbers(text, f"{part}.direct")[0] + (
+            residues / (z - poles)
+        ).sum(axis=1)
     np.testing.assert_allclose(
-        (1 - 1 / z[:, 0]) * responses["correction"], made.frequency_response(w), rtol=1e-9
+        (1 - 1 / z[:, 0]) * responses["correction"],
+        made.frequency_response(w),
+        rtol=1e-9,
     )
     c = made.feedforward
     own = c.direct + (np.array(c.gains) / (z - np.array(c.poles))).sum(axis=1)
     np.testing.assert_allclose(responses["feedforward"], own, rtol=1e-12)
-    assert _numbers(text, "period") == [PERIOD] and _numbers(text, "stiffness") == [made.stiffness]
+    assert _numbers(text, "period") == [PERIOD] and _numbers(text, "stiffness") == [
+        made.stiffness
+    ]
     assert made.tracking is not None
     for key, value in asdict(made.tracking).items():
         assert _numbers(text, f"payload.{key}") == [value]
@@ -239,7 +283,11 @@ def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
     made = with_pair()
     text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
     assert text.startswith("function law = arm_law()")
-    for value in (made.correction.direct, *made.correction.poles, *made.correction.gains):
+    for value in (
+        made.correction.direct,
+        *made.correction.poles,
+        *made.correction.gains,
+    ):
         assert repr(value) in text
 
 
@@ -255,7 +303,9 @@ def test_octave_runs_the_m_file_and_gets_the_laws_response(tmp_path: Path) -> No
     *rows, last = (tuple(map(float, row.split())) for row in answer.stdout.splitlines())
     # as a quotient of polynomials it is 1e-4 off at 0.05 rad/s
     np.testing.assert_allclose(
-        [complex(*row) for row in rows], made.frequency_response(frequencies), rtol=1e-10
+        [complex(*row) for row in rows],
+        made.frequency_response(frequencies),
+        rtol=1e-10,
     )
     assert last == (PERIOD, len(made.feedforward.poles))
 
@@ -273,7 +323,9 @@ def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
-def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_replays_a_log(
+    precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from fraclink._cli.app import run as fraclink
 
     tool("cc", "gcc")
@@ -290,15 +342,24 @@ def test_the_verb_replays_a_log(precision: str, tmp_path: Path, capsys: pytest.C
     assert fraclink(["replay", firmware, "demo", "--allow-changed"]) == 1
     printed = capsys.readouterr()
     assert "first difference in period" in printed.out
-    assert "law.c was compiled and run on this computer" in " ".join(printed.err.split())
+    assert "law.c was compiled and run on this computer" in " ".join(
+        printed.err.split()
+    )
     assert fraclink(["replay", str(tmp_path), "demo"]) == 2
     assert "not an export" in capsys.readouterr().err
 
 
 def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
     export_c(law(), tmp_path / "firmware")
-    log = fl.Experiment(period=0.005, motor_angle=np.zeros(300), output=np.zeros(300), output_kind="torque")
-    with pytest.raises(FieldError, match=r"period: not the law's .got 0.005.; expected 0.004 s"):
+    log = fl.Experiment(
+        period=0.005,
+        motor_angle=np.zeros(300),
+        output=np.zeros(300),
+        output_kind="torque",
+    )
+    with pytest.raises(
+        FieldError, match=r"period: not the law's .got 0.005.; expected 0.004 s"
+    ):
         replay_log(tmp_path / "firmware", log)
     (tmp_path / "firmware" / "law.json").unlink()
     with pytest.raises(FieldError, match="firmware: not an export"):
@@ -307,23 +368,35 @@ def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["torque", "deflection"])
-def test_a_log_s_sensors_drive_the_law(kind: Literal["torque", "deflection"], tmp_path: Path) -> None:
-    """The motor's path is the reference, without acceleration; a deflection is c times as large a torque."""
+def test_a_log_s_sensors_drive_the_law(
+    kind: Literal["torque", "deflection"], tmp_path: Path
+) -> None:
+    """The motor's path is the reference, without acceleration; a deflection is c times
+    as large a torque.
+    """
     made = law()
     export_c(made, tmp_path, name="arm_2")
     angle, signal = ROWS[2, :300], ROWS[3, :300]
-    log = fl.Experiment(period=PERIOD, motor_angle=angle, output=signal, output_kind=kind)
+    log = fl.Experiment(
+        period=PERIOD, motor_angle=angle, output=signal, output_kind=kind
+    )
     result = replay_log(tmp_path, log)
     torque = signal if kind == "torque" else made.stiffness * signal
     _, own = made.run(made.initial_state(), angle, np.zeros(300), angle, torque)
     assert result.passed
     np.testing.assert_array_equal(result.motor_reference, own.motor_reference)
     # a period that differs by rounding is the law's
-    close = fl.Experiment(period=PERIOD * (1 + 9e-7), motor_angle=angle, output=signal, output_kind=kind)
+    close = fl.Experiment(
+        period=PERIOD * (1 + 9e-7), motor_angle=angle, output=signal, output_kind=kind
+    )
     assert replay_log(tmp_path, close).passed
-    far = fl.Experiment(period=PERIOD * (1 + 1.1e-6), motor_angle=angle, output=signal, output_kind=kind)
+    far = fl.Experiment(
+        period=PERIOD * (1 + 1.1e-6), motor_angle=angle, output=signal, output_kind=kind
+    )
     with pytest.raises(FieldError, match="period"):
         replay_log(tmp_path, far)
     record = fl.Recording(period=PERIOD, input=angle, output=signal)
-    with pytest.raises(FieldError, match=r"of another kind than the law .got a recording"):
+    with pytest.raises(
+        FieldError, match=r"of another kind than the law .got a recording"
+    ):
         replay_log(tmp_path, record)

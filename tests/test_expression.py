@@ -1,4 +1,6 @@
-"""Structures as text: three algebras that agree, roles, and pieces or numbers that mean nothing."""
+"""Structures as text: three algebras that agree, roles, and pieces or numbers that mean
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -53,18 +55,32 @@ def test_three_algebras_agree(text: str) -> None:
         ("k*1e200**(1 + 1)*s", "1e+200 ** (1 + 1)", "no finite real number"),
         ("(-2*s)**0.5*k", "(-2) ** 0.5", "no finite real number"),
         ("(-1)**0.5*s*k", "(-1) ** 0.5", "no finite real number"),
-        ("k*(s + 1)**-9", "(s + 1) ** (-9)", "a power of a sum that is not a whole number up to 8"),
-        ("k*(s + 1)**(1/3)", "(s + 1) ** (1 / 3)", "a power of a sum that is not a whole number up to 8"),
+        (
+            "k*(s + 1)**-9",
+            "(s + 1) ** (-9)",
+            "a power of a sum that is not a whole number up to 8",
+        ),
+        (
+            "k*(s + 1)**(1/3)",
+            "(s + 1) ** (1 / 3)",
+            "a power of a sum that is not a whole number up to 8",
+        ),
         ("k*s+" + "1+" * 400 + "1", "characters 1 to 683", "nested too deeply"),
         ("1+" * 400 + "1", "characters 1 to 801", "without s"),
         ("k*exp(-T*s/(2 - 2))", "-T * s / (2 - 2)", "a division by zero"),
         ("k*exp(-(0 - T)**0.5*s)", "exp(-(0 - T) ** 0.5 * s)", "not a delay"),
     ],
 )
-def test_arithmetic_that_has_no_value_is_named(text: str, value: str, problem: str) -> None:
+def test_arithmetic_that_has_no_value_is_named(
+    text: str, value: str, problem: str
+) -> None:
     with pytest.raises(FieldError) as caught:
         parse_expression(text)
-    assert (caught.value.field, caught.value.value, caught.value.problem) == ("expression", value, problem)
+    assert (caught.value.field, caught.value.value, caught.value.problem) == (
+        "expression",
+        value,
+        problem,
+    )
     assert caught.value.remedy
 
 

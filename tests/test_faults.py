@@ -1,4 +1,6 @@
-"""The fault campaign: complete, repeatable, and its verdicts turn when a guard is taken out."""
+"""The fault campaign: complete, repeatable, and its verdicts turn when a guard is taken
+out.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from fraclink._campaign.faults import (
 )
 from fraclink.errors import FieldError, FileFormatError
 
-# Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives their values.
+# Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives
+# their values.
 OPEN = {"F03", "F06", "F07", "F08", "F21", "F24", "F27", "F37"}
 WIDE = 1e3
 
@@ -44,17 +47,23 @@ def bench() -> Bench:
 
 @pytest.fixture(scope="module")
 def table(bench: Bench) -> FaultTable:
-    return run_faults(bench, cases(bench, severities=(2,), payloads=(0.03,), seeds=(1,)))
+    return run_faults(
+        bench, cases(bench, severities=(2,), payloads=(0.03,), seeds=(1,))
+    )
 
 
 def loosened(bench: Bench, **limits: float) -> Bench:
-    return bench.with_law(replace(bench.law, limits=replace(bench.law.limits, **limits)))
+    return bench.with_law(
+        replace(bench.law, limits=replace(bench.law.limits, **limits))
+    )
 
 
 def test_the_catalogue_is_complete() -> None:
     assert [fault.number for fault in CATALOGUE] == [f"F{k:02}" for k in range(1, 45)]
     assert all(len(set(fault.severities)) == 3 for fault in CATALOGUE)
-    assert all(fault.injection and fault.required and fault.rule.require for fault in CATALOGUE)
+    assert all(
+        fault.injection and fault.required and fault.rule.require for fault in CATALOGUE
+    )
     assert sorted(RULES) == [fault.number for fault in CATALOGUE]
     assert {fault.reaction for fault in CATALOGUE} == {"A", "B", "C", "D", "-"}
 
@@ -69,7 +78,11 @@ def test_every_fault_has_a_verdict_and_no_new_one_is_open(table: FaultTable) -> 
 @pytest.mark.slow
 def test_outputs_are_finite_and_in_limits_in_every_run(table: FaultTable) -> None:
     for outcome in table.outcomes:
-        broken = [check.name for check in outcome.failed if check.name.startswith(("G1", "G2"))]
+        broken = [
+            check.name
+            for check in outcome.failed
+            if check.name.startswith(("G1", "G2"))
+        ]
         assert broken == [], outcome.case.name
 
 
@@ -84,9 +97,18 @@ def test_both_precisions_take_the_same_modes(table: FaultTable) -> None:
 @pytest.mark.parametrize(
     ("name", "limits"),
     [
-        (Case("F18", 3, 0.03, "mid", 1), {"torque_step": WIDE}),  # A: spikes are let through
-        (Case("F36", 1, 0.03, "mid", 1), {"angle_step": WIDE, "angle_limit": WIDE, "residual_angle": WIDE}),
-        (Case("F09", 1, 0.03, "mid", 1), {"torque_limit": WIDE, "torque_step": WIDE}),  # B
+        (
+            Case("F18", 3, 0.03, "mid", 1),
+            {"torque_step": WIDE},
+        ),  # A: spikes are let through
+        (
+            Case("F36", 1, 0.03, "mid", 1),
+            {"angle_step": WIDE, "angle_limit": WIDE, "residual_angle": WIDE},
+        ),
+        (
+            Case("F09", 1, 0.03, "mid", 1),
+            {"torque_limit": WIDE, "torque_step": WIDE},
+        ),  # B
         (Case("F10", 2, 0.03, "mid", 1), {"torque_step": WIDE}),  # B, by the slew test
         (
             Case("F35", 2, 0.03, "whole", 1),
@@ -105,8 +127,14 @@ def test_a_guard_that_is_removed_turns_the_verdict(
 @pytest.mark.parametrize(
     ("case", "limits"),
     [
-        (Case("F04", 2, 0.03, "mid", 1), {"bad_limit": 10**6}),  # D: dead sensors are waited for
-        (Case("F22", 3, 0.03, "mid", 1), {"missed_limit": 10**6}),  # D: a dead task is forgiven
+        (
+            Case("F04", 2, 0.03, "mid", 1),
+            {"bad_limit": 10**6},
+        ),  # D: dead sensors are waited for
+        (
+            Case("F22", 3, 0.03, "mid", 1),
+            {"missed_limit": 10**6},
+        ),  # D: a dead task is forgiven
     ],
 )
 def test_a_counter_that_never_ends_turns_the_verdict(
@@ -117,7 +145,9 @@ def test_a_counter_that_never_ends_turns_the_verdict(
 
 
 @pytest.mark.slow
-def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(bench: Bench) -> None:
+def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(
+    bench: Bench,
+) -> None:
     case = Case("F40", 3, 0.03, "mid", 1)  # C
     assert run_case(bench, case, single=False).passed
     assert run_case(loosened(bench, torque_trip=WIDE), case, single=False).passed
@@ -127,9 +157,37 @@ def test_a_blocked_link_is_held_for_a_torque_that_does_not_swing_back(bench: Ben
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "number",
-    [f"F{k:02}" for k in (1, 2, 3, 4, 5, 7, 9, 10, 16, 18, 21, 22, 23, 25, 26, 31, 32, 34, 35, 36, 37, 44)],
+    [
+        f"F{k:02}"
+        for k in (
+            1,
+            2,
+            3,
+            4,
+            5,
+            7,
+            9,
+            10,
+            16,
+            18,
+            21,
+            22,
+            23,
+            25,
+            26,
+            31,
+            32,
+            34,
+            35,
+            36,
+            37,
+            44,
+        )
+    ],
 )
-def test_a_run_in_which_nothing_happened_does_not_pass(bench: Bench, number: str) -> None:
+def test_a_run_in_which_nothing_happened_does_not_pass(
+    bench: Bench, number: str
+) -> None:
     fault = fault_named(number)
     case = next(iter(cases(bench, only=[number], severities=(2,), payloads=(0.03,))))
     e = observe(bench, case, bench.law)
@@ -141,20 +199,34 @@ def test_a_run_in_which_nothing_happened_does_not_pass(bench: Bench, number: str
 def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
     e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law)
     assert all(check.passed for check in shared_checks(e))
-    for field, value in (("command", math.nan), ("command", 50.0), ("asked", 11.0), ("command", 0.8)):
+    for field, value in (
+        ("command", math.nan),
+        ("command", 50.0),
+        ("asked", 11.0),
+        ("command", 0.8),
+    ):
         values = np.array(getattr(e.faulty, field))
         values[100] = value
         assert not all(
-            check.passed for check in shared_checks(replace(e, faulty=replace(e.faulty, **{field: values})))
+            check.passed
+            for check in shared_checks(
+                replace(e, faulty=replace(e.faulty, **{field: values}))
+            )
         )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
-def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, precision) -> None:
-    e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law.in_precision(precision))
+def test_the_members_of_the_state_are_where_they_are_said_to_be(
+    bench: Bench, precision
+) -> None:
+    e = observe(
+        bench, Case("F02", 1, 0.03, "mid", 1), bench.law.in_precision(precision)
+    )
     memory = np.frombuffer(e.faulty.law_state, dtype=np.uint8)
-    reals = dict(zip(REALS, members(memory, 4 if precision == "single" else 8), strict=True))
+    reals = dict(
+        zip(REALS, members(memory, 4 if precision == "single" else 8), strict=True)
+    )
     for name in ("encoder", "gauge", "command", "asked"):
         member = {
             "encoder": "motor_angle",
@@ -162,7 +234,9 @@ def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, pr
             "command": "motor_reference",
             "asked": "voltage",
         }
-        assert reals[member[name]] == pytest.approx(getattr(e.faulty, name)[-1], rel=1e-6), name
+        assert reals[member[name]] == pytest.approx(
+            getattr(e.faulty, name)[-1], rel=1e-6
+        ), name
     assert reals["reference"] == pytest.approx(1.0) and reals["fade"] == 1.0
     used = [reals[f"modes[{k}]"] for k in range(len(bench.law.correction.poles))]
     assert np.all(np.array(used) != 0.0)
@@ -170,7 +244,9 @@ def test_the_members_of_the_state_are_where_they_are_said_to_be(bench: Bench, pr
 
 @pytest.mark.slow
 def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
-    planned = cases(bench, only=["F06", "F18", "F29"], severities=(3,), payloads=(0.02,), seeds=(3,))
+    planned = cases(
+        bench, only=["F06", "F18", "F29"], severities=(3,), payloads=(0.02,), seeds=(3,)
+    )
     table = run_faults(bench, planned)
     for outcome in reversed(table.outcomes):
         assert run_case(bench, outcome.case) == outcome
@@ -182,7 +258,9 @@ def test_a_run_repeats_to_the_last_bit(bench: Bench) -> None:
 def test_the_table_comes_back_equal(table: FaultTable, tmp_path) -> None:
     place = tmp_path / "faults.json"
     assert fl.load(fl.save(table, place), FaultTable) == table
-    place.write_text(place.read_text("utf-8").replace('"severity": 2', '"severity": 7'), "utf-8")
+    place.write_text(
+        place.read_text("utf-8").replace('"severity": 2', '"severity": 7'), "utf-8"
+    )
     with pytest.raises(FileFormatError):
         fl.load(place)
 
@@ -207,12 +285,26 @@ def outcome(*failed: str, peak: float = 0.1, mode: str = "run") -> Outcome:
         (outcome(peak=2.0), "met"),
         (outcome("peak tip error over clean"), "slower than promised"),
         (outcome("periods until off", peak=2.0, mode="off"), "slower than promised"),
-        (outcome("settling time of the move back over clean", peak=0.5), "slower than promised"),
-        (outcome("periods in another mode than allowed", mode="off"), "trips without need"),
-        (outcome("periods in another mode than allowed, single precision"), "trips without need"),
+        (
+            outcome("settling time of the move back over clean", peak=0.5),
+            "slower than promised",
+        ),
+        (
+            outcome("periods in another mode than allowed", mode="off"),
+            "trips without need",
+        ),
+        (
+            outcome("periods in another mode than allowed, single precision"),
+            "trips without need",
+        ),
         (outcome("periods until off (never)", peak=0.31), "unsafe"),
         (outcome("peak tip error over clean", peak=0.31, mode="degraded"), "unsafe"),
-        (outcome("G2: |voltage| [V]", "periods in another mode than allowed", mode="off"), "unsafe"),
+        (
+            outcome(
+                "G2: |voltage| [V]", "periods in another mode than allowed", mode="off"
+            ),
+            "unsafe",
+        ),
     ],
 )
 def test_what_a_failure_means(made: Outcome, group: str) -> None:
@@ -220,11 +312,19 @@ def test_what_a_failure_means(made: Outcome, group: str) -> None:
 
 
 @pytest.mark.slow
-def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(table: FaultTable) -> None:
+def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(
+    table: FaultTable,
+) -> None:
     missed = [row for row in table.rows() if not row.passed]
-    assert all(fault_named(row.number).cause.startswith(("arm: ", "law: ", "test: ")) for row in missed)
+    assert all(
+        fault_named(row.number).cause.startswith(("arm: ", "law: ", "test: "))
+        for row in missed
+    )
     assert all(fault_named(row.number).cause in table.markdown() for row in missed)
-    assert {row.group for row in missed} <= {"slower than promised", "trips without need"}
+    assert {row.group for row in missed} <= {
+        "slower than promised",
+        "trips without need",
+    }
 
 
 @pytest.mark.slow
@@ -234,7 +334,9 @@ def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> No
     assert run_case(bench, case, single=False).passed
     drive = bench.law.drive
     assert drive is not None
-    wild = replace(bench.law, drive=replace(drive, coulomb_voltage=6.0 * drive.coulomb_voltage))
+    wild = replace(
+        bench.law, drive=replace(drive, coulomb_voltage=6.0 * drive.coulomb_voltage)
+    )
     failed = run_case(bench.with_law(wild), case, single=False).failed
     assert "limit cycle [rad]" in [check.name for check in failed]
 
@@ -245,7 +347,8 @@ def test_a_flipped_bit_of_what_decides_leaves_the_arm_where_it_is_or_the_drive_o
     bench: Bench, precision
 ) -> None:
     made = bench.with_law(bench.law.in_precision(precision))
-    # the reals: what goes on from period to period without anything that contradicts it, a slow mode among it
+    # the reals: what goes on from period to period without anything that contradicts
+    # it, a slow mode among it
     reals = ("reference", "motor_reference", "integral", "filter", "modes[9]")
     found = upsets(made, names=["stamp", "mode", "tick", *reals])
     assert len(found) == 32 * (3 + len(reals) * (1 if precision == "single" else 2))
@@ -263,7 +366,9 @@ def test_a_flipped_bit_of_any_counter_does_no_harm(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
-    """A clock that is one period off, or was set back by a million, goes on; one that missed 512 does not."""
+    """A clock that is one period off, or was set back by a million, goes on; one that
+    missed 512 does not.
+    """
     found = {upset.bit: upset for upset in upsets(bench, names=["tick"], phase="rest")}
     assert sorted(found) == list(range(32))
     assert found[0].off == found[20].off == 0 < found[9].off
@@ -281,7 +386,9 @@ def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
         ({"seeds": (-1,)}, "seeds[0]"),
     ],
 )
-def test_bad_requests_name_the_field(bench: Bench, options: dict[str, object], field: str) -> None:
+def test_bad_requests_name_the_field(
+    bench: Bench, options: dict[str, object], field: str
+) -> None:
     with pytest.raises(FieldError) as caught:
         cases(bench, **options)
     assert caught.value.field == field
@@ -300,7 +407,9 @@ def test_a_clean_arm_is_left_alone(bench: Bench, precision) -> None:
 def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Chunks of a hundred rounds of a thousand periods; a chunk that is cut short ends it."""
+    """Chunks of a hundred rounds of a thousand periods; a chunk that is cut short ends
+    it.
+    """
     asked: list[int] = []
 
     class Arm:
@@ -311,7 +420,11 @@ def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
             noisy.append(inputs[:, 3].copy())
             record = np.zeros((len(inputs) - (7 if len(asked) == cut else 0), 15))
             record[:, 9] = 1  # mode run
-            record[:3, 9], record[:5, 11], record[0, 11] = 4, 2, 128  # off; a flag; started, which is none
+            record[:3, 9], record[:5, 11], record[0, 11] = (
+                4,
+                2,
+                128,
+            )  # off; a flag; started, which is none
             record[10, 0], record[10, 2] = 1.0, 0.75 - len(asked)
             return record
 
@@ -319,7 +432,9 @@ def test_a_soak_counts_what_the_law_says_and_what_was_not_run(
     noisy: list[Any] = []
     cut = 0
     assert soak(bench, 0.03, periods=150_000, seed=5) == Soak(150_000, 6, 8, 2.25)
-    assert asked == [100_000, 50_000] and not np.array_equal(noisy[0][:50_000], noisy[1])
+    assert asked == [100_000, 50_000] and not np.array_equal(
+        noisy[0][:50_000], noisy[1]
+    )
     assert np.std(noisy[0]) == pytest.approx(bench.twin.sensors.gauge_noise, rel=0.02)
     asked.clear()
     cut = 1
@@ -338,11 +453,16 @@ def test_the_soak_sees_trips(bench: Bench) -> None:
 @pytest.mark.parametrize(
     "seed", [11, 12, 79, 117]
 )  # the last two: held with noise left in the modes, it trips
-def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(bench: Bench, seed: int) -> None:
+def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(
+    bench: Bench, seed: int
+) -> None:
     for severity in (1, 2):
         outcome = run_case(bench, Case("F43", severity, 0.04, "whole", seed))
         names = {check.name for check in outcome.checks}
-        assert {"quiet periods in another mode than run", "denormal numbers left in the state"} <= names
+        assert {
+            "quiet periods in another mode than run",
+            "denormal numbers left in the state",
+        } <= names
         assert [check for check in outcome.checks if not check.passed] == []
 
 
@@ -350,29 +470,40 @@ def test_an_arm_that_is_quiet_for_an_hour_does_not_trip(bench: Bench, seed: int)
 def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> None:
     tender = loosened(bench, residual_angle=1e-4)
     begun: list[str] = []
-    with pytest.raises(FieldError, match=r"bench: trips with 20 g before anything is broken \(got off"):
+    with pytest.raises(
+        FieldError, match=r"bench: trips with 20 g before anything is broken \(got off"
+    ):
         run_faults(tender, cases(tender), progress=begun.append)
     assert begun == ["F01"]
 
 
 @pytest.mark.parametrize(
-    ("payload", "inside"), [(0.0199, False), (0.02, True), (0.03, True), (0.04, True), (0.0401, False)]
+    ("payload", "inside"),
+    [(0.0199, False), (0.02, True), (0.03, True), (0.04, True), (0.0401, False)],
 )
 def test_another_payload_is_judged_by_whether_the_design_covers_it(
     payload: float, inside: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(fault_arm, "peak_ratio", lambda limit: lambda evidence: ("ratio", limit))
-    monkeypatch.setattr(fault_arm, "bounded", lambda limit: lambda evidence: ("bounded", limit))
+    monkeypatch.setattr(
+        fault_arm, "peak_ratio", lambda limit: lambda evidence: ("ratio", limit)
+    )
+    monkeypatch.setattr(
+        fault_arm, "bounded", lambda limit: lambda evidence: ("bounded", limit)
+    )
     evidence: Any = SimpleNamespace(
         case=SimpleNamespace(payload=payload),
         bench=SimpleNamespace(payloads=(0.02, 0.03, 0.04)),
         pick=lambda first, *others: first,
     )
-    assert fault_arm.payload_peak(evidence) == (("ratio", 1.2) if inside else ("bounded", 0.1))
+    assert fault_arm.payload_peak(evidence) == (
+        ("ratio", 1.2) if inside else ("bounded", 0.1)
+    )
 
 
 def trial_of(bench: Bench) -> Trial:
-    return Trial(bench, Case("F29", 1, 0.03, "mid", 3), bench.law, fl.smooth_step(0.5, 0.6), 2.4)
+    return Trial(
+        bench, Case("F29", 1, 0.03, "mid", 3), bench.law, fl.smooth_step(0.5, 0.6), 2.4
+    )
 
 
 @pytest.mark.slow
@@ -380,8 +511,14 @@ def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
     trial = trial_of(bench)
     whole = bytes(trial.block)
     trial.corrupt(37)
-    changed = [k for k, (a, b) in enumerate(zip(whole, trial.block, strict=True)) if a != b]
-    assert changed == [37] and whole[37] ^ trial.block[37] == 1 and trial.detail == "byte 37"
+    changed = [
+        k for k, (a, b) in enumerate(zip(whole, trial.block, strict=True)) if a != b
+    ]
+    assert (
+        changed == [37]
+        and whole[37] ^ trial.block[37] == 1
+        and trial.detail == "byte 37"
+    )
     trial.corrupt(37)
     assert trial.block == whole
     trial.corrupt(8, 0x01020304)
@@ -392,7 +529,9 @@ def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
 
 @pytest.mark.slow
 def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) -> None:
-    """Without shifts, and with none of any size, the run is the same; a late sample is one of a later arm."""
+    """Without shifts, and with none of any size, the run is the same; a late sample is
+    one of a later arm.
+    """
     plain = execute(trial_of(bench))
     still = trial_of(bench)
     still.shifts = np.zeros(still.count, dtype=int)
@@ -403,24 +542,36 @@ def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) ->
     late.shifts[100] = 2
     moved = execute(late)
     assert np.array_equal(moved.tip[:100], plain.tip[:100])
-    # The arm has moved on by two of its steps when it is sampled, and is back in time with the next sample.
-    ahead = (moved.motor[100] - plain.motor[100]) / (plain.motor[101] - plain.motor[100])
+    # The arm has moved on by two of its steps when it is sampled, and is back in time
+    # with the next sample.
+    ahead = (moved.motor[100] - plain.motor[100]) / (
+        plain.motor[101] - plain.motor[100]
+    )
     assert 0.2 < ahead < 1.0
-    assert abs(moved.motor[101] - plain.motor[101]) < 0.1 * abs(moved.motor[100] - plain.motor[100])
+    assert abs(moved.motor[101] - plain.motor[101]) < 0.1 * abs(
+        moved.motor[100] - plain.motor[100]
+    )
 
 
 @pytest.mark.slow
 def test_marks_and_readings_stand_where_the_fault_is(bench: Bench) -> None:
     trial = trial_of(bench)
     rows = trial.rows(0.02)
-    assert rows == slice(trial.row, trial.row + 5) and trial.rows(1e-9) == slice(trial.row, trial.row + 1)
+    assert rows == slice(trial.row, trial.row + 5) and trial.rows(1e-9) == slice(
+        trial.row, trial.row + 1
+    )
     trial.replace_reading("gauge", 1.25, rows)
     assert np.flatnonzero(trial.marks).tolist() == list(range(trial.row, trial.row + 5))
     assert (trial.inputs == 1.25).sum() == 5
-    assert [trial.pick(1.0, 2.0, 3.0), replace_severity(trial, 3).pick(1.0, 2.0, 3.0)] == [1.0, 3.0]
+    assert [
+        trial.pick(1.0, 2.0, 3.0),
+        replace_severity(trial, 3).pick(1.0, 2.0, 3.0),
+    ] == [1.0, 3.0]
     ticked = trial_of(bench)
     ticked.miss(3)
-    assert np.flatnonzero(ticked.marks).tolist() == [ticked.row + 3]  # where the law can first tell
+    assert np.flatnonzero(ticked.marks).tolist() == [
+        ticked.row + 3
+    ]  # where the law can first tell
 
 
 def replace_severity(trial: Trial, severity: int) -> Trial:

@@ -13,18 +13,31 @@ from fraclink._campaign.faults import Case, FaultTable, Outcome
 from fraclink._cli.app import run
 from fraclink._files.containers import read_archive
 
-ARM = ["campaign", "faults", "--rig", "paper-2023", "--gear", "50", "--link-mass", "0.00735"]
+ARM = [
+    "campaign",
+    "faults",
+    "--rig",
+    "paper-2023",
+    "--gear",
+    "50",
+    "--link-mass",
+    "0.00735",
+]
 ONE = ["--severity", "2", "--payload", "0.03", "--phase", "mid", "--seed", "1"]
 
 
-def test_a_fault_that_is_met_exits_with_0(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fault_that_is_met_exits_with_0(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "met"
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 0
     assert "1 of 1 faults" in capsys.readouterr().out
     assert fl.load(out / "faults.json", FaultTable).passed
     assert not (out / "figures").exists()
     about, signals = read_archive(out / "run.npz", "a replayed run")
-    assert json.loads(about)["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
+    assert (
+        json.loads(about)["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
+    )
     # A result is not overwritten unless asked to.
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -35,11 +48,24 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    given = ["--only", "F07", "--severity", "3", "--phase", "mid", "--payload", "0.02", "--payload", "0.03"]
+    given = [
+        "--only",
+        "F07",
+        "--severity",
+        "3",
+        "--phase",
+        "mid",
+        "--payload",
+        "0.02",
+        "--payload",
+        "0.03",
+    ]
     assert run([*ARM, *given, "--seed", "3", "--out", "first", "--json"]) == 1
     said = capsys.readouterr()
     told = json.loads(said.out)
-    assert told["passed"] is False and told["faults"] == {"F07": {"runs": 2, "failed": 2}}
+    assert told["passed"] is False and told["faults"] == {
+        "F07": {"runs": 2, "failed": 2}
+    }
     for name in ("F07-3-20g-mid-3", "F07-3-30g-mid-3"):
         figure = tmp_path / "first" / "figures" / f"{name}.svg"
         assert figure.read_text("utf-8").startswith("<svg")
@@ -47,15 +73,23 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     assert words[0] == "fraclink"
     assert run(words[1:]) == 1
     again = fl.load(tmp_path / "F07-3-30g-mid-3" / "faults.json", FaultTable)
-    assert again.outcomes == fl.load(tmp_path / "first" / "faults.json", FaultTable).outcomes[1:]
+    assert (
+        again.outcomes
+        == fl.load(tmp_path / "first" / "faults.json", FaultTable).outcomes[1:]
+    )
     first = (tmp_path / "first" / "figures" / "F07-3-30g-mid-3.svg").read_bytes()
-    assert (tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg").read_bytes() == first
+    assert (
+        tmp_path / "F07-3-30g-mid-3" / "figures" / "F07-3-30g-mid-3.svg"
+    ).read_bytes() == first
     # By its name, too, and not over files that are there.
     capsys.readouterr()
     named = ["campaign", "replay", "first", "--case", "F07-3-30g-mid-3"]
     assert run(named) == 1
     said = capsys.readouterr()
-    assert "0 of 1 faults" in said.out and said.err == "written: run.npz\nwritten: run.svg\n"
+    assert (
+        "0 of 1 faults" in said.out
+        and said.err == "written: run.npz\nwritten: run.svg\n"
+    )
     assert (tmp_path / "run.svg").read_bytes() == first
     about, _ = read_archive(tmp_path / "run.npz", "a replayed run")
     assert json.loads(about)["case"] == "F07-3-30g-mid-3"
@@ -81,22 +115,39 @@ def test_bad_requests_exit_with_2(
     assert not (tmp_path / "none").exists()
 
 
-def test_a_replay_names_what_it_misses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table = FaultTable((Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1),), {})
+def test_a_replay_names_what_it_misses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = FaultTable(
+        (
+            Outcome(
+                Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1
+            ),
+        ),
+        {},
+    )
     fl.save(table, tmp_path / "faults.json")
     words = ["campaign", "replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
-    assert run(words) == 2 and "--run of arms, or --case of faults" in capsys.readouterr().err
+    assert (
+        run(words) == 2
+        and "--run of arms, or --case of faults" in capsys.readouterr().err
+    )
     assert run([*words, "--run", "1", "--case", "F02-2-30g-mid-1"]) == 2
     assert "given beside --case" in capsys.readouterr().err
     assert run([*words, "--case", "F03-2-30g-mid-1"]) == 2
     assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
-    # The studio's table has no command: the design of its folder was tested, and here there is none.
+    # The studio's table has no command: the design of its folder was tested, and here
+    # there is none.
     assert run([*words, "--case", "F02-2-30g-mid-1"]) == 2
     assert "design.json" in capsys.readouterr().err
 
 
-def test_a_replay_refuses_another_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = "fraclink campaign faults --rig paper-2023 --gear 50.0 --link-mass 0.00735"
+def test_a_replay_refuses_another_law(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = (
+        "fraclink campaign faults --rig paper-2023 --gear 50.0 --link-mass 0.00735"
+    )
     case = Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1)
     table = FaultTable((case,), {"command": command, "law_sha256": "0" * 64})
     fl.save(table, tmp_path / "faults.json")

@@ -11,7 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from fraclink._files import atomic_write, output_path, read_json, sha256_of, write_json, write_text
+from fraclink._files import (
+    atomic_write,
+    output_path,
+    read_json,
+    sha256_of,
+    write_json,
+    write_text,
+)
 from fraclink.errors import (
     FieldError,
     FileFormatError,
@@ -86,10 +93,15 @@ def test_infinity_is_not_written(tmp_path: Path) -> None:
         ('{"fraclink": "thing", "format": 1, "a": ' + "9" * 5000 + "}", "too long"),
         ('{"fraclink": "thing", "format": 1, "a": 1, "a": 2}', "given twice"),
         ("[" * 100_000, "nested too deeply"),
-        ("\ud800".encode("utf-16", "surrogatepass").decode("latin-1"), "not valid JSON"),
+        (
+            "\ud800".encode("utf-16", "surrogatepass").decode("latin-1"),
+            "not valid JSON",
+        ),
     ],
 )
-def test_foreign_and_hostile_files_are_named(tmp_path: Path, text: str, words: str) -> None:
+def test_foreign_and_hostile_files_are_named(
+    tmp_path: Path, text: str, words: str
+) -> None:
     place = tmp_path / "x.json"
     place.write_text(text, "utf-8")
     with pytest.raises(FieldError, match=words):
@@ -118,7 +130,9 @@ def test_a_place_where_no_file_can_be_made_is_told_before_the_work(
 ) -> None:
     (tmp_path / "text").write_text("mine")
     for place in (tmp_path / "text" / "x.json", tmp_path / "text" / "new" / "x.json"):
-        with pytest.raises(FieldError, match="below text, which is not a folder") as told:
+        with pytest.raises(
+            FieldError, match="below text, which is not a folder"
+        ) as told:
             output_path(place, force=True)
         assert (told.value.field, told.value.value) == ("out", str(place))
         assert told.value.remedy == "choose another folder"
@@ -127,7 +141,9 @@ def test_a_place_where_no_file_can_be_made_is_told_before_the_work(
     with pytest.raises(FieldError, match="already there"):
         output_path("/")
     assert output_path(tmp_path / "new" / "newer" / "x.json").name == "x.json"
-    monkeypatch.setattr(os, "access", lambda place, _: place != tmp_path)  # root may write everywhere
+    monkeypatch.setattr(
+        os, "access", lambda place, _: place != tmp_path
+    )  # root may write everywhere
     with pytest.raises(FieldError, match=r"not writable \(no permission in "):
         output_path(tmp_path / "new" / "x.json")
 
@@ -145,13 +161,21 @@ def test_an_error_of_the_system_names_the_file_that_was_asked_for() -> None:
 def test_the_hash_is_that_of_the_bytes(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1
-    assert sha256_of(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert (
+        sha256_of(tmp_path / "x")
+        == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    )
 
 
-@pytest.mark.parametrize("kind", [FieldError, LogError, FileFormatError, SizeError, UnstableError])
-def test_an_error_crosses_a_process_border_with_its_parts(kind: type[FieldError]) -> None:
+@pytest.mark.parametrize(
+    "kind", [FieldError, LogError, FileFormatError, SizeError, UnstableError]
+)
+def test_an_error_crosses_a_process_border_with_its_parts(
+    kind: type[FieldError],
+) -> None:
     error = kind("payload", -1, "negative", allowed="> 0 kg", remedy="give kg")
-    # What a pool of processes does with an error; the package itself never unpacks such bytes.
+    # What a pool of processes does with an error; the package itself never unpacks such
+    # bytes.
     back = pickle.loads(pickle.dumps(error))  # noqa: S301
     assert type(back) is kind
     assert (back.field, back.value, back.problem) == ("payload", -1, "negative")
@@ -175,6 +199,8 @@ def test_the_tree_of_errors() -> None:
 
 
 def test_a_message_is_one_printable_bounded_line() -> None:
-    error = FieldError("a\nb", "x" * 10_000_000 + "\x1b[31m", "odd", allowed="less", remedy="cut it")
+    error = FieldError(
+        "a\nb", "x" * 10_000_000 + "\x1b[31m", "odd", allowed="less", remedy="cut it"
+    )
     assert len(str(error)) < 200
     assert str(error).isprintable()

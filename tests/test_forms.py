@@ -1,4 +1,6 @@
-"""Forms of text tables: each is read as the plain table is, saying what was done; or shown and refused."""
+"""Forms of text tables: each is read as the plain table is, saying what was done; or
+shown and refused.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ def stamped(date: str, point: str = ".") -> str:
 
 def labview(*, stamps: bool) -> str:
     """What LabVIEW writes with a measurement file."""
-    rows = "\n".join("\t".join((row[0] if stamps else "", *row[1:], "")) for row in ROWS)
+    rows = "\n".join(
+        "\t".join((row[0] if stamps else "", *row[1:], "")) for row in ROWS
+    )
     return (
         "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nX_Columns\tOne\n"
         "Date\t2026/03/01\nTime\t10:00:00.123\n***End_of_Header***\t\n\t\nChannels\t2\t\t\n"
@@ -46,12 +50,18 @@ def labview(*, stamps: bool) -> str:
     )
 
 
-# What stands in the file, the names and units it is read with, and a word of what is said of it.
+# What stands in the file, the names and units it is read with, and a word of what is
+# said of it.
 FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
     "plain": (PLAIN.encode(), (*HEADER,), (), ""),
     "UTF-16": (PLAIN.encode("utf-16"), (*HEADER,), (), ""),
     "UTF-32": (PLAIN.encode("utf-32"), (*HEADER,), (), ""),
-    "Windows-1252": ("t [µs],a [°],g\n".encode("cp1252") + BODY.encode(), ("t [µs]", "a [°]", "g"), (), ""),
+    "Windows-1252": (
+        "t [µs],a [°],g\n".encode("cp1252") + BODY.encode(),
+        ("t [µs]", "a [°]", "g"),
+        (),
+        "",
+    ),
     "decimal commas": (
         PLAIN.replace(",", ";").replace(".", ",").encode(),
         (*HEADER,),
@@ -71,7 +81,11 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
         "quotes",
     ),
     "decimal commas in quotes": (
-        (",".join(HEADER) + "\n" + re.sub(r"[^,\n]+", r'"\g<0>"', BODY).replace(".", ",")).encode(),
+        (
+            ",".join(HEADER)
+            + "\n"
+            + re.sub(r"[^,\n]+", r'"\g<0>"', BODY).replace(".", ",")
+        ).encode(),
         (*HEADER,),
         (),
         "decimal commas",
@@ -107,7 +121,9 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
         "at the end of the names",
     ),
     "on its side": (
-        "\n".join(",".join(cells) for cells in zip(HEADER, *ROWS, strict=True)).encode(),
+        "\n".join(
+            ",".join(cells) for cells in zip(HEADER, *ROWS, strict=True)
+        ).encode(),
         (*HEADER,),
         (),
         "turned upright",
@@ -118,7 +134,12 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
         (),
         "turned upright",
     ),
-    "LabVIEW": (labview(stamps=True).encode(), ("X_Value", "Theta", "Torque"), ("s", "deg", "Nm"), "LabVIEW"),
+    "LabVIEW": (
+        labview(stamps=True).encode(),
+        ("X_Value", "Theta", "Torque"),
+        ("s", "deg", "Nm"),
+        "LabVIEW",
+    ),
     "LabVIEW without stamps": (
         labview(stamps=False).encode(),
         ("X_Value", "Theta", "Torque"),
@@ -147,7 +168,10 @@ FORMS: dict[str, tuple[bytes, tuple[str, ...], tuple[str, ...], str]] = {
 
 
 FORMS["points between thousands"] = (
-    PLAIN.replace(",", ";").replace(".", ",").replace("\n0,000;0;0\n", "\n0,000;0,0;0,0\n").encode(),
+    PLAIN.replace(",", ";")
+    .replace(".", ",")
+    .replace("\n0,000;0;0\n", "\n0,000;0,0;0,0\n")
+    .encode(),
     (*HEADER,),
     (),
     "decimal commas",
@@ -169,8 +193,12 @@ def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None
     assert table.names == names
     assert table.units == units
     assert not table.faults
-    np.testing.assert_allclose(np.column_stack(table.values), NUMBERS, rtol=0, atol=1e-9)
-    assert any(words in remark for remark in table.remarks) if words else not table.remarks
+    np.testing.assert_allclose(
+        np.column_stack(table.values), NUMBERS, rtol=0, atol=1e-9
+    )
+    assert (
+        any(words in remark for remark in table.remarks) if words else not table.remarks
+    )
     said = str(inspect_log(path))
     assert all(f"read as: {remark}" in said for remark in table.remarks)
 
@@ -182,24 +210,43 @@ def test_points_between_thousands(tmp_path: Path) -> None:
     table = read_text_table(path)
     np.testing.assert_array_equal(table.values[0], 4.0 * np.arange(300))
     assert table.remarks == ("decimal commas, points between thousands",)
-    path.write_text("t_ms;a\n" + "\n".join(rows) + "\n1.5;0,25\n")  # one cell has a point for its decimals
+    path.write_text(
+        "t_ms;a\n" + "\n".join(rows) + "\n1.5;0,25\n"
+    )  # one cell has a point for its decimals
     assert read_text_table(path).faults
 
 
 def test_names_that_stand_again_are_shown(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", [*ROWS, [*HEADER], *ROWS])
-    with pytest.raises(LogError, match=re.escape("logger was started again") + ".*" + re.escape("'302,$d'")):
+    with pytest.raises(
+        LogError,
+        match=re.escape("logger was started again") + ".*" + re.escape("'302,$d'"),
+    ):
         read_columns(path)
-    assert "time_s: 1 cells are no numbers, the first in line 302" in str(inspect_log(path))
+    assert "time_s: 1 cells are no numbers, the first in line 302" in str(
+        inspect_log(path)
+    )
 
 
 def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
     stamps = [1_764_000_000_250_000_000 + round(1e9 * float(row[0])) for row in ROWS]
-    rows = [[str(n // 10**9), str(n % 10**9), row[1], row[2]] for n, row in zip(stamps, ROWS, strict=True)]
-    path = write_log(tmp_path / "a.csv", rows, header=["stamp.sec", "stamp.nanosec", "position", "effort"])
+    rows = [
+        [str(n // 10**9), str(n % 10**9), row[1], row[2]]
+        for n, row in zip(stamps, ROWS, strict=True)
+    ]
+    path = write_log(
+        tmp_path / "a.csv",
+        rows,
+        header=["stamp.sec", "stamp.nanosec", "position", "effort"],
+    )
     mapping = inspect_log(path).suggestion
-    assert 'time = { column = "stamp.sec + 1e-9 * stamp.nanosec", unit = "s" }' in mapping
-    columns = {"time": "stamp.sec + 1e-9 * stamp.nanosec [s]", "motor_angle": "position [rad]"}
+    assert (
+        'time = { column = "stamp.sec + 1e-9 * stamp.nanosec", unit = "s" }' in mapping
+    )
+    columns = {
+        "time": "stamp.sec + 1e-9 * stamp.nanosec [s]",
+        "motor_angle": "position [rad]",
+    }
     log = read_log(path, columns={**columns, "torque": "effort [Nm]"})
     assert log.period == pytest.approx(0.004, rel=1e-6)
     found = start(path)
@@ -208,7 +255,9 @@ def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
 
 def test_dates_of_a_country_serve_within_a_day(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    path.write_text(stamped("%d.%m.%Y %H:%M:%S#"))  # over midnight: a day later, or a month
+    path.write_text(
+        stamped("%d.%m.%Y %H:%M:%S#")
+    )  # over midnight: a day later, or a month
     with pytest.raises(LogError, match="write the time as seconds".capitalize()):
         read_columns(path)
     path.write_text(stamped("03.04.2026 12:%M:%S#").replace(" 12:00", " 13:00"))
@@ -226,7 +275,9 @@ def test_dates_of_a_country_serve_within_a_day(tmp_path: Path) -> None:
         ("a b|c,d&e,f,g", ["a_b|c", "d&e", "f"]),
     ],
 )
-def test_names_that_do_not_fit_are_shown_and_refused(names: str, mended: list[str], tmp_path: Path) -> None:
+def test_names_that_do_not_fit_are_shown_and_refused(
+    names: str, mended: list[str], tmp_path: Path
+) -> None:
     path = tmp_path / "my log.csv"
     path.write_text(names + "\n" + BODY)
     with pytest.raises(LogError, match=r"names above rows of 3 cells") as caught:
@@ -235,9 +286,11 @@ def test_names_that_do_not_fit_are_shown_and_refused(names: str, mended: list[st
     assert [channel.name for channel in listing.channels] == ["#1", "#2", "#3"]
     assert caught.value.remedy in str(listing)
     command = caught.value.remedy.split("such as by ", 1)[1]
-    subprocess.run(command, shell=True, check=True, cwd=tmp_path)  # noqa: S602 - the line that we print
+    subprocess.run(command, shell=True, check=True, cwd=tmp_path)  # noqa: S602
     assert list(read_columns(path)) == mended
-    np.testing.assert_array_equal(np.column_stack(list(read_columns(path).values())), NUMBERS)
+    np.testing.assert_array_equal(
+        np.column_stack(list(read_columns(path).values())), NUMBERS
+    )
 
 
 def test_the_number_of_a_row_that_r_writes_has_no_name(tmp_path: Path) -> None:
@@ -251,12 +304,18 @@ def test_the_number_of_a_row_that_r_writes_has_no_name(tmp_path: Path) -> None:
 def test_names_with_blanks_between_blanks_keep_their_brackets(tmp_path: Path) -> None:
     path = tmp_path / "log.txt"
     path.write_text("Time (s) Motor angle (rad) Torque (Nm)\n" + BODY.replace(",", " "))
-    with pytest.raises(LogError, match=re.escape("Time_(s) Motor_angle_(rad) Torque_(Nm)")):
+    with pytest.raises(
+        LogError, match=re.escape("Time_(s) Motor_angle_(rad) Torque_(Nm)")
+    ):
         read_text_table(path)
 
 
-@pytest.mark.parametrize("above", ["x,y,z\ntime_s,a,b\n", "s,deg,x\ns,deg,mNm\nq,r,s\n"])
-def test_two_lines_that_may_be_the_names_are_not_decided(above: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "above", ["x,y,z\ntime_s,a,b\n", "s,deg,x\ns,deg,mNm\nq,r,s\n"]
+)
+def test_two_lines_that_may_be_the_names_are_not_decided(
+    above: str, tmp_path: Path
+) -> None:
     path = tmp_path / "log.csv"
     path.write_text(above + BODY)
     table = read_text_table(path)
@@ -264,7 +323,9 @@ def test_two_lines_that_may_be_the_names_are_not_decided(above: str, tmp_path: P
     assert table.faults  # the reader refuses the second line as a row
 
 
-def test_what_follows_a_table_is_cut_off_by_the_line_that_is_told(tmp_path: Path) -> None:
+def test_what_follows_a_table_is_cut_off_by_the_line_that_is_told(
+    tmp_path: Path,
+) -> None:
     path = write_log(tmp_path / "log.csv", ROWS)
     path.write_text(path.read_text() + "\nEnd of recording\n")
     with pytest.raises(LogError, match=re.escape("sed -i '302,$d'")):
@@ -293,17 +354,25 @@ def test_an_array_of_objects_is_not_unpickled(tmp_path: Path) -> None:
         read_table(tmp_path / "log.npy")
 
 
-@pytest.mark.parametrize(("kind", "turned"), [("<f8", False), ("<f8", True), ("<f4", False)])
-def test_raw_numbers_are_told_by_their_shape(kind: str, turned: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "turned"), [("<f8", False), ("<f8", True), ("<f4", False)]
+)
+def test_raw_numbers_are_told_by_their_shape(
+    kind: str, turned: bool, tmp_path: Path
+) -> None:
     numbers = NUMBERS.T if turned else NUMBERS
     np.ascontiguousarray(numbers, dtype=kind).tofile(tmp_path / "log.bin")
-    with pytest.raises(FileFormatError, match=r"3 (columns|rows) the first of them rises") as caught:
+    with pytest.raises(
+        FileFormatError, match=r"3 (columns|rows) the first of them rises"
+    ) as caught:
         read_table(tmp_path / "log.bin")
     line = re.search(r'python -c "(.*)" and', caught.value.remedy)
     assert line is not None
     script = line[1].replace("'log.", f"'{tmp_path}/log.")
-    exec(script)  # noqa: S102 - the line that we print
-    np.testing.assert_allclose(np.load(tmp_path / "log.npy"), NUMBERS, rtol=1e-6, atol=1e-9)
+    exec(script)  # noqa: S102
+    np.testing.assert_allclose(
+        np.load(tmp_path / "log.npy"), NUMBERS, rtol=1e-6, atol=1e-9
+    )
 
 
 def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:
@@ -313,8 +382,12 @@ def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:
 
 
 def test_commas_that_are_not_all_decimal_stay_what_they_are(tmp_path: Path) -> None:
-    """A remark with a comma among decimal commas: what the others mean is for a person to say."""
-    rows = "\n".join(";".join(row).replace(".", ",") + ";slow, then fast" for row in ROWS)
+    """A remark with a comma among decimal commas: what the others mean is for a person
+    to say.
+    """
+    rows = "\n".join(
+        ";".join(row).replace(".", ",") + ";slow, then fast" for row in ROWS
+    )
     path = tmp_path / "log.csv"
     path.write_text(";".join(HEADER) + ";remark\n" + rows + "\n", "utf-8")
     with pytest.raises(LogError, match="decimal comma: export with decimal points"):
@@ -335,11 +408,15 @@ def test_commas_that_are_not_all_decimal_stay_what_they_are(tmp_path: Path) -> N
 def test_three_digits_behind_a_comma_may_be_thousands(
     cells: tuple[str, str], value: float | None, tmp_path: Path
 ) -> None:
-    """1,125 is one and an eighth, or more than a thousand; 0,125 is no number of thousands."""
+    """1,125 is one and an eighth, or more than a thousand; 0,125 is no number of
+    thousands.
+    """
     path = tmp_path / "log.csv"
     path.write_text("a;b\n" + f"{cells[0]};{cells[1]}\n" * 5, "utf-8")
     table = read_table(path)
     if value is None:
         assert np.isnan(table.values[0]).all() and table.remarks == ()
     else:
-        assert table.values[0].tolist() == [value] * 5 and table.remarks == ("decimal commas",)
+        assert table.values[0].tolist() == [value] * 5 and table.remarks == (
+            "decimal commas",
+        )

@@ -20,32 +20,43 @@ W = np.array([0.01, 0.3, 1.0, 7.0, 90.0])
 
 def test_str_reads_like_the_formula() -> None:
     assert str(LINK) == "1.56 s^1.92 / (s^1.92 + 100.4)"
-    assert str((1 - 2 * s).delayed(0.5) / (s + 1)) == "(-2 s e^(-0.5 s) + e^(-0.5 s)) / (s + 1)"
+    assert (
+        str((1 - 2 * s).delayed(0.5) / (s + 1))
+        == "(-2 s e^(-0.5 s) + e^(-0.5 s)) / (s + 1)"
+    )
     assert str(s - s) == "0"
     assert str(1 / s**0.5) == "1 / s^0.5"
 
 
 def test_latex() -> None:
-    assert LINK._repr_latex_() == r"$\displaystyle\frac{1.56\,s^{1.92}}{s^{1.92} + 100.4}$"
+    assert (
+        LINK._repr_latex_() == r"$\displaystyle\frac{1.56\,s^{1.92}}{s^{1.92} + 100.4}$"
+    )
     assert (2e-7 * s).delayed(0.5)._repr_latex_() == r"$2 \cdot 10^{-7}\,s\,e^{-0.5 s}$"
     assert (0 * s + 1)._repr_latex_() == "$1$"
 
 
 TERM = st.tuples(
-    st.floats(-1e6, 1e6).filter(lambda c: abs(c) > 1e-6), st.floats(0, 4), st.sampled_from([0.0, 0.3, 1.7])
+    st.floats(-1e6, 1e6).filter(lambda c: abs(c) > 1e-6),
+    st.floats(0, 4),
+    st.sampled_from([0.0, 0.3, 1.7]),
 )
 
 
 @pytest.mark.slow
 @given(st.lists(TERM, min_size=1, max_size=4), st.lists(TERM, min_size=1, max_size=3))
-def test_repr_is_python_that_makes_an_equal_function(top: list[Any], bottom: list[Any]) -> None:
+def test_repr_is_python_that_makes_an_equal_function(
+    top: list[Any], bottom: list[Any]
+) -> None:
     def total(terms: list[Any], delayed: bool) -> Any:
-        return sum(((c * s**a).delayed(d if delayed else 0.0) for c, a, d in terms), 0 * s)
+        return sum(
+            ((c * s**a).delayed(d if delayed else 0.0) for c, a, d in terms), 0 * s
+        )
 
     made = total(top, True) / (total(bottom, False) + 3 * s**5 + s**4.5)
     looped = made.feedback(0.5)  # delays in the denominator
     for function in (made, looped, made - made, 2 * s**0, LINK):
-        assert eval(repr(function), {"s": s}) == function  # noqa: S307 - its own repr
+        assert eval(repr(function), {"s": s}) == function  # noqa: S307
 
 
 def test_constants_equal_their_numbers() -> None:
@@ -108,8 +119,14 @@ def test_orders_that_differ_by_rounding_are_one_order() -> None:
         (lambda z: (3 / LINK)(z), lambda z: 3 / LINK(z)),
         (lambda z: (LINK**3)(z), lambda z: LINK(z) ** 3),
         (lambda z: (LINK**-2)(z), lambda z: LINK(z) ** -2),
-        (lambda z: LINK.feedback(s + 1)(z), lambda z: LINK(z) / (1 + LINK(z) * (z + 1))),
-        (lambda z: LINK.feedback(0.5, sign=1)(z), lambda z: LINK(z) / (1 - 0.5 * LINK(z))),
+        (
+            lambda z: LINK.feedback(s + 1)(z),
+            lambda z: LINK(z) / (1 + LINK(z) * (z + 1)),
+        ),
+        (
+            lambda z: LINK.feedback(0.5, sign=1)(z),
+            lambda z: LINK(z) / (1 - 0.5 * LINK(z)),
+        ),
         (lambda z: LINK.delayed(0.1)(z), lambda z: LINK(z) * np.exp(-0.1 * z)),
         (lambda z: (np.float64(2) * s)(z), lambda z: 2 * z),
         (lambda z: (+LINK - (-LINK))(z), lambda z: 2 * LINK(z)),
@@ -122,7 +139,12 @@ def test_algebra_agrees_with_values(made, expected) -> None:  # type: ignore[no-
 
 
 @settings(deadline=None, max_examples=60)
-@given(a=st.floats(-3, 3), b=st.floats(-3, 3), x=st.floats(0.01, 100), y=st.floats(-3.1, 3.1))
+@given(
+    a=st.floats(-3, 3),
+    b=st.floats(-3, 3),
+    x=st.floats(0.01, 100),
+    y=st.floats(-3.1, 3.1),
+)
 def test_powers_are_a_semigroup(a: float, b: float, x: float, y: float) -> None:
     z = x * complex(math.cos(y), math.sin(y))
     assert (s**a * s**b)(z) == pytest.approx((s ** (a + b))(z), rel=1e-11)
@@ -182,8 +204,16 @@ def test_delays_of_numerator_and_denominator_divide_out() -> None:
         (lambda: (-1 * s) ** 0.5, "exponent"),
         (lambda: 1 / (s - s), "denominator"),
         (lambda: FractionalTransferFunction((Term(1, 0),), ()), "denominator"),
-        (lambda: FractionalTransferFunction((Term(1, 0),), (Term(0, 1),)), "denominator"),
-        (lambda: FractionalTransferFunction((Term(1, 0),), (Term(1, 1), Term(1, -0.5))), "denominator"),
+        (
+            lambda: FractionalTransferFunction((Term(1, 0),), (Term(0, 1),)),
+            "denominator",
+        ),
+        (
+            lambda: FractionalTransferFunction(
+                (Term(1, 0),), (Term(1, 1), Term(1, -0.5))
+            ),
+            "denominator",
+        ),
         (lambda: FractionalTransferFunction("1", (Term(1, 0),)), "numerator"),  # type: ignore[arg-type]
         (lambda: 1 / LINK.delayed(1.0), "delay"),
         (lambda: LINK.delayed(-1.0), "delay"),
@@ -223,9 +253,13 @@ TEXTS: list[tuple[Any, str, str, str]] = [
 
 
 @pytest.mark.parametrize(("made", "python", "read", "latex"), TEXTS)
-def test_a_function_is_written_as_one_would(made: Any, python: str, read: str, latex: str) -> None:
+def test_a_function_is_written_as_one_would(
+    made: Any, python: str, read: str, latex: str
+) -> None:
     assert (repr(made), str(made), made.latex()) == (python, read, latex)
-    assert made._repr_latex_() == (rf"$\displaystyle{latex}$" if latex.startswith(r"\frac") else f"${latex}$")
+    assert made._repr_latex_() == (
+        rf"$\displaystyle{latex}$" if latex.startswith(r"\frac") else f"${latex}$"
+    )
 
 
 def test_powers_of_functions() -> None:
@@ -252,7 +286,9 @@ def test_sums_over_one_denominator_keep_it() -> None:
 
 
 def test_whole_powers_to_eight_are_exact() -> None:
-    """(2j)^n has one part that is a power of two and one that is 0: a trace of the other turns a phase."""
+    """(2j)^n has one part that is a power of two and one that is 0: a trace of the
+    other turns a phase.
+    """
     for n, value in ((1, 2j), (2, -4), (3, -8j), (4, 16), (7, -128j), (8, 256)):
         assert (s**n)(2j) == value
     assert (1 / (s**8 + 1))(2j) == 1 / 257
@@ -272,7 +308,9 @@ def test_gain_at_rest_zeros_and_poles() -> None:
     assert (3 / (s**0.5 + 2)).dcgain() == 1.5
     assert ((2 * s + 6).delayed(0.1) / (s**1.92 + 4)).dcgain() == 1.5
     assert (s**0.5 / (s + 1)).dcgain() == 0.0
-    assert sorted(((s + 2) * (s + 3) / s**2.5).zeros().real) == pytest.approx([-3.0, -2.0])
+    assert sorted(((s + 2) * (s + 3) / s**2.5).zeros().real) == pytest.approx(
+        [-3.0, -2.0]
+    )
     assert (LINK.delayed(0.3) + LINK).delay == 0.0
     assert (0 * s).delay == 0.0
 
@@ -293,7 +331,9 @@ def test_orders_and_delays_are_one_within_rounding_and_no_further() -> None:
     assert len((s**1.5 + s ** (1.5 + 256 * ulp)).numerator) == 2
     assert len((s.delayed(0.3) + s.delayed(0.1 + 0.2)).numerator) == 1
     assert len((s.delayed(0.3) + s.delayed(0.3001)).numerator) == 2
-    early = s.delayed(0.3) / (0 * s + 1).delayed(0.1 + 0.2)  # 5e-17 s before its input, by rounding
+    early = s.delayed(0.3) / (0 * s + 1).delayed(
+        0.1 + 0.2
+    )  # 5e-17 s before its input, by rounding
     assert early == s
     assert (s ** math.sqrt(2)).numerator[0].order == math.sqrt(2)
 

@@ -1,4 +1,6 @@
-"""Frequency responses as data: tables in any orientation, link and motor, bands that miss something."""
+"""Frequency responses as data: tables in any orientation, link and motor, bands that
+miss something.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ def arm(output: str = "motor_angle") -> fl.FractionalTransferFunction:
 
 def noisy(output: str = "motor_angle", seed: int = 0) -> fl.FrequencyResponse:
     rng = np.random.default_rng(seed)
-    noise = 0.02 * (rng.standard_normal(LINES.size) + 1j * rng.standard_normal(LINES.size))
+    noise = 0.02 * (
+        rng.standard_normal(LINES.size) + 1j * rng.standard_normal(LINES.size)
+    )
     return fl.FrequencyResponse(LINES, arm(output)(1j * LINES) * (1 + noise))
 
 
@@ -41,10 +45,16 @@ WANTED = np.array([1.0, 0.1j])
     [
         ("frequency_Hz,gain_dB,phase_deg\n1,0,0\n2,-20,90\n", None),
         ("omega;re;im\n6.283185307179586;1;0\n12.566370614359172;0;0.1\n", None),
-        ("Frequency (Hz)\tMagnitude\tPhase (rad)\n1\t1\t0\n2\t0.1\t1.5707963267948966\n", None),
+        (
+            "Frequency (Hz)\tMagnitude\tPhase (rad)\n1\t1\t0\n2\t0.1\t1.5707963267948966\n",
+            None,
+        ),
         ("f [Hz],1,2\nmag [dB],0,-20\nphase [deg],0,90\n", None),
         ("1,2\n0,-20\n0,90\n", ("f [Hz]", "gain [dB]", "phase [deg]")),
-        ("a,b,c\n1,1,0\n2,0.1,90\n", {"frequency": "a [Hz]", "gain": "b", "phase": "c [deg]"}),
+        (
+            "a,b,c\n1,1,0\n2,0.1,90\n",
+            {"frequency": "a [Hz]", "gain": "b", "phase": "c [deg]"},
+        ),
     ],
 )
 def test_tables(tmp_path: Path, text: str, columns: object) -> None:
@@ -63,7 +73,10 @@ def test_tables(tmp_path: Path, text: str, columns: object) -> None:
         ("freq [MHz],gain,phase_rad", ("frequency", "MHz", "rad/s or Hz or kHz")),
         ("f_GHz,gain,phase_rad", ("frequency", "GHz", "rad/s or Hz or kHz")),
         ("freq [krad/s],gain,phase_rad", ("frequency", "krad/s", "rad/s or Hz or kHz")),
-        ("omega_krad_per_s,gain,phase_rad", ("frequency", "krad/s", "rad/s or Hz or kHz")),
+        (
+            "omega_krad_per_s,gain,phase_rad",
+            ("frequency", "krad/s", "rad/s or Hz or kHz"),
+        ),
         ("w [rpm],gain,phase_rad", ("frequency", "rpm", "rad/s or Hz or kHz")),
         ("f_Hz,gain,phase_mdeg", ("phase", "mdeg", "rad or deg or mrad")),
         ("f_Hz,gain,phase [Hz]", ("phase", "Hz", "rad or deg or mrad")),
@@ -99,7 +112,9 @@ def test_a_unit_that_is_not_converted_is_refused(
         ("w,MAG_DB,PHASE (RAD)", 1, 10**0.05 * np.exp(1j)),
     ],
 )
-def test_units_in_their_spellings(tmp_path: Path, header: str, frequency: float, first: complex) -> None:
+def test_units_in_their_spellings(
+    tmp_path: Path, header: str, frequency: float, first: complex
+) -> None:
     path = tmp_path / "table.csv"
     path.write_text(f"{header}\n1,1,{0 if 'Im' in header else 1}\n2,1,1\n")
     found = fl.read_frequency_response(path)
@@ -108,18 +123,28 @@ def test_units_in_their_spellings(tmp_path: Path, header: str, frequency: float,
 
 
 @pytest.mark.parametrize(("role", "unit"), [("phase", "Hz"), ("imaginary", "deg")])
-def test_a_stated_column_has_a_unit_of_its_role(tmp_path: Path, role: str, unit: str) -> None:
+def test_a_stated_column_has_a_unit_of_its_role(
+    tmp_path: Path, role: str, unit: str
+) -> None:
     path = tmp_path / "table.csv"
     path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
     first = "gain" if role == "phase" else "real"
     with pytest.raises(LogError, match=f"column of {role}: in {unit}"):
-        fl.read_frequency_response(path, {"frequency": "a [Hz]", first: "b", role: f"c [{unit}]"})
+        fl.read_frequency_response(
+            path, {"frequency": "a [Hz]", first: "b", role: f"c [{unit}]"}
+        )
 
 
 @pytest.mark.parametrize(
     ("name", "period"),
     [
-        *(("time_ms", 0.01), ("t [ms]", 0.01), ("Time (us)", 1e-5), ("time-ns", 1e-8), ("timeMs", 0.01)),
+        *(
+            ("time_ms", 0.01),
+            ("t [ms]", 0.01),
+            ("Time (us)", 1e-5),
+            ("time-ns", 1e-8),
+            ("timeMs", 0.01),
+        ),
         ("millis", 0.01),
         *(
             ("ms_since_start", 0.01),
@@ -130,21 +155,29 @@ def test_a_stated_column_has_a_unit_of_its_role(tmp_path: Path, role: str, unit:
         ),
     ],
 )
-def test_stamps_are_in_the_unit_of_their_name(tmp_path: Path, name: str, period: float) -> None:
+def test_stamps_are_in_the_unit_of_their_name(
+    tmp_path: Path, name: str, period: float
+) -> None:
     path = tmp_path / "record.csv"
     path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
     assert fl.read_recording(path, "u", "y").period == pytest.approx(period, rel=1e-12)
-    assert fl.read_recording(path, "u", "y", time="#1").period == pytest.approx(period, rel=1e-12)
+    assert fl.read_recording(path, "u", "y", time="#1").period == pytest.approx(
+        period, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "unit"),
     [("time_min", "min"), ("time [h]", "h"), ("t [kg]", "kg"), ("t_V", "V")],
 )
-def test_stamps_in_another_unit_are_refused(tmp_path: Path, name: str, unit: str) -> None:
+def test_stamps_in_another_unit_are_refused(
+    tmp_path: Path, name: str, unit: str
+) -> None:
     path = tmp_path / "record.csv"
     path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
-    with pytest.raises(LogError, match=rf"column of time: in {unit}, .* expected s or ms or us or ns"):
+    with pytest.raises(
+        LogError, match=rf"column of time: in {unit}, .* expected s or ms or us or ns"
+    ):
         fl.read_recording(path, "u", "y", time="#1")
     assert fl.read_recording(path, "u", "y", period=60.0).period == 60.0
 
@@ -158,13 +191,21 @@ def test_stamps_in_another_unit_are_refused(tmp_path: Path, name: str, unit: str
             "column of input",
             'name it as the header does, or by its number: "#1" is the first',
         ),
-        ({"time": "#9"}, "column of time", 'name it as the header does, or by its number: "#1" is the first'),
+        (
+            {"time": "#9"},
+            "column of time",
+            'name it as the header does, or by its number: "#1" is the first',
+        ),
         ({"time": "t"}, "time", "too few rows for a step"),
     ],
 )
-def test_columns_of_a_recording(tmp_path: Path, given: dict[str, str], field: str, words: str) -> None:
+def test_columns_of_a_recording(
+    tmp_path: Path, given: dict[str, str], field: str, words: str
+) -> None:
     path = tmp_path / "record.csv"
-    path.write_text("t,u,y\n0,1,2\n" if given == {"time": "t"} else "t,u,y\n0,1,2\n1,1,2\n2,1,2\n")
+    path.write_text(
+        "t,u,y\n0,1,2\n" if given == {"time": "t"} else "t,u,y\n0,1,2\n1,1,2\n2,1,2\n"
+    )
     with pytest.raises(FieldError) as caught:
         fl.read_recording(path, **{"input": "u", "output": "y", **given})  # type: ignore[arg-type]
     assert caught.value.field == field
@@ -175,7 +216,9 @@ def test_a_stated_column_that_is_not_there(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
     with pytest.raises(LogError, match="by its number"):
-        fl.read_frequency_response(path, {"frequency": "#0 [Hz]", "gain": "b", "phase": "c [deg]"})
+        fl.read_frequency_response(
+            path, {"frequency": "#0 [Hz]", "gain": "b", "phase": "c [deg]"}
+        )
 
 
 def test_coherence_is_read(tmp_path: Path) -> None:
@@ -198,7 +241,9 @@ def test_coherence_is_read(tmp_path: Path) -> None:
         ("a,b,c\n1,1,0\n2,0,1\n", ("f [Hz]", "re", "im", "x"), "none of which"),
     ],
 )
-def test_tables_that_say_too_little(tmp_path: Path, text: str, columns: object, message: str) -> None:
+def test_tables_that_say_too_little(
+    tmp_path: Path, text: str, columns: object, message: str
+) -> None:
     path = tmp_path / "table.csv"
     path.write_text(text)
     with pytest.raises(LogError, match=message):
@@ -241,13 +286,19 @@ def test_link_and_motor(output: str, tmp_path: Path) -> None:
     assert found.order == pytest.approx(1.92, abs=0.02)
     assert found.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=0.02)
     w = np.geomspace(11.1 if output == "motor_angle" else 2.0, 60.0, 100_000)
-    assert found.peak == pytest.approx(w[np.argmax(np.abs(arm(output)(1j * w)))], rel=0.02)
+    assert found.peak == pytest.approx(
+        w[np.argmax(np.abs(arm(output)(1j * w)))], rel=0.02
+    )
     assert found.parameters["B"] == pytest.approx(15.0, rel=0.1)
     assert found.parameters["m"] == pytest.approx(9.0, rel=0.2)
     link = found.model(1.5 / 9.0)
     assert link.natural_frequency**2 == pytest.approx(100.0, rel=0.1)
     assert link.stiffness == pytest.approx(1.5, rel=0.2)
-    for name, truth in (("order", 1.92), ("natural_frequency", 10.0), ("stiffness", 1.5)):
+    for name, truth in (
+        ("order", 1.92),
+        ("natural_frequency", 10.0),
+        ("stiffness", 1.5),
+    ):
         low, high = link.interval(name)
         assert low < truth < high
     fl.save(found, tmp_path / "link.json")
@@ -257,24 +308,42 @@ def test_link_and_motor(output: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("low", "high", "code"),
-    [(2.0, 10.5, "W347"), (11.6, 60.0, "W347"), (2.0, 11.5, "W348"), (12.6, 60.0, "W348")],
+    [
+        (2.0, 10.5, "W347"),
+        (11.6, 60.0, "W347"),
+        (2.0, 11.5, "W348"),
+        (12.6, 60.0, "W348"),
+    ],
 )
 def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
     for seed in range(3):
-        found = fl.identify_driven_link(noisy(seed=seed).between(low, high), details=False)
+        found = fl.identify_driven_link(
+            noisy(seed=seed).between(low, high), details=False
+        )
         assert code in {finding.code for finding in found.findings}
         assert not found.passed
-        with pytest.raises(FieldError, match=f"fit: not passed .*{code}"):  # a design of it would pass
+        with pytest.raises(
+            FieldError, match=f"fit: not passed .*{code}"
+        ):  # a design of it would pass
             found.model(1.5 / 9.0)
 
 
 @pytest.mark.slow
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     measured, table = noisy(), tmp_path / "response.csv"
-    rows = [f"{w},{h.real},{h.imag}" for w, h in zip(LINES, measured.response, strict=True)]
+    rows = [
+        f"{w},{h.real},{h.imag}" for w, h in zip(LINES, measured.response, strict=True)
+    ]
     table.write_text("\n".join(["omega,real,imag", *rows]))
     out = tmp_path / "model.json"
-    command = ["identify-driven-link", str(table), "--rig", "paper-2023-geared", "--out", str(out)]
+    command = [
+        "identify-driven-link",
+        str(table),
+        "--rig",
+        "paper-2023-geared",
+        "--out",
+        str(out),
+    ]
     assert run(command) == 0
     shown = capsys.readouterr().out
     assert "anti-resonance [rad/s]" in shown
@@ -311,16 +380,25 @@ def test_a_model_of_the_driven_link(driven: DrivenLinkFit) -> None:
     assert model.natural_frequency == pytest.approx(10.0, rel=1e-5)
     assert (model.payload, model.gauge_delay) == (0.03, 0.0)
     stiff = changed(driven, l=2.1, z=12.0)
-    assert (stiff.order, stiff.model(0.2).order, stiff.model(0.2).natural_frequency) == (2.0, 2.0, 12.0)
+    assert (
+        stiff.order,
+        stiff.model(0.2).order,
+        stiff.model(0.2).natural_frequency,
+    ) == (2.0, 2.0, 12.0)
     intervals = {
         "l": Interval(1.9, 2.1, False, False), "z": Interval(0.5, 2.0, False, False),
         "m": Interval(8.0, 10.0, False, False),
     }  # fmt: skip
     wide = replace(driven, fit=replace(driven.fit, intervals=intervals)).model(0.2)
     assert wide.interval("order") == (1.9, 2.0)
-    assert wide.interval("natural_frequency") == (pytest.approx(0.5), pytest.approx(2.0))
+    assert wide.interval("natural_frequency") == (
+        pytest.approx(0.5),
+        pytest.approx(2.0),
+    )
     assert wide.interval("stiffness") == (pytest.approx(1.6), pytest.approx(2.0))
-    none = replace(driven, fit=replace(driven.fit, intervals={"z": intervals["z"]})).model(0.2)
+    none = replace(
+        driven, fit=replace(driven.fit, intervals={"z": intervals["z"]})
+    ).model(0.2)
     assert none.intervals == ()
 
 
@@ -336,7 +414,9 @@ def test_lines_on_both_sides_show_a_place(driven: DrivenLinkFit) -> None:
         between = np.linspace(1.01 * z, 0.99 * peak, 3)
         w = np.concatenate([below, between, np.linspace(1.01, 1.5, high) * peak])
         data = fl.FrequencyResponse(w, np.ones(w.size))
-        return [finding.code for finding in _of_the_band(fit, data, "motor_angle", peak)]
+        return [
+            finding.code for finding in _of_the_band(fit, data, "motor_angle", peak)
+        ]
 
     assert codes(3, 3) == []
     assert codes(2, 3) == ["W347"]
@@ -347,10 +427,18 @@ def test_lines_on_both_sides_show_a_place(driven: DrivenLinkFit) -> None:
     (missing,) = _of_the_band(driven.fit, data, "motor_angle", None)
     assert (missing.code, missing.severity) == ("W348", "error")
     assert math.isnan(missing.evidence["place"])
-    assert (missing.evidence["low"], missing.evidence["high"]) == (pytest.approx(2.0), pytest.approx(60.0))
+    assert (missing.evidence["low"], missing.evidence["high"]) == (
+        pytest.approx(2.0),
+        pytest.approx(60.0),
+    )
     names = {
-        output: next(_of_the_band(replace(driven.fit, at_bound=("l",)), data, output, 20.0)).message
+        output: next(
+            _of_the_band(replace(driven.fit, at_bound=("l",)), data, output, 20.0)
+        ).message
         for output in ("motor_angle", "torque")
     }
     assert names["motor_angle"] == "the band does not show the anti-resonance"
-    assert names["torque"] == "the band does not show the frequency of the link with the motor held"
+    assert (
+        names["torque"]
+        == "the band does not show the frequency of the link with the motor held"
+    )

@@ -1,6 +1,8 @@
-"""Golden figures: what was recorded before the rebuilding still comes out, entry by entry.
+"""Golden figures: what was recorded before the rebuilding still comes out, entry by
+entry.
 
-A difference is an improvement that its author names, or a defect. `tests/golden/record.py` records again.
+A difference is an improvement that its author names, or a defect.
+`tests/golden/record.py` records again.
 """
 
 from __future__ import annotations
@@ -13,10 +15,23 @@ from golden.commands import COMMANDS, TEXTS, Desk  # type: ignore[attr-defined]
 from golden.record import TOPICS, differences, entries, plain, probe, recorded
 
 # Over two seconds each.
-SLOW = {"claims", "run", "report", "design-geared", "optimise", "optimised noise", "optimised crossover"}
+SLOW = {
+    "claims",
+    "run",
+    "report",
+    "design-geared",
+    "optimise",
+    "optimised noise",
+    "optimised crossover",
+}
 SLOW |= {"drawing of a shaped move"}
 ENTRIES = [
-    pytest.param(topic, title, marks=pytest.mark.slow if title in SLOW else (), id=f"{topic}: {title}")
+    pytest.param(
+        topic,
+        title,
+        marks=pytest.mark.slow if title in SLOW else (),
+        id=f"{topic}: {title}",
+    )
     for topic in TOPICS
     for title in entries(topic)
 ]
@@ -29,7 +44,13 @@ def test_the_recorded_figures_come_out(topic: str, title: str) -> None:
     # Digests hold for the arithmetic they were made with; numbers hold everywhere.
     bits = told["probe"] == probe()
     found = plain(entries(topic)[title]())
-    lines = differences(told["figures"][title], found, TOPICS[topic][1], bits=bits, place=f"{topic}/{title}")
+    lines = differences(
+        told["figures"][title],
+        found,
+        TOPICS[topic][1],
+        bits=bits,
+        place=f"{topic}/{title}",
+    )
     assert not lines, f"{len(lines)} values differ:\n" + "\n".join(lines)
 
 
@@ -39,7 +60,9 @@ def test_every_recorded_figure_is_made(topic: str) -> None:
 
 
 def test_every_topic_was_recorded_on_one_arithmetic() -> None:
-    """Of topics recorded apart, one has digests that no machine compares: its numbers alone are checked."""
+    """Of topics recorded apart, one has digests that no machine compares: its numbers
+    alone are checked.
+    """
     assert len({recorded(topic)["probe"] for topic in TOPICS}) == 1
 
 
@@ -50,12 +73,18 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Desk:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in COMMANDS]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        for name in COMMANDS
+    ],
 )
 def test_a_command_prints_what_it_printed(name: str, desk: Desk) -> None:
     told = (TEXTS / f"{name}.txt").read_text("utf-8")
     printed = desk.text(name)
-    lines = difflib.unified_diff(told.splitlines(), printed.splitlines(), "recorded", "now", lineterm="")
+    lines = difflib.unified_diff(
+        told.splitlines(), printed.splitlines(), "recorded", "now", lineterm=""
+    )
     assert printed == told, f"commands/{name}.txt:\n" + "\n".join(lines)
 
 
@@ -64,8 +93,24 @@ def test_every_text_is_of_a_command() -> None:
 
 
 def test_a_difference_is_named() -> None:
-    told = {"run": {"gain": 1.0, "zero": 0.0, "codes": ["W101"], "sha256": {"tip": "ab"}, "lost": 1}}
-    found = {"run": {"gain": 1.0 + 1e-6, "zero": 1e-14, "codes": ["W102"], "sha256": {"tip": "cd"}, "new": 1}}
+    told = {
+        "run": {
+            "gain": 1.0,
+            "zero": 0.0,
+            "codes": ["W101"],
+            "sha256": {"tip": "ab"},
+            "lost": 1,
+        }
+    }
+    found = {
+        "run": {
+            "gain": 1.0 + 1e-6,
+            "zero": 1e-14,
+            "codes": ["W102"],
+            "sha256": {"tip": "cd"},
+            "new": 1,
+        }
+    }
     assert differences(told, found, 1e-9, bits=True, place="runs") == [
         "runs/run/lost: gone",
         "runs/run/new: new",

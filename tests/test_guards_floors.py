@@ -7,7 +7,8 @@ import re
 
 from guard_sources import ROOT, Source, imported_modules, sources
 
-# One row a floor: a module imports from the rows above its own and from its own package only.
+# One row a floor: a module imports from the rows above its own and from its own package
+# only.
 ROWS: tuple[tuple[str, ...], ...] = (
     ("", "errors", "findings", "_kernels"),
     ("_validate",),
@@ -68,9 +69,12 @@ def _cycle(edges: dict[str, set[str]]) -> list[str]:
 
 
 def test_imports_form_no_circle() -> None:
-    # Inside one package a noun's `save` may import, when called, the file that knows the noun.
+    # Inside one package a noun's `save` may import, when called, the file that knows
+    # the noun.
     edges = {
-        source.name: {target for target in imported_modules(source, at_once=True) if target}
+        source.name: {
+            target for target in imported_modules(source, at_once=True) if target
+        }
         for source in sources()
     }
     assert _cycle(edges) == []
@@ -81,7 +85,9 @@ def test_components_form_no_circle() -> None:
     edges: dict[str, set[str]] = {}
     for source in sources():
         targets = {target.partition(".")[0] for target in imported_modules(source)}
-        edges.setdefault(source.component, set()).update(targets - {source.component, ""})
+        edges.setdefault(source.component, set()).update(
+            targets - {source.component, ""}
+        )
     edges.pop("", None)
     assert _cycle(edges) == []
 
@@ -93,7 +99,10 @@ def test_the_circle_finder_finds_circles() -> None:
 
 def test_relative_imports_are_not_used() -> None:
     def relative(source: Source) -> bool:
-        return any(isinstance(node, ast.ImportFrom) and node.level > 0 for node in ast.walk(source.tree))
+        return any(
+            isinstance(node, ast.ImportFrom) and node.level > 0
+            for node in ast.walk(source.tree)
+        )
 
     assert [source.name for source in sources() if relative(source)] == []
 
@@ -107,11 +116,23 @@ EXTRAS = {
 LATE = {
     ("_cli", "fraclink._cli.app"): "needs the extra [cli]",
     ("_cli.studio", "fraclink._studio.serving"): "needs the extra [studio]",
-    ("_systems.interop", "fraclink._systems.control_adapter"): "needs the extra [control]",
-    ("_logs.worker", "scipy.io"): "the child that parses a log loads one parser, not all of them",
-    ("_arm.link", "scipy.optimize"): "that child imports this module: it would start in 0.5 s, not 0.2 s",
+    (
+        "_systems.interop",
+        "fraclink._systems.control_adapter",
+    ): "needs the extra [control]",
+    (
+        "_logs.worker",
+        "scipy.io",
+    ): "the child that parses a log loads one parser, not all of them",
+    (
+        "_arm.link",
+        "scipy.optimize",
+    ): "that child imports this module: it would start in 0.5 s, not 0.2 s",
     ("_arm.reference", "scipy.interpolate"): "the same",
-    ("_cli.studio", "fraclink._cli.options"): "the page is painted while what is numerical is loaded",
+    (
+        "_cli.studio",
+        "fraclink._cli.options",
+    ): "the page is painted while what is numerical is loaded",
     ("_cli.studio", "fraclink._studio.session"): "the same",
     ("_studio.server", "fraclink._studio.conversation"): "the same",
 }
@@ -121,11 +142,15 @@ def test_only_extras_are_imported_late() -> None:
     late = set()
     for source in sources():
         functions = [
-            node for node in ast.walk(source.tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+            node
+            for node in ast.walk(source.tree)
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         ]
         for node in (inner for function in functions for inner in ast.walk(function)):
             if isinstance(node, ast.Import):
                 late |= {(source.name, alias.name) for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 late.add((source.name, str(node.module)))
-    assert {(name, module) for name, module in late if module.split(".")[0] not in EXTRAS} == LATE.keys()
+    assert {
+        (name, module) for name, module in late if module.split(".")[0] not in EXTRAS
+    } == LATE.keys()

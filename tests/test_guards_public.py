@@ -1,4 +1,6 @@
-"""The root of the package is a promise: its names exist, are documented, and cost nothing to import."""
+"""The root of the package is a promise: its names exist, are documented, and cost
+nothing to import.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,30 @@ import fraclink
 from guard_sources import PACKAGE, ROOT
 
 NAMES = [name for name in fraclink.__all__ if name != "__version__"]
-# Reading a docstring must teach how to call: these parts are looked for by eye of the machine.
-HEAVY = ("scipy", "matplotlib", "pydantic", "typer", "rich", "jinja2", "control", "flint", "mpmath", "pandas")
+# Reading a docstring must teach how to call: these parts are looked for by eye of the
+# machine.
+HEAVY = (
+    "scipy",
+    "matplotlib",
+    "pydantic",
+    "typer",
+    "rich",
+    "jinja2",
+    "control",
+    "flint",
+    "mpmath",
+    "pandas",
+)
 
 
 REFERENCE = ROOT / "docs" / "reference"
-# The names that the reference's first page explains: what a person learns first, so each has an example.
-FIRST = [name for name in NAMES if f"| `fraclink.{name}` |" in (REFERENCE / "api.md").read_text("utf-8")]
+# The names that the reference's first page explains: what a person learns first, so
+# each has an example.
+FIRST = [
+    name
+    for name in NAMES
+    if f"| `fraclink.{name}` |" in (REFERENCE / "api.md").read_text("utf-8")
+]
 
 
 def test_the_list_is_sorted_and_the_first_page_short() -> None:
@@ -30,7 +49,12 @@ def test_the_list_is_sorted_and_the_first_page_short() -> None:
 
 def test_every_name_of_the_stub_is_public() -> None:
     stub = ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8"))
-    names = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    names = {
+        alias.name
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
     assert names - {"errors"} == set(NAMES)
 
 
@@ -51,7 +75,9 @@ def test_public_name_is_documented_with_an_example(name: str) -> None:
     assert text, f"{name} has no docstring"
     if isinstance(value, type) and issubclass(value, Exception | Warning):
         return
-    assert not text.startswith(f"{name}("), f"{name}: a dataclass's generated signature is no docstring"
+    assert not text.startswith(f"{name}("), (
+        f"{name}: a dataclass's generated signature is no docstring"
+    )
     assert name not in FIRST or ">>>" in text, f"{name} has no example that runs"
 
 
@@ -61,7 +87,11 @@ def test_public_function_states_units_and_types(name: str) -> None:
     if not inspect.isfunction(value):
         return
     signature = inspect.signature(value)
-    untyped = [p.name for p in signature.parameters.values() if p.annotation is inspect.Parameter.empty]
+    untyped = [
+        p.name
+        for p in signature.parameters.values()
+        if p.annotation is inspect.Parameter.empty
+    ]
     assert untyped == []
     assert signature.return_annotation is not inspect.Signature.empty
     if any("float" in str(p.annotation) for p in signature.parameters.values()):
@@ -81,6 +111,8 @@ def test_the_root_answers_dir_and_refuses_unknown_names() -> None:
 
 def test_import_loads_numpy_only() -> None:
     code = "import sys, fraclink; print(*sys.modules)"
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)  # noqa: S603
+    answer = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     loaded = {module.partition(".")[0] for module in answer.stdout.split()}
     assert loaded & set(HEAVY) == set()

@@ -1,4 +1,6 @@
-"""What the repository says of itself outside its sources: one version, and workflows that fit the tests."""
+"""What the repository says of itself outside its sources: one version, and workflows
+that fit the tests.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +17,34 @@ WORKFLOWS = ROOT / ".github" / "workflows"
 
 
 def test_the_version_is_one() -> None:
-    # The package's own is read from __init__.py by the build; the others cannot be, and are compared here.
-    prove = tomllib.loads((ROOT / "prove" / "pyproject.toml").read_text("utf-8"))["project"]
-    citation = re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    # The package's own is read from __init__.py by the build; the others cannot be, and
+    # are compared here.
+    prove = tomllib.loads((ROOT / "prove" / "pyproject.toml").read_text("utf-8"))[
+        "project"
+    ]
+    citation = re.findall(
+        r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE
+    )
     assert PROJECT["dynamic"] == ["version"]
     assert [prove["version"], *citation] == [fraclink.__version__] * 2
 
 
 def test_the_matrix_has_every_python_that_is_classified() -> None:
-    (listed,) = re.findall(r"python: \[(.*)\]", (WORKFLOWS / "ci.yml").read_text("utf-8"))
-    (built,) = re.findall(r'CIBW_BUILD: "(.*)"', (WORKFLOWS / "wheels.yml").read_text("utf-8"))
-    classified = [row.rpartition(" ")[2] for row in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", row)]
+    (listed,) = re.findall(
+        r"python: \[(.*)\]", (WORKFLOWS / "ci.yml").read_text("utf-8")
+    )
+    (built,) = re.findall(
+        r'CIBW_BUILD: "(.*)"', (WORKFLOWS / "wheels.yml").read_text("utf-8")
+    )
+    classified = [
+        row.rpartition(" ")[2]
+        for row in PROJECT["classifiers"]
+        if re.search(r":: 3\.\d+$", row)
+    ]
     assert re.findall(r"3\.\d+", listed) == classified
-    assert re.findall(r"cp(\d+)-", built) == [version.replace(".", "") for version in classified]
+    assert re.findall(r"cp(\d+)-", built) == [
+        version.replace(".", "") for version in classified
+    ]
     assert PROJECT["requires-python"] == f">={classified[0]}"
 
 
@@ -40,7 +57,11 @@ def test_a_wheel_is_tested_with_what_its_test_imports() -> None:
     needed, waiting = set(), [ROOT / script]
     while waiting:
         for node in ast.walk(ast.parse(waiting.pop().read_text("utf-8"))):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names = (
+                [alias.name for alias in node.names]
+                if isinstance(node, ast.Import)
+                else []
+            )
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in (full.partition(".")[0] for full in names):
                 helper = ROOT / "tests" / f"{name}.py"
@@ -48,15 +69,28 @@ def test_a_wheel_is_tested_with_what_its_test_imports() -> None:
                     waiting.append(helper)
                 elif name not in sys.stdlib_module_names:
                     needed.add({"flint": "python-flint"}.get(name, name))
-    with_the_wheel = {"fraclink", *(re.split(r"\W", row)[0] for row in PROJECT["dependencies"])}
+    with_the_wheel = {
+        "fraclink",
+        *(re.split(r"\W", row)[0] for row in PROJECT["dependencies"]),
+    }
     assert set(given.split()) == needed - with_the_wheel
 
 
 def test_what_runs_before_a_commit_is_what_make_lint_runs() -> None:
     hooks = re.findall(
-        r"entry: \.venv/bin/(.*)$", (ROOT / ".pre-commit-config.yaml").read_text("utf-8"), re.M
+        r"entry: \.venv/bin/(.*)$",
+        (ROOT / ".pre-commit-config.yaml").read_text("utf-8"),
+        re.M,
     )
-    recipe = (ROOT / "Makefile").read_text("utf-8").partition("\nlint:")[2].partition("\n\n")[0]
-    run = [line.strip().removesuffix(" .") for line in re.findall(r"\$\(BIN\)/(.*)$", recipe, re.M)]
+    recipe = (
+        (ROOT / "Makefile")
+        .read_text("utf-8")
+        .partition("\nlint:")[2]
+        .partition("\n\n")[0]
+    )
+    run = [
+        line.strip().removesuffix(" .")
+        for line in re.findall(r"\$\(BIN\)/(.*)$", recipe, re.M)
+    ]
     # The tests' own types take another minute: the server and `make lint` look at them.
     assert hooks == [line for line in run if "tests/mypy.ini" not in line]

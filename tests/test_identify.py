@@ -36,7 +36,9 @@ def test_noise_free_pulse_of_20_seconds_to_six_digits() -> None:
     time = PERIOD * np.arange(5001)
     angle = np.where((time >= 1) & (time < 8), 1.0, 0.0)
     torque = time_response(TRUTH.torque(), angle, PERIOD).output
-    fit = identify(Experiment(period=PERIOD, motor_angle=angle, output=torque), "UD-FOM")
+    fit = identify(
+        Experiment(period=PERIOD, motor_angle=angle, output=torque), "UD-FOM"
+    )
     assert fit.hold == "zero"
     assert fit.model.order == pytest.approx(1.92, abs=1e-6)
     assert fit.model.natural_frequency == pytest.approx(10.02, abs=1e-6)
@@ -61,19 +63,34 @@ def test_gain_offset_and_delay_are_found_along() -> None:
 @example(
     order=1.6875, frequency=34.0, delay=0.01171875, seed=0
 )  # the scan takes eight times the frequency for it
-@example(order=1.6015625, frequency=35.0, delay=0.0, seed=0)  # and the delay ends at what that may lead by
+@example(
+    order=1.6015625, frequency=35.0, delay=0.0, seed=0
+)  # and the delay ends at what that may lead by
 @given(
     order=st.floats(1.6, 1.99),
     frequency=st.floats(3.0, 40.0),
     delay=st.floats(0.0, 0.02),
     seed=st.integers(0, 10**6),
 )
-def test_any_link_is_found_without_a_guess(order: float, frequency: float, delay: float, seed: int) -> None:
+def test_any_link_is_found_without_a_guess(
+    order: float, frequency: float, delay: float, seed: int
+) -> None:
     link = LinkModel(2.0, frequency ** (order / 2), order=order)
-    fit = identify(made_log(link, noise=0.02, delay=delay, seed=seed, samples=3001), "UD-FOM", details=False)
-    for name, value in (("order", order), ("natural_frequency", link.natural_frequency), ("delay", delay)):
+    fit = identify(
+        made_log(link, noise=0.02, delay=delay, seed=seed, samples=3001),
+        "UD-FOM",
+        details=False,
+    )
+    for name, value in (
+        ("order", order),
+        ("natural_frequency", link.natural_frequency),
+        ("delay", delay),
+    ):
         found = fit.delay if name == "delay" else getattr(fit.model, name)
-        assert abs(found - value) < 6 * fit.standard_errors[name] + 2e-3 * abs(value) + 1e-4
+        assert (
+            abs(found - value)
+            < 6 * fit.standard_errors[name] + 2e-3 * abs(value) + 1e-4
+        )
 
 
 @pytest.mark.slow
@@ -85,12 +102,16 @@ def test_bad_guesses_do_not_matter() -> None:
         order = float(generator.uniform(1.001, 2.0))
         frequency = (10.02 * 3 ** float(generator.uniform(-1, 1))) ** (order / 1.92)
         guess = LinkModel(1.0, frequency, order=order)
-        assert identify(log, "UD-FOM", heldout=0, guess=guess, details=False).mse <= best.mse * (1 + 1e-7)
+        assert identify(
+            log, "UD-FOM", heldout=0, guess=guess, details=False
+        ).mse <= best.mse * (1 + 1e-7)
 
 
 def test_known_values_are_kept() -> None:
     log = made_log(noise=0.02, offset=0.1)
-    fit = identify(log, stiffness=1.5, fixed={"delay": 0.002, "order": 1.9, "offset": 0.09})
+    fit = identify(
+        log, stiffness=1.5, fixed={"delay": 0.002, "order": 1.9, "offset": 0.09}
+    )
     assert (fit.gain, fit.delay, fit.model.order, fit.offset) == (1.5, 0.002, 1.9, 0.09)
     assert set(fit.standard_errors) == {"natural_frequency"}
 
@@ -107,7 +128,9 @@ def test_known_values_are_kept() -> None:
 def test_every_structure_finds_its_own_parameters(name: str, link: LinkModel) -> None:
     fit = identify(made_log(link), name, details=False)
     for field in ("natural_frequency", "order", "damping", "damping_order"):
-        assert getattr(fit.model, field) == pytest.approx(getattr(link, field), rel=3e-3)
+        assert getattr(fit.model, field) == pytest.approx(
+            getattr(link, field), rel=3e-3
+        )
     assert fit.nmse < 1e-7
 
 
@@ -116,12 +139,20 @@ def test_fractional_damping_is_never_worse_than_its_special_cases() -> None:
         (TRUTH, LinkModel(1.56, 10.0, damping=1.3), LinkModel(1.56, 9.0, order=1.98))
     ):
         log = made_log(link, noise=0.05, seed=seed)
-        mse = {name: identify(log, name, details=False).mse for name in ("UD-FOM", "D-IOM", "D-FOM")}
+        mse = {
+            name: identify(log, name, details=False).mse
+            for name in ("UD-FOM", "D-IOM", "D-FOM")
+        }
         assert mse["D-FOM"] <= min(mse["UD-FOM"], mse["D-IOM"]) * (1 + 1e-7)
 
 
 def test_aic_of_table_2() -> None:
-    rows = ((0.05845, 1, -14199), (0.00531, 2, -26192), (0.00524, 2, -26258), (0.00524, 3, -26256))
+    rows = (
+        (0.05845, 1, -14199),
+        (0.00531, 2, -26192),
+        (0.00524, 2, -26258),
+        (0.00524, 3, -26256),
+    )
     for mse, parameters, wanted in rows:
         assert round(aic(mse, 5001, parameters)) == wanted
     fit = identify(made_log(noise=NOISE), "UD-FOM", heldout=0)
@@ -131,7 +162,9 @@ def test_aic_of_table_2() -> None:
 def test_heldout_samples_are_not_seen() -> None:
     log = made_log(noise=0.05)
     spoilt = replace(log, output=np.where(np.arange(5001) < 3001, log.output, 0.0))
-    first, second = (identify(x, "UD-FOM", heldout=0.4, details=False) for x in (log, spoilt))
+    first, second = (
+        identify(x, "UD-FOM", heldout=0.4, details=False) for x in (log, spoilt)
+    )
     assert first.fitted_samples == 3001
     assert first.model == second.model
     assert second.heldout_mse is not None
@@ -152,9 +185,13 @@ def test_b32_order_at_its_bound_has_no_error() -> None:
 
 
 def test_b50_a_log_that_does_not_show_alpha_says_so() -> None:
-    fit = identify(made_log(LinkModel(1.56, 10.0, damping=0.5), noise=0.2, samples=2500), "D-FOM")
+    fit = identify(
+        made_log(LinkModel(1.56, 10.0, damping=0.5), noise=0.2, samples=2500), "D-FOM"
+    )
     assert "W308" in {finding.code for finding in fit.findings}
-    assert fit.intervals["damping_order"].high - fit.intervals["damping_order"].low > 0.5
+    assert (
+        fit.intervals["damping_order"].high - fit.intervals["damping_order"].low > 0.5
+    )
 
 
 def test_intervals_cover_and_agree_with_standard_errors() -> None:
@@ -168,14 +205,18 @@ def test_intervals_cover_and_agree_with_standard_errors() -> None:
 
 @pytest.mark.slow
 def test_coverage_of_the_intervals() -> None:
-    """60 logs: fewer than 52 inside (two sided 0.2 %) would mean errors that are wrong by a third."""
+    """60 logs: fewer than 52 inside (two sided 0.2 %) would mean errors that are wrong
+    by a third.
+    """
     clean = made_log(delay=0.003)
     inside = {"order": 0, "natural_frequency": 0}
     for seed in range(60):
         noise = np.random.default_rng(seed).normal(0, NOISE, clean.output.size)
         fit = identify(replace(clean, output=clean.output + noise), "UD-FOM", heldout=0)
         inside["order"] += fit.intervals["order"].contains(1.92)
-        inside["natural_frequency"] += fit.intervals["natural_frequency"].contains(10.02)
+        inside["natural_frequency"] += fit.intervals["natural_frequency"].contains(
+            10.02
+        )
     assert min(inside.values()) >= 52
 
 
@@ -185,7 +226,9 @@ def test_coloured_noise_widens_the_errors() -> None:
     white = generator.normal(0, 1, 5001 + 200)
     coloured = np.convolve(white, np.exp(-np.arange(200) / 20), "valid")[:5001]
     fit = identify(
-        replace(clean, output=clean.output + 0.05 * coloured / coloured.std()), "UD-FOM", heldout=0
+        replace(clean, output=clean.output + 0.05 * coloured / coloured.std()),
+        "UD-FOM",
+        heldout=0,
     )
     assert fit.tests is not None
     assert fit.tests.whiteness < 1e-6
@@ -209,7 +252,9 @@ def test_b24_outliers_are_told() -> None:
     log = made_log(noise=0.02)
     spoilt = log.output.copy()
     spoilt[[500, 2000]] *= 100
-    assert "W312" in {f.code for f in identify(replace(log, output=spoilt), details=False).findings}
+    assert "W312" in {
+        f.code for f in identify(replace(log, output=spoilt), details=False).findings
+    }
     assert "W312" not in {f.code for f in identify(log, details=False).findings}
 
 
@@ -252,7 +297,12 @@ def test_model_files(tmp_path: Path) -> None:
     write_json(tmp_path / "half.json", "fit", 1, {"model": {}})
     with pytest.raises(FileFormatError, match="required"):
         load_model(tmp_path / "half.json")
-    write_json(tmp_path / "bad.json", "model", 1, {"model": {"stiffness": -1, "natural_frequency": 3}})
+    write_json(
+        tmp_path / "bad.json",
+        "model",
+        1,
+        {"model": {"stiffness": -1, "natural_frequency": 3}},
+    )
     with pytest.raises(FieldError, match="stiffness"):
         load_model(tmp_path / "bad.json")
     write_json(tmp_path / "extra.json", "model", 1, {"model": {"stifness": 1}})
@@ -291,36 +341,59 @@ def test_bad_options_name_their_field(field: str, options: dict[str, object]) ->
 def test_logs_without_motion_are_refused() -> None:
     angle = smooth_pulse(PERIOD * np.arange(1000))
     still = np.zeros(1000)
-    for motor, output, field in ((still, angle, "motor_angle"), (angle, still, "output")):
+    for motor, output, field in (
+        (still, angle, "motor_angle"),
+        (angle, still, "output"),
+    ):
         with pytest.raises(LogError) as caught:
             identify(Experiment(period=PERIOD, motor_angle=motor, output=output))
         assert caught.value.field == field
     with pytest.raises(LogError, match="too few"):
-        identify(Experiment(period=PERIOD, motor_angle=angle[300:340], output=angle[300:340]))
+        identify(
+            Experiment(period=PERIOD, motor_angle=angle[300:340], output=angle[300:340])
+        )
 
 
 @pytest.mark.slow
 def test_a_fifth_structure_is_one_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    row = Structure("DF", ("natural_frequency", "order", "damping"), "", "fractional order, viscous damping")
+    row = Structure(
+        "DF",
+        ("natural_frequency", "order", "damping"),
+        "",
+        "fractional order, viscous damping",
+    )
     monkeypatch.setitem(STRUCTURES, row.name, row)
     link = LinkModel(1.56, 10.0, order=1.95, damping=0.8)
-    # The kernel's derivatives and time response of both terms: an independent simulation.
+    # The kernel's derivatives and time response of both terms: an independent
+    # simulation.
     angle = smooth_pulse(PERIOD * np.arange(4000))
     torque = time_response(link.torque(), angle, PERIOD, hold="first").output
-    log = Experiment(period=PERIOD, motor_angle=angle, output=torque + 1e-3 * np.sin(np.arange(4000) ** 2))
+    log = Experiment(
+        period=PERIOD,
+        motor_angle=angle,
+        output=torque + 1e-3 * np.sin(np.arange(4000) ** 2),
+    )
     comparison = compare_structures(log)
     assert list(comparison.fits)[-1] == "DF"
     assert comparison.preferred in ("DF", "D-FOM")
     fit = comparison.fits["DF"]
     assert fit.model.order == pytest.approx(1.95, abs=5e-3)
     assert fit.model.damping == pytest.approx(0.8, rel=0.05)
-    assert fit.mse <= min(comparison.fits[name].mse for name in ("UD-FOM", "D-IOM")) * (1 + 1e-7)
+    assert fit.mse <= min(comparison.fits[name].mse for name in ("UD-FOM", "D-IOM")) * (
+        1 + 1e-7
+    )
     assert set(fit.standard_errors) >= set(row.free)
 
 
-@pytest.mark.parametrize(("resonance", "order", "delay"), [(23.7, 1.62, 0.0207), (24.1, 1.60, 0.0129)])
-def test_a_smooth_move_has_a_second_valley_in_the_delay(resonance: float, order: float, delay: float) -> None:
-    """On a single smooth move λ and the delay trade: the fit with the delay given is no better."""
+@pytest.mark.parametrize(
+    ("resonance", "order", "delay"), [(23.7, 1.62, 0.0207), (24.1, 1.60, 0.0129)]
+)
+def test_a_smooth_move_has_a_second_valley_in_the_delay(
+    resonance: float, order: float, delay: float
+) -> None:
+    """On a single smooth move λ and the delay trade: the fit with the delay given is no
+    better.
+    """
     period = 0.004
     angle = smooth_step(0.5, 1.6).angle(period * np.arange(900))
     link = LinkModel(1.5, resonance ** (order / 2), order=order)
@@ -329,6 +402,8 @@ def test_a_smooth_move_has_a_second_valley_in_the_delay(resonance: float, order:
         noise = 0.02 * np.std(torque) * np.random.default_rng(seed).normal(size=900)
         log = Experiment(period=period, motor_angle=angle, output=torque + noise)
         own = identify(log, "UD-FOM", hold="first", details=False)
-        given = identify(log, "UD-FOM", hold="first", details=False, fixed={"delay": delay})
+        given = identify(
+            log, "UD-FOM", hold="first", details=False, fixed={"delay": delay}
+        )
         assert own.mse <= given.mse * (1 + 1e-6)
         assert own.delay == pytest.approx(delay, abs=0.008)

@@ -13,7 +13,14 @@ from scipy.signal import lfilter
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._identify import Comparison, Contest, Fit, compare_structures, identify, simulated_torque
+from fraclink._identify import (
+    Comparison,
+    Contest,
+    Fit,
+    compare_structures,
+    identify,
+    simulated_torque,
+)
 from fraclink._identify.compare import _choice
 from fraclink._logs import read_log
 from fraclink.errors import FieldError
@@ -68,17 +75,27 @@ def test_an_integer_link_is_called_one() -> None:
 
 @pytest.mark.slow
 def test_nesting_holds_on_every_log() -> None:
-    links = [TRUTH, LinkModel(1.56, 10.0, damping=1.0), LinkModel(1.56, 12.0, damping=2.0, damping_order=0.4)]
+    links = [
+        TRUTH,
+        LinkModel(1.56, 10.0, damping=1.0),
+        LinkModel(1.56, 12.0, damping=2.0, damping_order=0.4),
+    ]
     for seed, link in enumerate(links):
-        fits = compare_structures(made_log(link, noise=0.1, seed=seed), details=False).fits
+        fits = compare_structures(
+            made_log(link, noise=0.1, seed=seed), details=False
+        ).fits
         best = min(fits["UD-FOM"].mse, fits["D-IOM"].mse)
         assert fits["D-FOM"].mse <= best * (1 + 1e-7)
         assert fits["UD-FOM"].mse <= fits["UD-IOM"].mse * (1 + 1e-7)
 
 
 def ist_log(name: str) -> Experiment:
-    """IST's columns are volts; its README gives both calibrations, and the strain's sign is opposite."""
-    data = np.genfromtxt(shared_data("ist_flexbar", f"2_lab_{name}.csv"), delimiter=",", names=True)
+    """IST's columns are volts; its README gives both calibrations, and the strain's
+    sign is opposite.
+    """
+    data = np.genfromtxt(
+        shared_data("ist_flexbar", f"2_lab_{name}.csv"), delimiter=",", names=True
+    )
     return Experiment(
         period=0.001,
         motor_angle=np.deg2rad(36.79 * data["pot_V"]),
@@ -126,7 +143,9 @@ def test_rig_files_are_toml() -> None:
 
 
 def test_sign_of_a_rough_angle_delay() -> None:
-    """Quantised at 5 mrad, an angle rewards half samples of delay; a negative one must not be reported."""
+    """Quantised at 5 mrad, an angle rewards half samples of delay; a negative one must
+    not be reported.
+    """
     log = made_log(noise=0.01)
     rough = replace(log, motor_angle=np.round(log.motor_angle / 0.005) * 0.005)
     assert identify(rough, details=False).delay >= 0.0
@@ -134,9 +153,15 @@ def test_sign_of_a_rough_angle_delay() -> None:
 
 @pytest.mark.parametrize(
     ("link", "structure"),
-    [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM"), (LinkModel(1.56, 10.0), "UD-IOM")],
+    [
+        (TRUTH, "UD-FOM"),
+        (LinkModel(1.56, 10.0, damping=1.3), "D-IOM"),
+        (LinkModel(1.56, 10.0), "UD-IOM"),
+    ],
 )
-def test_identify_uses_the_structure_that_the_log_supports(link: LinkModel, structure: str) -> None:
+def test_identify_uses_the_structure_that_the_log_supports(
+    link: LinkModel, structure: str
+) -> None:
     fit = identify(made_log(link, noise=0.01))
     assert fit.structure == structure
     assert "W322" not in {finding.code for finding in fit.findings}
@@ -153,24 +178,35 @@ def test_identify_says_where_the_log_cannot_tell() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.9, 0.98])
 @pytest.mark.parametrize(
-    ("link", "structure"), [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM")]
+    ("link", "structure"),
+    [(TRUTH, "UD-FOM"), (LinkModel(1.56, 10.0, damping=1.3), "D-IOM")],
 )
-def test_noise_that_wanders_makes_no_structure(link: LinkModel, structure: str, correlation: float) -> None:
+def test_noise_that_wanders_makes_no_structure(
+    link: LinkModel, structure: str, correlation: float
+) -> None:
     """An AIC that counts every sample finds an α of its own in one of ten such logs."""
     used = []
     for seed in range(8):
         log = made_log(link)
-        white = np.random.default_rng(seed).normal(0, 0.01 * (1 - correlation**2) ** 0.5, 5001)
-        fit = identify(
-            replace(log, output=log.output + lfilter([1], [1, -correlation], white)), details=False
+        white = np.random.default_rng(seed).normal(
+            0, 0.01 * (1 - correlation**2) ** 0.5, 5001
         )
-        used.append("undecided" if "W322" in {f.code for f in fit.findings} else fit.structure)
+        fit = identify(
+            replace(log, output=log.output + lfilter([1], [1, -correlation], white)),
+            details=False,
+        )
+        used.append(
+            "undecided" if "W322" in {f.code for f in fit.findings} else fit.structure
+        )
     assert set(used) <= {structure, "undecided"}
     assert used.count(structure) >= 6
 
 
 def test_a_parameter_that_is_held_stays_in_the_model() -> None:
-    assert identify(made_log(noise=0.05), fixed={"order": 1.9}, details=False).model.order == 1.9
+    assert (
+        identify(made_log(noise=0.05), fixed={"order": 1.9}, details=False).model.order
+        == 1.9
+    )
     damped = identify(made_log(noise=0.05), fixed={"damping_order": 0.8}, details=False)
     assert damped.model.damping_order == 0.8
 
@@ -178,18 +214,28 @@ def test_a_parameter_that_is_held_stays_in_the_model() -> None:
 @pytest.mark.parametrize("at_bound", [False, True])
 @pytest.mark.parametrize("open_above", [None, False, True])
 @pytest.mark.parametrize("code", ["W307", "W308"])
-def test_the_sentences_about_the_parameters(at_bound: bool, open_above: bool | None, code: str) -> None:
+def test_the_sentences_about_the_parameters(
+    at_bound: bool, open_above: bool | None, code: str
+) -> None:
     from types import SimpleNamespace
 
     from fraclink._identify.compare import FRACTIONAL, _of_the_parameters
 
-    intervals = {} if open_above is None else {"order": SimpleNamespace(high_open=open_above)}
+    intervals = (
+        {} if open_above is None else {"order": SimpleNamespace(high_open=open_above)}
+    )
     fit = SimpleNamespace(
-        at_bound=("order",) if at_bound else (), intervals=intervals, findings=(SimpleNamespace(code=code),)
+        at_bound=("order",) if at_bound else (),
+        intervals=intervals,
+        findings=(SimpleNamespace(code=code),),
     )
     said = _of_the_parameters({FRACTIONAL: fit})  # type: ignore[dict-item]
-    expected = ["λ is at its bound 2: this log shows no fractional order."] if at_bound else []
-    expected += ["λ = 2 is not excluded by this log."] if open_above and not at_bound else []
+    expected = (
+        ["λ is at its bound 2: this log shows no fractional order."] if at_bound else []
+    )
+    expected += (
+        ["λ = 2 is not excluded by this log."] if open_above and not at_bound else []
+    )
     expected += ["α is not identifiable."] if code == "W308" else []
     assert said == expected
 
@@ -197,7 +243,9 @@ def test_the_sentences_about_the_parameters(at_bound: bool, open_above: bool | N
 @pytest.fixture(scope="module")
 def fits() -> dict[str, Fit]:
     """Fits of one log, to be changed."""
-    return dict(compare_structures(made_log(noise=0.05, samples=2501), details=False).fits)
+    return dict(
+        compare_structures(made_log(noise=0.05, samples=2501), details=False).fits
+    )
 
 
 @pytest.mark.slow
@@ -210,20 +258,30 @@ def test_a_choice_in_one_sentence(fits: dict[str, Fit]) -> None:
         "D-FOM": (101.0, 103.0),
     }
     plain = {
-        name: replace(fit, mse=fit.mse * (1 + k), findings=()) for k, (name, fit) in enumerate(fits.items())
+        name: replace(fit, mse=fit.mse * (1 + k), findings=())
+        for k, (name, fit) in enumerate(fits.items())
     }
     said = _choice(plain, "UD-FOM", (), criteria)
-    assert said == f"UD-FOM is preferred: its AIC is 1.0 below that of D-FOM; held-out NMSE {held:.4g}."
-    coloured = plain | {"UD-FOM": replace(plain["UD-FOM"], errors_allow_colour=True, heldout_nmse=None)}
+    assert (
+        said
+        == f"UD-FOM is preferred: its AIC is 1.0 below that of D-FOM; held-out NMSE {held:.4g}."
+    )
+    coloured = plain | {
+        "UD-FOM": replace(plain["UD-FOM"], errors_allow_colour=True, heldout_nmse=None)
+    }
     said = _choice(coloured, "UD-FOM", (), criteria)
     assert (
         said
         == "UD-FOM is preferred: its AIC, corrected for the residual's colour, is 1.0 below that of D-FOM."
     )
     lower = criteria | {"D-FOM": (99.0, 100.0)}
-    assert "no other structure has a clearly lower AIC" in _choice(plain, "UD-FOM", (), lower)
+    assert "no other structure has a clearly lower AIC" in _choice(
+        plain, "UD-FOM", (), lower
+    )
     same = {name: replace(fit, mse=plain["UD-FOM"].mse) for name, fit in plain.items()}
-    assert "every other structure ended as the same model" in _choice(same, "UD-FOM", (), criteria)
+    assert "every other structure ended as the same model" in _choice(
+        same, "UD-FOM", (), criteria
+    )
     open_ = _choice(coloured, "UD-FOM", ("D-IOM", "D-FOM"), criteria)
     assert open_ == (
         "This log cannot tell UD-FOM from D-IOM and D-FOM under a residual of this colour; UD-FOM is used "
@@ -232,7 +290,13 @@ def test_a_choice_in_one_sentence(fits: dict[str, Fit]) -> None:
 
 
 def test_a_comparison_is_a_table_and_a_verdict(fits: dict[str, Fit]) -> None:
-    made = Comparison(fits, {}, "UD-FOM", Contest("UD-FOM", "D-IOM", -9.0), "UD-FOM is preferred. Second.")
+    made = Comparison(
+        fits,
+        {},
+        "UD-FOM",
+        Contest("UD-FOM", "D-IOM", -9.0),
+        "UD-FOM is preferred. Second.",
+    )
     lines = str(made).split("\n")
     assert [line.split()[0] for line in lines[:4]] == ["UD-IOM", "D-IOM", "*", "D-FOM"]
     assert lines[2].startswith("* UD-FOM  held-out error ")
@@ -250,28 +314,41 @@ def test_a_formula_and_what_is_held_choose_among_structures() -> None:
     assert caught.value.allowed == "UD-IOM, D-IOM, UD-FOM, D-FOM"
     held = identify(log, fixed={"order": 1.92}, details=False)
     assert (held.structure, held.model.order) == ("UD-FOM", 1.92)
-    assert identify(log, fixed={"damping_order": 0.9}, details=False).structure == "D-FOM"
+    assert (
+        identify(log, fixed={"damping_order": 0.9}, details=False).structure == "D-FOM"
+    )
 
 
 def test_figures_of_a_fit_from_its_samples(fits: dict[str, Fit]) -> None:
     log, fit = made_log(noise=0.05, samples=2501), fits["UD-FOM"]
     count = fit.fitted_samples
     assert fit.predicted + fit.residual == pytest.approx(log.output)
-    unit = simulated_torque(replace(fit.model, stiffness=1.0), log.motor_angle, log.period, delay=fit.delay)
+    unit = simulated_torque(
+        replace(fit.model, stiffness=1.0), log.motor_angle, log.period, delay=fit.delay
+    )
     assert fit.predicted == pytest.approx(fit.gain * unit + fit.offset, abs=1e-7)
     squares, powers = fit.residual**2, (log.output - fit.offset) ** 2
     assert fit.mse == pytest.approx(squares[:count].mean())
     assert fit.nmse == pytest.approx(squares[:count].mean() / powers[:count].mean())
     assert fit.heldout_mse == pytest.approx(squares[count:].mean())
-    assert fit.heldout_nmse == pytest.approx(squares[count:].mean() / powers[count:].mean())
+    assert fit.heldout_nmse == pytest.approx(
+        squares[count:].mean() / powers[count:].mean()
+    )
     assert (fit.aic, fit.bic) == (
         pytest.approx(2 * 2 + count * np.log(fit.mse)),
         pytest.approx(2 * np.log(count) + count * np.log(fit.mse)),
     )
-    assert (fit.samples, fit.period, fit.output_kind, fit.hold) == (2501, 0.004, "torque", "first")
+    assert (fit.samples, fit.period, fit.output_kind, fit.hold) == (
+        2501,
+        0.004,
+        "torque",
+        "first",
+    )
     assert (fit.model.stiffness, fit.model.gauge_gain) == (abs(fit.gain), 1.0)
     dead = replace(log, output=np.where(np.arange(2501) < 1501, log.output, 0.0))
-    nothing = identify(dead, "UD-FOM", heldout=0.4, fixed={"offset": 0.0}, details=False)
+    nothing = identify(
+        dead, "UD-FOM", heldout=0.4, fixed={"offset": 0.0}, details=False
+    )
     assert nothing.heldout_mse is not None
     assert nothing.heldout_nmse is None  # no power to compare with
 
@@ -282,7 +359,14 @@ def test_white_errors_are_the_scatter_of_fits() -> None:
     fits = []
     for seed in range(24):
         noise = np.random.default_rng(seed).normal(0, 0.05, 2501)
-        fits.append(identify(replace(clean, output=clean.output + noise), "D-FOM", heldout=0, details=False))
+        fits.append(
+            identify(
+                replace(clean, output=clean.output + noise),
+                "D-FOM",
+                heldout=0,
+                details=False,
+            )
+        )
     for name in ("gain", "offset", "delay"):
         said = np.median([fit.standard_errors[name] for fit in fits])
         scatter = np.std([getattr(fit, name) for fit in fits])

@@ -1,4 +1,6 @@
-"""The gates of identification: logs that must not give a model to design with, and logs that must."""
+"""The gates of identification: logs that must not give a model to design with, and logs
+that must.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +29,15 @@ ANGLE = np.asarray(lfilter([0.1], [1, -0.9], ANGLE))
 TORQUE = simulated_torque(TRUTH, ANGLE, PERIOD, delay=0.004)
 RANDOM = np.random.default_rng(7)
 WHITE = RANDOM.normal(0, 1, COUNT)
-SLOW = np.asarray(lfilter([0.0199**0.5], [1, -0.98], RANDOM.normal(0, 1, 5 * COUNT)))[-COUNT:]
+SLOW = np.asarray(lfilter([0.0199**0.5], [1, -0.98], RANDOM.normal(0, 1, 5 * COUNT)))[
+    -COUNT:
+]
 RING = np.asarray(np.clip((TIME - 0.5) / 0.2, 0, 1))
 
 
-def log(angle: Array = ANGLE, output: Array | None = None, **options: object) -> Experiment:
+def log(
+    angle: Array = ANGLE, output: Array | None = None, **options: object
+) -> Experiment:
     values = TORQUE + 0.02 * WHITE if output is None else output
     return Experiment(period=PERIOD, motor_angle=angle, output=values, **options)  # type: ignore[arg-type]
 
@@ -50,7 +56,8 @@ def saturated(share: float) -> Array:
 
 
 DEFLECTION = TORQUE / 1.56
-# name -> the log, and the finding that it must give: its code and a part of what it says
+# name -> the log, and the finding that it must give: its code and a part of what it
+# says
 BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     # --- units, scale and sign
     "deflection in degrees": (
@@ -83,8 +90,16 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "W320",
         "not a deflection in rad",
     ),
-    "angle in degrees, torque": (lambda: log(np.rad2deg(ANGLE)), "W323", "degrees labelled as radians"),
-    "torque with the other sign": (lambda: log(output=-TORQUE), "W307", "opposite sign"),
+    "angle in degrees, torque": (
+        lambda: log(np.rad2deg(ANGLE)),
+        "W323",
+        "degrees labelled as radians",
+    ),
+    "torque with the other sign": (
+        lambda: log(output=-TORQUE),
+        "W307",
+        "opposite sign",
+    ),
     "deflection with the other sign": (
         lambda: log(output=-DEFLECTION, output_kind="deflection"),
         "W307",
@@ -92,7 +107,11 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     "angle with the other sign": (lambda: log(-ANGLE), "W307", "opposite sign"),
     # --- wrong columns
-    "the angle twice": (lambda: log(output=ANGLE), "W324", "the motor's angle times a constant"),
+    "the angle twice": (
+        lambda: log(output=ANGLE),
+        "W324",
+        "the motor's angle times a constant",
+    ),
     "the speed as torque": (
         lambda: log(output=np.gradient(ANGLE, PERIOD)),
         "W324",
@@ -103,10 +122,26 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "W324",
         "the motor's acceleration times",
     ),
-    "the time as torque": (lambda: log(output=TIME.copy()), "W324", "the output grows steadily with time"),
-    "the time as angle": (lambda: log(TIME.copy()), "W324", "the motor angle grows by one step"),
-    "the reference as torque": (lambda: log(output=np.sign(ANGLE)), "W325", "a command, not a measurement"),
-    "a counter as torque": (lambda: log(output=np.arange(COUNT) % 256.0), "W324", "a clock, a counter"),
+    "the time as torque": (
+        lambda: log(output=TIME.copy()),
+        "W324",
+        "the output grows steadily with time",
+    ),
+    "the time as angle": (
+        lambda: log(TIME.copy()),
+        "W324",
+        "the motor angle grows by one step",
+    ),
+    "the reference as torque": (
+        lambda: log(output=np.sign(ANGLE)),
+        "W325",
+        "a command, not a measurement",
+    ),
+    "a counter as torque": (
+        lambda: log(output=np.arange(COUNT) % 256.0),
+        "W324",
+        "a clock, a counter",
+    ),
     "another log's torque": (
         lambda: log(output=TORQUE[::-1].copy()),
         "W313",
@@ -117,14 +152,22 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "W313",
         "both channels are of one recording",
     ),
-    "channels half a second apart": (lambda: log(output=rolled(0.5)), "W316", "or about 52"),
+    "channels half a second apart": (
+        lambda: log(output=rolled(0.5)),
+        "W316",
+        "or about 52",
+    ),
     "torque five samples per row": (
         lambda: log(output=np.repeat(TORQUE, 5)[:COUNT]),
         "W313",
         "both channels are of one recording",
     ),
     # --- no signal
-    "noise alone": (lambda: log(output=WHITE), "W313", "check that the gauge is connected"),
+    "noise alone": (
+        lambda: log(output=WHITE),
+        "W313",
+        "check that the gauge is connected",
+    ),
     "a signal of a sixth of the noise, 500 samples": (
         lambda: Experiment(
             period=8 * PERIOD,
@@ -134,7 +177,11 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "W313",
         "hardly better than a constant",
     ),
-    "slow noise alone": (lambda: log(output=SLOW), "W313", "check that the gauge is connected"),
+    "slow noise alone": (
+        lambda: log(output=SLOW),
+        "W313",
+        "check that the gauge is connected",
+    ),
     "mains hum alone": (
         lambda: log(output=np.sin(2 * np.pi * 50 * TIME) + 0.1 * WHITE),
         "W313",
@@ -156,15 +203,29 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "or move further",
     ),
     # --- no excitation
-    "a motor that creeps": (lambda: log(0.02 * TIME, 0.02 * WHITE), "W324", "a speed that excites nothing"),
-    "a motor that only trembles": (lambda: log(1e-6 * WHITE, 0.02 * SLOW), "W313", "the motor hardly moves"),
+    "a motor that creeps": (
+        lambda: log(0.02 * TIME, 0.02 * WHITE),
+        "W324",
+        "a speed that excites nothing",
+    ),
+    "a motor that only trembles": (
+        lambda: log(1e-6 * WHITE, 0.02 * SLOW),
+        "W313",
+        "the motor hardly moves",
+    ),
     "a link too stiff to vibrate": (
-        lambda: log(output=1e-3 * np.gradient(np.gradient(ANGLE, PERIOD), PERIOD) + 0.02 * WHITE),
+        lambda: log(
+            output=1e-3 * np.gradient(np.gradient(ANGLE, PERIOD), PERIOD) + 0.02 * WHITE
+        ),
         "W324",
         "a stiff link needs faster moves",
     ),
     # --- an arm that changes
-    "a payload that slips": (lambda: log(output=slipped()), "W318", "a payload that slipped"),
+    "a payload that slips": (
+        lambda: log(output=slipped()),
+        "W318",
+        "a payload that slipped",
+    ),
     "a gauge that dies": (
         lambda: log(output=np.where(TIME < 9.0, TORQUE, 0.0) + 0.02 * WHITE),
         "W318",
@@ -175,7 +236,11 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
         "W318",
         "a gauge that drifts",
     ),
-    "a gauge hard at its stops": (lambda: log(output=saturated(0.05)), "W325", "the amplifier saturates"),
+    "a gauge hard at its stops": (
+        lambda: log(output=saturated(0.05)),
+        "W325",
+        "the amplifier saturates",
+    ),
     "a motor that stops, and noise": (
         lambda: log(np.where(TIME < 0.3, ANGLE, ANGLE[75]), 0.2 * WHITE),
         "W313",
@@ -196,10 +261,14 @@ def test_a_bad_log_gives_no_model_that_passes_and_says_why(name: str) -> None:
     assert any(part in sentence for sentence in said), "\n".join(map(str, errors))
 
 
-@pytest.mark.parametrize("name", ["noise alone", "slow noise alone", "channels two seconds apart"])
+@pytest.mark.parametrize(
+    "name", ["noise alone", "slow noise alone", "channels two seconds apart"]
+)
 def test_of_noise_neither_sign_nor_delay_is_said(name: str) -> None:
     fit = identify(BAD[name][0]())
-    assert not {"W306", "W307", "W309", "W316"} & {finding.code for finding in fit.findings}
+    assert not {"W306", "W307", "W309", "W316"} & {
+        finding.code for finding in fit.findings
+    }
 
 
 @pytest.mark.slow
@@ -213,11 +282,17 @@ def test_a_few_samples_at_the_stops_are_no_gate() -> None:
 
 @pytest.mark.slow
 def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
-    """The vibration from before the cut is not in the model: here the delay is 4 ms, and the fit errs."""
+    """The vibration from before the cut is not in the model: here the delay is 4 ms,
+    and the fit errs.
+    """
     late = int(np.flatnonzero(np.diff(ANGLE) != 0)[0]) + 600
     cut = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:]))
     (begins,) = (item for item in cut.findings if item.code == "W326")
-    assert begins.severity == "warning" and "the link is bent" in begins.message and "keep" in begins.remedy
+    assert (
+        begins.severity == "warning"
+        and "the link is bent" in begins.message
+        and "keep" in begins.remedy
+    )
     residual = cut.residual[: cut.fitted_samples] ** 2
     first = residual[: round(float(begins.evidence["time"]) / PERIOD)]
     assert begins.evidence["first_mse"] == pytest.approx(first.mean())
@@ -229,17 +304,32 @@ def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [300, 600, 1100])
-def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(late: int) -> None:
+def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(
+    late: int,
+) -> None:
     late += int(np.flatnonzero(np.diff(ANGLE) != 0)[0])
-    found = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:], earlier_angle=ANGLE[:late]))
+    found = identify(
+        log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:], earlier_angle=ANGLE[:late])
+    )
     assert "W326" not in {item.code for item in found.findings}
-    for name, truth in (("delay", 0.004), ("natural_frequency", 10.02), ("order", 1.92)):
+    for name, truth in (
+        ("delay", 0.004),
+        ("natural_frequency", 10.02),
+        ("order", 1.92),
+    ):
         interval = found.intervals[name]
-        spare = 0.3 * (interval.high - interval.low)  # 2.6 standard errors: one noise, nine intervals
+        spare = 0.3 * (
+            interval.high - interval.low
+        )  # 2.6 standard errors: one noise, nine intervals
         assert interval.low - spare < truth < interval.high + spare, name
     # The model of the cut log, driven by all of the angle, is that of the prediction.
-    again = simulated_torque(found.model, ANGLE, PERIOD, delay=found.delay)[late:] + found.offset
-    assert np.allclose(found.predicted, again, rtol=0, atol=3e-7)  # each grid of rates errs by itself
+    again = (
+        simulated_torque(found.model, ANGLE, PERIOD, delay=found.delay)[late:]
+        + found.offset
+    )
+    assert np.allclose(
+        found.predicted, again, rtol=0, atol=3e-7
+    )  # each grid of rates errs by itself
     assert found.samples == ANGLE.size - late and found.fitted_samples < found.samples
 
 
@@ -265,7 +355,10 @@ def test_a_quiet_end_is_not_what_is_held_out() -> None:
 
 
 def test_motion_that_comes_late_is_on_both_sides() -> None:
-    late = np.asarray(0.3 * np.clip((TIME - 11) / 0.2, 0, 1) - 0.3 * np.clip((TIME - 13.5) / 0.2, 0, 1))
+    late = np.asarray(
+        0.3 * np.clip((TIME - 11) / 0.2, 0, 1)
+        - 0.3 * np.clip((TIME - 13.5) / 0.2, 0, 1)
+    )
     fit = identify(log(late, simulated_torque(TRUTH, late, PERIOD) + 0.005 * WHITE))
     assert fit.passed
     assert 11 / PERIOD < fit.fitted_samples < 13.5 / PERIOD
@@ -276,11 +369,19 @@ def test_what_was_identified_travels_with_the_model() -> None:
     fit = identify(log())
     assert fit.model.gauge_delay == fit.delay == pytest.approx(0.004, abs=5e-4)
     assert fit.model.gauge_gain == 1.0
-    assert fit.model.interval("gauge_delay") == (fit.intervals["delay"].low, fit.intervals["delay"].high)
-    assert fit.model.interval("order") == (fit.intervals["order"].low, fit.intervals["order"].high)
+    assert fit.model.interval("gauge_delay") == (
+        fit.intervals["delay"].low,
+        fit.intervals["delay"].high,
+    )
+    assert fit.model.interval("order") == (
+        fit.intervals["order"].low,
+        fit.intervals["order"].high,
+    )
     low, high = fit.model.interval("stiffness") or (0.0, 0.0)
     assert low < 1.56 < high
-    deflection = identify(log(output=1.1 * DEFLECTION, output_kind="deflection"), stiffness=1.56)
+    deflection = identify(
+        log(output=1.1 * DEFLECTION, output_kind="deflection"), stiffness=1.56
+    )
     assert deflection.model.gauge_gain == pytest.approx(1.1, rel=1e-2)
     assert deflection.model.stiffness == 1.56
 

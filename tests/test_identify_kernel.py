@@ -37,17 +37,24 @@ def test_delay_of_whole_and_broken_samples() -> None:
     for steps in (1, 3, 8, 13):
         late = simulated_torque(TRUTH, angle, fine, delay=steps * fine)
         assert np.max(np.abs(late[steps:] - whole[:-steps])) < 1e-9
-    # Between samples the input is a straight line: the same as a fine log that is straight there.
+    # Between samples the input is a straight line: the same as a fine log that is
+    # straight there.
     coarse = angle[::8]
-    straight = np.interp(fine * np.arange(coarse.size * 8 - 7), PERIOD * np.arange(coarse.size), coarse)
+    straight = np.interp(
+        fine * np.arange(coarse.size * 8 - 7), PERIOD * np.arange(coarse.size), coarse
+    )
     reference = simulated_torque(TRUTH, straight, fine, hold="first")
     for steps in (1, 3, 5):
         late = simulated_torque(TRUTH, coarse, PERIOD, delay=steps * fine, hold="first")
-        assert np.max(np.abs(late[1:] - reference[8 - steps :: 8][: late.size - 1])) < 1e-8
+        assert (
+            np.max(np.abs(late[1:] - reference[8 - steps :: 8][: late.size - 1])) < 1e-8
+        )
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
-@pytest.mark.parametrize("link", [LINKS[i] for i in (0, 2, 3, 4)], ids=lambda link: link.structure)
+@pytest.mark.parametrize(
+    "link", [LINKS[i] for i in (0, 2, 3, 4)], ids=lambda link: link.structure
+)
 def test_derivatives_are_those_of_the_prediction(link: LinkModel, hold: str) -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     window = Window(angle, np.zeros_like(angle), PERIOD, hold)  # type: ignore[arg-type]
@@ -93,7 +100,9 @@ def test_fractional_link_is_the_edge_of_the_damped_one() -> None:
 def test_a_negative_delay_looks_ahead() -> None:
     angle = smooth_pulse(PERIOD * np.arange(2000))
     early = simulated_torque(TRUTH, angle, PERIOD, delay=-5 * PERIOD)
-    assert np.allclose(early[:-5], simulated_torque(TRUTH, angle, PERIOD)[5:], atol=1e-9)
+    assert np.allclose(
+        early[:-5], simulated_torque(TRUTH, angle, PERIOD)[5:], atol=1e-9
+    )
 
 
 def test_hold_is_seen_in_the_angle() -> None:
@@ -106,8 +115,12 @@ def test_hold_is_seen_in_the_angle() -> None:
 @pytest.mark.parametrize("hold", ["zero", "first"])
 @pytest.mark.parametrize("before", [1, 7, 8, 450])
 @pytest.mark.parametrize("delay", [-0.021, 0.0, 0.0173, 0.3])
-def test_samples_before_the_first_output_move_the_link(delay: float, before: int, hold: str) -> None:
-    """The columns of a log that was cut are those of the whole one from there on, whatever the delay."""
+def test_samples_before_the_first_output_move_the_link(
+    delay: float, before: int, hold: str
+) -> None:
+    """The columns of a log that was cut are those of the whole one from there on,
+    whatever the delay.
+    """
     angle = smooth_pulse(PERIOD * np.arange(900))
     shape = shape_of(TRUTH, delay)
     whole = Window(angle, angle, PERIOD, hold)  # type: ignore[arg-type]

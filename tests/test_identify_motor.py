@@ -13,7 +13,13 @@ import fraclink as fl
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._identify import MotorFit, design_experiment, identify, identify_motor, simulated_torque
+from fraclink._identify import (
+    MotorFit,
+    design_experiment,
+    identify,
+    identify_motor,
+    simulated_torque,
+)
 from fraclink._identify.excitation import _followed, _multisine, _scaled, _Unit
 from fraclink._identify.motor import _Bumps, _judged, _narrowed
 from fraclink.errors import FieldError, InfeasibleError, LogError
@@ -60,12 +66,17 @@ def test_known_delay_is_kept_and_errors_cover() -> None:
 
 @pytest.mark.slow
 def test_the_links_torque_gives_the_inertia() -> None:
-    # Dividing the link's torque by J is the same as a voltage: make the load a known second drive.
+    # Dividing the link's torque by J is the same as a voltage: make the load a known
+    # second drive.
     voltage, angle = example_motor_log(samples=4000)
     generator = np.random.default_rng(3)
     torque = np.repeat(generator.uniform(-0.01, 0.01, 100), 40)
-    driven = voltage + torque / (GAIN * INERTIA)  # the voltage that makes the same motion against the load
-    fit = identify_motor(driven, angle, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0)
+    driven = voltage + torque / (
+        GAIN * INERTIA
+    )  # the voltage that makes the same motion against the load
+    fit = identify_motor(
+        driven, angle, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0
+    )
     assert fit.inertia == pytest.approx(INERTIA, rel=0.02)
     assert fit.gain == pytest.approx(GAIN, rel=0.02)
 
@@ -77,7 +88,9 @@ def test_bad_motor_logs() -> None:
     with pytest.raises(LogError, match="constant"):
         identify_motor(voltage, np.zeros(1000), period=PERIOD)
     with pytest.raises(LogError, match="finite"):
-        identify_motor(np.where(np.arange(1000) == 3, np.nan, voltage), angle, period=PERIOD)
+        identify_motor(
+            np.where(np.arange(1000) == 3, np.nan, voltage), angle, period=PERIOD
+        )
     with pytest.raises(LogError, match="motion in one direction"):
         identify_motor(voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD)
     with pytest.raises(FieldError, match="period"):
@@ -89,12 +102,16 @@ def test_bad_motor_logs() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["prbs", "multisine"])
 def test_designed_experiment_reaches_its_standard_error(kind: str) -> None:
-    plan = design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind=kind)  # type: ignore[arg-type]
+    plan = design_experiment(
+        LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind=kind
+    )  # type: ignore[arg-type]
     torque = simulated_torque(LINK, plan.motor_angle, PERIOD)
     orders = []
     for seed in range(40):
         noise = np.random.default_rng(seed).normal(0, 0.05, torque.size)
-        log = Experiment(period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise)
+        log = Experiment(
+            period=PERIOD, motor_angle=plan.motor_angle, output=torque + noise
+        )
         orders.append(identify(log, "UD-FOM", heldout=0, details=False).model.order)
     # The deviation of 40 values is known to 11 %; three times that.
     assert np.std(orders) == pytest.approx(0.001, rel=0.35)
@@ -105,7 +122,12 @@ def test_limits_bind_and_the_nearest_request_is_feasible() -> None:
     motor = Rig.named("paper-2023").motor
     with pytest.raises(InfeasibleError) as caught:
         design_experiment(
-            LINK, standard_error=1e-5, noise=0.05, period=PERIOD, motor=motor, deflection_limit=0.2
+            LINK,
+            standard_error=1e-5,
+            noise=0.05,
+            period=PERIOD,
+            motor=motor,
+            deflection_limit=0.2,
         )
     nearest = caught.value.nearest
     plan = design_experiment(
@@ -123,12 +145,19 @@ def test_limits_bind_and_the_nearest_request_is_feasible() -> None:
 
 @pytest.mark.parametrize("field", ["standard_error", "noise", "period", "duration"])
 def test_bad_design_requests(field: str) -> None:
-    options = {"standard_error": 0.001, "noise": 0.05, "period": PERIOD, "duration": 10.0} | {field: -1.0}
+    options = {
+        "standard_error": 0.001,
+        "noise": 0.05,
+        "period": PERIOD,
+        "duration": 10.0,
+    } | {field: -1.0}
     with pytest.raises(FieldError) as caught:
         design_experiment(LINK, **options)
     assert caught.value.field == field
     with pytest.raises(FieldError, match="kind"):
-        design_experiment(LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind="chirp")  # type: ignore[arg-type]
+        design_experiment(
+            LINK, standard_error=0.001, noise=0.05, period=PERIOD, kind="chirp"
+        )  # type: ignore[arg-type]
 
 
 # --- the pieces against closed forms ------------------------------------------------------------------------
@@ -144,7 +173,9 @@ def bump(x: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("delay", [0.0, 0.0013, 0.004, 0.0111, 0.03])
 def test_a_held_voltage_is_integrated_exactly(delay: float) -> None:
-    """∫ φ((t − t_k)/w) u(t − τ) dt of a staircase, on a grid 400 times finer than its samples."""
+    """∫ φ((t − t_k)/w) u(t − τ) dt of a staircase, on a grid 400 times finer than its
+    samples.
+    """
     u = np.random.default_rng(1).normal(size=1200)
     width = 15 * PERIOD
     found = MOVING.driven(u, delay)
@@ -152,7 +183,9 @@ def test_a_held_voltage_is_integrated_exactly(delay: float) -> None:
         centre = MOVING.centres[k] * PERIOD
         fine = centre + np.linspace(-width, width, 12_001)[:-1] + width / 12_000
         held = u[np.clip(np.floor((fine - delay) / PERIOD + 1e-9).astype(int), 0, 1199)]
-        wanted = float(np.sum(bump((fine - centre) / width) * held)) * 2 * width / 12_000
+        wanted = (
+            float(np.sum(bump((fine - centre) / width) * held)) * 2 * width / 12_000
+        )
         assert found[k] == pytest.approx(wanted, abs=2e-3 * width)
 
 
@@ -171,15 +204,23 @@ def test_bumps_stand_where_the_motor_moves_one_way() -> None:
     fine = np.linspace(-1, 1, 4001)
     area = np.trapezoid(bump(fine), fine) * 15 * PERIOD
     assert bumps.area == pytest.approx(area, rel=1e-6)
-    for name, part in (("velocity", lambda x: 2 * np.cos(x)), ("acceleration", lambda x: -4 * np.sin(x))):
+    for name, part in (
+        ("velocity", lambda x: 2 * np.cos(x)),
+        ("acceleration", lambda x: -4 * np.sin(x)),
+    ):
         wanted = [
-            np.trapezoid(bump(fine) * part(2.0 * (t + 15 * PERIOD * fine)), fine) * 15 * PERIOD
+            np.trapezoid(bump(fine) * part(2.0 * (t + 15 * PERIOD * fine)), fine)
+            * 15
+            * PERIOD
             for t in at[::40]
         ]
         assert getattr(bumps, name)[::40] == pytest.approx(wanted, rel=1e-3, abs=1e-5)
     assert bumps.load is not None
     loads = [
-        np.trapezoid(bump(fine) * np.cos(5 * (t + 15 * PERIOD * fine)), fine) * 15 * PERIOD for t in at[::40]
+        np.trapezoid(bump(fine) * np.cos(5 * (t + 15 * PERIOD * fine)), fine)
+        * 15
+        * PERIOD
+        for t in at[::40]
     ]
     assert bumps.load[::40] == pytest.approx(loads, rel=1e-4, abs=1e-6)
 
@@ -200,7 +241,9 @@ def test_the_columns_of_the_regression() -> None:
 
 
 def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
-    """An angle of many turns is the same motion: its second derivative is taken under the integral."""
+    """An angle of many turns is the same motion: its second derivative is taken under
+    the integral.
+    """
     voltage, angle = example_motor_log(samples=1500)
     here, away = (
         identify_motor(voltage, angle + start, period=PERIOD, delay=0.0, dead_zone=0.0)
@@ -211,7 +254,9 @@ def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
 
 
 def test_a_minimum_is_narrowed_down_to_its_edge() -> None:
-    assert _narrowed(lambda x: (x - 0.31) ** 2, 0.3, 0.1) == pytest.approx(0.31, abs=1e-4)
+    assert _narrowed(lambda x: (x - 0.31) ** 2, 0.3, 0.1) == pytest.approx(
+        0.31, abs=1e-4
+    )
     assert _narrowed(lambda x: (x + 1.0) ** 2, 0.05, 0.1) == 0.0  # never below zero
     assert _narrowed(lambda x: (x - 9.0) ** 2, 0.5, 0.1) == pytest.approx(0.6, abs=1e-3)
 
@@ -235,7 +280,9 @@ MOTOR = MotorFit(
         ("inertia", -0.001, True),
     ],
 )
-def test_a_sign_is_impossible_beyond_three_standard_errors(name: str, value: float, refused: bool) -> None:
+def test_a_sign_is_impossible_beyond_three_standard_errors(
+    name: str, value: float, refused: bool
+) -> None:
     fit = dataclasses.replace(MOTOR, **{name: value})
     if not refused:
         assert _judged(fit).findings == ()
@@ -256,15 +303,26 @@ def test_gates_of_a_motor() -> None:
     assert not poor.passed
     # 1/J is 1000 ± 340: a third of it is three of its errors, and no inertia.
     for error, known in ((0.33e-3, True), (0.34e-3, False)):
-        vague = dataclasses.replace(MOTOR, standard_errors={**MOTOR.standard_errors, "inertia": error})
+        vague = dataclasses.replace(
+            MOTOR, standard_errors={**MOTOR.standard_errors, "inertia": error}
+        )
         found = _judged(vague)
         assert found.passed
-        assert (found.inertia, found.coulomb_torque) == ((0.001, 0.01) if known else (None, None))
-        assert [finding.code for finding in found.findings] == ([] if known else ["W332"])
+        assert (found.inertia, found.coulomb_torque) == (
+            (0.001, 0.01) if known else (None, None)
+        )
+        assert [finding.code for finding in found.findings] == (
+            [] if known else ["W332"]
+        )
     evidence = found.findings[0].evidence
-    assert evidence == {"reciprocal": pytest.approx(1000.0), "standard_error": pytest.approx(340.0)}
+    assert evidence == {
+        "reciprocal": pytest.approx(1000.0),
+        "standard_error": pytest.approx(340.0),
+    }
     # An inertia that was given has no error, and is not judged.
-    given = dataclasses.replace(MOTOR, standard_errors={"gain": 1.0, "decay": 0.5, "coulomb_voltage": 0.01})
+    given = dataclasses.replace(
+        MOTOR, standard_errors={"gain": 1.0, "decay": 0.5, "coulomb_voltage": 0.01}
+    )
     assert _judged(given).inertia == 0.001
 
 
@@ -276,14 +334,20 @@ def test_errors_of_quotients_follow_from_the_covariance() -> None:
     fits = []
     for seed in range(25):
         shaken = angle + np.random.default_rng(seed).normal(0, 0.02, angle.size)
-        fits.append(identify_motor(driven, shaken, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0))
+        fits.append(
+            identify_motor(
+                driven, shaken, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0
+            )
+        )
     for name in ("gain", "decay", "coulomb_voltage", "inertia"):
         scatter = float(np.std([getattr(fit, name) for fit in fits]))
         said = float(np.median([fit.standard_errors[name] for fit in fits]))
         assert 0.7 < said / scatter < 1.7, name  # the scatter of 25 is known to 14 %
     fit = fits[0]
     assert fit.inertia is not None and fit.coulomb_torque is not None
-    assert fit.coulomb_torque == pytest.approx(fit.coulomb_voltage * fit.gain * fit.inertia)
+    assert fit.coulomb_torque == pytest.approx(
+        fit.coulomb_voltage * fit.gain * fit.inertia
+    )
     assert fit.windows > 100
 
 
@@ -297,7 +361,9 @@ def test_errors_of_quotients_follow_from_the_covariance() -> None:
         ("window", 4.1, "> 0 and <= 4 s"),
     ],
 )
-def test_options_of_a_motor_in_the_logs_own_range(option: str, value: float, allowed: str) -> None:
+def test_options_of_a_motor_in_the_logs_own_range(
+    option: str, value: float, allowed: str
+) -> None:
     voltage, angle = example_motor_log(samples=1000)
     with pytest.raises(FieldError) as caught:
         identify_motor(voltage, angle, period=PERIOD, **{option: value})  # type: ignore[arg-type]
@@ -308,14 +374,21 @@ def test_options_of_a_motor_in_the_logs_own_range(option: str, value: float, all
 def test_the_window_sets_the_length_of_a_stretch() -> None:
     voltage, angle = example_motor_log(samples=1000)
     with pytest.raises(LogError) as caught:
-        identify_motor(voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD, window=0.2)
+        identify_motor(
+            voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD, window=0.2
+        )
     assert caught.value.allowed == ">= 20 stretches of 0.2 s"
     with pytest.raises(LogError) as caught:
         identify_motor(voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD)
-    assert caught.value.allowed == ">= 20 stretches of 0.12 s"  # 30 samples, above 80 ms
+    assert (
+        caught.value.allowed == ">= 20 stretches of 0.12 s"
+    )  # 30 samples, above 80 ms
     with pytest.raises(LogError) as caught:
         identify_motor(voltage[:199], angle[:199], period=PERIOD)
-    assert (caught.value.value, caught.value.allowed) == (199, ">= 200 samples, all alike")
+    assert (caught.value.value, caught.value.allowed) == (
+        199,
+        ">= 200 samples, all alike",
+    )
     with pytest.raises(LogError, match="another length") as caught:
         identify_motor(voltage, angle, period=PERIOD, torque=angle[:-1])
     assert (caught.value.field, caught.value.value) == ("torque", 999)
@@ -328,9 +401,13 @@ def test_a_motor_loop_of_two_equal_poles() -> None:
     """1/(1 + s/p)² of a held input: 1 − (1 + p t) e^(−p t) behind a step."""
     followed = _followed(np.ones(50), 0.01, 30.0)
     time = 0.01 * np.arange(50)
-    assert followed == pytest.approx(1 - (1 + 30 * time) * np.exp(-30 * time), abs=1e-12)
+    assert followed == pytest.approx(
+        1 - (1 + 30 * time) * np.exp(-30 * time), abs=1e-12
+    )
     target = np.repeat([1.0, -0.5, 2.0], 40)
-    exact = fl.time_response(1 / (1 + fl.s / 30.0) ** 2, target, 0.01, hold="zero").output
+    exact = fl.time_response(
+        1 / (1 + fl.s / 30.0) ** 2, target, 0.01, hold="zero"
+    ).output
     assert _followed(target, 0.01, 30.0) == pytest.approx(exact, abs=1e-9)
 
 
@@ -344,7 +421,9 @@ def test_a_multisine_is_flat_in_its_band() -> None:
     inside = (w > 5.5) & (w < 19.5)
     assert lines[(w < 4.5) | (w > 20.5)].max() < 0.2 * np.median(lines[inside])
     assert np.median(lines[inside]) / lines[inside].min() < 1.5
-    assert np.abs(wave).max() / wave.std() < 2.2  # Schroeder's phases: far from √(2 · 48) of equal ones
+    assert (
+        np.abs(wave).max() / wave.std() < 2.2
+    )  # Schroeder's phases: far from √(2 · 48) of equal ones
 
 
 @pytest.mark.parametrize("kind", ["prbs", "multisine"])
@@ -368,15 +447,28 @@ def test_what_a_design_says_of_its_motion(kind: str) -> None:
     low, high = plan.band
     if kind == "prbs":
         assert plan.bit is not None
-        assert (low, high) == (pytest.approx(2 * np.pi / 10.0), pytest.approx(0.44 * 2 * np.pi / plan.bit))
+        assert (low, high) == (
+            pytest.approx(2 * np.pi / 10.0),
+            pytest.approx(0.44 * 2 * np.pi / plan.bit),
+        )
         assert plan.bit / PERIOD == pytest.approx(round(plan.bit / PERIOD))
     else:
         assert plan.bit is None
         assert high / low == pytest.approx(4.0)
-        assert round(2 * low / abs(LINK.pole), 6) in (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+        assert round(2 * low / abs(LINK.pole), 6) in (
+            0.25,
+            0.35,
+            0.5,
+            0.7,
+            1.0,
+            1.4,
+            2.0,
+        )
     # The deflection and the voltage of eq. (1), from the motion itself.
     torque = simulated_torque(LINK, plan.motor_angle, PERIOD, hold="first")
-    assert plan.peak_deflection == pytest.approx(float(np.abs(torque).max()) / 1.56, rel=1e-6)
+    assert plan.peak_deflection == pytest.approx(
+        float(np.abs(torque).max()) / 1.56, rel=1e-6
+    )
     speed = np.gradient(plan.motor_angle, PERIOD)
     voltage = (np.gradient(speed, PERIOD) + motor.decay * speed) / motor.gain
     voltage += torque / (motor.gear_ratio * motor.torque_constant)
@@ -385,7 +477,9 @@ def test_what_a_design_says_of_its_motion(kind: str) -> None:
 
 def test_the_error_falls_with_amplitude_and_grows_with_noise() -> None:
     plans = [
-        design_experiment(LINK, standard_error=error, noise=noise, period=PERIOD, duration=5.0)
+        design_experiment(
+            LINK, standard_error=error, noise=noise, period=PERIOD, duration=5.0
+        )
         for error, noise in ((0.002, 0.05), (0.001, 0.05), (0.002, 0.1))
     ]
     assert plans[1].amplitude == pytest.approx(2 * plans[0].amplitude)
@@ -395,33 +489,60 @@ def test_the_error_falls_with_amplitude_and_grows_with_noise() -> None:
 def test_a_limit_says_what_it_leaves_and_how_long_a_log_would_do() -> None:
     with pytest.raises(InfeasibleError) as caught:
         design_experiment(
-            LINK, standard_error=5e-4, noise=0.05, period=PERIOD, duration=5.0, deflection_limit=0.1
+            LINK,
+            standard_error=5e-4,
+            noise=0.05,
+            period=PERIOD,
+            duration=5.0,
+            deflection_limit=0.1,
         )
     error = caught.value
     assert "deflection limit" in str(error)
     reached = error.nearest["standard_error"]
-    assert f"a log of {math.ceil(5.0 * (reached / (1 + 1e-6) / 5e-4) ** 2)} s may do" in str(error)
-    with pytest.raises(InfeasibleError) as caught:  # beyond a million samples no length is offered
+    assert (
+        f"a log of {math.ceil(5.0 * (reached / (1 + 1e-6) / 5e-4) ** 2)} s may do"
+        in str(error)
+    )
+    with pytest.raises(
+        InfeasibleError
+    ) as caught:  # beyond a million samples no length is offered
         design_experiment(
-            LINK, standard_error=1e-7, noise=0.05, period=PERIOD, duration=5.0, deflection_limit=0.1
+            LINK,
+            standard_error=1e-7,
+            noise=0.05,
+            period=PERIOD,
+            duration=5.0,
+            deflection_limit=0.1,
         )
     assert "may do" not in str(caught.value)
 
 
 def test_a_log_has_two_hundred_samples() -> None:
     for duration, fits in ((0.8, True), (0.79, False)):
-        arguments = {"standard_error": 0.5, "noise": 0.05, "period": PERIOD, "duration": duration}
+        arguments = {
+            "standard_error": 0.5,
+            "noise": 0.05,
+            "period": PERIOD,
+            "duration": duration,
+        }
         if fits:
             assert design_experiment(LINK, **arguments).time.size == 201
             continue
         with pytest.raises(FieldError) as caught:
             design_experiment(LINK, **arguments)
-        assert (caught.value.field, caught.value.allowed) == ("duration", "0.8 to 4000 s")
+        assert (caught.value.field, caught.value.allowed) == (
+            "duration",
+            "0.8 to 4000 s",
+        )
 
 
-@pytest.mark.parametrize(("limit", "reached", "named"), [(0.5, True, "none"), (0.4999, False, "deflection")])
+@pytest.mark.parametrize(
+    ("limit", "reached", "named"), [(0.5, True, "none"), (0.4999, False, "deflection")]
+)
 def test_a_motion_up_to_its_limit(limit: float, reached: bool, named: str) -> None:
-    """A motion of 1 rad bends the link by 0.1 rad and leaves an error of 0.05: 0.01 takes 5 rad."""
+    """A motion of 1 rad bends the link by 0.1 rad and leaves an error of 0.05: 0.01
+    takes 5 rad.
+    """
     unit = _Unit(None, (1.0, 2.0), np.array([0.0, 1.0]), PERIOD, 0.05, 0.1, None)
     design, met = _scaled(unit, 0.01, limit, None)
     assert (met, design.limit) == (reached, named)
@@ -431,6 +552,11 @@ def test_a_motion_up_to_its_limit(limit: float, reached: bool, named: str) -> No
     assert design.motor_angle.tolist() == [0.0, design.amplitude]
     assert (design.peak_voltage, design.duration) == (None, PERIOD)
     motor = Rig.named("paper-2023").motor
-    driven, _ = _scaled(dataclasses.replace(unit, voltage=10.0 * motor.voltage_limit), 0.01, limit, motor)
+    driven, _ = _scaled(
+        dataclasses.replace(unit, voltage=10.0 * motor.voltage_limit),
+        0.01,
+        limit,
+        motor,
+    )
     assert (driven.limit, driven.amplitude) == ("voltage", pytest.approx(0.1))
     assert driven.peak_voltage == pytest.approx(motor.voltage_limit)

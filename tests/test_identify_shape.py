@@ -1,4 +1,6 @@
-"""The coordinates of a fit, the log as the kernel sees it, and which structures contain which."""
+"""The coordinates of a fit, the log as the kernel sees it, and which structures contain
+which.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,12 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import identify, identify_structure, simulated_torque
-from fraclink._identify.fitting import _activity, fitted_samples, make_search, motion_after
+from fraclink._identify.fitting import (
+    _activity,
+    fitted_samples,
+    make_search,
+    motion_after,
+)
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -33,7 +40,14 @@ from fraclink._identify.shape import (
     special_cases,
     undamped_as_damped,
 )
-from fraclink._identify.uncertainty import _basis, _Profile, inverted, profile_interval, reduced, uncertainty
+from fraclink._identify.uncertainty import (
+    _basis,
+    _Profile,
+    inverted,
+    profile_interval,
+    reduced,
+    uncertainty,
+)
 from fraclink.errors import LogError, NotConvergedError
 from identify_cases import PERIOD, TRUTH, late_cut, made_log, smooth_pulse
 
@@ -51,13 +65,17 @@ def test_a_link_is_its_shape_and_back(link: LinkModel) -> None:
     shape = shape_of(link, 0.003)
     back = model_of(shape, 1.0, None)
     for name in ("natural_frequency", "order", "damping", "damping_order"):
-        assert getattr(back, name) == pytest.approx(getattr(link, name), rel=1e-9, abs=1e-12)
+        assert getattr(back, name) == pytest.approx(
+            getattr(link, name), rel=1e-9, abs=1e-12
+        )
     assert shape[4] == 0.003
 
 
 @pytest.mark.parametrize("link", [link for link in LINKS if link.damping])
 def test_resonance_and_ratio_are_those_of_the_denominator(link: LinkModel) -> None:
-    """At s = jΩ the denominator s² + μ s^α + ω₀² is 2 j ζ Ω²: no real part, and a viscous link's width."""
+    """At s = jΩ the denominator s² + μ s^α + ω₀² is 2 j ζ Ω²: no real part, and a
+    viscous link's width.
+    """
     order, log_resonance, ratio, other, _ = shape_of(link)
     s = 1j * math.exp(log_resonance)
     denominator = s**order + link.damping * s**other + link.natural_frequency**2
@@ -78,8 +96,12 @@ def test_a_square_below_what_a_double_resolves_is_zero() -> None:
     assert model_of(edge, 1.0, None).natural_frequency == 0.0
     inside = edge.copy()
     inside[2] *= 1 - 1e-6
-    assert model_of(inside, 1.0, None).natural_frequency == pytest.approx(10.0 * 1e-3, rel=1e-3)
-    assert model_of(np.array([2.0, 0.0, 0.0, 0.7, 0.0]), 2.0, 0.3) == LinkModel(2.0, 1.0, payload=0.3)
+    assert model_of(inside, 1.0, None).natural_frequency == pytest.approx(
+        10.0 * 1e-3, rel=1e-3
+    )
+    assert model_of(np.array([2.0, 0.0, 0.0, 0.7, 0.0]), 2.0, 0.3) == LinkModel(
+        2.0, 1.0, payload=0.3
+    )
 
 
 def test_the_undamped_link_of_fractional_order_is_one_with_fractional_damping() -> None:
@@ -110,11 +132,15 @@ def test_gradients_of_the_parameters(link: LinkModel) -> None:
             moved[k] = shape[k] + sign * 1e-4
             damping, square = damping_and_square(moved)
             parts.append(np.array([math.sqrt(square), moved[0], damping, moved[3]]))
-        assert rows[:, k] == pytest.approx((parts[0] - parts[1]) / 2e-4, rel=1e-4, abs=1e-6)
+        assert rows[:, k] == pytest.approx(
+            (parts[0] - parts[1]) / 2e-4, rel=1e-4, abs=1e-6
+        )
 
 
 def test_coordinates_and_their_bits() -> None:
-    assert [free_coordinates(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")] == [
+    assert [
+        free_coordinates(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")
+    ] == [
         (1,),
         (1, 2),
         (0, 1),
@@ -131,8 +157,12 @@ def test_columns_hold_the_output_and_its_derivatives() -> None:
     columns = columns_of(kernel, shape, mask_of((1, 2, 3, 4)))
     for row, k in enumerate((1, 2, 3, 4)):
         step = 1e-5 * np.eye(5)[k]
-        wanted = (columns_of(kernel, shape + step)[0] - columns_of(kernel, shape - step)[0]) / 2e-5
-        assert columns[1 + row] == pytest.approx(wanted, abs=1e-5 * np.abs(wanted).max())
+        wanted = (
+            columns_of(kernel, shape + step)[0] - columns_of(kernel, shape - step)[0]
+        ) / 2e-5
+        assert columns[1 + row] == pytest.approx(
+            wanted, abs=1e-5 * np.abs(wanted).max()
+        )
     with pytest.raises(NotConvergedError, match="the vibration pole") as caught:
         columns_of(kernel, np.array([2.0, 2.0, 1.2, 1.0, 0.0]))
     assert "0.9" in caught.value.remedy
@@ -148,7 +178,8 @@ def test_a_command_that_jumps_and_rests_is_held() -> None:
     assert chosen_hold(steps, "first") == "first"
     assert chosen_hold(smooth_pulse(PERIOD * time), "zero") == "zero"
     assert chosen_hold(smooth_pulse(PERIOD * 10 * time), "auto") == "first"
-    # An encoder that counts once in a while: forty small jumps, each of them calm on both sides.
+    # An encoder that counts once in a while: forty small jumps, each of them calm on
+    # both sides.
     assert chosen_hold(np.floor(time / 10.0), "auto") == "first"
     assert chosen_hold(np.floor(time / 40.0), "auto") == "zero"
     # Jumps are half of the path, and no more: the rest is a slow motion.
@@ -183,7 +214,9 @@ def test_an_encoders_steps_make_an_angle_rough() -> None:
 
 
 def test_special_cases_of_the_structures() -> None:
-    assert {name: special_cases(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")} == {
+    assert {
+        name: special_cases(name) for name in ("UD-IOM", "D-IOM", "UD-FOM", "D-FOM")
+    } == {
         "UD-IOM": [],
         "D-IOM": ["UD-IOM"],
         "UD-FOM": ["UD-IOM"],
@@ -199,12 +232,16 @@ def test_thelowest_valleys() -> None:
 
 def test_a_delay_as_a_part_of_the_period() -> None:
     rows = delayed(np.array([[2.0, math.log(4.0), 0.0, 1.0, 9.0]]), 0.25)
-    assert rows.tolist() == [[2.0, math.log(4.0), 0.0, 1.0, pytest.approx(0.25 * 2 * math.pi / 4.0)]]
+    assert rows.tolist() == [
+        [2.0, math.log(4.0), 0.0, 1.0, pytest.approx(0.25 * 2 * math.pi / 4.0)]
+    ]
 
 
 def solution(shape: list[float], free: tuple[int, ...]) -> Solution:
     low, high = np.array([1.0, 0.0, 0.0, 0.1, 0.0]), np.array([2.0, 5.0, 0.9, 1.9, 0.1])
-    return Solution("D-FOM", free, np.array(shape), 1.0, 0.0, 1.0, np.eye(8), low, high, 0, 1)
+    return Solution(
+        "D-FOM", free, np.array(shape), 1.0, 0.0, 1.0, np.eye(8), low, high, 0, 1
+    )
 
 
 def test_a_coordinate_on_its_limit_is_at_its_bound() -> None:
@@ -225,7 +262,13 @@ def test_fractional_damping_may_end_without_a_natural_frequency() -> None:
 
 
 def searched(log: Experiment, **options: object) -> Search:
-    usual = {"heldout": 0.0, "stiffness": None, "fixed": None, "guess": None, "hold": "auto"}
+    usual = {
+        "heldout": 0.0,
+        "stiffness": None,
+        "fixed": None,
+        "guess": None,
+        "hold": "auto",
+    }
     return make_search(log, **(usual | options))  # type: ignore[arg-type]
 
 
@@ -252,14 +295,21 @@ class Counted:
         return found
 
 
-def test_evaluations_are_all_passes_of_the_search(log: Experiment, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluations_are_all_passes_of_the_search(
+    log: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = Window.kernel
-    monkeypatch.setattr(Window, "kernel", lambda self, *given, **named: Counted(made(self, *given, **named)))
+    monkeypatch.setattr(
+        Window,
+        "kernel",
+        lambda self, *given, **named: Counted(made(self, *given, **named)),
+    )
     monkeypatch.setattr(Counted, "passes", 0)
     search = searched(log)
     first = search.solve("UD-FOM").evaluations
     assert first == Counted.passes > 0
-    # Of the others the work that they start from is a part: special cases, and a row of undamped links.
+    # Of the others the work that they start from is a part: special cases, and a row of
+    # undamped links.
     for name in ("UD-IOM", "D-FOM"):
         assert search.solve(name).evaluations == Counted.passes > first
     guess = replace(TRUTH, natural_frequency=9.0)
@@ -268,7 +318,9 @@ def test_evaluations_are_all_passes_of_the_search(log: Experiment, monkeypatch: 
 
 
 @pytest.mark.parametrize("name", ["UD-IOM", "D-IOM", "D-FOM"])
-def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(log: Experiment, name: str) -> None:
+def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(
+    log: Experiment, name: str
+) -> None:
     search = searched(log)  # of a link of order 1.92, which is what a scan begins with
     found = search.solve(name)
     assert found.shape[0] == 2.0
@@ -279,20 +331,29 @@ def test_of_a_long_history_what_a_fit_can_afford_moves_the_link() -> None:
     angle = np.sin(0.011 * np.arange(370_000))
 
     def cut(at: int, until: int = -1) -> Experiment:
-        return Experiment(PERIOD, angle[at:until], angle[at:until], earlier_angle=angle[:at])
+        return Experiment(
+            PERIOD, angle[at:until], angle[at:until], earlier_angle=angle[:at]
+        )
 
     assert np.array_equal(moving_angle(cut(5000, 6000)), angle[:6000])
     assert np.array_equal(moving_angle(cut(250_000, 251_000)), angle[50_000:251_000])
     assert np.array_equal(
         moving_angle(cut(290_000, 360_000)), angle[80_000:360_000]
     )  # three lengths are more
-    assert searched(cut(250_000, 251_000), heldout=0.4, hold="first").window.angle.size == 200_600
+    assert (
+        searched(cut(250_000, 251_000), heldout=0.4, hold="first").window.angle.size
+        == 200_600
+    )
     assert moving_angle(replace(cut(5000), earlier_angle=None)).size == 370_000 - 5001
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3, 4, 6])
-def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(seed: int) -> None:
-    """The last 2 s of 32 s at ζ = 0.02: by 6 s before the cut alone the delay is up to 9 ms off."""
+def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
+    seed: int,
+) -> None:
+    """The last 2 s of 32 s at ζ = 0.02: by 6 s before the cut alone the delay is up to
+    9 ms off.
+    """
     cut = late_cut(seed)
     fit = identify(cut)
     delay = fit.intervals["delay"]
@@ -304,12 +365,17 @@ def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(seed
 @pytest.mark.parametrize("hold", ["first", "zero"])
 def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> None:
     time = PERIOD * np.arange(2500)
-    angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1) if hold == "first" else 0.4 * (time > 0.2)
+    angle = (
+        0.4 * np.clip((time - 0.1) / 0.2, 0, 1)
+        if hold == "first"
+        else 0.4 * (time > 0.2)
+    )
     torque = simulated_torque(TRUTH, angle, PERIOD, hold=hold)
     torque += 0.01 * torque.std() * np.random.default_rng(0).standard_normal(time.size)
     cut = Experiment(PERIOD, angle[100:], torque[100:], earlier_angle=angle[:100])
     fit = identify(cut)
-    # Between samples the input does what it did in the move: of an angle at rest nothing is seen of that.
+    # Between samples the input does what it did in the move: of an angle at rest
+    # nothing is seen of that.
     assert fit.passed and fit.hold == hold
     assert fit.model.order == pytest.approx(TRUTH.order, abs=2e-3)
     assert abs(fit.delay) < 1e-3
@@ -327,7 +393,10 @@ def test_limits_follow_the_scan(log: Experiment) -> None:
     lower, upper = search.limits(may_lead=True)
     low, high = search.window.frequency_limits
     assert (lower[0], upper[0]) == (1.01, 2.0)
-    assert (lower[1], upper[1]) == (pytest.approx(math.log(low) - 0.5), pytest.approx(math.log(high) + 0.3))
+    assert (lower[1], upper[1]) == (
+        pytest.approx(math.log(low) - 0.5),
+        pytest.approx(math.log(high) + 0.3),
+    )
     assert (lower[2], upper[2]) == (0.0, 0.9)
     assert lower[4] == pytest.approx(-0.12 * search.wave)
     assert upper[4] <= 0.35 * search.wave
@@ -346,7 +415,9 @@ def test_what_is_fixed_is_not_free(log: Experiment) -> None:
     assert math.isnan(searched(deflection, stiffness=1.5).gain)
 
 
-def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(log: Experiment) -> None:
+def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(
+    log: Experiment,
+) -> None:
     """Cost, slope and curvature against the projection of the written-out columns."""
     for options in (
         {},
@@ -368,7 +439,11 @@ def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(log: Exp
                 measured = measured - options["fixed"][name] * column
             else:
                 straight.append(column)
-        basis = np.linalg.qr(np.stack(straight, axis=1))[0] if straight else np.zeros((raw.shape[1], 0))
+        basis = (
+            np.linalg.qr(np.stack(straight, axis=1))[0]
+            if straight
+            else np.zeros((raw.shape[1], 0))
+        )
         left = measured - basis @ (basis.T @ measured)
         gain = (
             1.5
@@ -378,7 +453,9 @@ def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(log: Exp
         columns = gain * raw[1:]
         columns = columns - (columns @ basis) @ basis.T
         assert cost == pytest.approx(float(left @ left), rel=1e-8)
-        assert slope == pytest.approx(columns @ left, rel=1e-6, abs=1e-6 * float(left @ left))
+        assert slope == pytest.approx(
+            columns @ left, rel=1e-6, abs=1e-6 * float(left @ left)
+        )
         assert normal == pytest.approx(columns @ columns.T, rel=1e-6)
 
 
@@ -406,7 +483,8 @@ def test_activity_is_the_energy_that_is_still_to_come(count: int) -> None:
     border = sum(block.size for block in np.array_split(signal, 120)[:15])
     assert found[15] == pytest.approx(1 - border / (count / 4), abs=0.005)
     assert found[32:] == pytest.approx(0.0)
-    # The level of the quietest blocks is noise: a constant one has no quiet end, and is shared evenly.
+    # The level of the quietest blocks is noise: a constant one has no quiet end, and is
+    # shared evenly.
     assert _activity(np.ones(count)) == pytest.approx(np.linspace(1, 0, 121), abs=1e-12)
 
 
@@ -414,7 +492,9 @@ def moved(*moves: tuple[float, float], count: int = 3000) -> Experiment:
     """A motor that ramps by 1 rad within 0.2 s at these times [s], in these directions."""
     time = PERIOD * np.arange(count)
     angle = sum(sign * np.clip((time - at) / 0.2, 0, 1) for at, sign in moves)
-    output = np.exp(-np.maximum(time - moves[0][0], 0.0)) * np.where(time > moves[0][0], np.sin(10 * time), 0)
+    output = np.exp(-np.maximum(time - moves[0][0], 0.0)) * np.where(
+        time > moves[0][0], np.sin(10 * time), 0
+    )
     return Experiment(period=PERIOD, motor_angle=angle, output=output)
 
 
@@ -445,20 +525,40 @@ def test_a_log_of_one_move_is_cut_in_its_ring_down() -> None:
 
 def test_too_short_and_still_logs_are_refused_with_what_is_wanted() -> None:
     log = made_log(samples=1000)
-    short = Experiment(period=PERIOD, motor_angle=log.motor_angle[250:299], output=log.output[250:299])
+    short = Experiment(
+        period=PERIOD, motor_angle=log.motor_angle[250:299], output=log.output[250:299]
+    )
     with pytest.raises(LogError) as caught:
         searched(short)
-    assert (caught.value.field, caught.value.value, caught.value.allowed) == ("output", 49, ">= 50")
-    searched(Experiment(period=PERIOD, motor_angle=log.motor_angle[250:300], output=log.output[250:300]))
-    still = Experiment(period=PERIOD, motor_angle=np.full(100, 0.3), output=log.output[250:350])
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == (
+        "output",
+        49,
+        ">= 50",
+    )
+    searched(
+        Experiment(
+            period=PERIOD,
+            motor_angle=log.motor_angle[250:300],
+            output=log.output[250:300],
+        )
+    )
+    still = Experiment(
+        period=PERIOD, motor_angle=np.full(100, 0.3), output=log.output[250:350]
+    )
     with pytest.raises(LogError) as caught:
         searched(still)
-    assert (caught.value.field, caught.value.value, caught.value.allowed) == ("motor_angle", 0.3, "a motion")
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == (
+        "motor_angle",
+        0.3,
+        "a motion",
+    )
 
 
 @pytest.mark.parametrize("part", [0.0, 0.24])
 def test_the_scan_finds_the_resonance_and_about_the_delay(part: float) -> None:
-    """Delays are parts of the vibration's period; without one a late log would have another phase."""
+    """Delays are parts of the vibration's period; without one a late log would have
+    another phase.
+    """
     wave = 2 * math.pi / abs(TRUTH.pole)
     search = searched(made_log(noise=0.02, samples=2501, delay=part * wave))
     order, log_resonance, ratio, other, late = search.seed
@@ -476,8 +576,11 @@ def test_a_guess_beside_the_scan_and_in_its_place(log: Experiment) -> None:
     good = LinkModel(1.0, TRUTH.natural_frequency * 1.001, order=1.921)
     assert searched(log, guess=good).seed == pytest.approx(shape_of(good))
     poor = LinkModel(1.0, 40.0, order=1.5)
-    assert searched(log, guess=poor).seed[1] == pytest.approx(math.log(abs(TRUTH.pole)), abs=0.15)
-    # With the gain known there is no scan: a guess is taken at its word, three times too high or not.
+    assert searched(log, guess=poor).seed[1] == pytest.approx(
+        math.log(abs(TRUTH.pole)), abs=0.15
+    )
+    # With the gain known there is no scan: a guess is taken at its word, three times
+    # too high or not.
     alone = searched(log, guess=poor, fixed={"gain": 1.5, "delay": 0.002})
     assert alone.seed == pytest.approx(shape_of(poor, 0.002))
     assert alone.lowest == pytest.approx(math.exp(alone.seed[1]) / 3)
@@ -497,7 +600,9 @@ def test_starts_of_the_structures_follow_from_those_found(log: Experiment) -> No
     search = searched(log)
     fractional = search.solve("UD-FOM").shape
     (first,) = search._starts("UD-FOM")
-    assert first == pytest.approx([min(search.seed[0], 1.95), search.seed[1], 0.0, 1.0, search.seed[4]])
+    assert first == pytest.approx(
+        [min(search.seed[0], 1.95), search.seed[1], 0.0, 1.0, search.seed[4]]
+    )
     (viscous,) = search._starts("D-IOM")
     ratio = -math.cos(math.pi / fractional[0])
     assert viscous == pytest.approx([2.0, fractional[1], ratio, 1.0, fractional[4]])
@@ -515,7 +620,9 @@ def test_starts_of_the_structures_follow_from_those_found(log: Experiment) -> No
 
 
 def test_errors_under_white_noise_written_out(log: Experiment) -> None:
-    """σ² (JᵀJ)⁻¹ of the written-out columns, for a viscous link with gain, offset and delay."""
+    """σ² (JᵀJ)⁻¹ of the written-out columns, for a viscous link with gain, offset and
+    delay.
+    """
     search = searched(log)
     solution = search.solve("D-IOM")
     found = uncertainty(search, solution, coloured=False)
@@ -527,7 +634,11 @@ def test_errors_under_white_noise_written_out(log: Experiment) -> None:
         ends = []
         for sign in (1, -1):
             delay = solution.shape[4] + (sign * step if name == "delay" else 0.0)
-            moved = model if name == "delay" else replace(model, **{name: getattr(model, name) + sign * step})
+            moved = (
+                model
+                if name == "delay"
+                else replace(model, **{name: getattr(model, name) + sign * step})
+            )
             ends.append(columns_of(search.kernel, shape_of(moved, delay))[0])
         columns.append(solution.gain * (ends[0] - ends[1]) / (2 * step))
     columns += [columns_of(search.kernel, solution.shape)[0], np.ones(log.output.size)]
@@ -537,9 +648,17 @@ def test_errors_under_white_noise_written_out(log: Experiment) -> None:
     assert found.white == pytest.approx(
         wanted, rel=2e-3, abs=1e-3 * np.sqrt(np.outer(*2 * [np.diag(wanted)])).min()
     )
-    assert (found.lag, found.effective, found.singular, found.coloured) == (1, 5.0, False, None)
-    # Of the resonance the error is relative: that of ln Ω, which viscous damping does not move.
-    assert found.resonance == pytest.approx(math.sqrt(wanted[0, 0]) / model.natural_frequency, rel=1e-2)
+    assert (found.lag, found.effective, found.singular, found.coloured) == (
+        1,
+        5.0,
+        False,
+        None,
+    )
+    # Of the resonance the error is relative: that of ln Ω, which viscous damping does
+    # not move.
+    assert found.resonance == pytest.approx(
+        math.sqrt(wanted[0, 0]) / model.natural_frequency, rel=1e-2
+    )
     coloured = uncertainty(search, solution, coloured=True)
     assert coloured.white == pytest.approx(found.white)
     assert coloured.coloured is not None
@@ -548,7 +667,9 @@ def test_errors_under_white_noise_written_out(log: Experiment) -> None:
 
 
 def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> None:
-    """At each end of an interval a fit with that value costs exp(1.96²/n) times the least."""
+    """At each end of an interval a fit with that value costs exp(1.96²/n) times the
+    least.
+    """
     search = searched(log)
     solution = search.solve("UD-FOM")
     error = math.sqrt(uncertainty(search, solution, coloured=False).white[1, 1])
@@ -560,17 +681,23 @@ def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> 
         told = log.output.size * math.log(held.cost / solution.cost)
         assert math.sqrt(told) == pytest.approx(1.96, abs=5e-3)
     wide = profile_interval(search, solution, "order", 2 * error, 4.0)
-    assert wide.high - wide.low == pytest.approx(2 * (interval.high - interval.low), rel=0.05)
+    assert wide.high - wide.low == pytest.approx(
+        2 * (interval.high - interval.low), rel=0.05
+    )
     own = profile_interval(search, solution, "natural_frequency", 0.01, 1.0)
     assert own.contains(model_of(solution.shape, 1.0, None).natural_frequency)
 
 
 def test_a_profile_knows_its_parameter_and_its_range(log: Experiment) -> None:
-    """Of a classical link ω₀ is the resonance, a coordinate with limits; elsewhere it is any above zero."""
+    """Of a classical link ω₀ is the resonance, a coordinate with limits; elsewhere it
+    is any above zero.
+    """
     search = searched(log)
     viscous, fractional = search.solve("D-IOM"), search.solve("UD-FOM")
     inside = tuple(np.exp([viscous.lower[1], viscous.upper[1]]))
-    assert _Profile(search, viscous, "natural_frequency").limits() == pytest.approx(inside)
+    assert _Profile(search, viscous, "natural_frequency").limits() == pytest.approx(
+        inside
+    )
     assert _Profile(search, fractional, "natural_frequency").limits() == (0.0, math.inf)
     assert _Profile(search, viscous, "damping").limits() == (0.0, math.inf)
     assert _Profile(search, fractional, "order").limits() == (1.01, 2.0)
@@ -586,7 +713,9 @@ def test_a_profile_knows_its_parameter_and_its_range(log: Experiment) -> None:
 
 
 def test_on_the_edge_the_ratio_follows_alpha() -> None:
-    """Where ω₀ = 0 there is one direction less: dζ/dα of the largest ratio, tan(απ/2)/2."""
+    """Where ω₀ = 0 there is one direction less: dζ/dα of the largest ratio,
+    tan(απ/2)/2.
+    """
     edge = solution([2.0, 2.0, largest_ratio(0.5), 0.5, 0.0], (1, 2, 3))
     basis = _basis(edge, [1, 2, 3], 2)
     assert basis.shape == (5, 4)

@@ -10,7 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._arm.link import LinkModel
-from fraclink._identify import SpectrumFit, frequency_response, identify_frequency_response
+from fraclink._identify import (
+    SpectrumFit,
+    frequency_response,
+    identify_frequency_response,
+)
 from fraclink._identify.modal import ModalProblem, _levy, _places, _prominent, _seen
 from fraclink._identify.spectrum import _findings, _standing_out
 from fraclink.errors import FieldError, LogError
@@ -23,8 +27,12 @@ LINK = LinkModel(1.56, 10.02, order=1.92)
 
 @pytest.mark.slow
 @settings(max_examples=15, deadline=None)
-@given(order=st.floats(1.5, 1.995), frequency=st.floats(3, 25), delay=st.floats(0, 0.03))
-def test_clean_response_is_found_exactly(order: float, frequency: float, delay: float) -> None:
+@given(
+    order=st.floats(1.5, 1.995), frequency=st.floats(3, 25), delay=st.floats(0, 0.03)
+)
+def test_clean_response_is_found_exactly(
+    order: float, frequency: float, delay: float
+) -> None:
     link = LinkModel(2.0, frequency, order=order)
     response = link.torque()(1j * FREQUENCY) * np.exp(-1j * FREQUENCY * delay)
     fit = identify_frequency_response(FREQUENCY, response)
@@ -37,7 +45,10 @@ def test_clean_response_is_found_exactly(order: float, frequency: float, delay: 
 def noisy(seed: int) -> np.ndarray:
     generator = np.random.default_rng(seed)
     response = LINK.torque()(1j * FREQUENCY) * np.exp(-1j * FREQUENCY * 0.01)
-    return np.asarray(response * (1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200))))
+    return np.asarray(
+        response
+        * (1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200)))
+    )
 
 
 @pytest.mark.slow
@@ -61,10 +72,14 @@ def test_the_order_of_the_lines_does_not_matter(weighed: bool) -> None:
     sorted_fit = identify_frequency_response(FREQUENCY, response, coherence=coherence)
     mixed = np.random.default_rng(3).permutation(FREQUENCY.size)
     fit = identify_frequency_response(
-        FREQUENCY[mixed], response[mixed], coherence=None if coherence is None else coherence[mixed]
+        FREQUENCY[mixed],
+        response[mixed],
+        coherence=None if coherence is None else coherence[mixed],
     )
     assert fit.order == sorted_fit.order
-    assert set(FREQUENCY[mixed][list(fit.outliers)]) == set(FREQUENCY[list(sorted_fit.outliers)])
+    assert set(FREQUENCY[mixed][list(fit.outliers)]) == set(
+        FREQUENCY[list(sorted_fit.outliers)]
+    )
     assert np.array_equal(fit.predicted, sorted_fit.predicted[mixed])
 
 
@@ -86,7 +101,9 @@ def test_coherence_weighs_lines() -> None:
     bad = FREQUENCY > 20
     response[bad] *= 1 + 0.5 * np.random.default_rng(2).normal(size=int(bad.sum()))
     coherence = np.where(bad, 0.5, 0.999)
-    weighed = identify_frequency_response(FREQUENCY, response, coherence=coherence, robust=False)
+    weighed = identify_frequency_response(
+        FREQUENCY, response, coherence=coherence, robust=False
+    )
     plain = identify_frequency_response(FREQUENCY, response, robust=False)
     assert abs(weighed.order - 1.92) < 5e-3
     assert weighed.standard_errors["delay"] < plain.standard_errors["delay"]
@@ -112,16 +129,24 @@ def test_two_modes_with_one_order() -> None:
 
 @pytest.mark.slow
 def test_daisy_arm_has_one_common_order() -> None:
-    data = np.genfromtxt(shared_data("daisy_robot_arm", "robot-arm.csv"), delimiter=",", names=True)
+    data = np.genfromtxt(
+        shared_data("daisy_robot_arm", "robot-arm.csv"), delimiter=",", names=True
+    )
     found = frequency_response(data["u"], data["y"])
     assert found.frequency.size == 108
     fit = identify_frequency_response(
-        found.frequency, found.response, weights=found.magnitude, resonances=2, anti_resonances=2
+        found.frequency,
+        found.response,
+        weights=found.magnitude,
+        resonances=2,
+        anti_resonances=2,
     )
     assert fit.order == pytest.approx(1.994, abs=0.002)
     assert fit.fit >= 97.3
     assert fit.passed
-    assert np.array(fit.resonances) / (2 * np.pi) == pytest.approx([0.058, 0.127], abs=1e-3)
+    assert np.array(fit.resonances) / (2 * np.pi) == pytest.approx(
+        [0.058, 0.127], abs=1e-3
+    )
 
 
 CLEAN = LINK.torque()(1j * FREQUENCY)
@@ -130,8 +155,16 @@ LOW = FREQUENCY < 5
 BAD = {
     "noise alone": (FREQUENCY, 50 * WHITE, "W341"),
     "the phase with the other sign": (FREQUENCY, np.conj(CLEAN), "W341"),
-    "the gain in dB": (FREQUENCY, 20 * np.log10(np.abs(CLEAN)) * np.exp(1j * np.angle(CLEAN)), "W341"),
-    "the phase in degrees": (FREQUENCY, np.abs(CLEAN) * np.exp(1j * np.degrees(np.angle(CLEAN))), "W341"),
+    "the gain in dB": (
+        FREQUENCY,
+        20 * np.log10(np.abs(CLEAN)) * np.exp(1j * np.angle(CLEAN)),
+        "W341",
+    ),
+    "the phase in degrees": (
+        FREQUENCY,
+        np.abs(CLEAN) * np.exp(1j * np.degrees(np.angle(CLEAN))),
+        "W341",
+    ),
     "no phase at all": (FREQUENCY, np.abs(CLEAN) + 0j, "W341"),
     "a band below the resonance": (FREQUENCY[LOW], noisy(0)[LOW], "W342"),
     "no mode": (FREQUENCY, 1 + 5 * WHITE, "W342"),
@@ -152,17 +185,25 @@ def test_a_response_without_this_mode_fails_a_gate(name: str) -> None:
 
 @pytest.mark.slow
 def test_an_angle_of_the_motor_is_no_tip_response() -> None:
-    """A motor with an anti-resonance at 26 and a peak at 29 rad/s: low frequencies win the fit."""
+    """A motor with an anti-resonance at 26 and a peak at 29 rad/s: low frequencies win
+    the fit.
+    """
     s = 1j * FREQUENCY
     link = (s**2 + 0.52 * s + 26**2) / (s**2 + 1.16 * s + 29**2)
-    fit = identify_frequency_response(FREQUENCY, 3000 * link / (s * (s + 15)), anti_resonances=1)
-    assert "W342" in {finding.code for finding in fit.findings if finding.severity == "error"}
+    fit = identify_frequency_response(
+        FREQUENCY, 3000 * link / (s * (s + 15)), anti_resonances=1
+    )
+    assert "W342" in {
+        finding.code for finding in fit.findings if finding.severity == "error"
+    }
 
 
 @pytest.mark.slow
 def test_good_responses_pass() -> None:
     assert identify_frequency_response(FREQUENCY, CLEAN).passed
-    assert all(identify_frequency_response(FREQUENCY, noisy(seed)).passed for seed in range(6))
+    assert all(
+        identify_frequency_response(FREQUENCY, noisy(seed)).passed for seed in range(6)
+    )
 
 
 @pytest.mark.parametrize(
@@ -177,7 +218,10 @@ def test_good_responses_pass() -> None:
     ],
 )
 def test_bad_responses_name_their_field(field: str, options: dict[str, object]) -> None:
-    arguments: dict[str, object] = {"frequency": FREQUENCY, "response": noisy(0)} | options
+    arguments: dict[str, object] = {
+        "frequency": FREQUENCY,
+        "response": noisy(0),
+    } | options
     with pytest.raises(FieldError) as caught:
         identify_frequency_response(**arguments)  # type: ignore[arg-type]
     assert caught.value.field == field
@@ -190,7 +234,9 @@ def test_spectra_need_equal_lengths() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_linear_least_squares_return_an_exact_ratio(seed: int) -> None:
-    """Levy's fit of a rational function of its own degrees is that function, whatever the weights."""
+    """Levy's fit of a rational function of its own degrees is that function, whatever
+    the weights.
+    """
     g = np.random.default_rng(seed)
     top, bottom = g.normal(size=3), np.concatenate([[1.0], g.uniform(0.5, 2.0, 3)])
     x = (1j * np.geomspace(0.1, 10.0, 60)) ** 0.9
@@ -221,12 +267,17 @@ def test_lines_of_whole_periods() -> None:
     frequency_response(u[:16], y[:16])
     with pytest.raises(LogError) as caught:
         frequency_response(u[:15], y[:15])
-    assert (caught.value.field, caught.value.allowed) == ("output", ">= 16 samples of each")
+    assert (caught.value.field, caught.value.allowed) == (
+        "output",
+        ">= 16 samples of each",
+    )
 
 
 def test_lines_that_stand_out_from_their_neighbours() -> None:
     rng = np.random.default_rng(0)
-    error = rng.normal(size=60) + 1j * rng.normal(size=60) + np.linspace(0, 4, 60)  # a smooth misfit
+    error = (
+        rng.normal(size=60) + 1j * rng.normal(size=60) + np.linspace(0, 4, 60)
+    )  # a smooth misfit
     for size, told in ((30.0, [30]), (3.0, [])):
         spoilt = error.copy()
         spoilt[30] += size * 1j
@@ -239,7 +290,10 @@ def test_lines_that_stand_out_from_their_neighbours() -> None:
 def test_prominence_is_the_height_over_the_saddle() -> None:
     level = np.array([0.0, 3.0, 1.0, 5.0, 4.5, 4.8, 2.0, 2.5, 0.0])
     assert _prominent(level, 1) == [3]
-    assert _prominent(level, 2) == [1, 3]  # 2 over its saddle; the peak at 5 stands 0.3 over its own
+    assert _prominent(level, 2) == [
+        1,
+        3,
+    ]  # 2 over its saddle; the peak at 5 stands 0.3 over its own
     assert _prominent(level, 3) == [1, 3, 7]
     assert _prominent(level, 9) == [1, 3, 5, 7]
     assert _prominent(np.array([1.0, 2.0, 2.0, 1.0]), 3) == [1]  # a plateau is one peak
@@ -249,7 +303,9 @@ def test_prominence_is_the_height_over_the_saddle() -> None:
 def test_peaks_and_dips_by_eye() -> None:
     w = np.geomspace(1.0, 100.0, 400)
     s = 1j * w
-    response = (s**2 + 0.6 * s + 15.0**2) / ((s**2 + 0.5 * s + 6.0**2) * (s**2 + 1.2 * s + 40.0**2))
+    response = (s**2 + 0.6 * s + 15.0**2) / (
+        (s**2 + 0.5 * s + 6.0**2) * (s**2 + 1.2 * s + 40.0**2)
+    )
     found = _seen(w, response, 2, 1)
     assert len(found) == 1
     assert np.exp(found[0]) == pytest.approx([6.0, 40.0, 15.0], rel=0.02)
@@ -263,7 +319,9 @@ def test_roots_of_a_polynomial_in_s_to_the_order() -> None:
     """x² + 5 x + 4 = (x + 1)(x + 4) with x = (s/3)^1.8: frequencies 3 and 3·4^(1/1.8)."""
     found = np.exp(_places(np.array([1.0, 5.0, 4.0]), 1.8, 3.0))
     assert found == pytest.approx([3.0, 3.0 * 4.0 ** (1 / 1.8)])
-    assert np.exp(_places(np.array([0.0, 0.0, 4.0]), 1.8, 3.0)) == pytest.approx([3.0, 3.0])
+    assert np.exp(_places(np.array([0.0, 0.0, 4.0]), 1.8, 3.0)) == pytest.approx(
+        [3.0, 3.0]
+    )
     assert np.exp(_places(np.array([0.0, 1.0, 4.0]), 1.8, 3.0)) == pytest.approx(
         [3.0 * 4.0 ** (1 / 1.8), 3.0]
     )
@@ -272,7 +330,12 @@ def test_roots_of_a_polynomial_in_s_to_the_order() -> None:
 def problem(**changes: object) -> ModalProblem:
     w = np.linspace(1.0, 20.0, 40)
     h = 2.0 * np.exp(-0.01j * w) * (1j * w) ** 1.9 / ((1j * w) ** 1.9 + 9.0**1.9)
-    usual: dict[str, object] = {"frequency": w, "response": h, "weight": np.ones(40), "resonances": 1}
+    usual: dict[str, object] = {
+        "frequency": w,
+        "response": h,
+        "weight": np.ones(40),
+        "resonances": 1,
+    }
     usual |= {"anti_resonances": 0, "derivative": 1, "order": None, "delay": None}
     return ModalProblem(**(usual | changes))  # type: ignore[arg-type]
 
@@ -290,13 +353,15 @@ def test_free_and_full_vectors() -> None:
     gain, predicted = whole.fitted(truth, np.ones(40, bool))
     assert gain == pytest.approx(2.0)
     assert predicted == pytest.approx(whole.response)
-    assert whole.errors(truth, np.ones(40, bool)) == pytest.approx(np.zeros(80), abs=1e-12)
+    assert whole.errors(truth, np.ones(40, bool)) == pytest.approx(
+        np.zeros(80), abs=1e-12
+    )
     few = np.arange(40) < 30
     assert whole.errors(truth + 0.01, few).size == 60
     # A real gain: turned by 90° nothing is left of it.
-    assert problem(response=1j * whole.response).fitted(truth, np.ones(40, bool))[0] == pytest.approx(
-        0.0, abs=1e-9
-    )
+    assert problem(response=1j * whole.response).fitted(truth, np.ones(40, bool))[
+        0
+    ] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_result_of_a_fit_in_numbers() -> None:
@@ -304,13 +369,24 @@ def test_the_result_of_a_fit_in_numbers() -> None:
     spoilt = problem(response=whole.response + 0.1)
     found = spoilt.result(np.array([1.9, 0.01, np.log(9.0)]), every)
     weighed = whole.response
-    gain = np.real(np.vdot(weighed / 2, spoilt.response)) / np.real(np.vdot(weighed / 2, weighed / 2))
-    left = np.linalg.norm(spoilt.response - gain * weighed / 2) / np.linalg.norm(spoilt.response)
+    gain = np.real(np.vdot(weighed / 2, spoilt.response)) / np.real(
+        np.vdot(weighed / 2, weighed / 2)
+    )
+    left = np.linalg.norm(spoilt.response - gain * weighed / 2) / np.linalg.norm(
+        spoilt.response
+    )
     assert found.gain == pytest.approx(gain)
     assert found.fit == pytest.approx(100 * (1 - left))
-    assert (found.order, found.delay, found.resonances) == (1.9, 0.01, (pytest.approx(9.0),))
+    assert (found.order, found.delay, found.resonances) == (
+        1.9,
+        0.01,
+        (pytest.approx(9.0),),
+    )
     assert not found.at_bound and found.outliers == ()
-    assert problem(order=2.0).result(np.array([0.01, np.log(9.0)]), every).at_bound is False  # it was given
+    assert (
+        problem(order=2.0).result(np.array([0.01, np.log(9.0)]), every).at_bound
+        is False
+    )  # it was given
     assert whole.result(np.array([2.0, 0.01, np.log(9.0)]), every).at_bound
     assert whole.result(np.array([1.0, 0.01, np.log(9.0)]), every).at_bound
     kept = np.arange(40) != 7
@@ -319,18 +395,33 @@ def test_the_result_of_a_fit_in_numbers() -> None:
 
 @pytest.mark.slow
 def test_standard_errors_are_the_scatter_of_fits() -> None:
-    fits = [identify_frequency_response(FREQUENCY, noisy(seed), robust=False) for seed in range(16)]
+    fits = [
+        identify_frequency_response(FREQUENCY, noisy(seed), robust=False)
+        for seed in range(16)
+    ]
     for name, values in (
         ("order", [fit.order for fit in fits]),
         ("delay", [fit.delay for fit in fits]),
         ("resonance 1", [fit.resonances[0] for fit in fits]),
     ):
         said = np.median([fit.standard_errors[name] for fit in fits])
-        assert 0.55 < said / np.std(values) < 1.8, name  # the scatter of 16 is known to 18 %
+        assert 0.55 < said / np.std(values) < 1.8, (
+            name
+        )  # the scatter of 16 is known to 18 %
 
 
 GOOD = SpectrumFit(
-    1.9, (9.0,), (), 1.5, 0.01, 1, {"resonance 1": 0.1, "delay": 1e-4}, 97.0, (), False, np.ones(2)
+    1.9,
+    (9.0,),
+    (),
+    1.5,
+    0.01,
+    1,
+    {"resonance 1": 0.1, "delay": 1e-4},
+    97.0,
+    (),
+    False,
+    np.ones(2),
 )
 
 
@@ -362,7 +453,9 @@ GOOD = SpectrumFit(
         ),
     ],
 )
-def test_gates_of_a_response_at_their_thresholds(changes: dict[str, object], codes: list[str]) -> None:
+def test_gates_of_a_response_at_their_thresholds(
+    changes: dict[str, object], codes: list[str]
+) -> None:
     found = list(_findings(replace(GOOD, **changes), FREQUENCY))  # type: ignore[arg-type]
     assert [finding.code for finding in found] == codes
     assert all(finding.severity == "error" for finding in found)
@@ -384,7 +477,12 @@ def test_evidence_of_the_gates() -> None:
 
 def test_a_link_of_one_resonance() -> None:
     model = GOOD.model(payload=0.03)
-    assert (model.stiffness, model.order, model.gauge_delay, model.payload) == (1.5, 1.9, 0.01, 0.03)
+    assert (model.stiffness, model.order, model.gauge_delay, model.payload) == (
+        1.5,
+        1.9,
+        0.01,
+        0.03,
+    )
     assert model.natural_frequency == pytest.approx(9.0**0.95)
     assert replace(GOOD, gain=-1.5).model().stiffness == 1.5
     assert GOOD.model(stiffness=7.0).stiffness == 7.0
@@ -392,14 +490,19 @@ def test_a_link_of_one_resonance() -> None:
         with pytest.raises(FieldError) as caught:
             replace(GOOD, **changes).model()  # type: ignore[arg-type]
         assert caught.value.allowed == "1 resonance, no anti-resonance"
-    assert replace(GOOD, findings=(Finding("W341", "error", "m", {}, "r"),)).passed is False
+    assert (
+        replace(GOOD, findings=(Finding("W341", "error", "m", {}, "r"),)).passed
+        is False
+    )
     assert GOOD.passed
 
 
 def test_two_lines_for_each_mode_and_four_more() -> None:
     w = np.linspace(1.0, 20.0, 6)
     h = LINK.torque()(1j * w)
-    assert identify_frequency_response(w, h, robust=False).order == pytest.approx(1.92, abs=1e-3)
+    assert identify_frequency_response(w, h, robust=False).order == pytest.approx(
+        1.92, abs=1e-3
+    )
     with pytest.raises(FieldError) as caught:
         identify_frequency_response(w[1:], h[1:])
     assert (caught.value.value, caught.value.allowed) == (5, ">= 6")

@@ -1,4 +1,6 @@
-"""Files of results: what was edited, cut or damaged is refused by every command, with exit code 2."""
+"""Files of results: what was edited, cut or damaged is refused by every command, with
+exit code 2.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ RIG = fl.Rig.named("paper-2023")
 @pytest.fixture(scope="module")
 def made() -> fl.Design:
     assert RIG.model is not None
-    return fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    return fl.design(
+        RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +88,9 @@ def test_a_design_with_eight_times_the_gain_is_refused_by_every_command(
     assert main(line.replace("FILE", "bad.json").split()) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "bad.json was changed after it was written" in said
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.json"]  # nothing was made from it
+    assert [path.name for path in tmp_path.iterdir()] == [
+        "bad.json"
+    ]  # nothing was made from it
 
 
 EDITS: dict[str, Edit] = {
@@ -112,7 +118,10 @@ EDITS: dict[str, Edit] = {
 @pytest.mark.parametrize("name", EDITS)
 def test_an_edited_design_is_refused(name: str, files: Path, tmp_path: Path) -> None:
     path = _edited(files / "design.json", tmp_path / "bad.json", EDITS[name])
-    if path.read_bytes() == json.dumps(json.loads((files / "design.json").read_text("utf-8"))).encode():
+    if (
+        path.read_bytes()
+        == json.dumps(json.loads((files / "design.json").read_text("utf-8"))).encode()
+    ):
         pytest.fail("nothing was edited")
     with pytest.raises(FileFormatError):
         fl.Design.load(path)
@@ -121,7 +130,9 @@ def test_an_edited_design_is_refused(name: str, files: Path, tmp_path: Path) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
 @pytest.mark.parametrize("name", ["design.json", "law.json", "model.json"])
-def test_a_file_cut_short_is_refused(name: str, share: float, files: Path, tmp_path: Path) -> None:
+def test_a_file_cut_short_is_refused(
+    name: str, share: float, files: Path, tmp_path: Path
+) -> None:
     raw = (files / name).read_bytes()
     path = tmp_path / name
     path.write_bytes(raw[: int(share * len(raw.rstrip()))])
@@ -134,7 +145,9 @@ def test_every_number_of_a_law_is_under_its_digest(files: Path, tmp_path: Path) 
     content = data["content"]
     for key, value in content.items():
         changed = dict(content, **{key: None if value is not None else 1.0})
-        (tmp_path / "law.json").write_text(json.dumps(data | {"content": changed}), "utf-8")
+        (tmp_path / "law.json").write_text(
+            json.dumps(data | {"content": changed}), "utf-8"
+        )
         with pytest.raises(FileFormatError):
             load(tmp_path / "law.json")
 
@@ -146,16 +159,30 @@ def test_a_law_with_eight_times_the_gain_is_refused_by_replay(
     export_c(made.law(), tmp_path / "firmware")
     path = tmp_path / "firmware" / "law.json"
     data = json.loads(path.read_text("utf-8"))
-    key = next(name for name, value in data["content"].items() if isinstance(value, str) and "p" in value)
+    key = next(
+        name
+        for name, value in data["content"].items()
+        if isinstance(value, str) and "p" in value
+    )
     data["content"][key] = (8 * float.fromhex(data["content"][key])).hex()
     path.write_text(json.dumps(data), "utf-8")
     assert main(["replay", str(tmp_path / "firmware"), "demo"]) == 2
-    assert "law.json was changed after it was written" in " ".join(capsys.readouterr().err.split())
+    assert "law.json was changed after it was written" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_a_gate_cannot_be_deleted_from_the_folder_of_a_study(tmp_path: Path) -> None:
-    wrong = Finding("W211", "error", "the torque has the wrong sign", {"gain": -1.5}, "state sign = -1")
-    save_study(Study(rig=RIG, findings=(wrong,), stopped="not designed"), tmp_path / "study")
+    wrong = Finding(
+        "W211",
+        "error",
+        "the torque has the wrong sign",
+        {"gain": -1.5},
+        "state sign = -1",
+    )
+    save_study(
+        Study(rig=RIG, findings=(wrong,), stopped="not designed"), tmp_path / "study"
+    )
     study = load_study(tmp_path / "study")
     assert study.findings == (wrong,)
     assert study.verdict.promise.state == "failed"
@@ -164,9 +191,13 @@ def test_a_gate_cannot_be_deleted_from_the_folder_of_a_study(tmp_path: Path) -> 
         lambda d: d["content"].update(stopped=None),
         lambda d: d["content"]["verdict"]["promise"].update(state="passed"),
     ):
-        folder = shutil.copytree(tmp_path / "study", tmp_path / "edited", dirs_exist_ok=True)
+        folder = shutil.copytree(
+            tmp_path / "study", tmp_path / "edited", dirs_exist_ok=True
+        )
         _edited(folder / "study.json", folder / "study.json", edit)
-        with pytest.raises(FileFormatError, match=r"study\.json was changed after it was written"):
+        with pytest.raises(
+            FileFormatError, match=r"study\.json was changed after it was written"
+        ):
             load_study(folder)
         assert main(["report", str(folder)]) == 2
 

@@ -1,4 +1,6 @@
-"""Defaults and ranges of the interface are those recorded: what is not wanted does not move unseen."""
+"""Defaults and ranges of the interface are those recorded: what is not wanted does not
+move unseen.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from golden.interface import RECORD, interface  # type: ignore[attr-defined]
 
 
 def test_no_default_and_no_range_moves_unseen() -> None:
-    """New names may come without a record; `python -m tests.golden.interface` takes them in."""
+    """New names may come without a record; `python -m tests.golden.interface` takes
+    them in.
+    """
     told, found = json.loads(RECORD.read_text(encoding="utf-8")), interface()
     moved = [
         f"{place}, {name}: {what}: {before} became {found[place].get(name, {}).get(what, 'gone')}"

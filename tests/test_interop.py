@@ -1,4 +1,6 @@
-"""python-control on fractional systems: what works is exact, what cannot work fails and does not mislead."""
+"""python-control on fractional systems: what works is exact, what cannot work fails and
+does not mislead.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ def test_values_are_exact_anywhere(loop: Any) -> None:
     np.testing.assert_array_equal(loop(1j * OMEGA), exact)
     np.testing.assert_array_equal(loop.eval(OMEGA), exact)
     np.testing.assert_array_equal(loop.frequency_response(OMEGA).complex, exact)
-    np.testing.assert_array_equal(control.frequency_response(loop, OMEGA).complex, exact)
+    np.testing.assert_array_equal(
+        control.frequency_response(loop, OMEGA).complex, exact
+    )
     assert control.evalfr(loop, 2j) == LOOP(2j)
     assert loop(1 + 2j) == LOOP(1 + 2j)  # the stock class knows the imaginary axis only
     assert loop(2j, squeeze=False).shape == (1, 1)
@@ -78,7 +82,9 @@ def test_nyquist_counts_the_encirclements(loop: Any) -> None:
         lambda g: control.nyquist_plot(g),
         lambda g: control.nyquist_plot(g, OMEGA),
         lambda g: control.nichols_plot(g),
-        lambda g: control.singular_values_plot(control.singular_values_response(g, OMEGA)),
+        lambda g: control.singular_values_plot(
+            control.singular_values_response(g, OMEGA)
+        ),
         lambda g: control.describing_function_plot(
             g, control.saturation_nonlinearity(1), np.linspace(1, 5, 5)
         ),
@@ -152,24 +158,37 @@ def test_measured_data_keeps_its_grid(loop: Any) -> None:
         np.testing.assert_allclose(system.frdata[0, 0], expected, rtol=1e-12)
 
 
-# The table of docs/how-to/python-control.md: if one of these begins to work, the page has to say so.
+# The table of docs/how-to/python-control.md: if one of these begins to work, the page
+# has to say so.
 IMPOSSIBLE = {
     "omega of bode_plot": (UserWarning, lambda g: control.bode_plot(g, OMEGA)),
-    "singular_values_plot(system)": (UserWarning, lambda g: control.singular_values_plot(g)),
+    "singular_values_plot(system)": (
+        UserWarning,
+        lambda g: control.singular_values_plot(g),
+    ),
     "FrequencyResponseData(system, omega)": (
         TypeError,
         lambda g: control.FrequencyResponseData(g, OMEGA),
     ),
-    "feedback(tf, fractional)": (TypeError, lambda g: control.feedback(OTHERS["tf"], g)),
+    "feedback(tf, fractional)": (
+        TypeError,
+        lambda g: control.feedback(OTHERS["tf"], g),
+    ),
     "tf / fractional": (TypeError, lambda g: OTHERS["tf"] / g),
-    "gangof4_plot": (ValueError, lambda g: control.gangof4_plot(g, control.tf([1], [1]))),
+    "gangof4_plot": (
+        ValueError,
+        lambda g: control.gangof4_plot(g, control.tf([1], [1])),
+    ),
     "bandwidth": (AttributeError, control.bandwidth),
     "step_response": (AttributeError, control.step_response),
     "ss": (TypeError, control.ss),
     "tf": (TypeError, control.tf),
     "pzmap": (TypeError, control.pole_zero_plot),
     "root_locus": (TypeError, control.root_locus_plot),
-    "interconnect": (TypeError, lambda g: control.interconnect([g], inputs="u", outputs="y")),
+    "interconnect": (
+        TypeError,
+        lambda g: control.interconnect([g], inputs="u", outputs="y"),
+    ),
     "disk_margins": (ValueError, lambda g: control.disk_margins(g, OMEGA)),
 }
 
@@ -186,8 +205,12 @@ def test_alternatives_of_the_table() -> None:
     plant = OTHERS["tf"]
     closed = from_control(plant).feedback(LOOP)
     here, value = LOOP(1j * OMEGA), plant(1j * OMEGA)
-    np.testing.assert_allclose(closed(1j * OMEGA), value / (1 + value * here), rtol=1e-9)
-    np.testing.assert_allclose((from_control(plant) / LOOP)(1j * OMEGA), value / here, rtol=1e-9)
+    np.testing.assert_allclose(
+        closed(1j * OMEGA), value / (1 + value * here), rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        (from_control(plant) / LOOP)(1j * OMEGA), value / here, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,12 +226,16 @@ def test_alternatives_of_the_table() -> None:
 )
 def test_from_control(system: object, expected: FractionalTransferFunction) -> None:
     points = 1j * OMEGA
-    np.testing.assert_allclose(from_control(system)(points), expected(points), rtol=1e-12)
+    np.testing.assert_allclose(
+        from_control(system)(points), expected(points), rtol=1e-12
+    )
 
 
 def test_round_trip_of_an_integer_system() -> None:
     system = control.tf([1.0, 3.0], [1.0, 2.0, 10.0])
-    assert from_control(to_control(from_control(system))) == (s + 3) / (s**2 + 2 * s + 10)
+    assert from_control(to_control(from_control(system))) == (s + 3) / (
+        s**2 + 2 * s + 10
+    )
 
 
 @pytest.mark.parametrize(
@@ -275,7 +302,9 @@ def test_a_sampled_system_is_the_continuous_one_behind_its_hold(plant: Any) -> N
     w = np.array([0.1, 1.0, 5.0, 20.0])
     wanted = fl.from_control(plant)(1j * w)
     np.testing.assert_allclose(fl.from_control(sampled)(1j * w), wanted, rtol=1e-8)
-    np.testing.assert_allclose(fl.from_control(late)(1j * w), wanted * np.exp(-0.2j * w), rtol=1e-8)
+    np.testing.assert_allclose(
+        fl.from_control(late)(1j * w), wanted * np.exp(-0.2j * w), rtol=1e-8
+    )
     assert fl.from_control(late).delay == pytest.approx(0.2)
     u = np.random.default_rng(0).standard_normal(50)
     answered = control.forced_response(sampled, inputs=u).outputs
@@ -303,11 +332,15 @@ def test_what_python_controls_users_ask_of_a_function() -> None:
     assert (1 / s).dcgain() == math.inf
     np.testing.assert_array_equal(G.poles(), fl.poles(G))
     np.testing.assert_array_equal(control.zeros(G), [-2.0])
-    for name, told in {"num": "G.numerator", "step": "step_response", "isdtime": "to_control"}.items():
+    for name, told in {
+        "num": "G.numerator",
+        "step": "step_response",
+        "isdtime": "to_control",
+    }.items():
         with pytest.raises(AttributeError, match=told):
             getattr(G, name)
     with pytest.raises(AttributeError, match=r"no attribute 'nothing'$"):
-        getattr(G, "nothing")  # noqa: B009 - a type checker would refuse the other spelling
+        getattr(G, "nothing")  # noqa: B009
     assert Fraction(1, 2) * G == 0.5 * G
     assert copy.deepcopy(G) == G
 
@@ -340,15 +373,21 @@ def test_what_no_continuous_system_is_says_what_it_is() -> None:
         from_control(control.tf([1], [1, 0.5], True))
     with pytest.raises(FieldError, match="one input and one output"):
         from_control(control.ss(np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2))))
-    turning = control.tf([1.0], [1.0, 0.2, 0.5], 0.1)  # Re z < 0, but a pair: it has a logarithm
+    turning = control.tf(
+        [1.0], [1.0, 0.2, 0.5], 0.1
+    )  # Re z < 0, but a pair: it has a logarithm
     assert from_control(turning).is_proper
 
 
 def test_the_units_of_the_hold_are_seconds() -> None:
-    """1 − e^(−aT) over z − e^(−aT) is a/(s + a) at the period that the system states, and no other."""
+    """1 − e^(−aT) over z − e^(−aT) is a/(s + a) at the period that the system states,
+    and no other.
+    """
     for period in (0.001, 0.5, 20.0):
         a = 0.7 / period
-        found = from_control(control.tf([1 - math.exp(-0.7)], [1.0, -math.exp(-0.7)], period))
+        found = from_control(
+            control.tf([1 - math.exp(-0.7)], [1.0, -math.exp(-0.7)], period)
+        )
         assert found.denominator[-1].coefficient == pytest.approx(a, rel=1e-9)
         assert found.dcgain() == pytest.approx(1.0, rel=1e-9)
         assert len(found.numerator) == 1  # rounding of the logarithm is no zero

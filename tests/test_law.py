@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._law import Law, LawInputs, Modes, Moves, derive_limits, discretize_controller
+from fraclink._law import (
+    Law,
+    LawInputs,
+    Modes,
+    Moves,
+    derive_limits,
+    discretize_controller,
+)
 from fraclink._law import block as layout
 from fraclink._law.discretization import _crossover, _is_met
 from fraclink.errors import FieldError, FileFormatError
@@ -29,11 +36,20 @@ def test_the_block_is_the_struct_of_law_h() -> None:
     text = (ROOT / "csrc" / "law.h").read_text(encoding="utf-8")
     struct = re.search(r"typedef struct \{([^}]*)\} law_params;", text)
     assert struct is not None
-    fields = re.findall(r"(uint32_t|law_real|law_mode|law_pair) (\w+)(?:\[(\w+)\])?;", struct.group(1))
+    fields = re.findall(
+        r"(uint32_t|law_real|law_mode|law_pair) (\w+)(?:\[(\w+)\])?;", struct.group(1)
+    )
     lengths = {"LAW_REAL_MODES": 8, "LAW_PAIR_MODES": 2, "LAW_FORWARD_MODES": 8, "": 1}
     parts = {"law_real": 1, "law_mode": 2, "law_pair": 4}
-    assert [name for kind, name, _ in fields if kind == "uint32_t"] == [*layout.HEADER, *layout.COUNTS]
-    reals = tuple((name, parts[kind] * lengths[length]) for kind, name, length in fields if kind in parts)
+    assert [name for kind, name, _ in fields if kind == "uint32_t"] == [
+        *layout.HEADER,
+        *layout.COUNTS,
+    ]
+    reals = tuple(
+        (name, parts[kind] * lengths[length])
+        for kind, name, length in fields
+        if kind in parts
+    )
     assert reals == layout.REALS
     for name, length in lengths.items():
         assert not name or re.search(rf"#define {name} {length}U", text)
@@ -58,10 +74,18 @@ def test_the_state_fits_the_promise() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("delta", "band", "order"), [(0.16, (0.05, 600.0), 4), (0.016, (0.05, 600.0), 6)])
-def test_few_states_reach_a_tenth_of_a_decibel(delta: float, band: tuple[float, float], order: int) -> None:
+@pytest.mark.parametrize(
+    ("delta", "band", "order"), [(0.16, (0.05, 600.0), 4), (0.016, (0.05, 600.0), 6)]
+)
+def test_few_states_reach_a_tenth_of_a_decibel(
+    delta: float, band: tuple[float, float], order: int
+) -> None:
     controller = fl.Controller(
-        gain=0.148, order=0.65, filter_time=delta, filter_order=2, link=fl.Rig.named("paper-2023").model
+        gain=0.148,
+        order=0.65,
+        filter_time=delta,
+        filter_order=2,
+        link=fl.Rig.named("paper-2023").model,
     )
     made = discretize_controller(controller, PERIOD, band=band)
     assert made.order <= order
@@ -89,7 +113,8 @@ def test_a_constant_input_gives_exactly_zero(precision: str, torque: float) -> N
     rows[3, 5:] = torque  # a gauge offset that appears after the start
     outputs = run(made, rows)
     assert np.abs(outputs.motor_reference[5:50]).max() > 0.01
-    # flushed, not only small: the motor stands where it would without the offset, to the last bit
+    # flushed, not only small: the motor stands where it would without the offset, to
+    # the last bit
     assert outputs.motor_reference[-1] == 0.0
     assert outputs.flags[-1] == 0
     rows[3] = torque  # there from the start: never seen at all
@@ -120,7 +145,9 @@ def test_single_precision_stays_with_double_for_a_million_periods() -> None:
     rng = np.random.default_rng(3)
     rows = np.zeros((4, count))
     smooth = np.convolve(rng.standard_normal(count), np.ones(25) / 25, mode="same")
-    rows[3] = 1.56 * 0.027 * smooth / smooth.std()  # error of 0.027 rad rms, as in the prototype
+    rows[3] = (
+        1.56 * 0.027 * smooth / smooth.std()
+    )  # error of 0.027 rad rms, as in the prototype
 
     def correction_in(precision: str) -> NDArray[np.float64]:
         """Of a run's record, which is 120 MB, the column that is compared."""
@@ -140,7 +167,8 @@ def test_feed_forward_inverts_the_link() -> None:
     w = np.geomspace(0.5, 100.0, 200)
     z = np.exp(1j * w * PERIOD)
     filtered = made.feedforward.direct + sum(
-        g / (z - p) for g, p in zip(made.feedforward.gains, made.feedforward.poles, strict=True)
+        g / (z - p)
+        for g, p in zip(made.feedforward.gains, made.feedforward.poles, strict=True)
     )
     wanted = (1 / link.tip()(1j * w) - 1) / (1j * w) ** 2
     miss = np.abs(filtered - wanted) * w**2 / (1 + np.abs(wanted) * w**2)
@@ -152,7 +180,9 @@ def test_feed_forward_inverts_the_link() -> None:
     classical = discretize_controller(
         replace(default_controller(), link=LinkModel(1.56, 10.0, order=2.0)), PERIOD
     )
-    assert classical.feedforward == Modes(float(np.float32(0.01)))  # 1/ω₀², no state at all
+    assert classical.feedforward == Modes(
+        float(np.float32(0.01))
+    )  # 1/ω₀², no state at all
 
 
 def test_step_and_run_are_the_same() -> None:
@@ -254,15 +284,24 @@ def test_limits_follow_the_move() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"filter_time": 0.0}, {}, {"inner": "sampled", "placement": "direct"}])
-def test_the_law_keeps_the_margins_of_the_exact_controller(changes: dict[str, float | str]) -> None:
+@pytest.mark.parametrize(
+    "changes", [{"filter_time": 0.0}, {}, {"inner": "sampled", "placement": "direct"}]
+)
+def test_the_law_keeps_the_margins_of_the_exact_controller(
+    changes: dict[str, float | str],
+) -> None:
     rig = fl.Rig.named("paper-2023")
-    wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    wanted = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     design = fl.design(rig.model, rig, **wanted, **changes)  # type: ignore[arg-type]
     assert design.law().order <= 6
     for payload in (0.040, 0.030, 0.020, 0.016, 0.008):
         exact, shipped = (
-            design.sampled_at(payload, realisation=kind).phase_margin for kind in ("exact", "law")
+            design.sampled_at(payload, realisation=kind).phase_margin
+            for kind in ("exact", "law")
         )
         assert shipped == pytest.approx(exact, abs=fl.deg(0.2)), payload
 
@@ -278,31 +317,54 @@ def test_the_modes_of_a_block_answer_a_pulse_as_the_recursion_of_law_c_does() ->
     for value in e:
         output.append(
             sum(g * x for g, x in zip(real[1::2], states, strict=True))
-            + sum((complex(c, d) * x).real for c, d, x in zip(pair[2::4], pair[3::4], turning, strict=True))
+            + sum(
+                (complex(c, d) * x).real
+                for c, d, x in zip(pair[2::4], pair[3::4], turning, strict=True)
+            )
         )
         states = [p * x + value for p, x in zip(real[::2], states, strict=True)]
-        turning = [complex(a, b) * x + value for a, b, x in zip(pair[::4], pair[1::4], turning, strict=True)]
+        turning = [
+            complex(a, b) * x + value
+            for a, b, x in zip(pair[::4], pair[1::4], turning, strict=True)
+        ]
     modes = modes_of({"real": real, "pair": pair})
     assert len(modes) == 2 + 2 * 2  # slots of no gain hold no mode
     answer = np.array([sum(g * p**k for p, g in modes) for k in range(e.size)])
     np.testing.assert_allclose(answer.imag, 0.0, atol=1e-15)
-    np.testing.assert_allclose(np.convolve(e, answer.real)[: e.size - 1], output[1:], atol=1e-12)
+    np.testing.assert_allclose(
+        np.convolve(e, answer.real)[: e.size - 1], output[1:], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("crossover", "margin", "filter_time", "emphasis"),
-    [(12.0, 50.0, 0.0, 3.0), pytest.param(20.0, 45.0, None, 1.0, marks=pytest.mark.slow)],
+    [
+        (12.0, 50.0, 0.0, 3.0),
+        pytest.param(20.0, 45.0, None, 1.0, marks=pytest.mark.slow),
+    ],
 )
 def test_a_fit_is_closest_about_the_crossover(
     crossover: float, margin: float, filter_time: float | None, emphasis: float
 ) -> None:
-    """There Ĉ itself is met to C's 0.1 dB and 0.5° over the emphasis: the loop is Ĉ times the plant."""
+    """There Ĉ itself is met to C's 0.1 dB and 0.5° over the emphasis: the loop is Ĉ
+    times the plant.
+    """
     rig = fl.Rig.named("paper-2023")
-    asked = {"gain_crossover": crossover, "phase_margin": fl.deg(margin), "filter_time": filter_time}
+    asked = {
+        "gain_crossover": crossover,
+        "phase_margin": fl.deg(margin),
+        "filter_time": filter_time,
+    }
     made = fl.design(rig.model, rig, **asked, law=False)  # type: ignore[arg-type]
     law = discretize_controller(made.controller, PERIOD)
-    assert law.correction_error[0] <= 0.1 and law.correction_error[1] <= 0.5 and law.order == 6
-    centre = made.ideal_loop.with_controller(made.controller).crossings(made.natural_frequency(0.03))
+    assert (
+        law.correction_error[0] <= 0.1
+        and law.correction_error[1] <= 0.5
+        and law.order == 6
+    )
+    centre = made.ideal_loop.with_controller(made.controller).crossings(
+        made.natural_frequency(0.03)
+    )
     w = centre.frequency.max() * np.geomspace(1 / 2.4, 2.4, 200)
     error = np.abs(law.frequency_response(w) / made.controller.response(w) - 1)
     assert error.max() < np.hypot(0.1 * np.log(10) / 20, np.radians(0.5)) / emphasis
@@ -310,7 +372,9 @@ def test_a_fit_is_closest_about_the_crossover(
 
 @pytest.mark.slow
 def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
-    """M(s) of 80 rad/s and one period of computation, unless the controller was designed for another."""
+    """M(s) of 80 rad/s and one period of computation, unless the controller was
+    designed for another.
+    """
     own = default_controller()
     bare = discretize_controller(own, PERIOD)
     assert (bare.inner_pole, bare.drive) == (80.0, None)
@@ -323,9 +387,15 @@ def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
     assert bare.band == pytest.approx((0.05, 300.0))
     filtered = replace(own, filter_time=0.01)
     assert discretize_controller(filtered, PERIOD).band == pytest.approx((0.05, 600.0))
-    assert discretize_controller(own, 0.02).band == pytest.approx((0.05, 0.382 * nyquist / 5))
-    assert discretize_controller(filtered, 0.02).band == pytest.approx((0.05, 0.764 * nyquist / 5))
-    assert discretize_controller(own, 0.1, order=2).band[0] == pytest.approx(1e-3 * np.pi / 0.1)
+    assert discretize_controller(own, 0.02).band == pytest.approx(
+        (0.05, 0.382 * nyquist / 5)
+    )
+    assert discretize_controller(filtered, 0.02).band == pytest.approx(
+        (0.05, 0.764 * nyquist / 5)
+    )
+    assert discretize_controller(own, 0.1, order=2).band[0] == pytest.approx(
+        1e-3 * np.pi / 0.1
+    )
     with pytest.raises(FieldError, match="too long"):
         discretize_controller(own, 12.6)
     with pytest.raises(FieldError, match="not the one the controller was designed for"):
@@ -335,16 +405,18 @@ def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
 
 
 def test_the_fit_is_centred_where_the_loop_last_falls_through_one() -> None:
-    """k w^β ω₀²/(w² − ω₀²) = 1 above the resonance of an undamped link; the resonance where it never is."""
+    """k w^β ω₀²/(w² − ω₀²) = 1 above the resonance of an undamped link; the resonance
+    where it never is.
+    """
     link = LinkModel(1.56, 10.0)
     for gain, order in ((0.05, 0.5), (0.2, 0.8), (0.5, 0.3)):
         w = np.geomspace(10.001, 290.0, 200_000)
         falls = np.flatnonzero(gain * w**order * 100.0 / (w**2 - 100.0) > 1.0)[-1]
         found = _crossover(fl.Controller(gain=gain, order=order), link)
         assert found == pytest.approx(w[falls], rel=0.011)  # the grid has steps of 1 %
-    assert _crossover(fl.Controller(gain=1e-9, order=0.5), LinkModel(1.56, 10.0, order=1.5)) == pytest.approx(
-        10.0 ** (2 / 1.5)
-    )
+    assert _crossover(
+        fl.Controller(gain=1e-9, order=0.5), LinkModel(1.56, 10.0, order=1.5)
+    ) == pytest.approx(10.0 ** (2 / 1.5))
 
 
 @pytest.mark.parametrize(
@@ -358,7 +430,9 @@ def test_the_fit_is_centred_where_the_loop_last_falls_through_one() -> None:
         ((0.1, 0.61), 1.2, False),
     ],
 )
-def test_a_fit_meets_both_tolerances_or_none(error: tuple[float, float], slack: float, met: bool) -> None:
+def test_a_fit_meets_both_tolerances_or_none(
+    error: tuple[float, float], slack: float, met: bool
+) -> None:
     fit = SimpleNamespace(error_db=error[0], error_deg=error[1])
     assert _is_met(fit, slack) is met  # type: ignore[arg-type]
 
@@ -367,6 +441,9 @@ def test_a_controller_without_a_period_needs_one() -> None:
     link = fl.Rig.named("paper-2023").model
     assert link is not None
     controller = fl.Controller(gain=0.069876, order=0.612197, link=link)
-    with pytest.raises(FieldError, match=r"^period is required; expected > 0 s\. Give the control period"):
+    with pytest.raises(
+        FieldError,
+        match=r"^period is required; expected > 0 s\. Give the control period",
+    ):
         fl.discretize(controller)
     assert fl.discretize(controller, 0.004, order=4).period == 0.004

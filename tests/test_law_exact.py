@@ -1,4 +1,6 @@
-"""The law in both precisions against the exact law, whose recursion runs in balls of 160 bits."""
+"""The law in both precisions against the exact law, whose recursion runs in balls of
+160 bits.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,12 @@ def exact_correction(made: Law, torque: list[float]) -> tuple[list[float], float
             error = arb(value) / arb(made.stiffness)
             change, last = error - last, error
             output = arb(made.correction.direct) * change
-            output += sum((gain * x for (_, gain), x in zip(modes, states, strict=True)), arb(0))
-            states = [pole * x + change for (pole, _), x in zip(modes, states, strict=True)]
+            output += sum(
+                (gain * x for (_, gain), x in zip(modes, states, strict=True)), arb(0)
+            )
+            states = [
+                pole * x + change for (pole, _), x in zip(modes, states, strict=True)
+            ]
             result.append(float(output.mid()))
             radius = max(radius, float(output.rad()))
         return result, radius
@@ -39,7 +45,9 @@ def exact_correction(made: Law, torque: list[float]) -> tuple[list[float], float
 def test_the_law_stays_with_the_exact_one(precision: str, bound: float) -> None:
     noise = np.random.default_rng(7).standard_normal(PERIODS)
     smooth = np.convolve(noise, np.ones(25) / 25, mode="same")
-    torque = (1.56 * 0.005 * smooth / smooth.std()).astype(np.float32).astype(np.float64)
+    torque = (
+        (1.56 * 0.005 * smooth / smooth.std()).astype(np.float32).astype(np.float64)
+    )
     rows = np.zeros((4, PERIODS))
     rows[3] = torque
     outputs = run(law(precision, equipped=False), rows)

@@ -1,5 +1,5 @@
-"""The law's guards, one fault at a time, on recorded-like signals (reaction classes of the fault
-catalogue).
+"""The law's guards, one fault at a time, on recorded-like signals (reaction classes of
+the fault catalogue).
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ def test_clean_signals_raise_nothing(precision: str) -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 50.0, 0.3 + 2 * np.pi])
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_three_bad_encoder_samples_are_ridden_through(precision: str, bad: float) -> None:
+def test_three_bad_encoder_samples_are_ridden_through(
+    precision: str, bad: float
+) -> None:
     rows = quiet()
     clean = run(law(precision), rows)
     rows[2, 100:103] = bad
@@ -98,21 +100,28 @@ def test_the_closed_loop_without_a_fault_is_clean() -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, 4.1, 3.9])
 def test_a_lost_gauge_degrades_to_feed_forward(bad: float) -> None:
-    tip, outputs = closed_loop(law(), MOVE, lambda k, a, t: (a, bad if k >= START else t))
+    tip, outputs = closed_loop(
+        law(), MOVE, lambda k, a, t: (a, bad if k >= START else t)
+    )
     assert ended(outputs) == ("degraded", "gauge")
     assert int(np.argmax(outputs.mode == 2)) == START + 4
-    # the correction is faded out after 50 periods: feed-forward alone ends at the reference exactly
+    # the correction is faded out after 50 periods: feed-forward alone ends at the
+    # reference exactly
     assert outputs.motor_reference[-1] == pytest.approx(1.0, abs=1e-3)
     assert np.abs(tip - MOVE[0]).max() < 0.25
 
 
 def test_a_faded_correction_is_exactly_gone() -> None:
     tips = [
-        closed_loop(law(), MOVE, lambda k, a, t: (a, np.nan if k >= START else t), frequency=w)[1]
+        closed_loop(
+            law(), MOVE, lambda k, a, t: (a, np.nan if k >= START else t), frequency=w
+        )[1]
         for w in (9.0, 14.0)
     ]
     later = START + 4 + 50
-    np.testing.assert_array_equal(tips[0].motor_reference[later:], tips[1].motor_reference[later:])
+    np.testing.assert_array_equal(
+        tips[0].motor_reference[later:], tips[1].motor_reference[later:]
+    )
 
 
 def test_a_stuck_gauge_is_seen_in_a_move_and_not_at_rest() -> None:
@@ -161,14 +170,18 @@ def test_gauge_spikes_are_rejected() -> None:
 def test_lost_samples_of_both_sensors_are_ridden_through(lost: int) -> None:
     clean, _ = closed_loop(law(), MOVE)
     tip, outputs = closed_loop(
-        law(), MOVE, lambda k, a, t: (np.nan, np.nan) if START <= k < START + lost else (a, t)
+        law(),
+        MOVE,
+        lambda k, a, t: (np.nan, np.nan) if START <= k < START + lost else (a, t),
     )
     assert ended(outputs) == ("run", "none")
     assert np.abs(tip - MOVE[0]).max() < 1.1 * np.abs(clean - MOVE[0]).max()
 
 
 def test_a_blocked_link_holds() -> None:
-    _, outputs = closed_loop(law(), quiet(1000), lambda k, a, t: (a, t + 0.02 * np.clip(k - 200, 0, 125)))
+    _, outputs = closed_loop(
+        law(), quiet(1000), lambda k, a, t: (a, t + 0.02 * np.clip(k - 200, 0, 125))
+    )
     assert ended(outputs) == ("hold", "link overloaded")
     held = outputs.mode == 3
     assert np.ptp(outputs.motor_reference[held]) == 0
@@ -222,13 +235,19 @@ def test_a_repeated_or_backward_period_does_nothing(jump: int) -> None:
     outputs = run(law(), rows, ticks=ticks)
     assert outputs.flags[201] == REPEATED
     assert outputs.motor_reference[201] == outputs.motor_reference[200]
-    np.testing.assert_array_equal(outputs.motor_reference[202:], once.motor_reference[201:])
+    np.testing.assert_array_equal(
+        outputs.motor_reference[202:], once.motor_reference[201:]
+    )
 
 
 @pytest.mark.parametrize("step", [0, -1, -5])
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_clock_that_stands_or_runs_backwards_switches_the_drive_off(precision: str, step: int) -> None:
-    """As many repeated calls as missed periods are ridden through; the next one latches."""
+def test_a_clock_that_stands_or_runs_backwards_switches_the_drive_off(
+    precision: str, step: int
+) -> None:
+    """As many repeated calls as missed periods are ridden through; the next one
+    latches.
+    """
     made, rows = law(precision), quiet()
     ticks = np.arange(1, COUNT + 1)
     ticks[200:] = 200 + step * np.arange(1, COUNT - 199)
@@ -246,13 +265,17 @@ def test_a_caller_that_calls_twice_in_every_period_is_ridden_through() -> None:
     rows[0] += 0.05 * np.sin(0.05 * np.arange(COUNT))
     rows[3] += 0.01 * (-1.0) ** np.arange(COUNT)
     once = run(law(), rows)
-    twice = run(law(), np.repeat(rows, 2, axis=1), ticks=np.repeat(np.arange(1, COUNT + 1), 2))
+    twice = run(
+        law(), np.repeat(rows, 2, axis=1), ticks=np.repeat(np.arange(1, COUNT + 1), 2)
+    )
     np.testing.assert_array_equal(twice.motor_reference[::2], once.motor_reference)
     assert np.all(twice.mode[::2] == once.mode)
     assert once.mode[100] == 1
 
 
-def test_a_clock_that_was_set_back_is_followed_at_once_and_one_that_runs_backwards_is_not() -> None:
+def test_a_clock_that_was_set_back_is_followed_at_once_and_one_that_runs_backwards_is_not() -> (
+    None
+):
     rows = quiet()
     rows[0] += 0.05 * np.sin(0.05 * np.arange(COUNT))
     back = np.arange(1, COUNT + 1)
@@ -260,27 +283,37 @@ def test_a_clock_that_was_set_back_is_followed_at_once_and_one_that_runs_backwar
     once = run(law(), rows, ticks=back)
     assert np.flatnonzero(once.flags & REPEATED).tolist() == [200]
     assert np.all(once.mode == 1) and not np.any(once.flags & MISSED)
-    assert once.motor_reference[200] == once.motor_reference[199] != once.motor_reference[201]
+    assert (
+        once.motor_reference[200]
+        == once.motor_reference[199]
+        != once.motor_reference[201]
+    )
     backwards = run(law(), rows, ticks=1000 - np.arange(COUNT))
     assert np.all(backwards.mode[1:6] == 1) and np.all(backwards.mode[6:] == 4)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_motor_whose_encoder_is_lost_goes_on_as_its_model_does(precision: str) -> None:
+def test_a_motor_whose_encoder_is_lost_goes_on_as_its_model_does(
+    precision: str,
+) -> None:
     """Four lost samples at full speed, in which the motor turns by 0.03 rad."""
     made, move = law(precision), fl.smooth_step(1.0, 1.2, 0.1)
     time = made.period * np.arange(COUNT)
     rows = np.array([move.angle(time), move.acceleration(time)])
     lost = range(172, 176)
     clean, _ = closed_loop(made, rows)
-    tips, outputs = closed_loop(made, rows, lambda k, angle, torque: (np.nan if k in lost else angle, torque))
+    tips, outputs = closed_loop(
+        made, rows, lambda k, angle, torque: (np.nan if k in lost else angle, torque)
+    )
     assert np.flatnonzero(outputs.flags & ENCODER).tolist() == list(lost)
     assert set(outputs.mode) == {1}
     assert np.abs(tips - clean).max() < 0.002
 
 
 def flipped(state: bytes, word: int, bit: int) -> bytes:
-    """The state with one bit of its 32-bit words flipped: 0 stamp, 1 mode, 2 reason, 3 tick ..."""
+    """The state with one bit of its 32-bit words flipped: 0 stamp, 1 mode, 2 reason, 3
+    tick ...
+    """
     damaged = bytearray(state)
     damaged[4 * word + bit // 8] ^= 1 << (bit % 8)
     return bytes(damaged)
@@ -296,8 +329,13 @@ def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
     assert clean.motor_reference[-1] > 0.31 and clean.mode[10] == 1
     for word in range(12):
         for bit in range(32):
-            _, outputs = made.run(flipped(state, word, bit), *rows[:, 100:120], first_tick=101)
-            moved = np.abs(outputs.motor_reference[10:] - clean.motor_reference[10:]) < 0.005
+            _, outputs = made.run(
+                flipped(state, word, bit), *rows[:, 100:120], first_tick=101
+            )
+            moved = (
+                np.abs(outputs.motor_reference[10:] - clean.motor_reference[10:])
+                < 0.005
+            )
             assert outputs.mode[10] == 4 or np.all(moved), (word, bit)
 
 
@@ -305,7 +343,9 @@ def test_no_flipped_bit_of_a_word_freezes_the_law(precision: str) -> None:
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("mode", [2, 3, 4])
 def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> None:
-    """No upset of any bit of the memory leads back to a less severe mode, nor do two of stamp and mode."""
+    """No upset of any bit of the memory leads back to a less severe mode, nor do two of
+    stamp and mode.
+    """
     made, rows = law(precision), quiet(104)
     state, _ = made.run(made.initial_state(), *rows[:, :100])
     tripped = state[:4] + bytes([mode]) * 4 + state[8:]
@@ -322,8 +362,12 @@ def test_no_flipped_bit_starts_a_tripped_drive(precision: str, mode: int) -> Non
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("mode", [1, 2, 3])
-def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(precision: str, mode: int) -> None:
-    """The motor reference begins where the motor is, whatever the memory says of it, and no mode is left."""
+def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(
+    precision: str, mode: int
+) -> None:
+    """The motor reference begins where the motor is, whatever the memory says of it,
+    and no mode is left.
+    """
     made, rows = law(precision), quiet(140)
     state, _ = made.run(made.initial_state(), *rows[:, :130])
     damaged = bytearray(state[:4] + bytes([mode]) * 4 + state[8:])
@@ -347,14 +391,20 @@ def test_a_flipped_bit_of_the_mode_does_not_stop_a_drive_that_runs() -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_nothing_that_has_died_away_is_left_as_a_denormal_number(precision: str) -> None:
+def test_nothing_that_has_died_away_is_left_as_a_denormal_number(
+    precision: str,
+) -> None:
     """A complex pair, too, of which either half would bring the other one back."""
     made, rows = law(precision), quiet(60_000)
-    turning = made.correction._replace(pair_poles=(-0.8054407 + 0.5280959j,), pair_gains=(0.02 - 0.03j,))
+    turning = made.correction._replace(
+        pair_poles=(-0.8054407 + 0.5280959j,), pair_gains=(0.02 - 0.03j,)
+    )
     made = replace(made, correction=turning)
     rows[3, :50] += 0.05
     state, outputs = made.run(made.initial_state(), *rows)
-    reals = members(np.frombuffer(state, dtype=np.uint8), 4 if precision == "single" else 8)
+    reals = members(
+        np.frombuffer(state, dtype=np.uint8), 4 if precision == "single" else 8
+    )
     assert np.all(outputs.mode == 1)
     assert not np.any((reals != 0) & (np.abs(reals) < np.finfo(reals.dtype).tiny))
     assert not np.any(reals[:20])
@@ -399,7 +449,9 @@ def test_a_wiped_state_starts_anew_at_once(precision: str, fill: int) -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_any_flipped_bit_of_the_state_leaves_the_output_in_its_limits(precision: str) -> None:
+def test_any_flipped_bit_of_the_state_leaves_the_output_in_its_limits(
+    precision: str,
+) -> None:
     made, rows = law(precision), signals(300)
     state, _ = made.run(made.initial_state(), *rows[:, :100])
     limit = made.limits.motor_limit * (1 + 1e-6)
@@ -412,10 +464,13 @@ def test_any_flipped_bit_of_the_state_leaves_the_output_in_its_limits(precision:
 
 
 @pytest.mark.parametrize(
-    ("offset", "reason"), [(0, 1), (4, 2), (8, 2), (12, 3), (16, 3), (20, 3), (48, 3), (100, 3), (-1, 3)]
+    ("offset", "reason"),
+    [(0, 1), (4, 2), (8, 2), (12, 3), (16, 3), (20, 3), (48, 3), (100, 3), (-1, 3)],
 )
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_damaged_block_refuses_to_start(precision: str, offset: int, reason: int) -> None:
+def test_a_damaged_block_refuses_to_start(
+    precision: str, offset: int, reason: int
+) -> None:
     from fraclink import _kernels
 
     made = law(precision)
@@ -442,10 +497,14 @@ def test_saturation_does_not_wind_up() -> None:
     after = []
     for saturated in (1500, 4500):
         rows = quiet(saturated + 200)
-        rows[2, 5:] = 0.3 - 0.05  # the motor lags and cannot follow: the integral reaches the limit in 5 s
+        rows[2, 5:] = (
+            0.3 - 0.05
+        )  # the motor lags and cannot follow: the integral reaches the limit in 5 s
         rows[2, saturated:] = 0.3 + 0.05
         outputs = run(law(), rows)
         assert outputs.voltage[saturated - 1] == 10.0
         assert outputs.flags[saturated - 1] & SATURATED
         after.append(outputs.voltage[saturated:])
-    np.testing.assert_allclose(after[0], after[1], atol=0.01)  # an integral that goes on adds 6 V in 12 s
+    np.testing.assert_allclose(
+        after[0], after[1], atol=0.01
+    )  # an integral that goes on adds 6 V in 12 s

@@ -1,4 +1,6 @@
-"""What is said of a law in the sampled loop, on margins made by hand; a payload's feed-forward; a refit."""
+"""What is said of a law in the sampled loop, on margins made by hand; a payload's
+feed-forward; a refit.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,12 @@ from fraclink.findings import Finding
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
 assert MODEL is not None
-ASKED = {"payloads": (0.02, 0.04), "gain_crossover": 12.0, "phase_margin": fl.deg(50), "law": False}
+ASKED = {
+    "payloads": (0.02, 0.04),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+    "law": False,
+}
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +54,9 @@ def looked(
     payload: float = 0.02,
     kind: str = "ideal",
 ) -> Looked:
-    crossings = () if margin_deg is None else (GainCrossing(12.0, fl.deg(margin_deg), 0.05),)
+    crossings = (
+        () if margin_deg is None else (GainCrossing(12.0, fl.deg(margin_deg), 0.05),)
+    )
     return Looked(Margins(crossings, (), distance, 40.0, stable), payload, kind)
 
 
@@ -77,10 +86,16 @@ def test_a_margin_is_signed_by_stability_and_at_most_half_a_turn() -> None:
     assert looked(None, stable=False).phase_margin == -math.pi
 
 
-def test_the_requirement_on_the_law_is_the_least_margin_less_its_tolerance(design: fl.Design) -> None:
-    found = kept_by_law(design, [looked(60.0), looked(49.6, payload=0.031), looked(52.0)])
+def test_the_requirement_on_the_law_is_the_least_margin_less_its_tolerance(
+    design: fl.Design,
+) -> None:
+    found = kept_by_law(
+        design, [looked(60.0), looked(49.6, payload=0.031), looked(52.0)]
+    )
     assert (found.name, found.unit, found.at_payload) == (LAW_MARGIN, "rad", 0.031)
-    assert found.wanted == pytest.approx(fl.deg(49.5)) and found.achieved == pytest.approx(fl.deg(49.6))
+    assert found.wanted == pytest.approx(
+        fl.deg(49.5)
+    ) and found.achieved == pytest.approx(fl.deg(49.6))
     assert found.passed and not kept_by_law(design, [looked(49.4)]).passed
 
 
@@ -88,16 +103,24 @@ Severity = Literal["info", "warning", "error"]
 
 
 @pytest.mark.parametrize(
-    ("margin", "severity"), [(49.9, "info"), (49.4, "warning"), (25.1, "warning"), (24.9, "error")]
+    ("margin", "severity"),
+    [(49.9, "info"), (49.4, "warning"), (25.1, "warning"), (24.9, "error")],
 )
 def test_less_margin_than_requested_is_told_by_how_much(
     design: fl.Design, margin: float, severity: Severity
 ) -> None:
     (finding,) = [f for f in law_findings(design, [looked(margin)]) if f.code == "W404"]
     assert finding.severity == severity
-    assert finding.message == "the shipped law in the sampled loop keeps less phase margin than requested"
+    assert (
+        finding.message
+        == "the shipped law in the sampled loop keeps less phase margin than requested"
+    )
     assert finding.evidence == pytest.approx(
-        {"phase_margin_rad": fl.deg(margin), "wanted_rad": fl.deg(50), "payload_kg": 0.02}
+        {
+            "phase_margin_rad": fl.deg(margin),
+            "wanted_rad": fl.deg(50),
+            "payload_kg": 0.02,
+        }
     )
     assert finding.remedy == "request that much more margin, for the whole loop"
 
@@ -108,26 +131,45 @@ def test_as_much_margin_as_requested_is_no_finding(design: fl.Design) -> None:
 
 def test_an_unstable_law_is_an_error_whatever_was_asked(design: fl.Design) -> None:
     (finding,) = law_findings(design, [looked(80.0, stable=False, distance=0.01)])
-    assert (finding.code, finding.severity) == ("W404", "error")  # and nothing more about its distance
+    assert (finding.code, finding.severity) == (
+        "W404",
+        "error",
+    )  # and nothing more about its distance
     ideal = replace(design, margins_kind="ideal")
-    (finding,) = law_findings(ideal, [looked(5.0)])  # the paper's reading asked for no margin of this loop
+    (finding,) = law_findings(
+        ideal, [looked(5.0)]
+    )  # the paper's reading asked for no margin of this loop
     assert finding.severity == "warning"
     assert law_findings(ideal, [looked(5.0, stable=False)])[0].severity == "error"
 
 
 def test_what_the_loop_has_that_the_designs_has_not_is_said(design: fl.Design) -> None:
     heavy = replace(design, rig=replace(RIG, link=replace(RIG.link, mass=0.007)))
-    pid, modes = "with the motor's PID at the control period", "with the link's modes 2 and 3"
+    pid, modes = (
+        "with the motor's PID at the control period",
+        "with the link's modes 2 and 3",
+    )
     (finding,) = law_findings(design, [looked(40.0, kind="sampled")])
     assert f"sampled loop, {pid}, keeps" in finding.message
-    assert finding.remedy == "design with inner='sampled' (--inner sampled), or with a longer filter"
-    assert f"sampled loop, {modes}, keeps" in law_findings(heavy, [looked(40.0)])[0].message
+    assert (
+        finding.remedy
+        == "design with inner='sampled' (--inner sampled), or with a longer filter"
+    )
+    assert (
+        f"sampled loop, {modes}, keeps"
+        in law_findings(heavy, [looked(40.0)])[0].message
+    )
     both = law_findings(heavy, [looked(40.0, kind="sampled")])[0].message
-    assert "with the link's modes 2 and 3 and the motor's PID at the control period," in both
+    assert (
+        "with the link's modes 2 and 3 and the motor's PID at the control period,"
+        in both
+    )
 
 
 def test_a_law_that_comes_near_minus_one_is_named(design: fl.Design) -> None:
-    """The design's own |1 + L| at 20 g, and half of it: there the finding begins; below 0.1 an error."""
+    """The design's own |1 + L| at 20 g, and half of it: there the finding begins; below
+    0.1 an error.
+    """
     own = design.full_loop.margins_at(design.natural_frequency(0.02)).modulus_margin
     for share, severity in (
         (0.501, None),
@@ -135,10 +177,14 @@ def test_a_law_that_comes_near_minus_one_is_named(design: fl.Design) -> None:
         (0.101 / own, "warning"),
         (0.099 / own, "error"),
     ):
-        found = law_findings(design, [looked(55.0, distance=own), looked(60.0, distance=share * own)])
+        found = law_findings(
+            design, [looked(55.0, distance=own), looked(60.0, distance=share * own)]
+        )
         near = [f for f in found if f.code == "W408"]
         assert [f.severity for f in near] == ([] if severity is None else [severity])
-    assert near[0].evidence == pytest.approx({"modulus_margin": 0.099, "designed": own, "payload_kg": 0.02})
+    assert near[0].evidence == pytest.approx(
+        {"modulus_margin": 0.099, "designed": own, "payload_kg": 0.02}
+    )
     assert (
         f"comes to |1 + L| = 0.099 at 40 rad/s, where the loop of the design keeps {own:.2g}"
         in near[0].message
@@ -149,26 +195,39 @@ def test_a_law_that_comes_near_minus_one_is_named(design: fl.Design) -> None:
 
 
 def test_an_earlier_look_is_replaced_and_other_findings_stay(design: fl.Design) -> None:
-    old = [Finding(code, "error", "old", {}, "x") for code in ("W404", "W408", "W410", "W402")]
+    old = [
+        Finding(code, "error", "old", {}, "x")
+        for code in ("W404", "W408", "W410", "W402")
+    ]
     found = law_findings(replace(design, findings=tuple(old)), [looked(49.0)])
     assert [f.code for f in found] == ["W402", "W404"] and found[1].message != "old"
     error = FieldError(
-        "order", "9 real modes", "more than law.c holds", allowed="8 real modes", remedy="less"
+        "order",
+        "9 real modes",
+        "more than law.c holds",
+        allowed="8 real modes",
+        remedy="less",
     )
     told = no_law(error)
     assert (told.code, told.severity) == ("W410", "error")
     assert (
-        told.message == "no law follows this controller: it takes 9 real modes, and law.c holds 8 real modes"
+        told.message
+        == "no law follows this controller: it takes 9 real modes, and law.c holds 8 real modes"
     )
 
 
 def test_a_law_is_looked_at_over_payloads_and_motor_loops(design: fl.Design) -> None:
     found = law_margins(design)
-    assert len(found) == 18 and {one.motor_loop for one in found} == {"ideal", "sampled"}
+    assert len(found) == 18 and {one.motor_loop for one in found} == {
+        "ideal",
+        "sampled",
+    }
     masses = [one.payload for one in found if one.motor_loop == "ideal"]
     assert masses == pytest.approx(np.geomspace(0.04, 0.02, 9))
     light = found[-2]
-    assert light.margins.phase_margin == pytest.approx(design.sampled_at(0.02).phase_margin, abs=1e-9)
+    assert light.margins.phase_margin == pytest.approx(
+        design.sampled_at(0.02).phase_margin, abs=1e-9
+    )
 
 
 # --- a payload that is given --------------------------------------------------------------------------------
@@ -180,7 +239,9 @@ def test_masses_count_the_links_own_once() -> None:
     known = replace(MODEL, payload=0.03)
     own = 33 / 140 * 0.014
     computed = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 1.0005)
-    assert masses_of(computed, heavy) == pytest.approx((0.03, own))  # eq. (5) knows no mass of the link
+    assert masses_of(computed, heavy) == pytest.approx(
+        (0.03, own)
+    )  # eq. (5) knows no mass of the link
     measured = replace(known, natural_frequency=heavy.natural_frequency(0.03) * 0.95)
     assert masses_of(measured, heavy) == pytest.approx((0.03 + own, own))
     assert masses_of(known, None) == (0.03, 0.0)
@@ -215,11 +276,14 @@ def test_tracking_follows_the_motor_loop_and_scales_by_the_mass() -> None:
     z = np.exp(1j * w * 0.004)
     h = found.now + found.next / (z - found.keep)
     model = h / (z - 1 + h)
-    # M(s) = 1/(1 + s/80)² behind a hold and one period of computation: lag and size up to twice the resonance
+    # M(s) = 1/(1 + s/80)² behind a hold and one period of computation: lag and size up
+    # to twice the resonance
     s = 1j * w
     motor = np.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2
     assert np.abs(model / motor - 1).max() < 0.02
-    assert abs(found.now + found.next / (1 - found.keep)) > 0  # at rest H/(z − 1 + H) is one by its form
+    assert (
+        abs(found.now + found.next / (1 - found.keep)) > 0
+    )  # at rest H/(z − 1 + H) is one by its form
     for value in (found.now, found.next, found.keep):
         assert value == float(np.float32(value))
     assert track(replace(link, payload=None)) is None
@@ -231,7 +295,9 @@ def test_a_feed_forward_that_is_too_small_belongs_to_a_lighter_payload() -> None
     small = Modes(0.98 / 121.0)
     found = tracking_for(link, small, 0.004, 80.0, 1, rig=None, pid=None)
     assert found is not None and found.nominal == pytest.approx(0.98 * 0.03)
-    mode = Modes(0.0, (0.5,), (0.5 / 121.0,))  # g/(z − p) is g/(1 − p) far below the sampling rate
+    mode = Modes(
+        0.0, (0.5,), (0.5 / 121.0,)
+    )  # g/(z − p) is g/(1 − p) far below the sampling rate
     slow = tracking_for(link, mode, 0.004, 80.0, 1, rig=None, pid=None)
     assert slow is not None and slow.nominal == pytest.approx(0.03, rel=5e-3)
 
@@ -253,7 +319,11 @@ def test_tracking_of_the_pid_that_runs_is_its_own_closed_loop() -> None:
 
 def test_a_refit_keeps_the_poles_and_states_its_true_error(design: fl.Design) -> None:
     law = design.law()
-    near = replace(design.controller, gain=1.1 * design.controller.gain, order=design.controller.order + 0.03)
+    near = replace(
+        design.controller,
+        gain=1.1 * design.controller.gain,
+        order=design.controller.order + 0.03,
+    )
     quick, error = refitted(law, near)
     w = np.geomspace(*law.band, 2000)
     wanted = near.response(w)
@@ -263,13 +333,18 @@ def test_a_refit_keeps_the_poles_and_states_its_true_error(design: fl.Design) ->
     assert quick.correction.poles == law.correction.poles
     assert quick.limits == law.limits and quick.tracking == law.tracking
     same, rest = refitted(law, design.controller)
-    assert rest < 0.03 and same.correction.direct == pytest.approx(law.correction.direct, rel=0.05)
+    assert rest < 0.03 and same.correction.direct == pytest.approx(
+        law.correction.direct, rel=0.05
+    )
 
 
 def test_a_refit_of_pairs_is_a_least_squares_solution(design: fl.Design) -> None:
     law = design.law()
     paired = replace(
-        law, correction=law.correction._replace(pair_poles=(0.6 + 0.3j,), pair_gains=(0.01 + 0.02j,))
+        law,
+        correction=law.correction._replace(
+            pair_poles=(0.6 + 0.3j,), pair_gains=(0.01 + 0.02j,)
+        ),
     )
     quick, error = refitted(paired, design.controller)
     assert quick.correction.pair_poles == (0.6 + 0.3j,)

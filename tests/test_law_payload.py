@@ -1,4 +1,6 @@
-"""The payload as an input of the law: what it changes, what it cannot, and that no value of it harms."""
+"""The payload as an input of the law: what it changes, what it cannot, and that no
+value of it harms.
+"""
 
 from __future__ import annotations
 
@@ -25,37 +27,52 @@ GEARED = fl.Rig.named("paper-2023-geared")
 
 
 def moving(count: int = 600) -> NDArray[np.float64]:
-    """Reference, acceleration, motor angle and torque of a move that is small enough for no limit to act."""
+    """Reference, acceleration, motor angle and torque of a move that is small enough
+    for no limit to act.
+    """
     time = PERIOD * np.arange(count)
     move = fl.smooth_step(0.1, 1.0, 0.2)
     torque = 0.01 * np.sin(11 * time)
-    return np.array([move.angle(time), move.acceleration(time), move.angle(time - 0.03), torque])
+    return np.array(
+        [move.angle(time), move.acceleration(time), move.angle(time - 0.03), torque]
+    )
 
 
 def given(made: Law, payload: object, count: int = 600) -> LawOutputs:
-    return run(made, np.vstack([moving(count), np.broadcast_to(np.asarray(payload, float), count)]))
+    return run(
+        made,
+        np.vstack([moving(count), np.broadcast_to(np.asarray(payload, float), count)]),
+    )
 
 
 def forward(made: Law, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
     f = made.feedforward
     modes = sum(
-        g * lfilter([0.0, 1.0], [1.0, -p], acceleration) for p, g in zip(f.poles, f.gains, strict=True)
+        g * lfilter([0.0, 1.0], [1.0, -p], acceleration)
+        for p, g in zip(f.poles, f.gains, strict=True)
     )
     return f.direct * acceleration + modes
 
 
 def expected(made: Law, reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The reference model from its definition H/(z − 1 + H), H = now + next/(z − keep), at rest before."""
+    """The reference model from its definition H/(z − 1 + H), H = now + next/(z − keep),
+    at rest before.
+    """
     t = made.tracking
     assert t is not None
-    top, below = [t.now, t.next - t.now * t.keep], np.convolve([1.0, -1.0], [1.0, -t.keep])
+    top, below = (
+        [t.now, t.next - t.now * t.keep],
+        np.convolve([1.0, -1.0], [1.0, -t.keep]),
+    )
     below[1:] += top
     return reference[0] + lfilter([0.0, *top], below, reference - reference[0])
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("payload", [0.008, 0.03, 0.08, 0.1199])
-def test_feed_forward_and_error_are_those_of_the_payload(precision: str, payload: float) -> None:
+def test_feed_forward_and_error_are_those_of_the_payload(
+    precision: str, payload: float
+) -> None:
     made = law(precision)
     rows = moving()
     out = given(made, payload)
@@ -64,7 +81,8 @@ def test_feed_forward_and_error_are_those_of_the_payload(precision: str, payload
     tolerance = 1e-11 if precision == "double" else 2e-5
     error = expected(made, rows[0]) - np.asarray(out.tip_estimate)
     np.testing.assert_allclose(out.error, error, atol=tolerance)
-    # what the correction makes of these errors is what it makes of them without a payload
+    # what the correction makes of these errors is what it makes of them without a
+    # payload
     change = np.diff(np.concatenate([[rows[3][0] / made.stiffness], error]))
     c = made.correction
     correction = c.direct * change
@@ -80,35 +98,55 @@ def test_feed_forward_and_error_are_those_of_the_payload(precision: str, payload
 def test_a_payload_that_cannot_be_is_as_none(precision: str, payload: float) -> None:
     made = law(precision)
     none, bad = given(made, 0.0), given(made, payload)
-    for name in ("motor_reference", "voltage", "compensation", "tip_estimate", "error", "mode", "reason"):
+    for name in (
+        "motor_reference",
+        "voltage",
+        "compensation",
+        "tip_estimate",
+        "error",
+        "mode",
+        "reason",
+    ):
         np.testing.assert_array_equal(getattr(bad, name), getattr(none, name))
     assert np.all(np.asarray(bad.flags) ^ np.asarray(none.flags) == REJECTED)
 
 
 def test_a_law_that_knows_no_payload_takes_none() -> None:
-    made = replace(law(), tracking=None, limits=replace(law().limits, payload_limit=0.0))
+    made = replace(
+        law(), tracking=None, limits=replace(law().limits, payload_limit=0.0)
+    )
     np.testing.assert_array_equal(given(made, 0.03).voltage, given(made, 0.0).voltage)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_a_payload_that_flickers_does_no_more_than_its_slew_limit(precision: str) -> None:
+def test_a_payload_that_flickers_does_no_more_than_its_slew_limit(
+    precision: str,
+) -> None:
     made = law(precision)
     rng = np.random.default_rng(3)
     odd = np.array([0.0, 0.008, 0.03, 0.119, np.nan, -1.0, np.inf, 5.0])
     flickers = odd[rng.integers(0, len(odd), 600)]
     out = given(made, flickers)
     assert np.all(np.isfinite(np.asarray(out[:5])))
-    assert np.max(np.abs(np.diff(out.motor_reference))) <= made.limits.motor_step * (1 + 1e-6)
+    assert np.max(np.abs(np.diff(out.motor_reference))) <= made.limits.motor_step * (
+        1 + 1e-6
+    )
     assert np.all(np.asarray(out.mode) == 1)
-    # within a move the scale follows slowly: 20 ms of another payload do not tear the motor reference away
-    steady, moved = given(made, 0.03), given(made, np.where(np.arange(600) // 5 % 2 == 0, 0.03, 0.04))
+    # within a move the scale follows slowly: 20 ms of another payload do not tear the
+    # motor reference away
+    steady, moved = (
+        given(made, 0.03),
+        given(made, np.where(np.arange(600) // 5 % 2 == 0, 0.03, 0.04)),
+    )
     most = 5 * made.limits.scale_step * np.max(np.abs(forward(made, moving()[1])))
     assert np.max(np.abs(moved.motor_reference - steady.motor_reference)) <= most
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_payload_that_comes_or_goes_leaves_no_trace(precision: str) -> None:
-    """Once everything rests, the error of a law that was given a payload is that of one that never was."""
+    """Once everything rests, the error of a law that was given a payload is that of one
+    that never was.
+    """
     made = law(precision)
     rows = np.zeros((5, 900))
     rows[0] = np.concatenate([np.linspace(0.0, 1.0, 300), np.ones(600)])
@@ -117,12 +155,16 @@ def test_a_payload_that_comes_or_goes_leaves_no_trace(precision: str) -> None:
     out, none = run(made, rows), run(made, rows * [[1], [1], [1], [1], [0]])
     np.testing.assert_allclose(out.error[600:], none.error[600:], atol=1e-12)
     jumps = np.abs(np.diff(np.asarray(out.error) - np.asarray(none.error)))
-    assert np.max(jumps) < 0.01  # the model lets go of a lateness of 0.03 rad over many periods
+    assert (
+        np.max(jumps) < 0.01
+    )  # the model lets go of a lateness of 0.03 rad over many periods
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_damaged_memory_of_the_payload_is_healed(precision: str) -> None:
-    """Every bit of the state flipped in turn: outputs stay in their limits, and agree again after 0.4 s."""
+    """Every bit of the state flipped in turn: outputs stay in their limits, and agree
+    again after 0.4 s.
+    """
     made = law(precision)
     rows = np.zeros((5, 400))
     rows[4] = 0.06
@@ -139,25 +181,38 @@ def test_damaged_memory_of_the_payload_is_healed(precision: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("placement", "delay"), [("tustin", 1), ("direct", 1), ("tustin", 0)])
-def test_the_reference_model_is_the_sampled_motor_loop(placement: str, delay: int) -> None:
-    rig = replace(GEARED, motor_loop=replace(GEARED.motor_loop, placement=placement, delay_samples=delay))
+@pytest.mark.parametrize(
+    ("placement", "delay"), [("tustin", 1), ("direct", 1), ("tustin", 0)]
+)
+def test_the_reference_model_is_the_sampled_motor_loop(
+    placement: str, delay: int
+) -> None:
+    rig = replace(
+        GEARED,
+        motor_loop=replace(GEARED.motor_loop, placement=placement, delay_samples=delay),
+    )
     assert rig.model is not None
-    made = fl.discretize(fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(40)))
+    made = fl.discretize(
+        fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(40))
+    )
     assert made.tracking is not None and made.drive is not None
     loop = MotorLoop(80.0, delay, "sampled", placement).sampled(rig.motor, rig.period)
     w = np.array([1.0, 5.0, 10.0, 20.0])
     z = np.exp(1j * w * rig.period)
     h = made.tracking.now + made.tracking.next / (z - made.tracking.keep)
     found = h / (z - 1 + h)
-    wanted = loop.voltage(w) * loop.plant(1 / z) if made.drive.loop == loop.pid else None
+    wanted = (
+        loop.voltage(w) * loop.plant(1 / z) if made.drive.loop == loop.pid else None
+    )
     if wanted is not None:
         assert np.max(np.abs(found - wanted)) < 5e-3
 
 
 @pytest.mark.slow
 def test_every_payload_settles_in_half_a_second() -> None:
-    """The figure of issue 16 on the twin of the geared rig, one seed: 2 % within 0.48 s, residual 15 mrad."""
+    """The figure of issue 16 on the twin of the geared rig, one seed: 2 % within 0.48
+    s, residual 15 mrad.
+    """
     assert GEARED.model is not None
     design = fl.design(
         GEARED.model,
@@ -179,37 +234,58 @@ def test_every_payload_settles_in_half_a_second() -> None:
 
 @pytest.mark.slow
 def test_a_wrong_payload_is_no_worse_than_the_same_error_without_one() -> None:
-    """At 28.6 g a law for 30 g errs by 5 %; one that is told 5 % too much errs so, too, and is the faster."""
+    """At 28.6 g a law for 30 g errs by 5 %; one that is told 5 % too much errs so, too,
+    and is the faster.
+    """
     assert GEARED.model is not None
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
     made = fl.design(GEARED.model, GEARED, payloads=(0.02, 0.04), **request).law()
-    arm, move = Twin.from_rig(GEARED, payload=0.030 / 1.05), fl.smooth_step(1.0, duration=0.5)
-    told, none = (fl.simulate(made, move, arm=arm, gauge_offset=0.05, told=kg).metrics for kg in (0.030, 0.0))
+    arm, move = (
+        Twin.from_rig(GEARED, payload=0.030 / 1.05),
+        fl.smooth_step(1.0, duration=0.5),
+    )
+    told, none = (
+        fl.simulate(made, move, arm=arm, gauge_offset=0.05, told=kg).metrics
+        for kg in (0.030, 0.0)
+    )
     assert told.settling_time <= 0.51 < none.settling_time
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("delay", "gain"), [(0.006, 1.2), (0.0, 1.4)])
 def test_a_late_gauge_and_its_gain_are_counted_on(delay: float, gain: float) -> None:
-    """A gauge that is known to be late, or to have a gain, costs a given payload nothing."""
+    """A gauge that is known to be late, or to have a gain, costs a given payload
+    nothing.
+    """
     assert GEARED.model is not None
     model = replace(GEARED.model, gauge_delay=delay, gauge_gain=gain)
     rig = replace(GEARED, model=model)
-    made = fl.design(model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(35)).law()
+    made = fl.design(
+        model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(35)
+    ).law()
     assert made.tracking is not None
-    blind = replace(made, tracking=replace(made.tracking, gauge_delay=0.0, gauge_gain=1.0))
+    blind = replace(
+        made, tracking=replace(made.tracking, gauge_delay=0.0, gauge_gain=1.0)
+    )
     arm, move = Twin.from_rig(rig, payload=0.04), fl.smooth_step(1.0, duration=0.5)
-    aware, unaware = (fl.simulate(one, move, arm=arm, told=True).metrics for one in (made, blind))
+    aware, unaware = (
+        fl.simulate(one, move, arm=arm, told=True).metrics for one in (made, blind)
+    )
     assert aware.settling_time <= 0.48
     assert aware.residual_vibration < 0.6 * unaware.residual_vibration
 
 
 @pytest.mark.parametrize("arm", ["model", "twin"])
 @pytest.mark.parametrize(
-    ("told", "cell"), [(False, "30 g"), (True, "30 g, given"), (0.028, "30 g, given 28 g")]
+    ("told", "cell"),
+    [(False, "30 g"), (True, "30 g, given"), (0.028, "30 g, given 28 g")],
 )
-def test_a_run_says_what_the_law_was_given(arm: str, told: float | bool, cell: str) -> None:
-    shown = fl.simulate(law(), fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm))
+def test_a_run_says_what_the_law_was_given(
+    arm: str, told: float | bool, cell: str
+) -> None:
+    shown = fl.simulate(
+        law(), fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm)
+    )
     assert not [finding for finding in shown.findings if finding.code == "W603"]
     assert moves_table([shown]).rows[0][0] == cell
 
@@ -217,11 +293,23 @@ def test_a_run_says_what_the_law_was_given(arm: str, told: float | bool, cell: s
 @pytest.mark.parametrize("arm", ["model", "twin"])
 @pytest.mark.parametrize("tracks", [True, False])
 def test_a_run_says_that_the_law_rejected_the_payload(arm: str, tracks: bool) -> None:
-    made = law() if tracks else replace(law(), tracking=None, limits=replace(law().limits, payload_limit=0.0))
+    made = (
+        law()
+        if tracks
+        else replace(
+            law(), tracking=None, limits=replace(law().limits, payload_limit=0.0)
+        )
+    )
     told = 50.0 if tracks else 0.03
-    shown = fl.simulate(made, fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm))
+    shown = fl.simulate(
+        made, fl.smooth_step(0.1, 0.5), told=told, duration=0.4, **on(arm)
+    )
     assert "W603" in [finding.code for finding in shown.findings]
-    assert [note for note in view(shown).notes if note.startswith("W603 warning: the law rejected")]
+    assert [
+        note
+        for note in view(shown).notes
+        if note.startswith("W603 warning: the law rejected")
+    ]
 
 
 def on(arm: str) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""The commissioning test of the gauge's wiring: how far the motor must turn, and what it then answers."""
+"""The commissioning test of the gauge's wiring: how far the motor must turn, and what
+it then answers.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,20 @@ QUARTER = 0.14  # [s] of the link's vibration period at 11 rad/s
 NOISE = 0.01  # [N·m], of the paper's gauge
 
 
-def log(angle: float, *, duration: float = QUARTER, gain: float = 1.0, seed: int = 0) -> NDArray[np.float64]:
-    """Motor angle and gauge of an undamped link whose motor turns by `angle` [rad]; shape (2, N)."""
+def log(
+    angle: float, *, duration: float = QUARTER, gain: float = 1.0, seed: int = 0
+) -> NDArray[np.float64]:
+    """Motor angle and gauge of an undamped link whose motor turns by `angle` [rad];
+    shape (2, N).
+    """
     made = law()
     time = PERIOD * np.arange(round(duration / PERIOD) + 1)
     motor = fl.smooth_step(angle, duration).angle(time)
-    # Exact for a motor angle held over steps of a tenth of a period: the tip is a rotation about it.
-    fine = fl.smooth_step(angle, duration).angle(np.arange(len(time) * 10) * PERIOD / 10)
+    # Exact for a motor angle held over steps of a tenth of a period: the tip is a
+    # rotation about it.
+    fine = fl.smooth_step(angle, duration).angle(
+        np.arange(len(time) * 10) * PERIOD / 10
+    )
     turn = 11.0 * PERIOD / 10
     cosine, sine, tips, tip, speed = np.cos(turn), np.sin(turn), [], 0.0, 0.0
     for k, held in enumerate(fine):
@@ -37,20 +46,36 @@ def log(angle: float, *, duration: float = QUARTER, gain: float = 1.0, seed: int
 @pytest.mark.parametrize("precision", ["single", "double"])
 @pytest.mark.parametrize(
     ("gain", "answer"),
-    [(1.0, "none"), (-1.0, "gauge reversed"), (-0.5, "gauge reversed"), (0.0, "gauge dead")],
+    [
+        (1.0, "none"),
+        (-1.0, "gauge reversed"),
+        (-0.5, "gauge reversed"),
+        (0.0, "gauge dead"),
+    ],
 )
-def test_a_motor_that_turns_far_enough_tells_the_wiring(precision: str, gain: float, answer: str) -> None:
+def test_a_motor_that_turns_far_enough_tells_the_wiring(
+    precision: str, gain: float, answer: str
+) -> None:
     made = law(precision)
     for seed in range(20):
-        assert made.check_wiring(*log(1.05 * made.wiring_angle(QUARTER), gain=gain, seed=seed)) == answer
+        assert (
+            made.check_wiring(
+                *log(1.05 * made.wiring_angle(QUARTER), gain=gain, seed=seed)
+            )
+            == answer
+        )
 
 
 @pytest.mark.parametrize("duration", [0.06, QUARTER])
 def test_the_angle_is_the_least_that_is_enough(duration: float) -> None:
     made = law()
     needed = made.wiring_angle(duration)
-    assert made.check_wiring(*log(0.97 * needed, duration=duration)) == "not moved enough"
-    assert made.check_wiring(*log(1.03 * needed, duration=duration)) != "not moved enough"
+    assert (
+        made.check_wiring(*log(0.97 * needed, duration=duration)) == "not moved enough"
+    )
+    assert (
+        made.check_wiring(*log(1.03 * needed, duration=duration)) != "not moved enough"
+    )
 
 
 def test_the_paper_s_gauge_asks_for_a_quarter_of_a_radian() -> None:

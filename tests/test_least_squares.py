@@ -1,4 +1,6 @@
-"""Least squares from many starts, with projected parameters and profiled intervals, against closed forms."""
+"""Least squares from many starts, with projected parameters and profiled intervals,
+against closed forms.
+"""
 
 from __future__ import annotations
 
@@ -42,29 +44,50 @@ def test_every_start_ends_at_the_optimum() -> None:
 
 def test_a_limit_holds_one_coordinate_and_frees_the_other() -> None:
     """With x <= 0.5 the least of 100 (y − x²)² + (1 − x)² is 0.25, at (0.5, 0.25)."""
-    found = descend(valley, np.array([[-1.2, 1.0]]), np.full(2, -10.0), np.array([0.5, 10.0]), iterations=100)
+    found = descend(
+        valley,
+        np.array([[-1.2, 1.0]]),
+        np.full(2, -10.0),
+        np.array([0.5, 10.0]),
+        iterations=100,
+    )
     assert found.places[0] == pytest.approx([0.5, 0.25], abs=1e-5)
     assert found.costs[0] == pytest.approx(0.25, rel=1e-6)
     assert found.converged[0]
     # From below, and with a start outside of the box.
     found = descend(
-        valley, np.array([[9.0, 1.0]]), np.array([2.0, -10.0]), np.array([3.0, 10.0]), iterations=100
+        valley,
+        np.array([[9.0, 1.0]]),
+        np.array([2.0, -10.0]),
+        np.array([3.0, 10.0]),
+        iterations=100,
     )
     assert found.places[0] == pytest.approx([2.0, 4.0], abs=1e-5)
     assert found.costs[0] == pytest.approx(1.0, rel=1e-6)
 
 
 def test_a_straight_problem_takes_one_step_and_says_so() -> None:
-    matrix, right = np.array([[2.0, 1.0], [1.0, 3.0], [0.5, -1.0]]), np.array([1.0, 2.0, 3.0])
+    matrix, right = (
+        np.array([[2.0, 1.0], [1.0, 3.0], [0.5, -1.0]]),
+        np.array([1.0, 2.0, 3.0]),
+    )
     wanted, rest, *_ = np.linalg.lstsq(matrix, right, rcond=None)
-    found = descend(lambda x: x @ matrix.T - right, np.zeros((1, 2)), *WIDE, iterations=30)
+    found = descend(
+        lambda x: x @ matrix.T - right, np.zeros((1, 2)), *WIDE, iterations=30
+    )
     assert found.places[0] == pytest.approx(wanted, abs=1e-6)
     assert found.costs[0] == pytest.approx(float(rest[0]), rel=1e-9)
     assert found.converged[0]
     assert found.evaluations < 30
     # In sheared coordinates the valley lies along an axis; the end is the same one.
     shear = np.array([[1.0, 0.7], [0.0, 1.0]])
-    other = descend(lambda x: x @ matrix.T - right, np.zeros((1, 2)), *WIDE, iterations=30, shear=shear)
+    other = descend(
+        lambda x: x @ matrix.T - right,
+        np.zeros((1, 2)),
+        *WIDE,
+        iterations=30,
+        shear=shear,
+    )
     assert other.places[0] == pytest.approx(wanted, abs=1e-6)
 
 
@@ -78,7 +101,13 @@ def test_a_start_without_a_value_is_left_where_it_is() -> None:
 
 
 def test_nothing_to_move_is_an_end() -> None:
-    found = descend(lambda x: np.ones((len(x), 3)), np.zeros((2, 0)), np.zeros(0), np.zeros(0), iterations=9)
+    found = descend(
+        lambda x: np.ones((len(x), 3)),
+        np.zeros((2, 0)),
+        np.zeros(0),
+        np.zeros(0),
+        iterations=9,
+    )
     assert (found.costs.tolist(), found.converged.tolist(), found.evaluations) == (
         [3.0, 3.0],
         [True, True],
@@ -90,7 +119,9 @@ def test_differences_stay_inside_the_box_and_leave_a_domain_backwards() -> None:
     places = np.array([[1.0, 2.0], [10.0, 10.0]])
     found = differences(valley, places, valley(places), *WIDE)
     for (x, _), slopes in zip(places, found, strict=True):
-        assert slopes == pytest.approx(np.array([[-20.0 * x, -1.0], [10.0, 0.0]]), abs=2e-4)
+        assert slopes == pytest.approx(
+            np.array([[-20.0 * x, -1.0], [10.0, 0.0]]), abs=2e-4
+        )
 
     def root(x: Array) -> Array:
         with np.errstate(invalid="ignore"):
@@ -100,7 +131,9 @@ def test_differences_stay_inside_the_box_and_leave_a_domain_backwards() -> None:
     slope = differences(root, edge, root(edge), np.array([-5.0]), np.array([5.0]))
     assert slope[0, 0, 0] < 0.0
     assert np.isfinite(slope).all()
-    held = differences(root, edge, root(edge), edge[0], edge[0])  # a box without room has no slope
+    held = differences(
+        root, edge, root(edge), edge[0], edge[0]
+    )  # a box without room has no slope
     assert held.tolist() == [[[0.0]]]
 
 
@@ -164,7 +197,9 @@ def root(bend: float, inflation: float) -> float:
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
-@pytest.mark.parametrize(("bend", "inflation"), [(0.0, 1.0), (0.0, 4.0), (5.0, 1.0), (-0.5, 2.0)])
+@pytest.mark.parametrize(
+    ("bend", "inflation"), [(0.0, 1.0), (0.0, 4.0), (5.0, 1.0), (-0.5, 2.0)]
+)
 @pytest.mark.parametrize("guess", [0.02, 0.25, 3.0])
 def test_an_end_is_where_the_likelihood_has_fallen(
     sign: int, bend: float, inflation: float, guess: float
@@ -187,7 +222,9 @@ def test_an_end_behind_a_limit_is_open() -> None:
 
 
 def test_where_nothing_fits_the_interval_ends() -> None:
-    """No cost at all beyond 0.1, where the likelihood has hardly fallen: the interval ends there."""
+    """No cost at all beyond 0.1, where the likelihood has hardly fallen: the interval
+    ends there.
+    """
     end, is_open = interval_end(Curve(last=0.1), 3.0, 0.3, 9.0, 1.0)
     assert not is_open
     assert end == pytest.approx(3.1, abs=1e-6)
@@ -195,4 +232,10 @@ def test_where_nothing_fits_the_interval_ends() -> None:
 
 def test_an_interval_contains_its_ends() -> None:
     interval = Interval(1.0, 2.0, False, True)
-    assert [interval.contains(x) for x in (0.999, 1.0, 1.5, 2.0, 2.001)] == [False, True, True, True, False]
+    assert [interval.contains(x) for x in (0.999, 1.0, 1.5, 2.0, 2.001)] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]

@@ -14,7 +14,9 @@ from fraclink.errors import FieldError
 
 
 def denominator(link: LinkModel, s: complex) -> complex:
-    return s**link.order + link.damping * s**link.damping_order + link.natural_frequency**2
+    return (
+        s**link.order + link.damping * s**link.damping_order + link.natural_frequency**2
+    )
 
 
 @pytest.mark.parametrize(
@@ -39,17 +41,24 @@ def test_free_parameters_are_those_of_table_2() -> None:
 
 
 def test_resonances_of_equation_14_and_its_correction() -> None:
-    # c = 1.56: the values of the checked paper, 12.21 / 10.51 / 15.09 rad/s at 30 / 40 / 20 g.
+    # c = 1.56: the values of the checked paper, 12.21 / 10.51 / 15.09 rad/s at 30 / 40
+    # / 20 g.
     for frequency, wanted in ((11.0940, 12.21), (9.6077, 10.51), (13.5873, 15.09)):
-        assert LinkModel(1.56, frequency, order=1.92).tip_resonance == pytest.approx(wanted, abs=0.01)
+        assert LinkModel(1.56, frequency, order=1.92).tip_resonance == pytest.approx(
+            wanted, abs=0.01
+        )
     link = LinkModel(1.56, 10.02, order=1.92)
     cosine = -math.cos(math.pi * 0.96)
-    assert link.torque_resonance == pytest.approx((10.02**2 / cosine) ** (1 / 1.92), rel=1e-14)
+    assert link.torque_resonance == pytest.approx(
+        (10.02**2 / cosine) ** (1 / 1.92), rel=1e-14
+    )
     assert link.damping_ratio == pytest.approx(0.0654, abs=5e-5)
 
 
 @settings(max_examples=60, deadline=None)
-@example(frequency=1.0, order=1.328125, ratio=0.25, other=0.875)  # a hump, and higher beyond it
+@example(
+    frequency=1.0, order=1.328125, ratio=0.25, other=0.875
+)  # a hump, and higher beyond it
 @given(
     frequency=st.floats(0.5, 200),
     order=st.floats(1.3, 2.0),
@@ -65,7 +74,10 @@ def test_resonances_are_peaks_of_the_responses(
     damping = ratio * scale ** (order - other)
     link = LinkModel(1.56, frequency, order, damping, other)
     grid = scale * np.geomspace(0.3, 3, 3001)
-    for resonance, function in ((link.tip_resonance, link.tip()), (link.torque_resonance, link.torque())):
+    for resonance, function in (
+        (link.tip_resonance, link.tip()),
+        (link.torque_resonance, link.torque()),
+    ):
         level = np.abs(function(1j * grid))
         peak = int(np.argmax(level))
         if 0 < peak < grid.size - 1:
@@ -92,7 +104,9 @@ def test_pole_is_a_zero_of_the_denominator(
 def test_torque_and_tip_add_up() -> None:
     link = LinkModel(1.56, 10.5, damping=1.37, damping_order=0.9)
     s = 1j * np.array([0.1, 3.0, 10.0, 80.0])
-    assert np.allclose(link.tip()(s) + link.torque()(s) / link.stiffness, 1.0, rtol=1e-14)
+    assert np.allclose(
+        link.tip()(s) + link.torque()(s) / link.stiffness, 1.0, rtol=1e-14
+    )
 
 
 def test_undamped_fractional_link_is_a_fractionally_damped_one() -> None:
@@ -107,7 +121,9 @@ def test_undamped_fractional_link_is_a_fractionally_damped_one() -> None:
 def test_payload_moves_the_frequency_by_equation_5() -> None:
     link = LinkModel(1.56, 11.094, order=1.92, payload=0.030)
     assert link.at_payload(0.040).natural_frequency == pytest.approx(9.6077, abs=1e-4)
-    assert link.at_payload(0.020).damping_ratio == pytest.approx(link.damping_ratio, rel=1e-12)
+    assert link.at_payload(0.020).damping_ratio == pytest.approx(
+        link.damping_ratio, rel=1e-12
+    )
     with pytest.raises(FieldError, match="payload"):
         LinkModel(1.56, 11.094).at_payload(0.02)
 

@@ -1,4 +1,6 @@
-"""Pictures of a fit: responses with their coherence, and the error around the best point."""
+"""Pictures of a fit: responses with their coherence, and the error around the best
+point.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,9 @@ from fraclink._identify.looked_at import error_map, welch_response
 
 @pytest.fixture(scope="module")
 def log() -> fl.Experiment:
-    """A sweep of the motor, and the torque of a known link; noise hides it far above the resonance."""
+    """A sweep of the motor, and the torque of a known link; noise hides it far above
+    the resonance.
+    """
     time = 0.004 * np.arange(6000)
     shaken = 0.002 * np.random.default_rng(1).normal(size=time.size)
     angle = 0.3 * np.sin(0.5 * time + 0.6 * time**2) + shaken
@@ -31,7 +35,9 @@ def fit(log: fl.Experiment) -> fl.Fit:
 
 def test_the_response_is_that_of_the_link_where_the_log_is_coherent(log, fit) -> None:
     found = welch_response(log, fit)
-    inside = (found.frequency > 16.0) & (found.frequency < 25.0)  # beside the resonance: no leakage
+    inside = (found.frequency > 16.0) & (
+        found.frequency < 25.0
+    )  # beside the resonance: no leakage
     s = (1j * found.frequency[inside]) ** 1.92
     truth = 1.56 * s / (s + 10.02**2)
     assert np.abs(found.measured[inside] / truth - 1.0).max() < 0.05
@@ -47,8 +53,12 @@ def test_the_error_is_the_one_of_a_fit_at_that_point(log, fit) -> None:
     fine = found.ratio[3, 20], found.ratio[12, 12]
     for ratio, (row, column) in zip(fine, ((3, 20), (12, 12)), strict=True):
         order, resonance = float(found.order[row]), float(found.resonance[column])
-        link = replace(fit.model, order=order, natural_frequency=resonance ** (order / 2.0))
-        unit = fl.simulated_torque(link, log.motor_angle, 0.004, delay=fit.delay)[:count]
+        link = replace(
+            fit.model, order=order, natural_frequency=resonance ** (order / 2.0)
+        )
+        unit = fl.simulated_torque(link, log.motor_angle, 0.004, delay=fit.delay)[
+            :count
+        ]
         columns = np.stack([unit, np.ones(count)], axis=1)
         _, rest, *_ = np.linalg.lstsq(columns, log.output[:count], rcond=None)
         assert ratio == pytest.approx(float(rest[0]) / (fit.mse * count), rel=2e-3)

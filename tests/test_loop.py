@@ -38,13 +38,24 @@ def link_response(link: LinkModel, s: complex) -> complex:
     torque = s**link.order / (s**link.order + drag + link.natural_frequency**2)
     if link.second_mode is not None:
         m = link.second_mode
-        torque += m.gain * s**2 / (s**2 + 2 * m.damping_ratio * m.frequency * s + m.frequency**2)
+        torque += (
+            m.gain
+            * s**2
+            / (s**2 + 2 * m.damping_ratio * m.frequency * s + m.frequency**2)
+        )
     return 1 - link.gauge_gain * cmath.exp(-link.gauge_delay * s) * torque
 
 
 def written_out(link: LinkModel, s: complex) -> complex:
-    outer = CONTROLLER.gain * s**CONTROLLER.order / (1 + CONTROLLER.filter_time * s) ** 2
-    return outer * cmath.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2 * link_response(link, s)
+    outer = (
+        CONTROLLER.gain * s**CONTROLLER.order / (1 + CONTROLLER.filter_time * s) ** 2
+    )
+    return (
+        outer
+        * cmath.exp(-1.5 * 0.004 * s)
+        / (1 + s / 80.0) ** 2
+        * link_response(link, s)
+    )
 
 
 @pytest.mark.parametrize("name", LINKS)
@@ -56,19 +67,27 @@ def test_the_loop_is_its_formula_on_the_axis_and_beside_it(name: str) -> None:
         assert complex(loop(w, 11.0)) == pytest.approx(wanted, rel=1e-10)
         log = complex(loop.log(w, 11.0))
         assert cmath.exp(log) == pytest.approx(wanted, rel=1e-10)
-        assert float(loop.level(w, 11.0)) == pytest.approx(math.log(abs(wanted)), abs=1e-10)
+        assert float(loop.level(w, 11.0)) == pytest.approx(
+            math.log(abs(wanted)), abs=1e-10
+        )
         beside = w * (1 + 0.2j)  # s = jω with Re s < 0
-        assert complex(loop(beside, 11.0)) == pytest.approx(written_out(link, 1j * beside), rel=1e-9)
+        assert complex(loop(beside, 11.0)) == pytest.approx(
+            written_out(link, 1j * beside), rel=1e-9
+        )
 
 
 @pytest.mark.parametrize("name", LINKS)
 @pytest.mark.parametrize("kind", ["ideal", "sampled"])
 def test_the_slope_is_that_of_the_logarithm(name: str, kind: str) -> None:
     settings = MotorLoop(80.0, 1, kind)
-    loop = Loop.around(LINKS[name], settings, RIG.motor, 0.004).with_controller(CONTROLLER)
+    loop = Loop.around(LINKS[name], settings, RIG.motor, 0.004).with_controller(
+        CONTROLLER
+    )
     w = np.array([0.7, 9.0, 12.5, 60.0, 150.0, 420.0])
     h = 1e-5
-    difference = (loop.log(w * math.exp(h), 11.0) - loop.log(w * math.exp(-h), 11.0)) / (2 * h)
+    difference = (
+        loop.log(w * math.exp(h), 11.0) - loop.log(w * math.exp(-h), 11.0)
+    ) / (2 * h)
     assert loop.slope(w, 11.0) == pytest.approx(difference, rel=2e-5, abs=1e-6)
 
 
@@ -78,7 +97,9 @@ def test_the_phase_is_unwrapped_from_low_frequencies_on() -> None:
         loop = Loop.of(CONTROLLER, link, RIG)
         w = np.geomspace(0.01, 785.0, 200_000)
         phase, value = loop.log(w, 11.0).imag, dense(loop, w, 11.0)
-        assert np.diff(phase) == pytest.approx(np.angle(value[1:] / value[:-1]), abs=1e-9)
+        assert np.diff(phase) == pytest.approx(
+            np.angle(value[1:] / value[:-1]), abs=1e-9
+        )
         assert phase[0] == pytest.approx(0.5 * math.pi * 0.61, abs=0.01)
 
 
@@ -97,17 +118,27 @@ def test_a_loop_is_made_of_the_controllers_own_motor_loop_and_period() -> None:
         pytest.approx(math.pi / 0.004),
     )
     ideal = Loop.ideal(LINKS["late"])
-    assert (ideal.lag, ideal.delay, ideal.gauge_delay, ideal.highest) == (0.0, 0.0, 0.0, math.inf)
+    assert (ideal.lag, ideal.delay, ideal.gauge_delay, ideal.highest) == (
+        0.0,
+        0.0,
+        0.0,
+        math.inf,
+    )
     assert rigs.correction is None
 
 
 def test_a_model_without_a_payload_gets_the_rigs_nominal_one() -> None:
     bare = replace(PLAIN, payload=None)
     known = with_payload(bare, RIG)
-    assert known.payload == 0.03 and known.natural_frequency == pytest.approx(11.094, abs=1e-4)
+    assert known.payload == 0.03 and known.natural_frequency == pytest.approx(
+        11.094, abs=1e-4
+    )
     assert with_payload(PLAIN, RIG) is PLAIN
     rows = (("natural_frequency", 8.9, 9.1), ("order", 1.9, 1.94))
-    assert with_payload(replace(PLAIN, payload=None, intervals=rows), RIG).intervals == rows[1:]
+    assert (
+        with_payload(replace(PLAIN, payload=None, intervals=rows), RIG).intervals
+        == rows[1:]
+    )
 
 
 def dense(loop: Loop, w: NDArray[np.float64], w0: float) -> NDArray[np.complex128]:
@@ -128,7 +159,9 @@ def test_crossings_are_all_of_a_dense_scan(name: str) -> None:
         at = np.flatnonzero((level[:-1] > 0) != (level[1:] > 0))
         found = loop.crossings(w0)
         assert found.frequency == pytest.approx(w[at], rel=1e-4)
-        assert np.abs(loop(found.frequency, w0)) == pytest.approx(np.ones(at.size), rel=1e-9)
+        assert np.abs(loop(found.frequency, w0)) == pytest.approx(
+            np.ones(at.size), rel=1e-9
+        )
         assert (found.slope < 0).tolist() == (level[at + 1] < 0).tolist()
         angles = np.angle(-loop(found.frequency, w0))
         assert found.phase_margin == pytest.approx(angles, abs=1e-9)
@@ -139,7 +172,9 @@ def test_crossings_are_all_of_a_dense_scan(name: str) -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 0.03])
 def test_crossings_about_a_sharp_second_mode_are_not_lost(delay: float) -> None:
-    """ζ = 0.001: |L| is above one over a thousandth of the frequency, far between two points of G's grid."""
+    """ζ = 0.001: |L| is above one over a thousandth of the frequency, far between two
+    points of G's grid.
+    """
     link = replace(PLAIN, gauge_delay=delay, second_mode=SecondMode(150.0, 0.01, 0.001))
     loop = Loop.of(CONTROLLER, link, RIG)
     w = np.linspace(149.0, 151.0, 40_001)
@@ -151,7 +186,9 @@ def test_crossings_about_a_sharp_second_mode_are_not_lost(delay: float) -> None:
 
 
 def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
-    """With 21 and 22 times the gain: the nearest passage of −1 lies between, on a dense Nyquist curve."""
+    """With 21 and 22 times the gain: the nearest passage of −1 lies between, on a dense
+    Nyquist curve.
+    """
     loop = Loop.of(CONTROLLER, PLAIN, RIG)
     w = np.geomspace(1e-3, math.pi / 0.004, 200_000)
     value = loop(w, 11.0)
@@ -174,18 +211,41 @@ def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
     [
         (PLAIN, 50.0, 1e-4),
         (replace(PLAIN, gauge_delay=0.005), 50.0, 1e-4),
-        (replace(PLAIN, gauge_delay=0.02), 30.0, 1e-2),  # Ms is 6 there, and the peak a per cent wide
-        (replace(PLAIN, gauge_delay=0.01, second_mode=SecondMode(180.0, 0.05, 0.02)), 40.0, 1e-4),
+        (
+            replace(PLAIN, gauge_delay=0.02),
+            30.0,
+            1e-2,
+        ),  # Ms is 6 there, and the peak a per cent wide
+        (
+            replace(PLAIN, gauge_delay=0.01, second_mode=SecondMode(180.0, 0.05, 0.02)),
+            40.0,
+            1e-4,
+        ),
     ],
 )
-def test_peak_and_noise_are_those_of_a_dense_grid(link: LinkModel, margin: float, error: float) -> None:
-    made = fl.design(link, RIG, gain_crossover=12.0, phase_margin=fl.deg(margin), law=False, nearest=False)
+def test_peak_and_noise_are_those_of_a_dense_grid(
+    link: LinkModel, margin: float, error: float
+) -> None:
+    made = fl.design(
+        link,
+        RIG,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(margin),
+        law=False,
+        nearest=False,
+    )
     loop, w = made.full_loop, np.linspace(0.002, math.pi / 0.004, 400_001)
     for w0 in made.natural_frequencies:
         distance = np.abs(1 + dense(loop, w, w0))
-        assert loop.sensitivity_peak(w0)[0] == pytest.approx(1 / distance.min(), rel=1e-5)
+        assert loop.sensitivity_peak(w0)[0] == pytest.approx(
+            1 / distance.min(), rel=1e-5
+        )
         c = made.controller
-        outer = c.gain * w**c.order / (1 + (c.filter_time * w) ** 2) ** (0.5 * c.filter_order)
+        outer = (
+            c.gain
+            * w**c.order
+            / (1 + (c.filter_time * w) ** 2) ** (0.5 * c.filter_order)
+        )
         noise = math.sqrt(np.mean((outer / distance) ** 2))
         assert loop.noise_gain(w0, 0.004)[0] == pytest.approx(noise, rel=error)
 
@@ -198,7 +258,9 @@ def test_noise_points_are_a_mean_over_the_band() -> None:
 
 
 def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
-    loop = Loop.of(replace(CONTROLLER, gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG)
+    loop = Loop.of(
+        replace(CONTROLLER, gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG
+    )
     low, high = 8.0, 30.0
     w0 = np.geomspace(low, high, 4000)
     parts = [loop.margins(part) for part in np.array_split(w0, 10)]
@@ -214,25 +276,37 @@ def test_closed_loop_of_the_paper() -> None:
     s = 0.3 + 9j
     made = closed_loop(CONTROLLER, PLAIN, inner_pole=80.0)
     tip = 121.0 / (s**1.92 + 121.0)
-    open_loop = CONTROLLER.gain * s**0.61 / (1 + 0.004 * s) ** 2 / (1 + s / 80) ** 2 * tip
+    open_loop = (
+        CONTROLLER.gain * s**0.61 / (1 + 0.004 * s) ** 2 / (1 + s / 80) ** 2 * tip
+    )
     assert complex(made(s)) == pytest.approx(open_loop / (1 + open_loop), rel=1e-12)
     without = open_loop * (1 + s / 80) ** 2
-    assert complex(closed_loop(CONTROLLER, PLAIN)(s)) == pytest.approx(without / (1 + without), rel=1e-12)
+    assert complex(closed_loop(CONTROLLER, PLAIN)(s)) == pytest.approx(
+        without / (1 + without), rel=1e-12
+    )
 
 
 # --- sampled ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("exponent", "start"), [(2.0, 8.0), (3.92, 13.4), (5.0, 10.0), (1.5, 20.0)])
+@pytest.mark.parametrize(
+    ("exponent", "start"), [(2.0, 8.0), (3.92, 13.4), (5.0, 10.0), (1.5, 20.0)]
+)
 def test_tail_of_a_sum_of_powers(exponent: float, start: float) -> None:
     from mpmath import zeta
 
-    assert float(tail_sum(exponent, start)) == pytest.approx(float(zeta(exponent, start)), rel=5e-8)
+    assert float(tail_sum(exponent, start)) == pytest.approx(
+        float(zeta(exponent, start)), rel=5e-8
+    )
 
 
 @pytest.mark.parametrize("name", LINKS)
-@pytest.mark.parametrize(("kind", "delay"), [("ideal", 1), ("ideal", 0), ("sampled", 2)])
-def test_the_sampled_plant_is_the_sum_of_its_aliases(name: str, kind: str, delay: int) -> None:
+@pytest.mark.parametrize(
+    ("kind", "delay"), [("ideal", 1), ("ideal", 0), ("sampled", 2)]
+)
+def test_the_sampled_plant_is_the_sum_of_its_aliases(
+    name: str, kind: str, delay: int
+) -> None:
     link, period = LINKS[name], 0.004
     motor_loop = MotorLoop(80.0, delay, kind)
     plant = sampled_plant(link, motor_loop, RIG.motor, period)
@@ -245,7 +319,12 @@ def test_the_sampled_plant_is_the_sum_of_its_aliases(name: str, kind: str, delay
         drive = RIG.motor.gain / (s * (s + RIG.motor.decay))
         before = motor_loop.sampled(RIG.motor, period).voltage(w)
     bracket = np.vectorize(lambda x: link_response(link, x))(s)
-    wanted = before * (1 - np.exp(-1j * w * period)) / period * np.sum(drive * bracket / s, axis=1)
+    wanted = (
+        before
+        * (1 - np.exp(-1j * w * period))
+        / period
+        * np.sum(drive * bracket / s, axis=1)
+    )
     assert plant(w) == pytest.approx(wanted, rel=2e-6, abs=1e-9)
 
 
@@ -268,18 +347,25 @@ def test_an_arms_motor_is_faster_or_slower_than_its_loop_assumes() -> None:
     settings = MotorLoop(80.0, 1, "sampled")
     w = np.array([5.0, 40.0, 300.0])
     j, nu = RIG.motor.inertia / 1.25, RIG.motor.viscous_friction / 1.25
-    true = replace(RIG.motor, inertia=j, viscous_friction=nu)  # A is 1.25 times as large, B the same
+    true = replace(
+        RIG.motor, inertia=j, viscous_friction=nu
+    )  # A is 1.25 times as large, B the same
     pid = settings.pid(RIG.motor, 0.004)
     inner = replace(settings.sampled(RIG.motor, 0.004), motor=true)
     assert inner.pid == pid and true.gain == pytest.approx(1.25 * RIG.motor.gain)
     own = replace(CONTROLLER, inner=settings)
-    ratio = np.exp(fast.loop(own, RIG).motor_log(w) - Arm(PLAIN).loop(own, RIG).motor_log(w))
+    ratio = np.exp(
+        fast.loop(own, RIG).motor_log(w) - Arm(PLAIN).loop(own, RIG).motor_log(w)
+    )
     nominal = settings.sampled(RIG.motor, 0.004)
     wanted = inner.voltage(w) * 1.25 / nominal.voltage(w)
     assert ratio == pytest.approx(wanted, rel=1e-9)
     plants = [Arm(PLAIN, share).plant(settings, RIG, 0.004)(w) for share in (1.0, 1.25)]
     assert plants[1] / plants[0] == pytest.approx(wanted, rel=1e-6)
-    ideal = [Arm(PLAIN, share).plant(MotorLoop(80.0, 1), RIG, 0.004)(w[:1]) for share in (1.0, 1.25)]
+    ideal = [
+        Arm(PLAIN, share).plant(MotorLoop(80.0, 1), RIG, 0.004)(w[:1])
+        for share in (1.0, 1.25)
+    ]
     slower = (1 + 5j / 80.0) ** 2 / (1 + 5j / 100.0) ** 2
     assert complex((ideal[1] / ideal[0])[0]) == pytest.approx(slower, rel=1e-3)
     other = replace(CONTROLLER, inner=settings, period=0.002)
@@ -297,23 +383,33 @@ def test_a_box_is_at_least_as_wide_as_the_rigs_tolerances() -> None:
     assert box.motor_ratio == pytest.approx((0.9, 1.1))
     assert box.mode_frequency == pytest.approx((142.5, 157.5))
     assert box.mode_gain == pytest.approx((0.024, 0.036))
-    known = (("order", 1.8, 1.91), ("gauge_delay", 0.001, 0.006), ("stiffness", 1.3, 1.6))
+    known = (
+        ("order", 1.8, 1.91),
+        ("gauge_delay", 0.001, 0.006),
+        ("stiffness", 1.3, 1.6),
+    )
     wide = replace(link, intervals=known)
     fitted = ParameterBox.of(wide, RIG)
-    assert fitted.order == pytest.approx((1.8, 1.93)) and fitted.gauge_delay == pytest.approx((0.001, 0.007))
+    assert fitted.order == pytest.approx(
+        (1.8, 1.93)
+    ) and fitted.gauge_delay == pytest.approx((0.001, 0.007))
     # what a torque log leaves open of c is open in the gauge
     assert fitted.gauge_gain == pytest.approx((0.95 * 1.3 / 1.56, 0.95 * 1.05))
     assert ParameterBox.of(PLAIN, RIG).mode_gain == (0.0, 0.0)
 
 
 def test_a_box_ends_where_a_link_would_be_none() -> None:
-    """Without damping λ = 2 never rests, and λ <= 1 has no vibration: half way to either at most."""
+    """Without damping λ = 2 never rests, and λ <= 1 has no vibration: half way to
+    either at most.
+    """
     stiff = ParameterBox.of(replace(PLAIN, order=1.98), RIG)
     assert stiff.order == pytest.approx((1.95, 1.99))
     damped = ParameterBox.of(replace(PLAIN, order=1.98, damping=0.5), RIG)
     assert damped.order == pytest.approx((1.95, 2.0))
     soft = replace(RIG, tolerances=replace(RIG.tolerances, order=0.4))
-    assert ParameterBox.of(replace(PLAIN, order=1.3), soft).order == pytest.approx((1.15, 1.65))
+    assert ParameterBox.of(replace(PLAIN, order=1.3), soft).order == pytest.approx(
+        (1.15, 1.65)
+    )
 
 
 def test_a_gauge_that_leads_is_believed_within_the_tolerance() -> None:
@@ -322,12 +418,19 @@ def test_a_gauge_that_leads_is_believed_within_the_tolerance() -> None:
     with pytest.raises(FieldError, match="negative"):
         ParameterBox.of(replace(PLAIN, gauge_delay=-0.0021), RIG)
     exact = replace(RIG, tolerances=replace(RIG.tolerances, gauge_delay=0.0))
-    assert ParameterBox.of(replace(PLAIN, gauge_delay=-5e-5), exact).gauge_delay == (0.0, 0.0)
+    assert ParameterBox.of(replace(PLAIN, gauge_delay=-5e-5), exact).gauge_delay == (
+        0.0,
+        0.0,
+    )
 
 
 def test_corners_are_all_ends_and_the_worse_gain_of_the_mode() -> None:
     link = LINKS["second mode"]
-    open_ones = {"order": (1.9, 1.94), "gauge_delay": (0.004, 0.006), "mode_gain": (0.02, 0.04)}
+    open_ones = {
+        "order": (1.9, 1.94),
+        "gauge_delay": (0.004, 0.006),
+        "mode_gain": (0.02, 0.04),
+    }
     box = replace(ParameterBox.at(link), **open_ones)
     arms = arms_of(box, link)
     assert {(a.model.order, a.model.gauge_delay) for a in arms} == {

@@ -1,4 +1,6 @@
-"""The kernel of the minimax fractions: where it stops, no parameter lowers the norm; what it refuses."""
+"""The kernel of the minimax fractions: where it stops, no parameter lowers the norm;
+what it refuses.
+"""
 
 from __future__ import annotations
 
@@ -32,26 +34,41 @@ def _norm(fit: PartialFractions, target: Target, power: int) -> float:
     x, r = 1j * OMEGA, np.full(OMEGA.size, fit.direct, dtype=complex)
     for log, gain in zip(fit.real_logs, fit.real_gains, strict=True):
         r += gain * np.exp(log) / (x + np.exp(log))
-    for log, eta, gain in zip(fit.pair_logs, fit.pair_angles, fit.pair_gains, strict=True):
+    for log, eta, gain in zip(
+        fit.pair_logs, fit.pair_angles, fit.pair_gains, strict=True
+    ):
         q = np.exp(log + 0.5j * np.pi * np.tanh(eta))
         r += 0.5 * (gain * q / (x + q) + np.conj(gain) * np.conj(q) / (x + np.conj(q)))
     error = (target.factor * r - target.wanted) * target.turn
-    rows = np.abs(np.concatenate([error.real * target.weight_real, error.imag * target.weight_imag]))
+    rows = np.abs(
+        np.concatenate(
+            [error.real * target.weight_real, error.imag * target.weight_imag]
+        )
+    )
     return float(rows.max() * np.sum((rows / rows.max()) ** power) ** (1.0 / power))
 
 
 def _moved(fit: PartialFractions, step: float) -> list[PartialFractions]:
-    """The fractions with one parameter moved by `step` (relative to the residues for these), each in turn."""
+    """The fractions with one parameter moved by `step` (relative to the residues for
+    these), each in turn.
+    """
     scale = step * max(1.0, float(np.max(np.abs(fit.linear()))))
     made = [replace(fit, direct=fit.direct + scale)]
-    for name, by in (("real_logs", step), ("pair_logs", step), ("pair_angles", step), ("real_gains", scale)):
+    for name, by in (
+        ("real_logs", step),
+        ("pair_logs", step),
+        ("pair_angles", step),
+        ("real_gains", scale),
+    ):
         for i in range(len(getattr(fit, name))):
             values = getattr(fit, name).copy()
             values[i] += by
             made.append(replace(fit, **{name: values}))
     for turned in (scale, 1j * scale):
         made += [
-            replace(fit, pair_gains=fit.pair_gains + turned * np.eye(len(fit.pair_gains))[i])
+            replace(
+                fit, pair_gains=fit.pair_gains + turned * np.eye(len(fit.pair_gains))[i]
+            )
             for i in range(len(fit.pair_gains))
         ]
     return made
@@ -59,18 +76,25 @@ def _moved(fit: PartialFractions, step: float) -> list[PartialFractions]:
 
 @pytest.mark.parametrize(("reals", "pairs"), [(3, 0), (2, 1), (1, 1), (0, 1)])
 @pytest.mark.parametrize("power", [2, 8, 64])
-def test_no_parameter_lowers_the_norm_where_newton_stops(reals: int, pairs: int, power: int) -> None:
+def test_no_parameter_lowers_the_norm_where_newton_stops(
+    reals: int, pairs: int, power: int
+) -> None:
     target = _target()
     ladder = tuple(p for p in (2, 4, 8, 16, 32, 64) if p <= power)
     fit = log_spaced_start(OMEGA[0], OMEGA[-1], reals, pairs)
-    for _ in range(4):  # a ladder ends within 1e-4; again from there, so that the slopes vanish
+    for _ in range(
+        4
+    ):  # a ladder ends within 1e-4; again from there, so that the slopes vanish
         fit = best_residues(fit, target).improved(target, ladder)
     for _ in range(12):
         fit = fit.improved(target, (power,))
     reached = _norm(fit, target, power)
     for step in (1e-3, -1e-3):
-        # What is left of a slope lowers the norm by less than the kernel's own end, 1e-4 of it.
-        assert min(_norm(there, target, power) for there in _moved(fit, step)) > reached * (1.0 - 1e-4)
+        # What is left of a slope lowers the norm by less than the kernel's own end,
+        # 1e-4 of it.
+        assert min(
+            _norm(there, target, power) for there in _moved(fit, step)
+        ) > reached * (1.0 - 1e-4)
 
 
 def test_the_ladder_lowers_the_worst_error() -> None:
@@ -91,8 +115,12 @@ def test_an_exact_fraction_is_kept() -> None:
         np.array([0.7 - 0.2j]),
     )
     target = _target()
-    target = replace(target, wanted=target.factor * (exact.columns(target.x) @ exact.linear()))
-    start = best_residues(replace(exact, real_logs=exact.real_logs + np.array([0.1, -0.2])), target)
+    target = replace(
+        target, wanted=target.factor * (exact.columns(target.x) @ exact.linear())
+    )
+    start = best_residues(
+        replace(exact, real_logs=exact.real_logs + np.array([0.1, -0.2])), target
+    )
     found = start.improved(target, (2, 4, 8, 16))
     assert score(found, target) < 1e-6
     assert found.real_logs == pytest.approx(exact.real_logs, abs=1e-6)
@@ -111,7 +139,9 @@ def test_an_exact_fraction_is_kept() -> None:
         {"powers": [0]},
     ],
 )
-def test_arrays_that_do_not_belong_together_are_refused(change: dict[str, object]) -> None:
+def test_arrays_that_do_not_belong_together_are_refused(
+    change: dict[str, object],
+) -> None:
     given: dict[str, object] = {
         "omega": OMEGA,
         "coefficients": np.ones((4, OMEGA.size)),
@@ -128,6 +158,12 @@ def test_arrays_that_do_not_belong_together_are_refused(change: dict[str, object
 def test_a_target_without_numbers_ends_where_it_began() -> None:
     parameters = np.array([0.0, 1.0, 0.5])
     _kernels.minimax_improve(
-        OMEGA, np.ones((4, OMEGA.size)), np.full(2 * OMEGA.size, np.nan), 1, 0, [2, 4], parameters
+        OMEGA,
+        np.ones((4, OMEGA.size)),
+        np.full(2 * OMEGA.size, np.nan),
+        1,
+        0,
+        [2, 4],
+        parameters,
     )
     assert parameters.tolist() == [0.0, 1.0, 0.5]

@@ -1,4 +1,6 @@
-"""The Mittag-Leffler function against its series and against an integral on rays, both by mpmath."""
+"""The Mittag-Leffler function against its series and against an integral on rays, both
+by mpmath.
+"""
 
 from __future__ import annotations
 
@@ -27,27 +29,42 @@ def series(z: complex, alpha: float, beta: float) -> complex:
 
 
 def on_rays(z: complex, alpha: float, beta: float) -> complex:
-    """The integral of e^s s^(α−β)/(s^α − z) on two rays and an arc, with residues at the poles outside."""
+    """The integral of e^s s^(α−β)/(s^α − z) on two rays and an arc, with residues at
+    the poles outside.
+    """
     with mpmath.workdps(22):
         a, b, log = mpmath.mpf(alpha), mpmath.mpf(beta), mpmath.log(mpmath.mpc(z))
         turns = int(alpha / 2) + 1
         poles = [(log + 2j * mpmath.pi * k) / a for k in range(-turns, turns + 1)]
         poles = [p for p in poles if abs(p.imag) <= mpmath.pi]
-        # The rays take the widest gap between the poles, the arc keeps away from their radius.
+        # The rays take the widest gap between the poles, the arc keeps away from their
+        # radius.
         radius = mpmath.mpf(3 if poles and 0.6 < mpmath.exp(poles[0].real) < 1.6 else 1)
         steep = 0.55 * math.pi
-        angles = sorted([steep, math.pi, *(abs(float(p.imag)) for p in poles if abs(p.imag) > steep)])
+        angles = sorted(
+            [
+                steep,
+                math.pi,
+                *(abs(float(p.imag)) for p in poles if abs(p.imag) > steep),
+            ]
+        )
         low, high = max(itertools.pairwise(angles), key=lambda pair: pair[1] - pair[0])
         turn, start = mpmath.mpf(0.5 * (low + high)), mpmath.log(radius)
 
         def density(x: mpmath.mpc) -> mpmath.mpc:
-            value = mpmath.exp(mpmath.exp(x) + (a - b + 1) * x) / (mpmath.exp(a * x) - z)
+            value = mpmath.exp(mpmath.exp(x) + (a - b + 1) * x) / (
+                mpmath.exp(a * x) - z
+            )
             return value / (2j * mpmath.pi)
 
         edges = mpmath.linspace(start, mpmath.log(60 / abs(mpmath.cos(turn))), 5)
         total = mpmath.quad(
-            lambda x: density(mpmath.mpc(x, turn)) - density(mpmath.mpc(x, -turn)), edges
-        ) + mpmath.quad(lambda x: 1j * density(mpmath.mpc(start, x)), mpmath.linspace(-turn, turn, 5))
+            lambda x: density(mpmath.mpc(x, turn)) - density(mpmath.mpc(x, -turn)),
+            edges,
+        ) + mpmath.quad(
+            lambda x: 1j * density(mpmath.mpc(start, x)),
+            mpmath.linspace(-turn, turn, 5),
+        )
         for p in poles:
             if abs(p.imag) < turn and p.real > start:
                 total += mpmath.exp(mpmath.exp(p) + (1 - b) * p) / a
@@ -60,9 +77,15 @@ def test_against_the_series_at_random_points() -> None:
     for i in range(280):
         alpha = float(10 ** rng.uniform(math.log10(0.03), math.log10(20)))
         beta = float(rng.uniform(-1, 4) if i % 3 else rng.uniform(4, 100))
-        # Above α = 2 E has large values of both signs and zeros between: relative to E there is no bound.
+        # Above α = 2 E has large values of both signs and zeros between: relative to E
+        # there is no bound.
         size = 10 ** rng.uniform(-2, 2 if alpha < 2 else 1.3)
-        angle = (math.pi, 0.0, alpha * math.pi / 2 * rng.uniform(0.9, 1.1), rng.uniform(-math.pi, math.pi))
+        angle = (
+            math.pi,
+            0.0,
+            alpha * math.pi / 2 * rng.uniform(0.9, 1.1),
+            rng.uniform(-math.pi, math.pi),
+        )
         z = complex(size**alpha * np.exp(1j * angle[i % 4]))
         exact = series(z, alpha, beta)
         error = abs(fl.mittag_leffler(z, alpha, beta=beta) - exact)
@@ -82,17 +105,23 @@ def test_against_an_integral_where_the_series_is_too_long() -> None:
 
 
 def test_closed_forms() -> None:
-    x = np.concatenate([np.linspace(-30, 30, 241), [2.0, -2.0]])  # 2 is the parabola's vertex: a pole there
+    x = np.concatenate(
+        [np.linspace(-30, 30, 241), [2.0, -2.0]]
+    )  # 2 is the parabola's vertex: a pole there
     assert fl.mittag_leffler(x, 1.0) == pytest.approx(np.exp(x), rel=1e-13, abs=1e-13)
     assert fl.mittag_leffler(-(x**2), 2.0) == pytest.approx(np.cos(x), abs=1e-13)
-    assert fl.mittag_leffler(-(x**2), 2.0, beta=2.0) == pytest.approx(np.sinc(x / math.pi), abs=1e-13)
+    assert fl.mittag_leffler(-(x**2), 2.0, beta=2.0) == pytest.approx(
+        np.sinc(x / math.pi), abs=1e-13
+    )
     y = np.geomspace(1e-8, 1e8, 200)
     assert fl.mittag_leffler(-y, 0.5) == pytest.approx(erfcx(y), abs=1e-14)
 
 
 def test_shape_type_and_limits() -> None:
     assert isinstance(fl.mittag_leffler(-1.0, 0.5), float)
-    assert fl.mittag_leffler(np.zeros((2, 3)), 0.5, beta=2.0).tolist() == [[1.0] * 3] * 2
+    assert (
+        fl.mittag_leffler(np.zeros((2, 3)), 0.5, beta=2.0).tolist() == [[1.0] * 3] * 2
+    )
     assert fl.mittag_leffler(np.array([[1j], [2j]]), 0.5).dtype == complex
     assert fl.mittag_leffler(0.0, 0.7, beta=0.0) == 0.0  # 1/Γ(0)
     assert fl.mittag_leffler(1e-300, 0.7, beta=0.0) < 1e-290
@@ -104,7 +133,12 @@ def test_shape_type_and_limits() -> None:
 
 @pytest.mark.parametrize(
     ("z", "alpha", "beta", "field"),
-    [(1.0, 0.0, 1.0, "alpha"), (1.0, 1.0, -2.0, "beta"), (math.nan, 1.0, 1.0, "z"), ("1", 1.0, 1.0, "z")],
+    [
+        (1.0, 0.0, 1.0, "alpha"),
+        (1.0, 1.0, -2.0, "beta"),
+        (math.nan, 1.0, 1.0, "z"),
+        ("1", 1.0, 1.0, "z"),
+    ],
 )
 def test_refusals(z: object, alpha: float, beta: float, field: str) -> None:
     with pytest.raises(fl.errors.FieldError) as refused:

@@ -1,4 +1,6 @@
-"""The motor's inner loop against pole placement itself, and its discretisations against each other."""
+"""The motor's inner loop against pole placement itself, and its discretisations against
+each other.
+"""
 
 from __future__ import annotations
 
@@ -53,8 +55,12 @@ def test_the_loop_is_m_of_s(pole: float) -> None:
 def test_only_tustin_is_stable_at_4_ms_with_one_sample_of_delay() -> None:
     loop = _loop()
     assert loop.sampled_radius(0.004) == pytest.approx(0.951, abs=5e-4)
-    assert loop.sampled_radius(0.004, method="backward") == pytest.approx(1.004, abs=5e-4)
-    assert loop.sampled_radius(0.004, method="zero-order-hold") == pytest.approx(1.006, abs=5e-4)
+    assert loop.sampled_radius(0.004, method="backward") == pytest.approx(
+        1.004, abs=5e-4
+    )
+    assert loop.sampled_radius(0.004, method="zero-order-hold") == pytest.approx(
+        1.006, abs=5e-4
+    )
 
 
 def test_every_method_approaches_the_double_pole_at_a_short_period() -> None:
@@ -75,9 +81,13 @@ def test_discrete_filters_have_the_response_of_the_continuous_ones() -> None:
     c1 = d.direct + d.integral_gain * integral + d.filter_gain * filtered
     c2 = d.angle_direct + d.angle_filter_gain * filtered
     np.testing.assert_allclose(
-        c1, (loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + loop.filter_pole)), rtol=1e-4
+        c1,
+        (loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + loop.filter_pole)),
+        rtol=1e-4,
     )
-    np.testing.assert_allclose(c2, (loop.b1 * s + loop.b0) / (s + loop.filter_pole), rtol=1e-4)
+    np.testing.assert_allclose(
+        c2, (loop.b1 * s + loop.b0) / (s + loop.filter_pole), rtol=1e-4
+    )
 
 
 @pytest.mark.parametrize("pole", [0.0, -80.0, math.nan, math.inf, B / 4])
@@ -105,7 +115,9 @@ def test_partial_fractions_of_the_pid() -> None:
     loop, d, s = _loop(), _loop().discretize(0.004), 3.0 + 40.0j
     c = loop.filter_pole
     first = d.direct + d.integral_gain / s + d.filter_gain / (s + c)
-    assert first == pytest.approx((loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + c)), rel=1e-12)
+    assert first == pytest.approx(
+        (loop.a2 * s**2 + loop.a1 * s + loop.a0) / (s * (s + c)), rel=1e-12
+    )
     assert d.angle_direct + d.angle_filter_gain / (s + c) == pytest.approx(
         (loop.b1 * s + loop.b0) / (s + c), rel=1e-12
     )
@@ -121,18 +133,26 @@ def test_partial_fractions_of_the_pid() -> None:
         ("zero-order-hold", 0.0, (1 - math.exp(-1.2)) / 300.0, math.exp(-1.2)),
     ],
 )
-def test_one_pole_at_300_by_each_method(method: str, now: float, before: float, decay: float) -> None:
-    assert _one_pole(300.0, 0.004, method) == pytest.approx((now, before, decay), rel=1e-12)  # type: ignore[arg-type]
+def test_one_pole_at_300_by_each_method(
+    method: str, now: float, before: float, decay: float
+) -> None:
+    assert _one_pole(300.0, 0.004, method) == pytest.approx(
+        (now, before, decay), rel=1e-12
+    )  # type: ignore[arg-type]
     integral = _one_pole(0.0, 0.004, method)  # type: ignore[arg-type]
     assert integral[0] + integral[1] == pytest.approx(0.004) and integral[2] == 1.0
 
 
 def test_a_held_motor_is_the_integral_of_its_speed() -> None:
-    """θ(T) = A (T − w)/B and θ̇(T) = A w of a unit voltage, w = (1 − e^(−BT))/B; without friction A T²/2."""
+    """θ(T) = A (T − w)/B and θ̇(T) = A w of a unit voltage, w = (1 − e^(−BT))/B;
+    without friction A T²/2.
+    """
     motor = SimpleNamespace(gain=3000.0, decay=15.0)
     m1, m2, e = held_motor(motor, 0.004)  # type: ignore[arg-type]
     w = (1 - math.exp(-0.06)) / 15.0
-    assert (m1, e) == pytest.approx((3000.0 * (0.004 - w) / 15.0, math.exp(-0.06)), rel=1e-12)
+    assert (m1, e) == pytest.approx(
+        (3000.0 * (0.004 - w) / 15.0, math.exp(-0.06)), rel=1e-12
+    )
     # x (m1 + m2 x)/((1 − x)(1 − e x)) under a step: θ(2T) = m1 + m1 (1 + e) + m2
     after_two = 3000.0 * (0.008 - (1 - math.exp(-0.12)) / 15.0) / 15.0
     assert m1 * (2 + e) + m2 == pytest.approx(after_two, rel=1e-9)
@@ -159,26 +179,41 @@ def test_closed_poles_are_the_roots_of_the_loop_written_in_z() -> None:
 def test_costs_of_the_two_placements_are_those_of_their_loops() -> None:
     rig = fl.Rig.named("paper-2023")
     for cost in motor_loop_costs(rig, frequency=18.0):
-        loop = MotorLoop(80.0, 1, "sampled", cost.placement).sampled(rig.motor, rig.period)
+        loop = MotorLoop(80.0, 1, "sampled", cost.placement).sampled(
+            rig.motor, rig.period
+        )
         w = np.geomspace(0.01, math.pi / rig.period, 20_000)
         x = np.exp(-1j * w * rig.period)
         first, second = loop.controllers(x)
         open_loop = (first + second) * x * loop.plant(x)
-        assert cost.modulus_margin == pytest.approx(np.abs(1 + open_loop).min(), rel=1e-3)
+        assert cost.modulus_margin == pytest.approx(
+            np.abs(1 + open_loop).min(), rel=1e-3
+        )
         noise = np.abs((first + second) / (1 + open_loop)).max()
         assert cost.voltage_per_noise == pytest.approx(noise, rel=1e-3)
         pid = loop.pid
-        jump = pid.direct + pid.integral_gain * pid.integral_now + pid.filter_gain * pid.filter_now
+        jump = (
+            pid.direct
+            + pid.integral_gain * pid.integral_now
+            + pid.filter_gain * pid.filter_now
+        )
         assert cost.voltage_per_step == pytest.approx(jump)
         # θm/θm* against hold, delay and M(s) at 18 rad/s, aliases left out
         s = 18j
         z = np.exp(-s * 0.004)
         one, two = loop.controllers(np.array([z]))
-        closed = complex((one * z * loop.plant(z) / (1 + (one + two) * z * loop.plant(z)))[0])
+        closed = complex(
+            (one * z * loop.plant(z) / (1 + (one + two) * z * loop.plant(z)))[0]
+        )
         wanted = np.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2
-        assert cost.lag == pytest.approx(-np.angle(closed / wanted), abs=2e-3) and cost.frequency == 18.0
+        assert (
+            cost.lag == pytest.approx(-np.angle(closed / wanted), abs=2e-3)
+            and cost.frequency == 18.0
+        )
     slow = replace(rig, motor_loop=MotorLoop(200.0, 3))
-    assert [one.placement for one in motor_loop_costs(slow, frequency=18.0)] == ["tustin"]
+    assert [one.placement for one in motor_loop_costs(slow, frequency=18.0)] == [
+        "tustin"
+    ]
 
 
 def test_the_filter_pole_of_a_direct_placement_leaves_the_fastest_rest() -> None:
@@ -195,5 +230,7 @@ def test_the_filter_pole_of_a_direct_placement_leaves_the_fastest_rest() -> None
     rest = np.abs(poles)[np.argsort(np.abs(poles - z0))[3:]]
     assert rest.max() == pytest.approx(best, abs=1e-6)
     # both zeros of Cm1 lie at z₀: the reference sees one of the three poles only
-    first, _ = SampledMotorLoop(pid, rig.motor, 1).controllers(np.array([1 / z0, 1 / (z0 + 1e-4)]))
+    first, _ = SampledMotorLoop(pid, rig.motor, 1).controllers(
+        np.array([1 / z0, 1 / (z0 + 1e-4)])
+    )
     assert np.abs(first[0]) < 1e-9 * pid.direct and abs(first[1]) < 1e-5 * pid.direct

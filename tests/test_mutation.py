@@ -1,4 +1,6 @@
-"""The mutants of benchmarks/bench_mutants.py: which changes are made, and that nothing else is touched."""
+"""The mutants of benchmarks/bench_mutants.py: which changes are made, and that nothing
+else is touched.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,9 @@ def source(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_operator_finds_its_places_and_text_is_left_alone(mutation: ModuleType, source: Path) -> None:
+def test_every_operator_finds_its_places_and_text_is_left_alone(
+    mutation: ModuleType, source: Path
+) -> None:
     _, found = mutation.sites(source)
     assert Counter(site.kind for site in found) == {
         "comparison": 5,  # two each of < and >, one of ==
@@ -62,10 +66,12 @@ def test_every_operator_finds_its_places_and_text_is_left_alone(mutation: Module
     assert {site.line for site in found} == {2, 5, 7, 8, 9, 10, 11, 16}
 
 
-def test_each_mutant_is_one_change_that_runs(mutation: ModuleType, source: Path) -> None:
+def test_each_mutant_is_one_change_that_runs(
+    mutation: ModuleType, source: Path
+) -> None:
     def outcome(code: object) -> object:
         names: dict[str, object] = {}
-        exec(code, names)  # type: ignore[call-overload]  # noqa: S102 - the sample above
+        exec(code, names)  # type: ignore[call-overload]  # noqa: S102
         called = names["first"]
         assert callable(called)
         results = []
@@ -84,7 +90,9 @@ def test_each_mutant_is_one_change_that_runs(mutation: ModuleType, source: Path)
         before, after = words.split("  ->  ")
         assert before != after, site
         differ += outcome(code) != plain
-    assert differ >= len(found) - 4  # a < 4 → a <= 4 and the like need the one number that tells them apart
+    assert (
+        differ >= len(found) - 4
+    )  # a < 4 → a <= 4 and the like need the one number that tells them apart
 
 
 def test_an_instrumented_module_notes_the_blocks_it_runs(
@@ -94,11 +102,13 @@ def test_an_instrumented_module_notes_the_blocks_it_runs(
     notes = bytearray(count)
     monkeypatch.setattr(builtins, mutation.HITS, notes, raising=False)
     names: dict[str, object] = {}
-    exec(code, names)  # noqa: S102 - the sample above
+    exec(code, names)  # noqa: S102
     assert not any(notes)
     called = names["first"]
     assert callable(called)
     assert called(9.0, 1) == 4.5
     _, found = mutation.sites(source, 3)
-    ran = {site.line: bool(notes[site.block]) for site in found if site.block is not None}
+    ran = {
+        site.line: bool(notes[site.block]) for site in found if site.block is not None
+    }
     assert ran == {7: True, 8: False, 9: True, 10: False, 11: True, 16: True}

@@ -22,14 +22,36 @@ def results() -> dict[str, Any]:
     """One result of every class that a notebook shows."""
     log = fl.read_log(fl.bundled_log("pulse_30g"), rig=RIG)
     comparison = fl.compare_structures(log, details=False)
-    design = fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    design = fl.design(
+        RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
     run = fl.simulate(design, fl.smooth_step(0.2, duration=0.5), payload=0.030)
-    refused = Certificate(None, passed=False, verdict="Not certified: <unstable> at 8 g")  # type: ignore[arg-type]
-    made = (RIG, log, comparison.fits["UD-FOM"], comparison, design, design.law(), run, refused)
+    refused = Certificate(
+        None, passed=False, verdict="Not certified: <unstable> at 8 g"
+    )  # type: ignore[arg-type]
+    made = (
+        RIG,
+        log,
+        comparison.fits["UD-FOM"],
+        comparison,
+        design,
+        design.law(),
+        run,
+        refused,
+    )
     return {type(result).__name__: result for result in made}
 
 
-NAMES = ("Rig", "Experiment", "Fit", "Comparison", "Design", "Law", "Run", "Certificate")
+NAMES = (
+    "Rig",
+    "Experiment",
+    "Fit",
+    "Comparison",
+    "Design",
+    "Law",
+    "Run",
+    "Certificate",
+)
 DRAWN = {"Rig", "Experiment", "Fit", "Comparison", "Design", "Run"}
 
 
@@ -43,7 +65,9 @@ def test_a_repr_is_one_short_line(name: str, results: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, Any]) -> None:
+def test_a_cell_shows_the_table_and_the_drawing(
+    name: str, results: dict[str, Any]
+) -> None:
     page, drawing = results[name]._repr_html_(), results[name]._repr_svg_()
     assert view(results[name]).state in page
     assert (drawing is not None) == (name in DRAWN)
@@ -55,7 +79,9 @@ def test_a_cell_shows_the_table_and_the_drawing(name: str, results: dict[str, An
 @pytest.mark.slow
 def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
     fl.draw(results["Fit"], tmp_path / "fit.svg")
-    assert (tmp_path / "fit.svg").read_text().strip() == results["Fit"]._repr_svg_().strip()
+    assert (tmp_path / "fit.svg").read_text().strip() == results[
+        "Fit"
+    ]._repr_svg_().strip()
     with pytest.raises(fl.errors.FieldError, match="without a drawing"):
         fl.draw(results["Law"], tmp_path / "law.svg")
     with pytest.raises(fl.errors.FieldError, match="of another kind"):
@@ -86,7 +112,9 @@ def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None
 
 
 @pytest.mark.slow
-def test_a_drawing_needs_no_matplotlib(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_drawing_needs_no_matplotlib(
+    results: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "phase margin" in results["Design"]._repr_html_()
     assert "phase of L" in results["Design"]._repr_svg_()

@@ -1,4 +1,6 @@
-"""NPZ and JSON files: what was written comes back, and hostile ones are refused before they take memory."""
+"""NPZ and JSON files: what was written comes back, and hostile ones are refused before
+they take memory.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._files import checked_envelope, kind_of, parse_json, read_json, write_json, write_npz
+from fraclink._files import (
+    checked_envelope,
+    kind_of,
+    parse_json,
+    read_json,
+    write_json,
+    write_npz,
+)
 from fraclink._files.containers import read_archive
 from fraclink.errors import FieldError, FileFormatError
 from mutants import mutate
@@ -43,7 +52,9 @@ def header_npy(kind: str = "thing", version: int = 1) -> bytes:
     return npy(np.array(json.dumps({"fraclink": kind, "format": version})))
 
 
-def archive(path: Path, members: list[tuple[str, bytes]], way: int = zipfile.ZIP_DEFLATED) -> Path:
+def archive(
+    path: Path, members: list[tuple[str, bytes]], way: int = zipfile.ZIP_DEFLATED
+) -> Path:
     with zipfile.ZipFile(path, "w", way) as file:
         for name, content in members:
             file.writestr(zipfile.ZipInfo(name), content, way)
@@ -60,12 +71,20 @@ def refused(path: Path) -> FileFormatError:
 def test_what_was_written_comes_back(tmp_path: Path) -> None:
     write_npz(tmp_path / "a.npz", "thing", 1, ABOUT, ARRAYS)
     about, arrays = read_npz(tmp_path / "a.npz", "thing")
-    assert about["payload"] == 0.03 and about["names"] == ["x", "ü"] and about["units"] == "SI, radians"
+    assert (
+        about["payload"] == 0.03
+        and about["names"] == ["x", "ü"]
+        and about["units"] == "SI, radians"
+    )
     assert list(arrays) == list(ARRAYS)
     for name, values in ARRAYS.items():
-        assert np.array_equal(arrays[name], values) and arrays[name].dtype == values.dtype
+        assert (
+            np.array_equal(arrays[name], values) and arrays[name].dtype == values.dtype
+        )
         assert not arrays[name].flags.writeable
-    with np.load(tmp_path / "a.npz", allow_pickle=False) as data:  # anybody else can open it as well
+    with np.load(
+        tmp_path / "a.npz", allow_pickle=False
+    ) as data:  # anybody else can open it as well
         assert np.array_equal(data["a"], ARRAYS["a"])
 
 
@@ -101,26 +120,42 @@ def test_nothing_half_written_remains(tmp_path: Path) -> None:
 
 def test_b63_an_array_of_objects(tmp_path: Path) -> None:
     blob = npy(np.array([{}], dtype=object), allow_pickle=True)
-    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    error = refused(
+        archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
+    )
     assert "damaged" in error.problem or "object" in error.problem
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<i4", ">f8", "<c8", "|S8"])
 def test_b63_an_array_of_another_type(kind: str, tmp_path: Path) -> None:
     blob = npy(np.zeros(4, dtype=kind))
-    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    error = refused(
+        archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
+    )
     assert "not float64" in error.problem
 
 
 @pytest.mark.parametrize("shape", ["(1000000000000,)", "(-5,)", "(2, 3)", "(4,", "x"])
 def test_b64_a_header_that_claims_what_is_not_there(shape: str, tmp_path: Path) -> None:
-    header = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
-    blob = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + bytes(32)
-    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)]))
+    header = (
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117)
+        + "\n"
+    )
+    blob = (
+        b"\x93NUMPY\x01\x00"
+        + struct.pack("<H", len(header))
+        + header.encode()
+        + bytes(32)
+    )
+    error = refused(
+        archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
+    )
     assert "damaged" in error.problem
 
 
-def test_b65_a_zip_bomb_is_refused_before_it_unpacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_b65_a_zip_bomb_is_refused_before_it_unpacks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     blob = npy(np.zeros(2_500_000))  # 20 MB in 20 kB
     path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", blob)])
     assert path.stat().st_size < 40_000
@@ -145,16 +180,32 @@ def test_b65_a_directory_that_lies_about_sizes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["../x.npy", "/etc/x.npy", "a/b.npy", "x.txt", "C:x.npy", "é.npy", "x" * 120 + ".npy"]
+    "name",
+    [
+        "../x.npy",
+        "/etc/x.npy",
+        "a/b.npy",
+        "x.txt",
+        "C:x.npy",
+        "é.npy",
+        "x" * 120 + ".npy",
+    ],
 )
 def test_b67_a_member_with_a_path(name: str, tmp_path: Path) -> None:
-    error = refused(archive(tmp_path / "a.npz", [("about.npy", header_npy()), (name, npy(np.zeros(3)))]))
+    error = refused(
+        archive(
+            tmp_path / "a.npz", [("about.npy", header_npy()), (name, npy(np.zeros(3)))]
+        )
+    )
     assert "member" in error.problem
 
 
 def test_b67_a_member_given_twice(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="Duplicate"):
-        path = archive(tmp_path / "a.npz", [("about.npy", header_npy()), ("x.npy", npy(np.zeros(3)))] * 2)
+        path = archive(
+            tmp_path / "a.npz",
+            [("about.npy", header_npy()), ("x.npy", npy(np.zeros(3)))] * 2,
+        )
     assert "given twice" in refused(path).problem
 
 
@@ -169,7 +220,10 @@ def test_b67_an_encrypted_member(tmp_path: Path) -> None:
 def test_b68_no_archive_at_all(tmp_path: Path) -> None:
     (tmp_path / "a.npz").write_bytes(b"time_s,motor_angle_rad\n")
     assert "damaged" in refused(tmp_path / "a.npz").problem
-    assert "without a header" in refused(archive(tmp_path / "a.npz", [("x.npy", npy(np.zeros(3)))])).problem
+    assert (
+        "without a header"
+        in refused(archive(tmp_path / "a.npz", [("x.npy", npy(np.zeros(3)))])).problem
+    )
 
 
 @pytest.mark.slow

@@ -1,8 +1,10 @@
-"""Any two colours of a figure differ, for every kind of colour vision, in grey, and from the page.
+"""Any two colours of a figure differ, for every kind of colour vision, in grey, and
+from the page.
 
-Colour vision: Machado, Oliveira and Fernandes (2009), A physiologically-based model for simulation of color
-vision deficiency, IEEE Trans. Vis. Comput. Graph. 15, matrices of severity 1.0. Distance: CIEDE2000 as in
-Sharma, Wu and Dalal (2005), Color Res. Appl. 30, whose first pairs check it below.
+Colour vision: Machado, Oliveira and Fernandes (2009), A physiologically-based model for
+simulation of color vision deficiency, IEEE Trans. Vis. Comput. Graph. 15, matrices of
+severity 1.0. Distance: CIEDE2000 as in Sharma, Wu and Dalal (2005), Color Res. Appl.
+30, whose first pairs check it below.
 """
 
 from __future__ import annotations
@@ -44,24 +46,35 @@ VISION = {
     ),
 }
 _XYZ = np.array(
-    [[0.4124564, 0.3575761, 0.1804375], [0.2126729, 0.7151522, 0.0721750], [0.0193339, 0.1191920, 0.9503041]]
+    [
+        [0.4124564, 0.3575761, 0.1804375],
+        [0.2126729, 0.7151522, 0.0721750],
+        [0.0193339, 0.1191920, 0.9503041],
+    ]
 )
 _WHITE = np.array([0.95047, 1.0, 1.08883])
 CURVES = ("ink", *(f"line-{line}" for line in LINES))
-ARM = (("ink", "tip", "hub"), ("ink", "measured"))  # what the curves of the arm's page show together
+ARM = (
+    ("ink", "tip", "hub"),
+    ("ink", "measured"),
+)  # what the curves of the arm's page show together
 LEVELS = tuple(f"level-{level}" for level in range(4))
 
 
 def linear(colour: str) -> Real:
     """Linear red, green and blue of a hexadecimal colour."""
     values = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return np.where(
+        values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4
+    )
 
 
 def lab(light: Real) -> Real:
     """CIE L*a*b* of linear light, white D65."""
     ratio = _XYZ @ np.clip(light, 0, 1) / _WHITE
-    x, y, z = np.where(ratio > 216 / 24389, np.cbrt(ratio), (24389 / 27 * ratio + 16) / 116)
+    x, y, z = np.where(
+        ratio > 216 / 24389, np.cbrt(ratio), (24389 / 27 * ratio + 16) / 116
+    )
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 
@@ -78,13 +91,18 @@ def distance(first: Real, second: Real) -> float:
     (l1, c1, h1), (l2, c2, h2) = (_polar(colour, g) for colour in (first, second))
     turn = (h2 - h1 + 180) % 360 - 180 if c1 * c2 else 0.0
     hue = 2 * math.sqrt(c1 * c2) * math.sin(math.radians(turn) / 2)
-    # On opposite sides the mean of the hues is taken the way round that the published formula takes.
+    # On opposite sides the mean of the hues is taken the way round that the published
+    # formula takes.
     middle = h1 + turn / 2 if c1 * c2 else h1 + h2
     light, chroma = (l1 + l2) / 2, (c1 + c2) / 2
     waves = ((0.17, 1, 30), (-0.24, 2, 0), (-0.32, 3, -6), (0.20, 4, 63))
     t = 1 - sum(size * math.cos(math.radians(k * middle - at)) for size, k, at in waves)
     spread = 60 * math.exp(-(((middle % 360 - 275) / 25) ** 2))
-    turned = -2 * math.sqrt(chroma**7 / (chroma**7 + 25.0**7)) * math.sin(math.radians(spread))
+    turned = (
+        -2
+        * math.sqrt(chroma**7 / (chroma**7 + 25.0**7))
+        * math.sin(math.radians(spread))
+    )
     dl = (l2 - l1) / (1 + 0.015 * (light - 50) ** 2 / math.sqrt(20 + (light - 50) ** 2))
     dc, dh = (c2 - c1) / (1 + 0.045 * chroma), hue / (1 + 0.015 * chroma * t)
     return math.sqrt(dl**2 + dc**2 + dh**2 + turned * dc * dh)
@@ -92,7 +110,11 @@ def distance(first: Real, second: Real) -> float:
 
 def _polar(colour: Real, stretched: float) -> tuple[float, float, float]:
     light, a, b = (float(value) for value in colour)
-    return light, math.hypot(stretched * a, b), math.degrees(math.atan2(b, stretched * a)) % 360
+    return (
+        light,
+        math.hypot(stretched * a, b),
+        math.degrees(math.atan2(b, stretched * a)) % 360,
+    )
 
 
 @pytest.mark.parametrize(
@@ -109,7 +131,9 @@ def _polar(colour: Real, stretched: float) -> tuple[float, float, float]:
 def test_the_distance_is_the_published_one(
     first: tuple[float, ...], second: tuple[float, ...], wanted: float
 ) -> None:
-    assert distance(np.array(first), np.array(second)) == pytest.approx(wanted, abs=1e-4)
+    assert distance(np.array(first), np.array(second)) == pytest.approx(
+        wanted, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
@@ -133,7 +157,9 @@ def distances(names: tuple[str, ...], theme: int) -> list[float]:
 
 
 def test_the_page_of_plots_states_the_distances() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "how-to" / "plots.md").read_text("utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "plots.md").read_text(
+        "utf-8"
+    )
     for theme, word in ((LIGHT, "light"), (DARK, "dark")):
         for names, what in ((CURVES, "ink and lines"), (LEVELS, "levels")):
             values = " | ".join(f"{value:.1f}" for value in distances(names, theme))
@@ -142,7 +168,9 @@ def test_the_page_of_plots_states_the_distances() -> None:
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
 @pytest.mark.parametrize(("names", "least"), [(CURVES, 9.0), (LEVELS, 13.0)])
-def test_any_two_colours_of_a_figure_differ_in_grey(theme: int, names: tuple[str, ...], least: float) -> None:
+def test_any_two_colours_of_a_figure_differ_in_grey(
+    theme: int, names: tuple[str, ...], least: float
+) -> None:
     grey = sorted(float(lab(linear(colours(theme)[name]))[0]) for name in names)
     assert min(np.diff(grey)) >= least
 

@@ -1,4 +1,6 @@
-"""A fractional PID: margins and ITAE by other means, its law against its own arithmetic, and its exports."""
+"""A fractional PID: margins and ITAE by other means, its law against its own
+arithmetic, and its exports.
+"""
 
 from __future__ import annotations
 
@@ -54,13 +56,23 @@ def angle(value: complex) -> float:
 def test_margins_are_met(
     plant: FractionalTransferFunction, crossover: float, margin: float, form: Any
 ) -> None:
-    """By the formula of C itself and a dense grid, with no part of the package's margins."""
-    made = fl.tune_pid(plant, gain_crossover=crossover, phase_margin=fl.deg(margin), form=form)
+    """By the formula of C itself and a dense grid, with no part of the package's
+    margins.
+    """
+    made = fl.tune_pid(
+        plant, gain_crossover=crossover, phase_margin=fl.deg(margin), form=form
+    )
     c = made.controller
 
     def loop(w: Any) -> Any:
-        fast = (1j * w) ** c.derivative_order / (1 + 1j * w * c.filter_time) ** math.ceil(c.derivative_order)
-        value = c.proportional + c.integral * (1j * w) ** -c.integral_order + c.derivative * fast
+        fast = (1j * w) ** c.derivative_order / (
+            1 + 1j * w * c.filter_time
+        ) ** math.ceil(c.derivative_order)
+        value = (
+            c.proportional
+            + c.integral * (1j * w) ** -c.integral_order
+            + c.derivative * fast
+        )
         return value * plant(1j * np.asarray(w))
 
     assert made.passed
@@ -69,7 +81,9 @@ def test_margins_are_met(
     assert (c.derivative > 0) is ("D" in form)
     assert abs(loop(crossover)) == pytest.approx(1.0, abs=1e-9)
     assert angle(loop(crossover)) == pytest.approx(margin, abs=1e-6)
-    up, down = (np.angle(loop(crossover * math.exp(x)) / loop(crossover)) for x in (1e-4, -1e-4))
+    up, down = (
+        np.angle(loop(crossover * math.exp(x)) / loop(crossover)) for x in (1e-4, -1e-4)
+    )
     assert (up - down) / 2e-4 == pytest.approx(0.0, abs=1e-4)  # flat
     w = np.geomspace(1e-3 * crossover, 1e3 * crossover, 40_000)
     level = np.log(np.abs(loop(w)))
@@ -82,8 +96,12 @@ def test_margins_are_met(
 def test_itae_is_that_of_the_exact_response(plant: FractionalTransferFunction) -> None:
     made = fl.tune_pid(plant, gain_crossover=2.0, phase_margin=fl.deg(60))
     time = np.linspace(0.0, made.horizon, 20_001)
-    error = fl.time_response(1 / (1 + made.open_loop), np.ones(time.size), time[1]).output
-    assert made.itae == pytest.approx(np.trapezoid(time * np.abs(error), time), rel=1e-5)
+    error = fl.time_response(
+        1 / (1 + made.open_loop), np.ones(time.size), time[1]
+    ).output
+    assert made.itae == pytest.approx(
+        np.trapezoid(time * np.abs(error), time), rel=1e-5
+    )
 
 
 @pytest.mark.slow
@@ -112,7 +130,13 @@ def test_itae_cannot_be_lowered_by_other_orders() -> None:
 def test_bounds_are_kept() -> None:
     free = fl.tune_pid(LAG, phase_margin=fl.deg(50), flat_phase=False)
     assert free.margins.sensitivity_peak <= 2.0
-    tight = fl.tune_pid(LAG, phase_margin=fl.deg(50), flat_phase=False, max_sensitivity=1.5, gain_margin=4.0)
+    tight = fl.tune_pid(
+        LAG,
+        phase_margin=fl.deg(50),
+        flat_phase=False,
+        max_sensitivity=1.5,
+        gain_margin=4.0,
+    )
     assert tight.passed
     assert tight.margins.sensitivity_peak <= 1.5
     assert tight.margins.gain_margin >= 4.0
@@ -121,14 +145,25 @@ def test_bounds_are_kept() -> None:
 
 
 def test_ordinary_pid() -> None:
-    made = fl.tune_pid(LAG, gain_crossover=3.0, flat_phase=False, integral_order=1.0, derivative_order=1.0)
-    assert (made.controller.integral_order, made.controller.derivative_order) == (1.0, 1.0)
+    made = fl.tune_pid(
+        LAG,
+        gain_crossover=3.0,
+        flat_phase=False,
+        integral_order=1.0,
+        derivative_order=1.0,
+    )
+    assert (made.controller.integral_order, made.controller.derivative_order) == (
+        1.0,
+        1.0,
+    )
     assert made.passed
 
 
 def test_fit_of_a_structure_is_a_plant(tmp_path: Path) -> None:
     w = np.geomspace(0.05, 50, 60)
-    fit = fl.identify_structure(fl.FrequencyResponse(w, G1(1j * w)), "1/(a*s**p + b*s**q + 1)")
+    fit = fl.identify_structure(
+        fl.FrequencyResponse(w, G1(1j * w)), "1/(a*s**p + b*s**q + 1)"
+    )
     made = fl.tune_pid(fit, gain_crossover=2.0)
     assert made.controller.integral_order == pytest.approx(
         fl.tune_pid(G1, gain_crossover=2.0).controller.integral_order
@@ -142,7 +177,10 @@ def test_fit_of_a_structure_is_a_plant(tmp_path: Path) -> None:
 def test_plants_of_python_control() -> None:
     control = pytest.importorskip("control")
     own = fl.tune_pid(1 / (s * (0.4 * s + 1)), gain_crossover=2.0)
-    assert fl.tune_pid(control.tf([1], [0.4, 1, 0]), gain_crossover=2.0).controller == own.controller
+    assert (
+        fl.tune_pid(control.tf([1], [0.4, 1, 0]), gain_crossover=2.0).controller
+        == own.controller
+    )
 
 
 @pytest.mark.parametrize(
@@ -168,7 +206,9 @@ def test_bad_requests(given: dict[str, Any], field: str) -> None:
 def test_infeasible_names_the_nearest_margin() -> None:
     with pytest.raises(fl.errors.InfeasibleError) as caught:
         fl.tune_pid(LAG, gain_crossover=3.0, form="PI", phase_margin=fl.deg(60))
-    assert fl.tune_pid(LAG, gain_crossover=3.0, form="PI", **caught.value.nearest).passed
+    assert fl.tune_pid(
+        LAG, gain_crossover=3.0, form="PI", **caught.value.nearest
+    ).passed
 
 
 def test_a_pd_says_what_it_leaves() -> None:
@@ -176,12 +216,16 @@ def test_a_pd_says_what_it_leaves() -> None:
     (finding,) = made.findings
     assert finding.code == "W421"
     last = made.step(duration=400.0).measurement[-1]
-    assert finding.evidence["lasting error, %"] == pytest.approx(100 * (1 - last), rel=0.02)
+    assert finding.evidence["lasting error, %"] == pytest.approx(
+        100 * (1 - last), rel=0.02
+    )
 
 
 @pytest.mark.slow
 def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
-    """At 0.3 s the continuous loop has its 60° and the sampled one rises to one again, 28° from −1."""
+    """At 0.3 s the continuous loop has its 60° and the sampled one rises to one again,
+    28° from −1.
+    """
     plant = 1 / (0.4 * s**1.5 + 1)
     assert not fl.tune_pid(plant, gain_crossover=2.0, period=0.1).findings
     made = fl.tune_pid(plant, gain_crossover=2.0, period=0.3)
@@ -190,7 +234,8 @@ def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
     assert all(kept for *_, kept in made.kept)
     law = made.law(output_limit=1.0, measurement_limit=1.0)
     z = np.exp(-1j * 0.3 * (w := np.linspace(5.0, 10.0, 10_001)))
-    # The plant behind its hold, by the sum over the images of the sampling, and a period of computation.
+    # The plant behind its hold, by the sum over the images of the sampling, and a
+    # period of computation.
     images = [w + 2 * math.pi * m / 0.3 for m in range(-200, 201)]
     held = sum((1 - z) / (1j * v) / (0.4 * (1j * v) ** 1.5 + 1) for v in images) / 0.3
     loop = pid_response(law, w) * held * z
@@ -200,7 +245,9 @@ def test_a_tuning_passes_no_better_than_the_law_that_ships() -> None:
 
 def test_a_law_that_cannot_be_looked_at_is_said() -> None:
     inner = (0.5 / (s + 1)).delayed(0.1)
-    (finding,) = fl.tune_pid(inner / (1 + inner), gain_crossover=1.0, period=0.01).findings
+    (finding,) = fl.tune_pid(
+        inner / (1 + inner), gain_crossover=1.0, period=0.01
+    ).findings
     assert finding.code == "W423"
 
 
@@ -208,7 +255,12 @@ def test_a_law_that_cannot_be_looked_at_is_said() -> None:
 
 
 def pid(**changed: float) -> fl.FractionalPid:
-    given = {"integral": 3.0, "integral_order": 0.8, "derivative": 0.05, "derivative_order": 0.7}
+    given = {
+        "integral": 3.0,
+        "integral_order": 0.8,
+        "derivative": 0.05,
+        "derivative_order": 0.7,
+    }
     return fl.FractionalPid(2.0, **(given | changed))
 
 
@@ -216,7 +268,9 @@ LAW = {"output_limit": 10.0, "measurement_limit": 2.0}
 
 
 def own_filter(law: fl.Law, error: Real, limit: float = math.inf) -> Real:
-    """u of the law's coefficients, by sums of its own: modes, Tustin's integral, limit and anti-windup."""
+    """u of the law's coefficients, by sums of its own: modes, Tustin's integral, limit
+    and anti-windup.
+    """
     c, loop = law.correction, law.drive.loop  # type: ignore[union-attr]
     poles = np.array([*c.poles, *c.pair_poles], dtype=complex)
     gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
@@ -239,8 +293,12 @@ def test_law_is_the_filter_that_it_states(limit: float) -> None:
     law = fl.discretize_pid(pid(), 0.004, output_limit=limit, measurement_limit=2.0)
     rng = np.random.default_rng(1)
     reference, measured = rng.uniform(-1, 1, (2, 1500))
-    _, out = law.run(law.initial_state(), reference, 0 * reference, measured, 0 * reference)
-    np.testing.assert_allclose(out.voltage, own_filter(law, reference - measured, limit), atol=1e-11)
+    _, out = law.run(
+        law.initial_state(), reference, 0 * reference, measured, 0 * reference
+    )
+    np.testing.assert_allclose(
+        out.voltage, own_filter(law, reference - measured, limit), atol=1e-11
+    )
     assert set(out.mode) == {1}
 
 
@@ -260,7 +318,9 @@ def test_law_follows_the_controller(controller: fl.FractionalPid) -> None:
     law = fl.discretize_pid(controller, 0.004, **LAW)
     w = np.geomspace(*law.band, 500)
     ratio = np.log(fl.pid_response(law, w) / controller.response(w))
-    assert np.max(np.abs(ratio.real)) * 20 / math.log(10) <= law.correction_error[0] * 1.05
+    assert (
+        np.max(np.abs(ratio.real)) * 20 / math.log(10) <= law.correction_error[0] * 1.05
+    )
     assert np.degrees(np.max(np.abs(ratio.imag))) <= law.correction_error[1] * 1.05
     assert law.correction_error[0] < 0.3
     assert law.correction_error[1] < 1.5
@@ -268,7 +328,9 @@ def test_law_follows_the_controller(controller: fl.FractionalPid) -> None:
 
 @pytest.mark.slow
 def test_a_lasting_error_is_always_removed() -> None:
-    """λ = 0.5: what the exact integral leaves dies away as t^(-0.5); here it goes exponentially."""
+    """λ = 0.5: what the exact integral leaves dies away as t^(-0.5); here it goes
+    exponentially.
+    """
     plant = 1 / (0.05 * s + 1)
     made = fl.tune_pid(
         plant,
@@ -281,7 +343,9 @@ def test_a_lasting_error_is_always_removed() -> None:
         **LAW,
     )
     law = made.law()
-    assert np.degrees(np.angle(fl.pid_response(law, 1e-5))) == pytest.approx(-90.0, abs=1.0)
+    assert np.degrees(np.angle(fl.pid_response(law, 1e-5))) == pytest.approx(
+        -90.0, abs=1.0
+    )
     step = made.step(law=law, duration=200.0)
     assert abs(1 - step.measurement[500]) > 0.05
     assert abs(1 - step.measurement[-1]) < 1e-3
@@ -289,7 +353,9 @@ def test_a_lasting_error_is_always_removed() -> None:
 
 @pytest.mark.slow
 def test_the_law_on_its_plant_is_what_was_tuned() -> None:
-    made = fl.tune_pid(LAG, gain_crossover=3.0, period=0.01, output_limit=50.0, measurement_limit=5.0)
+    made = fl.tune_pid(
+        LAG, gain_crossover=3.0, period=0.01, output_limit=50.0, measurement_limit=5.0
+    )
     law = made.law()
     sampled = made.sampled_margins(law)
     assert sampled.stable
@@ -305,14 +371,18 @@ def test_nan_holds_and_then_switches_off() -> None:
     measured = np.full(40, 0.1)
     measured[10:13] = math.nan
     measured[25:] = math.nan
-    _, out = law.run(law.initial_state(), np.zeros(40), np.zeros(40), measured, np.zeros(40))
+    _, out = law.run(
+        law.initial_state(), np.zeros(40), np.zeros(40), measured, np.zeros(40)
+    )
     assert np.all(np.isfinite(out.voltage))
     assert set(out.mode[:25]) == {1}
     assert out.mode[-1] == 4
     assert out.voltage[-1] == 0.0
     # three lost samples of a measurement that stands still cost nothing
     whole = np.full(25, 0.1)
-    _, kept = law.run(law.initial_state(), np.zeros(25), np.zeros(25), whole, np.zeros(25))
+    _, kept = law.run(
+        law.initial_state(), np.zeros(25), np.zeros(25), whole, np.zeros(25)
+    )
     np.testing.assert_array_equal(out.voltage[:25], kept.voltage)
 
 
@@ -321,14 +391,20 @@ def test_a_torque_is_without_effect() -> None:
     rng = np.random.default_rng(2)
     reference, measured, torque = rng.uniform(-1, 1, (3, 300))
     for disturbing in (torque, np.full(300, 1e9), np.full(300, math.nan)):
-        _, with_it = law.run(law.initial_state(), reference, 0 * reference, measured, disturbing)
-        _, without = law.run(law.initial_state(), reference, 0 * reference, measured, 0 * reference)
+        _, with_it = law.run(
+            law.initial_state(), reference, 0 * reference, measured, disturbing
+        )
+        _, without = law.run(
+            law.initial_state(), reference, 0 * reference, measured, 0 * reference
+        )
         np.testing.assert_array_equal(with_it.voltage, without.voltage)
 
 
 @pytest.mark.slow
 def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
-    """A rectangle around a complex number grows as it turns: the bound was infinite here."""
+    """A rectangle around a complex number grows as it turns: the bound was infinite
+    here.
+    """
     modes = Modes(
         direct=11.459502220153809,
         poles=(0.6043002009391785, 0.9940162897109985, 0.9999697208404541),
@@ -338,10 +414,16 @@ def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
     )
     law = replace(fl.discretize_pid(pid(), 0.02, **LAW), correction=modes)
     bounds = worst_case(law)
-    c, poles = law.correction, np.array([*law.correction.poles, *law.correction.pair_poles], dtype=complex)
+    c, poles = (
+        law.correction,
+        np.array([*law.correction.poles, *law.correction.pair_poles], dtype=complex),
+    )
     gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
     inner = np.concatenate(
-        [[c.direct], (gains[:, None] * poles[:, None] ** np.arange(400_000)).real.sum(axis=0)]
+        [
+            [c.direct],
+            (gains[:, None] * poles[:, None] ** np.arange(400_000)).real.sum(axis=0),
+        ]
     )
     assert np.abs(np.diff(inner, prepend=0.0)).sum() <= bounds.gain < 1e6
 
@@ -356,18 +438,34 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
     fl.export_c(law, tmp_path / "c")
     compiler = tool("cc", "gcc")
     flags = ["-DLAW_SINGLE"] if precision == "single" else []
-    subprocess.run(  # noqa: S603 - the compiler, on files that were just exported
-        [compiler, "-std=c99", "-ffp-contract=off", *flags, "law_selftest.c", "law.c", "-o", "selftest"],
+    subprocess.run(  # noqa: S603
+        [
+            compiler,
+            "-std=c99",
+            "-ffp-contract=off",
+            *flags,
+            "law_selftest.c",
+            "law.c",
+            "-o",
+            "selftest",
+        ],
         cwd=tmp_path / "c",
         check=True,
     )
-    said = subprocess.run(["./selftest"], cwd=tmp_path / "c", check=True, capture_output=True, text=True)
+    said = subprocess.run(
+        ["./selftest"], cwd=tmp_path / "c", check=True, capture_output=True, text=True
+    )
     assert "passed" in said.stdout
     rng = np.random.default_rng(0)
-    record = fl.Recording(period=0.004, input=rng.uniform(-1, 1, 400), output=rng.uniform(-1, 1, 400))
+    record = fl.Recording(
+        period=0.004, input=rng.uniform(-1, 1, 400), output=rng.uniform(-1, 1, 400)
+    )
     assert fl.replay_log(tmp_path / "c", record).passed
     with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        fl.replay_log(tmp_path / "c", fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01]))
+        fl.replay_log(
+            tmp_path / "c",
+            fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01]),
+        )
     page = (tmp_path / "c" / "README.md").read_text()
     assert "`input.motor_angle` the measurement y" in page
     assert "feed-forward" not in page
@@ -376,10 +474,18 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
 
 @pytest.mark.slow
 def test_the_self_test_stays_in_run_where_it_should() -> None:
-    """Its inputs are a measurement's: with those of an arm the law would be off after a few periods."""
+    """Its inputs are a measurement's: with those of an arm the law would be off after a
+    few periods.
+    """
     for limit in (1e-3, 2.0, 700.0):
-        law = fl.discretize_pid(pid(), 0.004, output_limit=10.0, measurement_limit=limit)
-        reached = {period: voltage for period, _, voltage in expected(law).checkpoints if 50 <= period < 850}
+        law = fl.discretize_pid(
+            pid(), 0.004, output_limit=10.0, measurement_limit=limit
+        )
+        reached = {
+            period: voltage
+            for period, _, voltage in expected(law).checkpoints
+            if 50 <= period < 850
+        }
         assert len({*reached.values()}) == len(reached) == 6, reached
 
 
@@ -390,7 +496,9 @@ def test_fmu_has_the_names_of_a_pid(tmp_path: Path) -> None:
     tool("cc", "gcc")
     path = fl.export_fmu(law, tmp_path / "pid.fmu")
     about = fmpy.read_model_description(str(path))
-    assert {"measurement", "output", "reference"} <= {variable.name for variable in about.modelVariables}
+    assert {"measurement", "output", "reference"} <= {
+        variable.name for variable in about.modelVariables
+    }
     time = 0.01 * np.arange(100)
     measured = np.sin(9 * time)
     given = np.array(
@@ -398,9 +506,16 @@ def test_fmu_has_the_names_of_a_pid(tmp_path: Path) -> None:
         dtype=[("time", float), ("reference", float), ("measurement", float)],
     )
     result = fmpy.simulate_fmu(
-        str(path), stop_time=0.98, step_size=0.01, output_interval=0.01, input=given, output=["output"]
+        str(path),
+        stop_time=0.98,
+        step_size=0.01,
+        output_interval=0.01,
+        input=given,
+        output=["output"],
     )
-    _, own = law.run(law.initial_state(), np.full(98, 0.5), np.zeros(98), measured[:98], np.zeros(98))
+    _, own = law.run(
+        law.initial_state(), np.full(98, 0.5), np.zeros(98), measured[:98], np.zeros(98)
+    )
     np.testing.assert_array_equal(result["output"][1:99], own.voltage)
 
 
@@ -421,7 +536,9 @@ def test_proofs(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     plant = "1/(0.8*s**2.2 + 0.5*s**0.9 + 1)"
     limits = ["--period-ms", "20", "--output-limit", "20", "--measurement-limit", "3"]
@@ -429,14 +546,30 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert "kept" in capsys.readouterr().out
     assert main(["export", "c", "pid.json", "--out", "fw"]) == 0
     assert main(["export", "fmu", "pid.json", "--out", "pid.fmu", "--source"]) == 0
-    rows = "\n".join(f"{0.02 * k:.2f},{float(k > 20)},{0.01 * (k % 7)}" for k in range(100))
+    rows = "\n".join(
+        f"{0.02 * k:.2f},{float(k > 20)},{0.01 * (k % 7)}" for k in range(100)
+    )
     Path("log.csv").write_text(f"time_s,r,y\n{rows}\n", encoding="utf-8")
     if shutil.which("cc"):
         assert main(["replay", "fw", "log.csv", "--input", "r", "--output", "y"]) == 0
     assert main(["export", "c", "pid.json", "--estimate", "--out", "other"]) == 2
     assert main(["tune-pid", "k/(s + 1)", "--out", "no.json"]) == 2
     assert "identify-structure" in capsys.readouterr().err
-    assert main(["tune-pid", plant, "--gain-crossover", "2", "--form", "PI", "--out", "no.json"]) == 1
+    assert (
+        main(
+            [
+                "tune-pid",
+                plant,
+                "--gain-crossover",
+                "2",
+                "--form",
+                "PI",
+                "--out",
+                "no.json",
+            ]
+        )
+        == 1
+    )
 
 
 # --- in python-control ------------------------------------------------------------------------------------
@@ -444,10 +577,16 @@ def test_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
 
 @pytest.mark.slow
 def test_laws_in_python_control() -> None:
-    """Against the block's own response, with real modes, a complex pair, and a PID's integral."""
+    """Against the block's own response, with real modes, a complex pair, and a PID's
+    integral.
+    """
     pytest.importorskip("control")
     rig = fl.Rig.named("paper-2023")
-    arm = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    arm = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        rig.period,
+        order=4,
+    )
     plain = fl.discretize_pid(pid(), 0.004, **LAW)
     pair = {"pair_poles": (-0.3 + 0.7j, 0.2 + 0.1j), "pair_gains": (1.5 + 3j, 0.3 - 1j)}
     turning = replace(plain, correction=plain.correction._replace(**pair))
@@ -459,4 +598,6 @@ def test_laws_in_python_control() -> None:
     ):
         system = law.to_control()
         assert system.dt == law.period
-        np.testing.assert_allclose(system(np.exp(1j * w * law.period)), wanted, rtol=1e-9)
+        np.testing.assert_allclose(
+            system(np.exp(1j * w * law.period)), wanted, rtol=1e-9
+        )

@@ -46,7 +46,9 @@ def test_bode_draws_the_response() -> None:
     degrees = phase.get_lines()[0].get_ydata()
     np.testing.assert_allclose(degrees, np.degrees(np.angle(LINK(1j * w))), atol=1e-9)
     peak = 1.56 / math.sin(0.96 * math.pi)
-    assert db.max() == pytest.approx(20 * math.log10(peak), abs=0.03)  # a thousandth of the axis
+    assert db.max() == pytest.approx(
+        20 * math.log10(peak), abs=0.03
+    )  # a thousandth of the axis
     assert w[0] < 1.0 and w[-1] > 100.0
     assert magnitude.get_xscale() == "log"
     labels = (magnitude.get_ylabel(), phase.get_ylabel(), phase.get_xlabel())
@@ -66,7 +68,9 @@ def test_bode_draws_the_response() -> None:
     ],
 )
 @pytest.mark.parametrize("as_callable", [False, True])
-def test_bode_phase_starts_on_its_sheet(system: object, start: float, end: float, as_callable: bool) -> None:
+def test_bode_phase_starts_on_its_sheet(
+    system: object, start: float, end: float, as_callable: bool
+) -> None:
     shown = (lambda z: system(z)) if as_callable else system  # type: ignore[operator]
     degrees = plots.bode(shown)[1].get_lines()[0].get_ydata()
     assert degrees[0] == pytest.approx(start, abs=6)
@@ -124,7 +128,9 @@ def test_nichols_draws_magnitude_over_phase() -> None:
 def test_nichols_contour_is_the_closed_loop_magnitude() -> None:
     """Every point of a drawn contour has the same |L/(1 + L)|."""
     axis = plots.nichols(LOOP)
-    contours = [line for line in axis.get_lines() if line.get_color() == colours()["rule"]]
+    contours = [
+        line for line in axis.get_lines() if line.get_color() == colours()["rule"]
+    ]
     assert len(contours) >= 8
     for line in contours:
         phase, db = line.get_data()
@@ -139,8 +145,13 @@ def test_margins_are_marked() -> None:
     assert magnitude.get_title() == "phase margin 11.42° at 1.143 rad/s"
     texts = [t.get_text() for axis in (magnitude, phase) for t in axis.texts]
     assert texts == ["3.5 dB", "11.4°"]
-    spans = [line.get_ydata() for line in phase.get_lines() if len(line.get_xdata()) == 2]
-    assert any(np.allclose(np.sort(y), [-180, -180 + 11.4247], atol=1e-2) for y in map(np.asarray, spans))
+    spans = [
+        line.get_ydata() for line in phase.get_lines() if len(line.get_xdata()) == 2
+    ]
+    assert any(
+        np.allclose(np.sort(y), [-180, -180 + 11.4247], atol=1e-2)
+        for y in map(np.asarray, spans)
+    )
     assert "no gain crossing" in plots.margin_plot(0.1 / (s + 1))[0].get_title()
 
 
@@ -165,19 +176,31 @@ def test_several_systems_with_labels_and_given_axes() -> None:
     from matplotlib import pyplot as plt
 
     _, given = plt.subplots(2, 1)
-    axes = plots.bode(LINK, LOOP, control.tf([1], [1, 1]), lambda z: 1 / z, ax=given, labels=list("abcd"))
+    axes = plots.bode(
+        LINK,
+        LOOP,
+        control.tf([1], [1, 1]),
+        lambda z: 1 / z,
+        ax=given,
+        labels=list("abcd"),
+    )
     assert list(axes) == list(given)
     assert [t.get_text() for t in given[0].get_legend().get_texts()] == list("abcd")
     assert len(given[1].get_lines()) == 4
     _, single = plt.subplots()
     for draw in (plots.nyquist, plots.nichols):
         assert draw(LINK, LOOP, ax=single, labels=["a", "b"], color="black") is single
-    assert plots.step_plot(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"]) is single
+    assert (
+        plots.step_plot(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"])
+        is single
+    )
 
 
 def test_given_frequencies_are_kept() -> None:
     w = np.geomspace(1, 10, 7)
-    np.testing.assert_allclose(plots.bode(LINK, frequency=w)[0].get_lines()[0].get_xdata(), w)
+    np.testing.assert_allclose(
+        plots.bode(LINK, frequency=w)[0].get_lines()[0].get_xdata(), w
+    )
 
 
 @pytest.mark.parametrize(
@@ -210,9 +233,15 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.skipif(not _kernels.REALTIME, reason="the real-time loop is Linux's")
 def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
     rig = fl.Rig.named("paper-2023")
-    law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    law = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        rig.period,
+        order=4,
+    )
     at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
-    run = run_realtime(law, fl.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False)
+    run = run_realtime(
+        law, fl.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False
+    )
     count = len(run.tick)
     late = replace(run, latency=np.full(count, 0.0321), work=np.zeros(count))
     for each in (run, late):
@@ -226,8 +255,13 @@ def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
 def test_margins_against_payload_are_drawn_in_grams_and_degrees() -> None:
     rig = fl.Rig.named("paper-2023")
     design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
-    curves = [margin_curve(design, [0.020, 0.030, 0.040], kind=kind) for kind in ("motor", "loop")]
-    axis = plots.margins_against_payload(curves, payloads=(0.020, 0.040), wanted=design.phase_margin)
+    curves = [
+        margin_curve(design, [0.020, 0.030, 0.040], kind=kind)
+        for kind in ("motor", "loop")
+    ]
+    axis = plots.margins_against_payload(
+        curves, payloads=(0.020, 0.040), wanted=design.phase_margin
+    )
     drawn = {line.get_label(): line for line in axis.get_lines()}
     grams, degrees = drawn["with hold and delay, too"].get_data()
     np.testing.assert_allclose(grams, [20.0, 30.0, 40.0])
@@ -251,12 +285,18 @@ def test_the_phase_budget_falls_from_half_a_turn_to_the_margin() -> None:
 
 
 @pytest.mark.parametrize("delay", [0.02, 0.6])
-def test_nichols_marks_every_critical_point_in_view_and_a_grid_for_every_turn(delay: float) -> None:
+def test_nichols_marks_every_critical_point_in_view_and_a_grid_for_every_turn(
+    delay: float,
+) -> None:
     """−180° and each turn away from it: the phase of a delay runs through several."""
     loop = (3.0 / (fl.s + 0.3)).delayed(delay)
     axis = plots.nichols(loop, frequency=np.geomspace(0.01, 40.0, 800))
     low, high = axis.get_xlim()
-    marked = sorted(float(line.get_xdata()[0]) for line in axis.get_lines() if line.get_marker() == "+")
+    marked = sorted(
+        float(line.get_xdata()[0])
+        for line in axis.get_lines()
+        if line.get_marker() == "+"
+    )
     inside = [x for x in range(-180 - 20 * 360, 5 * 360, 360) if low <= x <= high]
     assert inside and set(inside) <= set(marked)
     assert all(low - 360 <= x <= high + 360 for x in marked)
@@ -273,21 +313,44 @@ def test_plots_take_the_colours_of_their_background(style):
 
     with plt.style.context(style):
         axes = fl.margin_plot(100 / (s**1.92 + 100) * 0.148 * s**0.65)
-        drawn = {mpl.colors.to_hex(line.get_color()) for axis in axes for line in axis.get_lines()}
+        drawn = {
+            mpl.colors.to_hex(line.get_color())
+            for axis in axes
+            for line in axis.get_lines()
+        }
         assert drawn <= set(colours(theme).values())
-        assert mpl.colors.to_hex(axes[0].get_xgridlines()[0].get_color()) == colours(theme)["rule"]
+        assert (
+            mpl.colors.to_hex(axes[0].get_xgridlines()[0].get_color())
+            == colours(theme)["rule"]
+        )
         plt.close("all")
 
 
-def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign() -> None:
-    shares = [PhaseShare("link", math.radians(-150.0)), PhaseShare("derivative", math.radians(40.0))]
+def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign() -> (
+    None
+):
+    shares = [
+        PhaseShare("link", math.radians(-150.0)),
+        PhaseShare("derivative", math.radians(40.0)),
+    ]
     axis = plots.phase_shares([*shares, PhaseShare("delay", 0.0)])
     bars = axis.patches
-    assert [round(bar.get_height(), 9) for bar in bars] == [180.0, -150.0, 40.0, 0.0, 70.0]
+    assert [round(bar.get_height(), 9) for bar in bars] == [
+        180.0,
+        -150.0,
+        40.0,
+        0.0,
+        70.0,
+    ]
     assert [round(bar.get_y(), 9) for bar in bars] == [0.0, 180.0, 30.0, 70.0, 0.0]
     start, lag, lead, none, margin = (bar.get_facecolor() for bar in bars)
     assert lead == none and len({start, lag, lead, margin}) == 4
-    assert [text.get_text() for text in axis.texts] == ["-150.0°", "+40.0°", "+0.0°", "70.0°"]
+    assert [text.get_text() for text in axis.texts] == [
+        "-150.0°",
+        "+40.0°",
+        "+0.0°",
+        "70.0°",
+    ]
     names = [label.get_text() for label in axis.get_xticklabels()]
     assert names == ["180°", "link", "derivative", "delay", "phase margin"]
     with pytest.raises(FieldError, match="empty"):
@@ -306,20 +369,39 @@ def test_the_times_of_a_run_are_counted_in_logarithmic_bins() -> None:
     edges = [bar.get_x() for bar in axis.containers[0]] + [
         axis.containers[0][-1].get_x() + axis.containers[0][-1].get_width()
     ]
-    assert (edges[0], edges[-1], len(edges)) == (pytest.approx(0.1), pytest.approx(2 * 9000.0), 80)
+    assert (edges[0], edges[-1], len(edges)) == (
+        pytest.approx(0.1),
+        pytest.approx(2 * 9000.0),
+        80,
+    )
     ratios = np.array(edges[1:]) / np.array(edges[:-1])
     assert np.ptp(ratios) < 1e-6
-    assert [sum(bar.get_height() for bar in group) for group in axis.containers] == [4, 4]
-    assert axis.containers[0][0].get_height() == 1  # no time at all counts as the smallest
-    assert axis.get_ylim() == (0.5, 10.0) and (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+    assert [sum(bar.get_height() for bar in group) for group in axis.containers] == [
+        4,
+        4,
+    ]
+    assert (
+        axis.containers[0][0].get_height() == 1
+    )  # no time at all counts as the smallest
+    assert axis.get_ylim() == (0.5, 10.0) and (
+        axis.get_xscale(),
+        axis.get_yscale(),
+    ) == ("log", "log")
     assert [text.get_text() for text in axis.get_legend().get_texts()] == [
         "wake-up latency",
         "computing time",
         "period",
     ]
-    many: Any = SimpleNamespace(period=0.004, latency=np.full(1000, 1e-5), work=np.full(1000, 1e-4))
-    assert plots.latency(many).get_ylim() == (0.5, 10_000.0)  # room above a bar of a thousand
-    nothing: Any = SimpleNamespace(period=0.004, latency=np.array([]), work=np.array([]))
+    many: Any = SimpleNamespace(
+        period=0.004, latency=np.full(1000, 1e-5), work=np.full(1000, 1e-4)
+    )
+    assert plots.latency(many).get_ylim() == (
+        0.5,
+        10_000.0,
+    )  # room above a bar of a thousand
+    nothing: Any = SimpleNamespace(
+        period=0.004, latency=np.array([]), work=np.array([])
+    )
     assert plots.latency(nothing).get_ylim() == (0.5, 10.0)
 
 
@@ -335,7 +417,10 @@ def test_a_map_of_requests_has_its_orders_noise_and_settling() -> None:
     axis = plots.feasibility(found)
     mesh = axis.collections[0]
     assert mesh.get_array().compressed().tolist() == [0.5, 0.6, 0.7]
-    assert (axis.get_xlim(), axis.get_ylim()) == ((5.0, 25.0), pytest.approx((30.0, 70.0)))
+    assert (axis.get_xlim(), axis.get_ylim()) == (
+        (5.0, 25.0),
+        pytest.approx((30.0, 70.0)),
+    )
     assert axis.figure.axes[-1].get_ylabel() == "β"
     labels = {text.get_text() for text in axis.texts}
     assert any(text.startswith("noise ") for text in labels) and "0.4 s" in labels
@@ -369,7 +454,9 @@ def test_a_bode_plot_is_cut_where_nothing_can_be_read() -> None:
     assert quick.get_lines()[0].get_ydata() == pytest.approx(-90.0)
     two = plots.bode(1 / (s + 1), 1000 / (s + 1))[0]
     lines = [line.get_ydata() for line in two.get_lines()]
-    assert two.get_ylim()[0] < min(map(np.min, lines)) and two.get_ylim()[1] > max(map(np.max, lines))
+    assert two.get_ylim()[0] < min(map(np.min, lines)) and two.get_ylim()[1] > max(
+        map(np.max, lines)
+    )
 
 
 def test_margins_are_drawn_at_their_crossings() -> None:
@@ -377,23 +464,46 @@ def test_margins_are_drawn_at_their_crossings() -> None:
     found = fl.margins(loop)
     magnitude, phase = plots.margin_plot(loop)
     gain, turn = found.gain_crossings[0], found.phase_crossings[0]
-    points = [tuple(line.get_xydata()[0]) for line in magnitude.get_lines() if len(line.get_xdata()) == 1]
+    points = [
+        tuple(line.get_xydata()[0])
+        for line in magnitude.get_lines()
+        if len(line.get_xdata()) == 1
+    ]
     assert points == [(pytest.approx(gain.frequency), 0.0)]
-    bars = [line.get_xydata() for line in magnitude.get_lines() if len(line.get_xdata()) == 2]
+    bars = [
+        line.get_xydata()
+        for line in magnitude.get_lines()
+        if len(line.get_xdata()) == 2
+    ]
     bar = next(b for b in bars if b[0][0] == b[1][0])
     assert bar == pytest.approx(
-        np.array([[turn.frequency, 0.0], [turn.frequency, -20 * math.log10(turn.gain_margin)]])
+        np.array(
+            [
+                [turn.frequency, 0.0],
+                [turn.frequency, -20 * math.log10(turn.gain_margin)],
+            ]
+        )
     )
-    squares = [line.get_xydata()[0] for line in phase.get_lines() if line.get_marker() == "s"]
+    squares = [
+        line.get_xydata()[0] for line in phase.get_lines() if line.get_marker() == "s"
+    ]
     assert squares == [pytest.approx([turn.frequency, -180.0], abs=0.05)]
     low, high = magnitude.get_xlim()
     w = magnitude.get_lines()[0].get_xdata()
-    first, last = min(gain.frequency, turn.frequency), max(gain.frequency, turn.frequency)
+    first, last = (
+        min(gain.frequency, turn.frequency),
+        max(gain.frequency, turn.frequency),
+    )
     assert (low, high) == pytest.approx((max(first / 30, w[0]), min(last * 30, w[-1])))
-    colours_ = [mpl.colors.to_hex(text.get_color()) for text in (*magnitude.texts, *phase.texts)]
+    colours_ = [
+        mpl.colors.to_hex(text.get_color()) for text in (*magnitude.texts, *phase.texts)
+    ]
     assert colours_ == [colours()["line-1"], colours()["line-3"]]
     unstable = plots.margin_plot(40 * loop)
-    marked = [mpl.colors.to_hex(text.get_color()) for text in (*unstable[0].texts, *unstable[1].texts)]
+    marked = [
+        mpl.colors.to_hex(text.get_color())
+        for text in (*unstable[0].texts, *unstable[1].texts)
+    ]
     assert marked == [colours()["line-2"], colours()["line-2"]]
     grid = np.geomspace(0.1, 10.0, 50)
     assert plots.margin_plot(loop, frequency=grid)[0].get_xlim() != (low, high)
@@ -411,7 +521,10 @@ def test_arrows_point_along_rising_frequency_at_equal_distances() -> None:
         assert head.size and tail.size and head[0] == tail[0] + 1
         assert length[head[0]] / length[-1] == pytest.approx(share, abs=0.03)
     half = 1.1 * np.hypot(*curve.T).max()
-    assert axis.get_xlim() == pytest.approx((-half, half)) and axis.get_ylim() == axis.get_xlim()
+    assert (
+        axis.get_xlim() == pytest.approx((-half, half))
+        and axis.get_ylim() == axis.get_xlim()
+    )
     small = plots.nyquist(0.1 / (s + 1))
     assert small.get_xlim() == pytest.approx((-1.32, 1.32))  # −1 is always seen
     assert plots.nyquist(100 / (s + 1)).get_xlim() == (-5.0, 5.0)
@@ -419,16 +532,33 @@ def test_arrows_point_along_rising_frequency_at_equal_distances() -> None:
     assert dashed.get_linestyle() == "--"
 
 
-def test_contours_of_the_closed_loop_are_named_where_they_are_highest_or_leave() -> None:
+def test_contours_of_the_closed_loop_are_named_where_they_are_highest_or_leave() -> (
+    None
+):
     axis = plots.nichols(LOOP)
     named = {text.get_text(): text.xy for text in axis.texts}
-    assert {"-12 dB", "-6 dB", "-3 dB", "0.25 dB", "1 dB", "3 dB", "6 dB", "12 dB"} <= set(named)
+    assert {
+        "-12 dB",
+        "-6 dB",
+        "-3 dB",
+        "0.25 dB",
+        "1 dB",
+        "3 dB",
+        "6 dB",
+        "12 dB",
+    } <= set(named)
     for level in (1, 3, 6, 12):  # |L| is largest, T/(T − 1), on the real axis
         closed = 10 ** (level / 20)
-        assert named[f"{level} dB"][1] == pytest.approx(20 * math.log10(closed / (closed - 1)), abs=1e-3)
+        assert named[f"{level} dB"][1] == pytest.approx(
+            20 * math.log10(closed / (closed - 1)), abs=1e-3
+        )
     for level in (-12, -6, -3):
-        assert (named[f"{level} dB"][0] + 358.0 + 5.0) % 360.0 == pytest.approx(5.0, abs=1.0)
-    phases = [line.get_xdata() for line in axis.get_lines() if line.get_linewidth() == 0.7]
+        assert (named[f"{level} dB"][0] + 358.0 + 5.0) % 360.0 == pytest.approx(
+            5.0, abs=1.0
+        )
+    phases = [
+        line.get_xdata() for line in axis.get_lines() if line.get_linewidth() == 0.7
+    ]
     assert all(np.all(np.diff(x) >= 0) for x in phases if np.ptp(x) > 300)
 
 
@@ -443,12 +573,18 @@ def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
 
     text = drawn("one")
     assert text == drawn("one")
-    assert text.startswith('<svg role="img" aria-label="a &lt; b" ') and text.endswith("</svg>")
+    assert text.startswith('<svg role="img" aria-label="a &lt; b" ') and text.endswith(
+        "</svg>"
+    )
     assert "<metadata" not in text and "<?xml" not in text
     ids = re.findall(r'\bid="([^"]*)"', text)
     assert ids == [f"one-{number}" for number in range(len(ids))]
     used = set(re.findall(r'(?:url\(#|href="#)([^")]*)', text))
-    assert used and used <= set(ids) and not used & set(re.findall(r'\bid="([^"]*)"', drawn("two")))
+    assert (
+        used
+        and used <= set(ids)
+        and not used & set(re.findall(r'\bid="([^"]*)"', drawn("two")))
+    )
     assert not re.search(r'\bd="[^"]*\d\.\d{3,}', text)
 
 
@@ -456,24 +592,48 @@ def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
 def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
     from fraclink._show.axes import save_figure
 
-    for name, start in (("a.svg", b"<?xml"), ("b", b"<?xml"), ("c.png", b"\x89PNG"), ("d.PDF", b"%PDF")):
+    for name, start in (
+        ("a.svg", b"<?xml"),
+        ("b", b"<?xml"),
+        ("c.png", b"\x89PNG"),
+        ("d.PDF", b"%PDF"),
+    ):
         if name == "d.PDF":
             continue
-        save_figure(tmp_path / name, lambda figure: figure.subplots().plot([0, 1]), size=(2.0, 1.0))
+        save_figure(
+            tmp_path / name,
+            lambda figure: figure.subplots().plot([0, 1]),
+            size=(2.0, 1.0),
+        )
         content = (tmp_path / name).read_bytes()
         assert content.startswith(start)
-    save_figure(tmp_path / "e.svg", lambda figure: figure.subplots().plot([0, 1]), size=(2.0, 1.0))
+    save_figure(
+        tmp_path / "e.svg",
+        lambda figure: figure.subplots().plot([0, 1]),
+        size=(2.0, 1.0),
+    )
     assert (tmp_path / "e.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
     png = (tmp_path / "c.png").read_bytes()
-    assert (int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")) == (220, 110)
+    assert (int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")) == (
+        220,
+        110,
+    )
     assert b'width="144pt" height="72pt"' in (tmp_path / "a.svg").read_bytes()
 
 
 @pytest.mark.parametrize(
     ("background", "theme"),
-    [("white", 0), ("black", 1), ("#808080", 0), ("#7f7f7f", 1), ((0.0, 0.0, 0.0, 0.0), 0)],
+    [
+        ("white", 0),
+        ("black", 1),
+        ("#808080", 0),
+        ("#7f7f7f", 1),
+        ((0.0, 0.0, 0.0, 0.0), 0),
+    ],
 )
-def test_a_background_is_dark_below_half_its_brightness(background: Any, theme: int) -> None:
+def test_a_background_is_dark_below_half_its_brightness(
+    background: Any, theme: int
+) -> None:
     from fraclink._show.axes import theme_on
 
     assert theme_on(background) == theme
@@ -484,20 +644,34 @@ def test_a_response_of_given_frequencies_has_a_gap_at_a_pole() -> None:
 
     w = np.array([0.5, 1.0, 2.0])
     found = sample(1 / (s**2 + 1), w, None)
-    assert np.isfinite(found.values).tolist() == [True, False, True] and found.frequency == pytest.approx(w)
-    assert LoopCurve(w, np.array([1.0, 10.0, 0.1]) + 0j).decibels == pytest.approx([0.0, 20.0, -20.0])
+    assert np.isfinite(found.values).tolist() == [
+        True,
+        False,
+        True,
+    ] and found.frequency == pytest.approx(w)
+    assert LoopCurve(w, np.array([1.0, 10.0, 0.1]) + 0j).decibels == pytest.approx(
+        [0.0, 20.0, -20.0]
+    )
     double = LoopCurve(np.geomspace(1, 100, 5), (1j * np.geomspace(1, 100, 5)) ** -2)
     assert np.degrees(double.phase) == pytest.approx(-180.0)
-    over = LoopCurve(np.array([1.0, 9.9, 10.1, 100.0]), np.array([1.0, 50.0, -50.0, -0.01]) + 0j)
-    assert np.degrees(over.phase) == pytest.approx([0.0, 0.0, -180.0, -180.0])  # across a pole it falls
+    over = LoopCurve(
+        np.array([1.0, 9.9, 10.1, 100.0]), np.array([1.0, 50.0, -50.0, -0.01]) + 0j
+    )
+    assert np.degrees(over.phase) == pytest.approx(
+        [0.0, 0.0, -180.0, -180.0]
+    )  # across a pole it falls
 
 
 def test_margins_of_every_kind_have_a_style_of_their_own() -> None:
     def curve(kind: str) -> Any:
-        return SimpleNamespace(kind=kind, payload=[0.02, 0.04], phase_margin=np.radians([40.0, 60.0]))
+        return SimpleNamespace(
+            kind=kind, payload=[0.02, 0.04], phase_margin=np.radians([40.0, 60.0])
+        )
 
     kinds = ("ideal", "motor", "loop", "sampled", "other")
-    axis = plots.margins_against_payload([curve(kind) for kind in kinds], payloads=(0.02, 0.04), wanted=0.5)
+    axis = plots.margins_against_payload(
+        [curve(kind) for kind in kinds], payloads=(0.02, 0.04), wanted=0.5
+    )
     drawn = {line.get_label(): line for line in axis.get_lines()}
     names = (
         "L: Ĉ·G alone",
@@ -520,7 +694,9 @@ def test_no_arrow_bridges_what_is_not_seen() -> None:
     from fraclink._show.planes import _arrows
 
     told: list[Any] = []
-    axis = SimpleNamespace(annotate=lambda text, xy, xytext, arrowprops: told.append((xytext, xy)))
+    axis = SimpleNamespace(
+        annotate=lambda text, xy, xytext, arrowprops: told.append((xytext, xy))
+    )
     inside = np.array([0, 1, 2, 3, 4]) + 0j
     back = np.array([4j, 3j, 2j, 1j, 0j])
     _arrows(axis, np.concatenate([inside, [50.0], back]), "red", 10.0)

@@ -1,4 +1,6 @@
-"""The filters with a name against their formulas, the minimax rational against Oustaloup's filter."""
+"""The filters with a name against their formulas, the minimax rational against
+Oustaloup's filter.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from fraclink.errors import FieldError
 BAND = (1e-2, 700.0)
 
 
-def filter_of(fraction: float, points: np.ndarray, band: tuple[float, float], n: int) -> np.ndarray:
+def filter_of(
+    fraction: float, points: np.ndarray, band: tuple[float, float], n: int
+) -> np.ndarray:
     """Oustaloup's product for s^fraction, written out."""
     value = np.full(points.shape, band[1] ** fraction, dtype=complex)
     for k in range(n):
@@ -27,7 +31,9 @@ def filter_of(fraction: float, points: np.ndarray, band: tuple[float, float], n:
     return value
 
 
-def substituted(system: FractionalTransferFunction, points: np.ndarray, n: int) -> np.ndarray:
+def substituted(
+    system: FractionalTransferFunction, points: np.ndarray, n: int
+) -> np.ndarray:
     sides = []
     for terms in (system.numerator, system.denominator):
         total = np.zeros(points.shape, dtype=complex)
@@ -54,10 +60,14 @@ def substituted(system: FractionalTransferFunction, points: np.ndarray, n: int) 
     ],
 )
 @pytest.mark.parametrize("order", [1, 4, 9])
-def test_oustaloup_is_the_product_formula(system: FractionalTransferFunction, order: int) -> None:
+def test_oustaloup_is_the_product_formula(
+    system: FractionalTransferFunction, order: int
+) -> None:
     made = approximate(system, BAND, order)
     w = np.geomspace(1e-3, 1e4, 301)
-    np.testing.assert_allclose(made.frequency_response(w), substituted(system, 1j * w, order), rtol=2e-6)
+    np.testing.assert_allclose(
+        made.frequency_response(w), substituted(system, 1j * w, order), rtol=2e-6
+    )
 
 
 FRACTIONS = [0.08, 0.5, 0.75, 0.92]
@@ -78,7 +88,9 @@ def test_refined_is_the_printed_formula(fraction: float) -> None:
 
 @pytest.mark.parametrize("fraction", FRACTIONS)
 def test_charef_is_its_recursion(fraction: float) -> None:
-    """Poles and zeros one after the other, with the error y that the number of poles leaves."""
+    """Poles and zeros one after the other, with the error y that the number of poles
+    leaves.
+    """
     m, count = 1 - fraction, 9
     made = approximate(s**fraction, BAND, count, method="charef")
     places = np.sort(-made.poles.real)
@@ -93,7 +105,8 @@ def test_charef_is_its_recursion(fraction: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("q", "order", "pairs"), [(2, 13, 13), (2, 39, 13), (2, 40, 40), (3, 5, 5), (10, 12, 12)]
+    ("q", "order", "pairs"),
+    [(2, 13, 13), (2, 39, 13), (2, 40, 40), (3, 5, 5), (10, 12, 12)],
 )
 def test_carlson_is_newtons_process(q: int, order: int, pairs: int) -> None:
     middle = math.sqrt(BAND[0] * BAND[1])
@@ -129,17 +142,25 @@ def test_matched_z_maps_the_roots() -> None:
     made = approximate(1 / (s**1.5 + 1), BAND, 5, method="matched-z", period=period)
     assert made.poles == pytest.approx(np.exp(plain.poles * period), rel=1e-12)
     middle = math.sqrt(BAND[0] * BAND[1])
-    assert abs(made.frequency_response(middle)) == pytest.approx(abs(plain(1j * middle)), rel=1e-12)
+    assert abs(made.frequency_response(middle)) == pytest.approx(
+        abs(plain(1j * middle)), rel=1e-12
+    )
     # Far below the Nyquist frequency it is the continuous filter, but for a constant.
     w = np.geomspace(BAND[0], 3.0, 50)
-    assert np.abs(made.frequency_response(w) / plain(1j * w) - 1) == pytest.approx(0, abs=0.05)
+    assert np.abs(made.frequency_response(w) / plain(1j * w) - 1) == pytest.approx(
+        0, abs=0.05
+    )
     a, b, c, d = made.state_space()
     z = np.exp(20j * period)
-    assert (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d)[0, 0] == pytest.approx(made(z), rel=1e-9)
+    assert (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d)[0, 0] == pytest.approx(
+        made(z), rel=1e-9
+    )
 
 
 def test_known_error_of_the_best_oustaloup_filter() -> None:
-    """Band 1e-3 … 1e5 and N = 7 (15 pairs): 0.9 % on the link between 0.1 and 1000 rad/s."""
+    """Band 1e-3 … 1e5 and N = 7 (15 pairs): 0.9 % on the link between 0.1 and 1000
+    rad/s.
+    """
     link = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
     made = approximate(link, (1e-3, 1e5), 15)
     w = np.geomspace(0.1, 1000, 2000)
@@ -159,7 +180,9 @@ def test_known_error_of_the_best_oustaloup_filter() -> None:
         1 / (s**0.5 + 2 * s**0.3 + 1),
     ],
 )
-def test_minimax_beats_oustaloup_at_the_same_order(system: FractionalTransferFunction) -> None:
+def test_minimax_beats_oustaloup_at_the_same_order(
+    system: FractionalTransferFunction,
+) -> None:
     usual = approximate(system, BAND, 5)
     best = approximate(system, BAND, 5, method="minimax")
     assert best.order == 5 <= usual.order
@@ -171,8 +194,14 @@ def test_minimax_beats_oustaloup_at_the_same_order(system: FractionalTransferFun
 @pytest.mark.parametrize(
     ("made", "points"),
     [
-        (approximate(s**0.65 / (1 + 0.16 * s) ** 2, BAND, 5), 1j * np.geomspace(0.01, 1e3, 50)),
-        (approximate(100 / (s**1.92 + 100), BAND, 4, method="minimax"), 1j * np.geomspace(0.01, 1e3, 50)),
+        (
+            approximate(s**0.65 / (1 + 0.16 * s) ** 2, BAND, 5),
+            1j * np.geomspace(0.01, 1e3, 50),
+        ),
+        (
+            approximate(100 / (s**1.92 + 100), BAND, 4, method="minimax"),
+            1j * np.geomspace(0.01, 1e3, 50),
+        ),
         (
             approximate(100 / (s**1.92 + 100), BAND, 5, method="minimax", period=0.004),
             np.exp(1j * np.geomspace(1e-4, 3, 50)),
@@ -184,7 +213,9 @@ def test_state_space_and_residues_are_the_same_function(
 ) -> None:
     a, b, c, d = made.state_space()
     assert a.shape == (made.order, made.order) and a.dtype == float
-    value = [(c @ np.linalg.solve(p * np.eye(len(a)) - a, b) + d).item() for p in points]
+    value = [
+        (c @ np.linalg.solve(p * np.eye(len(a)) - a, b) + d).item() for p in points
+    ]
     np.testing.assert_allclose(value, made(points), rtol=1e-7)
     if np.all(np.isfinite(made.residues)) and np.max(np.abs(made.residues)) < 1e6:
         parts = made.direct + (made.residues / (points[:, None] - made.poles)).sum(1)
@@ -195,7 +226,10 @@ def test_state_space_and_residues_are_the_same_function(
 
 def test_bilinear_map_of_oustaloup() -> None:
     system = 100 / (s**1.92 + 100)
-    plain, sampled = approximate(system, BAND, 6), approximate(system, BAND, 6, period=0.004)
+    plain, sampled = (
+        approximate(system, BAND, 6),
+        approximate(system, BAND, 6, period=0.004),
+    )
     w = np.geomspace(0.1, 700, 100)
     warped = plain.frequency_response(500 * np.tan(w * 0.002))
     np.testing.assert_allclose(sampled.frequency_response(w), warped, rtol=1e-9)
@@ -208,8 +242,12 @@ def test_reported_error_is_the_error() -> None:
     made = approximate(system, BAND, 4, method="minimax")
     w = np.geomspace(*BAND, 5003)
     ratio = made.frequency_response(w) / system(1j * w)
-    assert made.error_db == pytest.approx(np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=0.01)
-    assert made.error_deg == pytest.approx(np.max(np.abs(np.degrees(np.angle(ratio)))), rel=0.01)
+    assert made.error_db == pytest.approx(
+        np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=0.01
+    )
+    assert made.error_deg == pytest.approx(
+        np.max(np.abs(np.degrees(np.angle(ratio)))), rel=0.01
+    )
 
 
 @pytest.mark.parametrize(
@@ -236,7 +274,9 @@ def test_reported_error_is_the_error() -> None:
         (1 / (s**0.5 - 1), {"method": "minimax"}, "system"),
     ],
 )
-def test_bad_input(system: FractionalTransferFunction, options: dict[str, object], field: str) -> None:
+def test_bad_input(
+    system: FractionalTransferFunction, options: dict[str, object], field: str
+) -> None:
     arguments = {"band": (0.1, 100.0), "order": 3, **options}
     with pytest.raises(FieldError) as caught:
         approximate(system, **arguments)  # type: ignore[arg-type]
@@ -244,17 +284,27 @@ def test_bad_input(system: FractionalTransferFunction, options: dict[str, object
 
 
 def test_an_approximation_states_itself() -> None:
-    """Order, gain at infinity, band, method, period and the error that it has on a grid of its own."""
+    """Order, gain at infinity, band, method, period and the error that it has on a grid
+    of its own.
+    """
     system = 100 / (s**1.92 + 100)
     made = approximate(system, (0.1, 100.0), 5)
     assert (made.method, made.band, made.period) == ("oustaloup", (0.1, 100.0), None)
-    assert made.order == len(made.poles) and made.direct == 0.0 and len(made.zeros) < made.order
+    assert (
+        made.order == len(made.poles)
+        and made.direct == 0.0
+        and len(made.zeros) < made.order
+    )
     proper = approximate(s**0.5 / (s**0.5 + 2), (0.1, 100.0), 5)
     assert proper.direct == proper.gain != 0.0
     w = np.geomspace(0.1, 100.0, 4001)
     ratio = made.frequency_response(w) / system(1j * w)
-    assert made.error_db == pytest.approx(np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=1e-3)
-    assert made.error_deg == pytest.approx(np.max(np.abs(np.degrees(np.angle(ratio)))), rel=1e-3)
+    assert made.error_db == pytest.approx(
+        np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=1e-3
+    )
+    assert made.error_deg == pytest.approx(
+        np.max(np.abs(np.degrees(np.angle(ratio)))), rel=1e-3
+    )
     for name in ("zeros", "poles"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(made, name)[0] = 0.0
@@ -265,24 +315,33 @@ def test_an_approximation_states_itself() -> None:
 
 def test_bands_up_to_the_nyquist_frequency_and_orders_at_their_bounds() -> None:
     period = 0.01
-    assert approximate(s**0.5, (1.0, math.pi / period), 3, period=period).band[1] == math.pi / period
+    assert (
+        approximate(s**0.5, (1.0, math.pi / period), 3, period=period).band[1]
+        == math.pi / period
+    )
     with pytest.raises(FieldError, match="Nyquist"):
         approximate(s**0.5, (1.0, 1.0001 * math.pi / period), 3, period=period)
     assert approximate(s**0.5, (1.0, 100.0), 40).order == 40
     assert approximate(s**0.5, (1.0, 100.0), 1).order == 1
-    assert len(approximate(s**0.99, (1.0, 10.0), 2).zeros) == 2  # improper by less than one order
+    assert (
+        len(approximate(s**0.99, (1.0, 10.0), 2).zeros) == 2
+    )  # improper by less than one order
     with pytest.raises(FieldError, match="> -1"):
         approximate(s**1.5 / (s**0.5 + 1), (1.0, 10.0), 2)
 
 
 def test_a_simple_pole_has_its_residue_and_a_double_one_an_infinite_one() -> None:
-    made = RationalApproximation(np.array([-3.0]), np.array([-1.0, -2.0]), 4.0, None, (1.0, 2.0), "by hand")
+    made = RationalApproximation(
+        np.array([-3.0]), np.array([-1.0, -2.0]), 4.0, None, (1.0, 2.0), "by hand"
+    )
     # 4 (s + 3)/((s + 1)(s + 2)) = 8/(s + 1) − 4/(s + 2)
     assert made.residues.tolist() == [8.0, -4.0]
     assert made.direct == 0.0 and made(1.0) == pytest.approx(16 / 6)
     a, b, c, d = made.state_space()
     assert (c @ np.linalg.solve(np.eye(2) - a, b) + d).item() == pytest.approx(16 / 6)
-    double = RationalApproximation(np.array([]), np.array([-1.0, -1.0]), 1.0, None, (1.0, 2.0), "by hand")
+    double = RationalApproximation(
+        np.array([]), np.array([-1.0, -1.0]), 1.0, None, (1.0, 2.0), "by hand"
+    )
     assert np.all(np.isinf(np.abs(double.residues)) | np.isnan(double.residues))
 
 
@@ -291,17 +350,23 @@ def test_sections_in_series_are_the_product_of_their_roots(count: int) -> None:
     """Real roots and pairs, odd and even in number, fewer zeros than poles."""
     rng = np.random.default_rng(count)
     for pairs in range(count // 2 + 1):
-        poles = np.concatenate([-rng.uniform(0.1, 50, count - 2 * pairs), np.zeros(0)]).astype(complex)
+        poles = np.concatenate(
+            [-rng.uniform(0.1, 50, count - 2 * pairs), np.zeros(0)]
+        ).astype(complex)
         for _ in range(pairs):
             p = complex(-rng.uniform(0.1, 5), rng.uniform(1, 30))
             poles = np.append(poles, [p, p.conjugate()])
         for missing in range(count + 1):
             zeros = -rng.uniform(0.1, 50, count - missing).astype(complex)
             a, b, c, d = cascade(zeros, poles, 2.5)
-            assert a.shape == (count, count) and d[0, 0] == (2.5 if not missing else 0.0)
+            assert a.shape == (count, count) and d[0, 0] == (
+                2.5 if not missing else 0.0
+            )
             for z in (0.3j, 7.0 + 2j):
                 value = (c @ np.linalg.solve(z * np.eye(count) - a, b) + d).item()
-                assert value == pytest.approx(2.5 * np.prod(z - zeros) / np.prod(z - poles), rel=1e-9)
+                assert value == pytest.approx(
+                    2.5 * np.prod(z - zeros) / np.prod(z - poles), rel=1e-9
+                )
 
 
 def test_zero_has_no_relative_error_and_is_refused() -> None:

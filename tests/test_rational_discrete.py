@@ -23,7 +23,12 @@ def correction(filter_time: float, gain: float = 0.148, order: float = 0.65) -> 
 
 def fit(filter_time: float, order: int | None, high: float) -> DiscreteRational:
     return fit_discrete(
-        correction(filter_time), period=PERIOD, band=(0.05, high), order=order, zeros_at_one=1, offset=1.0
+        correction(filter_time),
+        period=PERIOD,
+        band=(0.05, high),
+        order=order,
+        zeros_at_one=1,
+        offset=1.0,
     )
 
 
@@ -37,7 +42,9 @@ def fast_filter() -> DiscreteRational:
     return fit(0.016, 6, 600.0)
 
 
-def worst(made: DiscreteRational, filter_time: float, high: float) -> tuple[float, float]:
+def worst(
+    made: DiscreteRational, filter_time: float, high: float
+) -> tuple[float, float]:
     """Errors on an independent grid, from poles and residues written out here."""
     w = np.concatenate([np.geomspace(0.05, high, 5003), np.linspace(0.05, high, 4001)])
     z = np.exp(1j * w * PERIOD)
@@ -52,11 +59,15 @@ def worst(made: DiscreteRational, filter_time: float, high: float) -> tuple[floa
     )
 
 
-def test_four_states_hold_the_slow_filter_to_nyquist(slow_filter: DiscreteRational) -> None:
+def test_four_states_hold_the_slow_filter_to_nyquist(
+    slow_filter: DiscreteRational,
+) -> None:
     db, deg = worst(slow_filter, 0.16, 785.0)
     assert slow_filter.order == 4
     assert db < 0.1 and deg < 0.5
-    assert (slow_filter.error_db, slow_filter.error_deg) == pytest.approx((db, deg), rel=0.02)
+    assert (slow_filter.error_db, slow_filter.error_deg) == pytest.approx(
+        (db, deg), rel=0.02
+    )
 
 
 def test_six_states_hold_the_fast_filter_to_600(fast_filter: DiscreteRational) -> None:
@@ -73,41 +84,58 @@ def test_the_lowest_sufficient_order_is_chosen(slow_filter: DiscreteRational) ->
 
 
 def test_no_filter() -> None:
-    """Ĉ = k s^β itself: met to 200 rad/s; to 0.8 of the Nyquist frequency only as far as causality allows."""
+    """Ĉ = k s^β itself: met to 200 rad/s; to 0.8 of the Nyquist frequency only as far
+    as causality allows.
+    """
     bare = lambda w: 0.06988 * (1j * w) ** 0.6122  # noqa: E731
-    low = fit_discrete(bare, period=PERIOD, band=(0.05, 200.0), zeros_at_one=1, offset=1.0)
+    low = fit_discrete(
+        bare, period=PERIOD, band=(0.05, 200.0), zeros_at_one=1, offset=1.0
+    )
     assert low.order <= 5
     assert low.error_db < 0.1 and low.error_deg < 0.5
-    high = fit_discrete(bare, period=PERIOD, band=(0.05, 628.0), order=5, zeros_at_one=1, offset=1.0)
+    high = fit_discrete(
+        bare, period=PERIOD, band=(0.05, 628.0), order=5, zeros_at_one=1, offset=1.0
+    )
     assert high.error_db < 1.0 and high.error_deg < 5.0
-    # Above the band the gain stays bounded by twice the response times the error in units of its tolerance.
+    # Above the band the gain stays bounded by twice the response times the error in
+    # units of its tolerance.
     w = np.linspace(628.0, math.pi / PERIOD, 400)
     assert np.max(np.abs(high(w))) < 20 * np.max(np.abs(bare(w)))
 
 
 def test_feed_forward_operator() -> None:
     """s^(λ−2) = s^(−0.08) with stable real poles, the slowest below the band."""
-    made = fit_discrete(lambda w: np.power(1j * w, -0.08 + 0j), period=PERIOD, band=(0.05, 300.0))
+    made = fit_discrete(
+        lambda w: np.power(1j * w, -0.08 + 0j), period=PERIOD, band=(0.05, 300.0)
+    )
     assert made.order <= 6 and made.zeros_at_one == 0
     assert made.error_db < 0.1 and made.error_deg < 0.5
     assert made.pole_decays.size == 0
     assert np.all(np.abs(made.decays) < 1)
     assert np.max(made.decays) > 1 - 0.1 * PERIOD
-    assert np.all(np.isfinite(made(np.array([1e-9, 1e-3]))))  # G(0) is finite, unlike s^(−0.08)
+    assert np.all(
+        np.isfinite(made(np.array([1e-9, 1e-3])))
+    )  # G(0) is finite, unlike s^(−0.08)
 
 
 @pytest.mark.slow
 def test_zero_at_one_is_exact(slow_filter: DiscreteRational) -> None:
     assert slow_filter(0.0) == 0.0
-    assert slow_filter(1e-9) == pytest.approx(1e-9j * slow_filter(1e-6).imag / 1e-6, rel=1e-3)
+    assert slow_filter(1e-9) == pytest.approx(
+        1e-9j * slow_filter(1e-6).imag / 1e-6, rel=1e-3
+    )
     y = slow_filter.filter(np.ones(40_000))
-    assert abs(y[-1]) < 1e-6 * np.abs(y).max()  # decays with the slowest pole, to 0 and to nothing else
+    assert (
+        abs(y[-1]) < 1e-6 * np.abs(y).max()
+    )  # decays with the slowest pole, to 0 and to nothing else
     slowest = np.abs(slow_filter.poles).max()
     assert y[-1] / y[-2] == pytest.approx(slowest, rel=1e-4)
 
 
 @pytest.mark.parametrize("made", ["slow_filter", "fast_filter"])
-def test_recursion_is_the_frequency_response(made: str, request: pytest.FixtureRequest) -> None:
+def test_recursion_is_the_frequency_response(
+    made: str, request: pytest.FixtureRequest
+) -> None:
     h: DiscreteRational = request.getfixturevalue(made)
     n = 60_000
     impulse = np.zeros(n)
@@ -118,14 +146,18 @@ def test_recursion_is_the_frequency_response(made: str, request: pytest.FixtureR
     np.testing.assert_allclose(h(w), transform, rtol=1e-9)
 
 
-def test_poles_are_stable_and_apart(slow_filter: DiscreteRational, fast_filter: DiscreteRational) -> None:
+def test_poles_are_stable_and_apart(
+    slow_filter: DiscreteRational, fast_filter: DiscreteRational
+) -> None:
     for made in (slow_filter, fast_filter):
         assert np.all(np.abs(made.poles) < 1)
         assert np.all(made.pole_decays.imag > 0)
 
 
 def test_single_precision_noise(slow_filter: DiscreteRational) -> None:
-    """The recursion in 32-bit floats against 64-bit; nearly equal poles would lose two more digits."""
+    """The recursion in 32-bit floats against 64-bit; nearly equal poles would lose two
+    more digits.
+    """
     rng = np.random.default_rng(1)
     u = np.cumsum(rng.normal(size=20_000)) * 1e-3
     u = u - np.convolve(u, np.ones(400) / 400, mode="same")
@@ -134,7 +166,10 @@ def test_single_precision_noise(slow_filter: DiscreteRational) -> None:
     x = np.zeros(2, dtype=np.float32)
     w = np.complex64(0)
     p, g = slow_filter.decays.astype(np.float32), slow_filter.gains.astype(np.float32)
-    q, c = np.complex64(slow_filter.pole_decays[0]), np.complex64(slow_filter.pole_gains[0])
+    q, c = (
+        np.complex64(slow_filter.pole_decays[0]),
+        np.complex64(slow_filter.pole_gains[0]),
+    )
     d = np.float32(slow_filter.feedthrough)
     y = np.empty_like(v)
     for k, drive in enumerate(v):
@@ -159,7 +194,9 @@ def test_an_exact_rational_is_found_again() -> None:
         pair = 0.5 * ((0.3 + 0.1j) / (z - q) + (0.3 - 0.1j) / (z - np.conj(q)))
         return (1 - 1 / z) * (0.5 + 0.01 / (z - p[0]) + 0.2 / (z - p[1]) + pair)
 
-    made = fit_discrete(exact, period=PERIOD, band=(0.1, 780.0), order=4, zeros_at_one=1)
+    made = fit_discrete(
+        exact, period=PERIOD, band=(0.1, 780.0), order=4, zeros_at_one=1
+    )
     assert made.error_db < 1e-7 and made.error_deg < 1e-6
     np.testing.assert_allclose(np.sort(made.decays), np.sort(p), rtol=1e-6)
     np.testing.assert_allclose(made.pole_decays, [q], rtol=1e-6)
@@ -167,7 +204,12 @@ def test_an_exact_rational_is_found_again() -> None:
 
 def test_real_poles_only_and_looser_tolerances() -> None:
     real = fit_discrete(
-        correction(0.16), period=PERIOD, band=(0.05, 785.0), zeros_at_one=1, offset=1.0, pairs=0
+        correction(0.16),
+        period=PERIOD,
+        band=(0.05, 785.0),
+        zeros_at_one=1,
+        offset=1.0,
+        pairs=0,
     )
     assert real.pole_decays.size == 0 and real.order <= 5
     assert real.error_db < 0.1 and real.error_deg < 0.5
@@ -182,7 +224,12 @@ def test_real_poles_only_and_looser_tolerances() -> None:
     )
     assert loose.order < 4 and loose.error_db < 0.3 and loose.error_deg < 1.5
     short = fit_discrete(
-        correction(0.016), period=PERIOD, band=(0.05, 600.0), zeros_at_one=1, offset=1.0, highest=2
+        correction(0.016),
+        period=PERIOD,
+        band=(0.05, 600.0),
+        zeros_at_one=1,
+        offset=1.0,
+        highest=2,
     )
     assert short.order <= 2 and short.error_db > 0.1
 
@@ -246,7 +293,13 @@ def test_any_controller_gets_a_stable_law(
     ],
 )
 def test_bad_input(options: dict[str, object], field: str) -> None:
-    request = {"response": correction(0.1), "period": PERIOD, "band": (0.1, 700.0), "order": 2, **options}
+    request = {
+        "response": correction(0.1),
+        "period": PERIOD,
+        "band": (0.1, 700.0),
+        "order": 2,
+        **options,
+    }
     response = request.pop("response")
     with pytest.raises(FieldError) as caught:
         fit_discrete(response, **request)  # type: ignore[arg-type]
@@ -263,10 +316,16 @@ def test_arrays_are_read_only(slow_filter: DiscreteRational) -> None:
         slow_filter.decays[0] = 0.0
 
 
-def test_the_stated_error_is_that_of_an_independent_grid(fast_filter: DiscreteRational) -> None:
+def test_the_stated_error_is_that_of_an_independent_grid(
+    fast_filter: DiscreteRational,
+) -> None:
     db, deg = worst(fast_filter, 0.016, 600.0)
-    assert (fast_filter.error_db, fast_filter.error_deg) == pytest.approx((db, deg), rel=0.02)
-    assert fast_filter.order == len(fast_filter.decays) + 2 * len(fast_filter.pole_decays)
+    assert (fast_filter.error_db, fast_filter.error_deg) == pytest.approx(
+        (db, deg), rel=0.02
+    )
+    assert fast_filter.order == len(fast_filter.decays) + 2 * len(
+        fast_filter.pole_decays
+    )
     assert fast_filter.order == len(fast_filter.poles)
     assert fast_filter.band == (0.05, 600.0) and fast_filter.period == PERIOD
 
@@ -283,7 +342,9 @@ def test_the_stated_error_is_that_of_an_independent_grid(fast_filter: DiscreteRa
 )
 def test_weights_that_are_none_are_refused(weight: object, field: str) -> None:
     with pytest.raises(FieldError) as caught:
-        fit_discrete(correction(0.1), period=PERIOD, band=(0.1, 300.0), order=1, weight=weight)  # type: ignore[arg-type]
+        fit_discrete(
+            correction(0.1), period=PERIOD, band=(0.1, 300.0), order=1, weight=weight
+        )  # type: ignore[arg-type]
     assert caught.value.field == field and caught.value.remedy
 
 
@@ -301,12 +362,19 @@ def test_a_weight_need_not_be_positive_above_the_band() -> None:
 
 def test_a_response_of_no_numbers_is_refused() -> None:
     with pytest.raises(FieldError, match="no numbers") as caught:
-        fit_discrete(lambda w: ["a"] * len(w), period=PERIOD, band=(0.1, 300.0), order=1)  # type: ignore[arg-type,return-value]
+        fit_discrete(
+            lambda w: ["a"] * len(w),  # type: ignore[return-value]
+            period=PERIOD,
+            band=(0.1, 300.0),
+            order=1,
+        )
     assert caught.value.field == "response"
 
 
 def test_no_pole_at_all_is_a_gain() -> None:
-    made = fit_discrete(lambda w: np.full(w.shape, 2.0 + 0j), period=PERIOD, band=(0.1, 300.0), order=0)
+    made = fit_discrete(
+        lambda w: np.full(w.shape, 2.0 + 0j), period=PERIOD, band=(0.1, 300.0), order=0
+    )
     assert (made.order, made.feedthrough) == (0, pytest.approx(2.0))
     assert made.error_db < 1e-9
     assert made.filter([1.0, -2.0]).tolist() == pytest.approx([2.0, -4.0])
@@ -327,5 +395,10 @@ def test_zeros_at_one_are_differences_of_the_input(zeros: int) -> None:
     np.testing.assert_allclose(made.filter(u), wanted, rtol=1e-13)
     z = np.exp(2.3j * 0.1)
     q, c = 0.2 + 0.5j, 0.1 - 0.4j
-    inner = 0.5 + 0.3 / (z - 0.8) + 0.5 * c / (z - q) + 0.5 * c.conjugate() / (z - q.conjugate())
+    inner = (
+        0.5
+        + 0.3 / (z - 0.8)
+        + 0.5 * c / (z - q)
+        + 0.5 * c.conjugate() / (z - q.conjugate())
+    )
     assert made(2.3) == pytest.approx((1 - 1 / z) ** zeros * inner, rel=1e-12)

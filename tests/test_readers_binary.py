@@ -1,4 +1,6 @@
-"""Binary logs: the same numbers from every format, and files that are damaged or hostile."""
+"""Binary logs: the same numbers from every format, and files that are damaged or
+hostile.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +15,32 @@ import pytest
 from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._logs import inspect_log, read_columns, read_log
 from fraclink._logs.formats import ReaderChild, read_table, sniffed_kind
-from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
+from fraclink.errors import (
+    FieldError,
+    FileFormatError,
+    LogError,
+    MissingExtraError,
+    SizeError,
+)
 from made_files import KINDS, made_columns, made_file, write_mat5
 from shared_data import shared_data
 
 NAMES = {
     "tdms": ("arm/time_s", "arm/motor_angle_rad", "arm/torque_Nm"),
-    "mcap": ("/joint_states/time", "/joint_states/shoulder.position", "/joint_states/shoulder.effort"),
+    "mcap": (
+        "/joint_states/time",
+        "/joint_states/shoulder.position",
+        "/joint_states/shoulder.effort",
+    ),
 }
 NAMES["db3"] = NAMES["mcap"]
 
 
 def stated(kind: str) -> LogColumns:
     time, angle, torque = NAMES.get(kind, ("time_s", "motor_angle_rad", "torque_Nm"))
-    return LogColumns(Channel(time, "s"), Channel(angle, "rad"), Channel(torque, "Nm"), "torque")
+    return LogColumns(
+        Channel(time, "s"), Channel(angle, "rad"), Channel(torque, "Nm"), "torque"
+    )
 
 
 def refused(path: Path) -> FieldError:
@@ -51,7 +65,8 @@ def test_every_format_holds_the_same_numbers(kind: str, tmp_path: Path) -> None:
 def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
     folder = made_file(kind, tmp_path).parent
     log = read_log(folder, columns=stated(kind))
-    # The header's stamps are used: the bag received the messages 2 to 7 ms late and in another order.
+    # The header's stamps are used: the bag received the messages 2 to 7 ms late and in
+    # another order.
     assert log.findings == ()
     assert np.array_equal(log.motor_angle, made_columns()["motor_angle_rad"])
 
@@ -59,7 +74,9 @@ def test_a_rosbag_folder_is_a_log_too(kind: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hdf5", "tdms", "mcap"])
 def test_units_that_a_file_states_are_listed(kind: str, tmp_path: Path) -> None:
-    units = {channel.unit for channel in inspect_log(made_file(kind, tmp_path)).channels}
+    units = {
+        channel.unit for channel in inspect_log(made_file(kind, tmp_path)).channels
+    }
     assert units == {"s", "rad", "Nm"}
 
 
@@ -71,7 +88,12 @@ def test_parquet_stamps_become_seconds(tmp_path: Path) -> None:
     stamps = pa.array(1_700_000_000_000_000 + 4000 * np.arange(300), pa.timestamp("us"))
     columns = made_columns(300)
     table = pa.table(
-        {"t": stamps, "theta": columns["motor_angle_rad"], "gamma": columns["torque_Nm"], "who": ["a"] * 300}
+        {
+            "t": stamps,
+            "theta": columns["motor_angle_rad"],
+            "gamma": columns["torque_Nm"],
+            "who": ["a"] * 300,
+        }
     )
     parquet.write_table(table, tmp_path / "a.parquet")
     found = read_table(tmp_path / "a.parquet")
@@ -85,23 +107,37 @@ def test_tdms_waveform_steps_become_stamps(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
         properties = {"wf_increment": 0.002, "wf_start_offset": 0.5}
-        writer.write_segment([nptdms.ChannelObject("g", "u", np.arange(5.0), properties=properties)])
-    assert read_columns(tmp_path / "a.tdms")["g/u.time"].tolist() == [0.5, 0.502, 0.504, 0.506, 0.508]
+        writer.write_segment(
+            [nptdms.ChannelObject("g", "u", np.arange(5.0), properties=properties)]
+        )
+    assert read_columns(tmp_path / "a.tdms")["g/u.time"].tolist() == [
+        0.5,
+        0.502,
+        0.504,
+        0.506,
+        0.508,
+    ]
 
 
 @pytest.mark.slow
 def test_a_simulink_structure_with_time() -> None:
-    table = read_table(shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat"))
+    table = read_table(
+        shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat")
+    )
     columns = dict(zip(table.names, table.values, strict=True))
     assert columns["tensao_pot.time"].size == 30001
     assert columns["tensao_pot.signals.values(:,2)"].size == 30001
-    assert columns["tensao_pot.signals.values(:,3)"].max() == pytest.approx(1.23535, abs=1e-5)
+    assert columns["tensao_pot.signals.values(:,3)"].max() == pytest.approx(
+        1.23535, abs=1e-5
+    )
     assert columns["ScopeData(:,1)"].size == 7366
     log = read_log(
         shared_data("ist_flexbar", "1_test_deflection_model_2_final.mat"),
         columns=LogColumns(
             Channel("tensao_pot.time", "s"),
-            Channel("tensao_pot.signals.values(:,2)", "deg", scale=36.79, offset="first"),
+            Channel(
+                "tensao_pot.signals.values(:,2)", "deg", scale=36.79, offset="first"
+            ),
             Channel("tensao_pot.signals.values(:,3)", "deg", scale=1.301),
             "deflection",
             Channel("tensao_pot.signals.values(:,1)", "V"),
@@ -114,7 +150,9 @@ def test_a_simulink_structure_with_time() -> None:
 def test_matlab_arrays_of_merced_hold_what_the_table_holds() -> None:
     table = read_columns(shared_data("quanser_rfl_merced", "merced_rfl.csv"))
     arrays = read_columns(shared_data("quanser_rfl_merced", "data_alpha.mat"))
-    np.testing.assert_allclose(arrays["data_alpha(:,2)"], table["alpha_deg"], rtol=2e-5, atol=1e-5)
+    np.testing.assert_allclose(
+        arrays["data_alpha(:,2)"], table["alpha_deg"], rtol=2e-5, atol=1e-5
+    )
 
 
 @pytest.mark.slow
@@ -126,7 +164,9 @@ def test_b18_columns_of_different_clocks() -> None:
         Channel("tensao_pot.signals.values(:,3)", "deg"),
         "deflection",
     )
-    with pytest.raises(LogError, match="30001 samples long, while time has 20001") as caught:
+    with pytest.raises(
+        LogError, match="30001 samples long, while time has 20001"
+    ) as caught:
         read_log(path, columns=mixed)
     assert caught.value.field == "column of motor_angle"
 
@@ -140,7 +180,13 @@ def test_b66_a_mat_file_without_a_numeric_array(tmp_path: Path) -> None:
     cell[0, 0], cell[0, 1] = "a", np.arange(5.0)
     savemat(
         tmp_path / "a.mat",
-        {"text": "hello", "cell": cell, "sparse": eye_array(5), "scalar": 3.0, "z": np.ones(4) * 1j},
+        {
+            "text": "hello",
+            "cell": cell,
+            "sparse": eye_array(5),
+            "scalar": 3.0,
+            "z": np.ones(4) * 1j,
+        },
     )
     error = refused(tmp_path / "a.mat")
     assert isinstance(error, LogError)
@@ -160,12 +206,14 @@ def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
     )
     matrix += struct.pack("<II", 9, 8 * count)
     packer = zlib.compressobj(9)
-    start = packer.compress(struct.pack("<II", 14, len(matrix) + 8 * count) + matrix) + packer.flush(
-        zlib.Z_FULL_FLUSH
-    )
+    start = packer.compress(
+        struct.pack("<II", 14, len(matrix) + 8 * count) + matrix
+    ) + packer.flush(zlib.Z_FULL_FLUSH)
     block = packer.compress(bytes(10_000_000)) + packer.flush(zlib.Z_FULL_FLUSH)
     blob = start + 240 * block  # after a full flush the same zeros give the same bytes
-    header = b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM"
+    header = (
+        b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + struct.pack("<H", 0x0100) + b"IM"
+    )
     (tmp_path / "a.mat").write_bytes(header + struct.pack("<II", 15, len(blob)) + blob)
     error = refused(tmp_path / "a.mat")
     assert isinstance(error, FileFormatError)
@@ -176,7 +224,9 @@ def test_b66_a_zlib_bomb_stays_within_its_limits(tmp_path: Path) -> None:
 def test_b64_a_header_that_claims_a_thousand_billion_samples(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.create_dataset("big", shape=(1_000_000_000_000,), dtype="f8", chunks=(1000,))
+        file.create_dataset(
+            "big", shape=(1_000_000_000_000,), dtype="f8", chunks=(1000,)
+        )
     error = refused(tmp_path / "a.h5")
     assert isinstance(error, SizeError)
     assert "1000000000000" in str(error.value)
@@ -189,7 +239,10 @@ def test_hdf5_does_not_read_other_files(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("own", data=np.arange(10.0))
         file.create_dataset(
-            "outside", shape=(100,), dtype="f8", external=[(str(tmp_path / "secret"), 0, 800)]
+            "outside",
+            shape=(100,),
+            dtype="f8",
+            external=[(str(tmp_path / "secret"), 0, 800)],
         )
         file["link"] = h5py.ExternalLink(str(tmp_path / "b.h5"), "/x")
     assert list(read_columns(tmp_path / "a.h5")) == ["own"]
@@ -222,7 +275,9 @@ def test_b66_a_child_that_dies_is_named_and_replaced(tmp_path: Path) -> None:
         assert child.read(good, "MAT v5").values[0].size == 400
 
 
-def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_b66_the_signal_that_ended_a_parser_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import subprocess
 
     from fraclink._logs import formats as module
@@ -240,10 +295,14 @@ def test_b66_the_signal_that_ended_a_parser_is_told(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.slow
-def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = made_file("parquet", tmp_path)
     (tmp_path / "empty" / "pyarrow").mkdir(parents=True)
-    (tmp_path / "empty" / "pyarrow" / "__init__.py").write_text("raise ImportError('not here')\n")
+    (tmp_path / "empty" / "pyarrow" / "__init__.py").write_text(
+        "raise ImportError('not here')\n"
+    )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "empty"))
     with pytest.raises(MissingExtraError, match=r"fraclink\[io\]"):
         read_columns(path)
@@ -265,7 +324,9 @@ def test_content_decides_about_the_format(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["v5", "v7.3", "hdf5"])
-def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Path) -> None:
+def test_columns_are_called_as_their_program_calls_them(
+    kind: str, tmp_path: Path
+) -> None:
     tall = np.arange(20.0).reshape(10, 2)
     if kind == "v5":
         from scipy.io import savemat
@@ -277,11 +338,15 @@ def test_columns_are_called_as_their_program_calls_them(kind: str, tmp_path: Pat
         path = tmp_path / "a.h5"
         with h5py.File(path, "w") as file:
             for name, values in (("tall", tall), ("wide", tall.T)):
-                item = file.create_dataset(name, data=values.T if kind == "v7.3" else values)
+                item = file.create_dataset(
+                    name, data=values.T if kind == "v7.3" else values
+                )
                 if kind == "v7.3":
                     item.attrs["MATLAB_class"] = np.bytes_("double")
     columns = read_columns(path)
-    second = ("tall[:,1]", "wide[1,:]") if kind == "hdf5" else ("tall(:,2)", "wide(2,:)")
+    second = (
+        ("tall[:,1]", "wide[1,:]") if kind == "hdf5" else ("tall(:,2)", "wide(2,:)")
+    )
     for name in second:
         assert columns[name].tolist() == tall[:, 1].tolist()
     assert len(columns) == 4
@@ -301,18 +366,23 @@ def test_b66_objects_of_matlab_yield_no_columns() -> None:
 
 @pytest.mark.slow
 def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
-    """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited 60 s for nothing."""
+    """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited
+    60 s for nothing.
+    """
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
     parquet.write_table(
-        pa.table({"\U0001f600" * 190 + str(i): range(10) for i in range(900)}), tmp_path / "n.parquet"
+        pa.table({"\U0001f600" * 190 + str(i): range(10) for i in range(900)}),
+        tmp_path / "n.parquet",
     )
     assert len(read_table(tmp_path / "n.parquet").names) == 900
 
 
 @pytest.mark.slow
-def test_an_answer_that_never_ends_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_that_never_ends_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import subprocess
 
     from fraclink._logs import formats as module
@@ -331,9 +401,13 @@ def test_an_answer_that_never_ends_is_not_waited_for(tmp_path: Path, monkeypatch
 
 def test_a_bag_is_as_large_as_its_files_together(tmp_path: Path) -> None:
     """Two files of 130 MB each, written as holes: none is too large by itself."""
-    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n", "utf-8")
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {}\n", "utf-8"
+    )
     for name in ("bag_0.db3", "bag_1.db3"):
         with (tmp_path / name).open("wb") as stream:
             stream.truncate(130_000_000)
-    with pytest.raises(SizeError, match=r"log: too large .got 260 MB.; expected 256 MB"):
+    with pytest.raises(
+        SizeError, match=r"log: too large .got 260 MB.; expected 256 MB"
+    ):
         read_log(tmp_path)

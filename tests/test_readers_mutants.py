@@ -20,4 +20,6 @@ def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     assert outcome.surprises == []
     assert sum(outcome.counts.values()) == count
     assert outcome.counts["refused"] + outcome.counts["child died"] > count // 20
-    assert outcome.slowest < 2  # s of processor time here; the child has a limit of its own
+    assert (
+        outcome.slowest < 2
+    )  # s of processor time here; the child has a limit of its own

@@ -16,7 +16,14 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.log_columns import Channel, LogColumns
 from fraclink._arm.rig import Rig
 from fraclink._files import load, save
-from fraclink._logs import bundled_log, bundled_logs, diagnose, inspect_log, read_columns, read_log
+from fraclink._logs import (
+    bundled_log,
+    bundled_logs,
+    diagnose,
+    inspect_log,
+    read_columns,
+    read_log,
+)
 from fraclink._logs.columns import suggested_mapping
 from fraclink._logs.forms import NUMBER
 from fraclink._logs.text import LogTable, parse_cells, read_text_table
@@ -26,7 +33,9 @@ from made_logs import HEADER, made_rows, write_log
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"
-SI = LogColumns(Channel("t", "s"), Channel("theta", "rad"), Channel("gamma", "Nm"), "torque")
+SI = LogColumns(
+    Channel("t", "s"), Channel("theta", "rad"), Channel("gamma", "Nm"), "torque"
+)
 
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", " ", "   ", ", "])
@@ -44,29 +53,48 @@ def test_every_separator_and_line_end_gives_the_same_numbers(
 
 
 def test_comments_before_the_header_become_notes(tmp_path: Path) -> None:
-    before = "# simulated: true\n\n# payload_kg: 0.030\n% operator = Anna\n# a sentence\n"
+    before = (
+        "# simulated: true\n\n# payload_kg: 0.030\n% operator = Anna\n# a sentence\n"
+    )
     log = read_log(write_log(tmp_path / "a.csv", made_rows(), before=before))
-    assert dict(log.notes) == {"simulated": "true", "payload_kg": "0.030", "operator": "Anna"}
+    assert dict(log.notes) == {
+        "simulated": "true",
+        "payload_kg": "0.030",
+        "operator": "Anna",
+    }
     assert log.simulated
     assert log.payload == 0.03
 
 
 def test_a_header_in_the_last_comment_counts(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=None, before="# " + ",".join(HEADER) + "\n")
+    path = write_log(
+        tmp_path / "a.csv",
+        made_rows(),
+        header=None,
+        before="# " + ",".join(HEADER) + "\n",
+    )
     assert read_log(path).motor_angle.size == 400
 
 
 def test_columns_without_names_are_called_by_number(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.csv", made_rows(), header=None)
     assert list(read_columns(path)) == ["#1", "#2", "#3"]
-    stated = LogColumns(Channel("#1", "s"), Channel("#2", "rad"), Channel("#3", "Nm"), "torque")
+    stated = LogColumns(
+        Channel("#1", "s"), Channel("#2", "rad"), Channel("#3", "Nm"), "torque"
+    )
     assert read_log(path, columns=stated).motor_angle.size == 400
 
 
 def test_a_column_s_number_is_the_whole_number() -> None:
     """With 1000 columns, the most there may be; "#1234" is none, and not the 123rd."""
-    table = LogTable(tuple(f"c{k}" for k in range(1, 1001)), (np.zeros(2),) * 1000, "text")
-    assert [table.place(name, "time") for name in ("#1", "#99", "#1000")] == [0, 98, 999]
+    table = LogTable(
+        tuple(f"c{k}" for k in range(1, 1001)), (np.zeros(2),) * 1000, "text"
+    )
+    assert [table.place(name, "time") for name in ("#1", "#99", "#1000")] == [
+        0,
+        98,
+        999,
+    ]
     for name in ("#0", "#1001", "#1234", "#9999999999", "#", "#1.5", "#²"):
         with pytest.raises(FieldError, match="not in the log"):
             table.place(name, "time")
@@ -75,7 +103,9 @@ def test_a_column_s_number_is_the_whole_number() -> None:
 
 
 def test_quoted_names_and_a_byte_order_mark(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=[f'"{name}"' for name in HEADER])
+    path = write_log(
+        tmp_path / "a.csv", made_rows(), header=[f'"{name}"' for name in HEADER]
+    )
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     assert read_log(path).motor_angle.size == 400
 
@@ -92,7 +122,9 @@ def test_units_sign_scale_and_offset_are_applied(tmp_path: Path) -> None:
     log = read_log(path, columns=turned)
     assert log.period == plain.period
     np.testing.assert_allclose(
-        log.motor_angle, -2 * np.radians(plain.motor_angle - plain.motor_angle[0]), rtol=1e-14
+        log.motor_angle,
+        -2 * np.radians(plain.motor_angle - plain.motor_angle[0]),
+        rtol=1e-14,
     )
     np.testing.assert_allclose(log.output, (plain.output - 0.5) / 1000, rtol=1e-14)
 
@@ -105,17 +137,24 @@ def test_units_sign_scale_and_offset_are_applied(tmp_path: Path) -> None:
         ["time (ms)", "motor_angle (deg)", "torque (mNm)"],
     ],
 )
-def test_names_that_state_role_and_unit_are_enough(names: list[str], tmp_path: Path) -> None:
+def test_names_that_state_role_and_unit_are_enough(
+    names: list[str], tmp_path: Path
+) -> None:
     rows = [[str(4 * k), cells[1], cells[2]] for k, cells in enumerate(made_rows())]
     log = read_log(write_log(tmp_path / "a.csv", rows, header=names))
     assert log.period == 0.004
-    assert log.motor_angle[300] == pytest.approx(math.radians(float(rows[300][1])), rel=1e-15)
+    assert log.motor_angle[300] == pytest.approx(
+        math.radians(float(rows[300][1])), rel=1e-15
+    )
     assert log.output[300] == pytest.approx(float(rows[300][2]) / 1000, rel=1e-15)
 
 
 def test_si_numbers_are_read_bit_for_bit(tmp_path: Path) -> None:
     values = np.random.default_rng(1).standard_normal((300, 2))
-    rows = [[repr(0.004 * k), repr(float(a)), repr(float(b))] for k, (a, b) in enumerate(values)]
+    rows = [
+        [repr(0.004 * k), repr(float(a)), repr(float(b))]
+        for k, (a, b) in enumerate(values)
+    ]
     log = read_log(write_log(tmp_path / "a.csv", rows))
     assert np.array_equal(log.motor_angle, values[:, 0])
     assert np.array_equal(log.output, values[:, 1])
@@ -123,7 +162,9 @@ def test_si_numbers_are_read_bit_for_bit(tmp_path: Path) -> None:
 
 def test_text_in_a_column_that_is_not_needed_does_no_harm(tmp_path: Path) -> None:
     rows = [[*cells, "ok", ""] for cells in made_rows()]
-    log = read_log(write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state", "remark"]))
+    log = read_log(
+        write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state", "remark"])
+    )
     assert log.motor_angle.size == 400
 
 
@@ -155,9 +196,15 @@ def test_the_merced_log() -> None:
         rig=Rig.load(RIGS / "merced.toml"),
         payload=0.0158,
     )
-    assert (log.period, log.motor_angle.size, log.output_kind) == (0.002, 2500, "deflection")
+    assert (log.period, log.motor_angle.size, log.output_kind) == (
+        0.002,
+        2500,
+        "deflection",
+    )
     assert log.start_time == 0.002
-    assert np.degrees(log.output).max() == pytest.approx(10.0971)  # alpha_deg has the other sign
+    assert np.degrees(log.output).max() == pytest.approx(
+        10.0971
+    )  # alpha_deg has the other sign
     assert log.voltage is not None
     assert log.voltage.max() == pytest.approx(5.95488)
 
@@ -165,7 +212,11 @@ def test_the_merced_log() -> None:
 @pytest.mark.parametrize("name", ["2_lab_a15_f10.csv", "2_lab_a10_f04.csv"])
 def test_the_ist_logs(name: str) -> None:
     log = read_log(shared_data("ist_flexbar", name), rig=Rig.load(RIGS / "ist.toml"))
-    assert (log.period, log.motor_angle.size, log.output_kind) == (0.001, 10001, "deflection")
+    assert (log.period, log.motor_angle.size, log.output_kind) == (
+        0.001,
+        10001,
+        "deflection",
+    )
     assert log.motor_angle[0] == 0.0
     # The gauge rests at about -0.09 V, as its authors say.
     assert np.degrees(log.output).mean() / 1.301 == pytest.approx(-0.095, abs=0.01)
@@ -183,15 +234,21 @@ def test_inspect_lists_rates_ranges_and_steps() -> None:
     found = {channel.name: channel for channel in listing.channels}
     assert found["t_s"].period == pytest.approx(0.001)
     assert found["u_V"].maximum == 1.5
-    assert found["strain_V"].quantum == pytest.approx(4.88e-3, rel=1e-2)  # 12 bits over 20 V
+    assert found["strain_V"].quantum == pytest.approx(
+        4.88e-3, rel=1e-2
+    )  # 12 bits over 20 V
     assert 'time = { column = "t_s", unit = "s" }' in listing.suggestion
     assert 'motor_angle = { column = "pot_V", unit = "?" }' in listing.suggestion
     assert "strain_V" in str(listing)
     assert listing.values()["kind"] == "text"
 
 
-def test_the_suggested_mapping_reads_the_log_once_a_person_has_filled_it_in(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=["t_s", "theta", "torque_Nm"])
+def test_the_suggested_mapping_reads_the_log_once_a_person_has_filled_it_in(
+    tmp_path: Path,
+) -> None:
+    path = write_log(
+        tmp_path / "a.csv", made_rows(), header=["t_s", "theta", "torque_Nm"]
+    )
     suggestion = inspect_log(path).suggestion.replace('unit = "?"', 'unit = "rad"')
     Rig.named("paper-2023").save(tmp_path / "rig.toml")
     with (tmp_path / "rig.toml").open("a") as stream:
@@ -199,14 +256,20 @@ def test_the_suggested_mapping_reads_the_log_once_a_person_has_filled_it_in(tmp_
     assert read_log(path, rig=Rig.load(tmp_path / "rig.toml")).motor_angle.size == 400
 
 
-def test_inspect_shows_hostile_names_without_their_control_characters(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=["time_s", "a\x1b[31m", "b"])
+def test_inspect_shows_hostile_names_without_their_control_characters(
+    tmp_path: Path,
+) -> None:
+    path = write_log(
+        tmp_path / "a.csv", made_rows(), header=["time_s", "a\x1b[31m", "b"]
+    )
     listing = inspect_log(path)
     assert "\x1b" not in str(listing)
 
 
 @pytest.mark.slow
-@given(texts=st.lists(st.text(CHARACTERS, min_size=1, max_size=12), min_size=1, max_size=4))
+@given(
+    texts=st.lists(st.text(CHARACTERS, min_size=1, max_size=12), min_size=1, max_size=4)
+)
 @settings(max_examples=100, deadline=None)
 def test_b72_any_column_name_gives_a_mapping_that_parses(texts: list[str]) -> None:
     values = tuple(np.array([0.0, 1.0, 0.5]) for _ in texts)
@@ -216,9 +279,16 @@ def test_b72_any_column_name_gives_a_mapping_that_parses(texts: list[str]) -> No
 
 
 @pytest.mark.slow
-@given(st.one_of(st.floats(allow_nan=False, allow_infinity=False).map(repr), st.text(CHARACTERS, max_size=8)))
+@given(
+    st.one_of(
+        st.floats(allow_nan=False, allow_infinity=False).map(repr),
+        st.text(CHARACTERS, max_size=8),
+    )
+)
 @settings(max_examples=300, deadline=None)
-def test_a_cell_is_a_number_exactly_where_both_ways_of_reading_say_so(cell: str) -> None:
+def test_a_cell_is_a_number_exactly_where_both_ways_of_reading_say_so(
+    cell: str,
+) -> None:
     assume(not set(cell) & set(",?\n"))
     values, faults = parse_cells(f"{cell}\n".encode("utf-8", "replace"), ",", ("a",), 1)
     stripped = cell.strip()
@@ -242,50 +312,81 @@ def test_the_fast_way_and_the_careful_way_agree(tmp_path: Path) -> None:
 
 def test_resampling_uses_the_stamps(tmp_path: Path) -> None:
     rows = made_rows(800)
-    kept = [row for k, row in enumerate(rows) if k % 97 != 50]  # about 1 % of the samples lost
+    kept = [
+        row for k, row in enumerate(rows) if k % 97 != 50
+    ]  # about 1 % of the samples lost
     log = read_log(write_log(tmp_path / "a.csv", kept), resample=True)
     whole = read_log(write_log(tmp_path / "b.csv", rows))
     assert log.motor_angle.size == 800
-    # Linear interpolation over one lost sample is off by at most h²/8·|θ''| of a double step.
+    # Linear interpolation over one lost sample is off by at most h²/8·|θ''| of a double
+    # step.
     bend = float(np.abs(np.diff(whole.output, 2)).max())
     assert float(np.abs(log.output - whole.output).max()) <= bend
     (finding,) = log.findings
     assert finding.code == "W205"
     assert finding.evidence["lost_samples"] == 8
-    assert finding.evidence["time_s"] == pytest.approx(0.004 * 49)  # of the last sample before the first gap
+    assert finding.evidence["time_s"] == pytest.approx(
+        0.004 * 49
+    )  # of the last sample before the first gap
 
 
 def test_a_stretch_is_read_and_the_rest_may_have_gaps(tmp_path: Path) -> None:
     rows = made_rows(800)
     whole = read_log(write_log(tmp_path / "whole.csv", rows))
-    cut = read_log(write_log(tmp_path / "gap.csv", rows[:600] + rows[650:]), keep=(0.4, 2.0))
+    cut = read_log(
+        write_log(tmp_path / "gap.csv", rows[:600] + rows[650:]), keep=(0.4, 2.0)
+    )
     assert np.array_equal(cut.output, whole.output[100:501])
     assert (cut.start_time, cut.duration) == (pytest.approx(0.4), pytest.approx(1.6))
     (finding,) = cut.findings
-    assert finding.code == "W237" and dict(finding.evidence) == pytest.approx({"from_s": 0.4, "until_s": 2.0})
-    (finding,) = read_log(write_log(tmp_path / "ends.csv", rows), keep=(1.0, 40.0)).findings
-    assert "from 1 to 3.196 s were read" in finding.message  # what there is, not what was asked for
+    assert finding.code == "W237" and dict(finding.evidence) == pytest.approx(
+        {"from_s": 0.4, "until_s": 2.0}
+    )
+    (finding,) = read_log(
+        write_log(tmp_path / "ends.csv", rows), keep=(1.0, 40.0)
+    ).findings
+    assert (
+        "from 1 to 3.196 s were read" in finding.message
+    )  # what there is, not what was asked for
     late = [[repr(100.0 + 0.004 * k), *row[1:]] for k, row in enumerate(rows)]
     assert np.array_equal(
-        read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output, cut.output
+        read_log(write_log(tmp_path / "late.csv", late), keep=(0.4, 2.0)).output,
+        cut.output,
     )
 
 
-def test_the_angle_before_a_cut_is_kept_as_far_back_as_it_is_uniform(tmp_path: Path) -> None:
+def test_the_angle_before_a_cut_is_kept_as_far_back_as_it_is_uniform(
+    tmp_path: Path,
+) -> None:
     rows = made_rows(800)
     whole = read_log(write_log(tmp_path / "whole.csv", rows))
     assert whole.earlier_angle is None and whole.whole_angle is whole.motor_angle
     cut = read_log(write_log(tmp_path / "cut.csv", rows), keep=(0.4, 2.0))
-    assert cut.earlier_angle is not None and np.array_equal(cut.earlier_angle, whole.motor_angle[:100])
+    assert cut.earlier_angle is not None and np.array_equal(
+        cut.earlier_angle, whole.motor_angle[:100]
+    )
     assert np.array_equal(cut.whole_angle, whole.motor_angle[:501])
-    # A gap behind sample 29, a stamp that stands twice: what is older moved the link at an unknown time.
-    gap = read_log(write_log(tmp_path / "gap.csv", rows[:30] + rows[35:]), keep=(0.4, 2.0))
-    assert gap.earlier_angle is not None and np.array_equal(gap.earlier_angle, whole.motor_angle[35:100])
-    twice = read_log(write_log(tmp_path / "twice.csv", [*rows[:41], *rows[40:]]), keep=(0.4, 2.0))
-    assert twice.earlier_angle is not None and np.array_equal(twice.earlier_angle, whole.motor_angle[40:100])
-    just = read_log(write_log(tmp_path / "just.csv", rows[:95] + rows[100:]), keep=(0.4, 2.0))
+    # A gap behind sample 29, a stamp that stands twice: what is older moved the link at
+    # an unknown time.
+    gap = read_log(
+        write_log(tmp_path / "gap.csv", rows[:30] + rows[35:]), keep=(0.4, 2.0)
+    )
+    assert gap.earlier_angle is not None and np.array_equal(
+        gap.earlier_angle, whole.motor_angle[35:100]
+    )
+    twice = read_log(
+        write_log(tmp_path / "twice.csv", [*rows[:41], *rows[40:]]), keep=(0.4, 2.0)
+    )
+    assert twice.earlier_angle is not None and np.array_equal(
+        twice.earlier_angle, whole.motor_angle[40:100]
+    )
+    just = read_log(
+        write_log(tmp_path / "just.csv", rows[:95] + rows[100:]), keep=(0.4, 2.0)
+    )
     assert just.earlier_angle is None
-    assert load(save(cut, tmp_path / "cut.npz")) == cut != replace(cut, earlier_angle=None)
+    assert (
+        load(save(cut, tmp_path / "cut.npz")) == cut != replace(cut, earlier_angle=None)
+    )
 
 
 @pytest.mark.slow
@@ -303,17 +404,35 @@ def test_a_cut_in_mid_motion_is_no_warning_where_the_motion_before_is_known() ->
     moving = int(np.argmax(np.abs(np.diff(cut.earlier_angle))))
     late = cut.earlier_angle[moving - 1 :]
     assert late.size > 100
-    rest, swing = np.full(200_000, cut.earlier_angle[0]), np.sin(0.01 * np.arange(200_000))
-    assert begins(replace(cut, earlier_angle=np.concatenate([rest, cut.earlier_angle])))[0] == "info"
-    # None, too short to be a rest, itself in mid-motion, and in mid-motion where the fit begins with it.
-    for earlier in (None, cut.earlier_angle[-5:], late, np.concatenate([cut.earlier_angle, swing])):
+    rest, swing = (
+        np.full(200_000, cut.earlier_angle[0]),
+        np.sin(0.01 * np.arange(200_000)),
+    )
+    assert (
+        begins(replace(cut, earlier_angle=np.concatenate([rest, cut.earlier_angle])))[0]
+        == "info"
+    )
+    # None, too short to be a rest, itself in mid-motion, and in mid-motion where the
+    # fit begins with it.
+    for earlier in (
+        None,
+        cut.earlier_angle[-5:],
+        late,
+        np.concatenate([cut.earlier_angle, swing]),
+    ):
         severity, remedy = begins(replace(cut, earlier_angle=earlier))
         assert severity == "warning" and remedy.endswith("models assume rest")
 
 
-@pytest.mark.parametrize("keep", [(2.0, 1.0), (-0.1, 1.0), (1.0, 1.001), (50.0, 60.0), (math.nan, 1.0)])
-def test_no_stretch_is_refused_by_its_name(tmp_path: Path, keep: tuple[float, float]) -> None:
-    with pytest.raises(FieldError, match=r"^keep: no stretch of the log .*within 3\.196 s"):
+@pytest.mark.parametrize(
+    "keep", [(2.0, 1.0), (-0.1, 1.0), (1.0, 1.001), (50.0, 60.0), (math.nan, 1.0)]
+)
+def test_no_stretch_is_refused_by_its_name(
+    tmp_path: Path, keep: tuple[float, float]
+) -> None:
+    with pytest.raises(
+        FieldError, match=r"^keep: no stretch of the log .*within 3\.196 s"
+    ):
         read_log(write_log(tmp_path / "a.csv", made_rows(800)), keep=keep)
 
 
@@ -340,7 +459,9 @@ def test_interpolation_of_few_missing_cells_is_a_finding(tmp_path: Path) -> None
     rows[101][2] = "NaN"
     log = read_log(write_log(tmp_path / "a.csv", rows), interpolate=True)
     assert [finding.code for finding in log.findings] == ["W201"]
-    assert log.output[100] == pytest.approx(float(rows[99][2]) * 2 / 3 + float(rows[102][2]) / 3)
+    assert log.output[100] == pytest.approx(
+        float(rows[99][2]) * 2 / 3 + float(rows[102][2]) / 3
+    )
 
 
 def test_the_stated_payload_wins_and_the_contradiction_is_named(tmp_path: Path) -> None:
@@ -359,18 +480,24 @@ def test_a_voltage_that_the_log_lacks_is_no_error(tmp_path: Path) -> None:
     assert [finding.code for finding in log.findings] == ["W219"]
 
 
-def test_a_column_of_text_has_no_range_in_the_listing_for_machines(tmp_path: Path) -> None:
+def test_a_column_of_text_has_no_range_in_the_listing_for_machines(
+    tmp_path: Path,
+) -> None:
     import json
 
     rows = [[*cells, "ok"] for cells in made_rows()]
-    values = inspect_log(write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state"])).values()
+    values = inspect_log(
+        write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state"])
+    ).values()
     text = json.dumps(values, allow_nan=False)
     assert json.loads(text)["channels"][3]["minimum"] is None
     assert json.loads(text)["channels"][3]["missing"] == 400
 
 
 @pytest.mark.parametrize(("unit", "told"), [("deg", True), ("rad", False)])
-def test_a_header_that_contradicts_the_stated_unit_is_a_gate(tmp_path: Path, unit: str, told: bool) -> None:
+def test_a_header_that_contradicts_the_stated_unit_is_a_gate(
+    tmp_path: Path, unit: str, told: bool
+) -> None:
     path = write_log(tmp_path / "log.csv", made_rows(600))
     time, angle, torque = (
         Channel("time_s", "s"),
@@ -391,7 +518,11 @@ def test_inspect_counts_the_samples_that_are_missing(tmp_path: Path) -> None:
     for k in (3, 9, 200):
         rows[k][2] = "nan"
     listing = inspect_log(write_log(tmp_path / "a.csv", rows))
-    assert [(c.samples, c.missing) for c in listing.channels] == [(400, 0), (400, 0), (400, 3)]
+    assert [(c.samples, c.missing) for c in listing.channels] == [
+        (400, 0),
+        (400, 0),
+        (400, 3),
+    ]
     column = np.array([float(row[2]) for row in rows])
     assert (listing.channels[2].minimum, listing.channels[2].maximum) == (
         np.nanmin(column),
@@ -401,16 +532,27 @@ def test_inspect_counts_the_samples_that_are_missing(tmp_path: Path) -> None:
 
 def test_a_column_that_is_missing_is_told_with_those_that_are_there() -> None:
     for count, end in ((12, "c12"), (13, "c12, …")):
-        table = LogTable(tuple(f"c{k}" for k in range(1, count + 1)), (np.zeros(2),) * count, "text")
+        table = LogTable(
+            tuple(f"c{k}" for k in range(1, count + 1)), (np.zeros(2),) * count, "text"
+        )
         with pytest.raises(FieldError) as caught:
             table.place("theta", "motor_angle", "state it")
-        assert caught.value.field == "column of motor_angle" and caught.value.remedy == "state it"
-        assert caught.value.allowed.startswith("c1, c2, ") and caught.value.allowed.endswith(end)
+        assert (
+            caught.value.field == "column of motor_angle"
+            and caught.value.remedy == "state it"
+        )
+        assert caught.value.allowed.startswith(
+            "c1, c2, "
+        ) and caught.value.allowed.endswith(end)
     with pytest.raises(FieldError, match=r"Did you mean 'Theta_deg'\?"):
-        LogTable(("t", "Theta_deg"), (np.zeros(2),) * 2, "text").place("theta_deg", "motor_angle")
+        LogTable(("t", "Theta_deg"), (np.zeros(2),) * 2, "text").place(
+            "theta_deg", "motor_angle"
+        )
 
 
-@pytest.mark.parametrize(("stated", "contradicts"), [(0.03 * (1 + 5e-10), False), (0.03 * (1 + 2e-9), True)])
+@pytest.mark.parametrize(
+    ("stated", "contradicts"), [(0.03 * (1 + 5e-10), False), (0.03 * (1 + 2e-9), True)]
+)
 def test_a_payload_that_differs_in_its_last_digits_is_the_header_s(
     stated: float, contradicts: bool, tmp_path: Path
 ) -> None:

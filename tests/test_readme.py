@@ -1,4 +1,6 @@
-"""The README's session runs and prints what it says; its commands exist; its links lead somewhere."""
+"""The README's session runs and prints what it says; its commands exist; its links lead
+somewhere.
+"""
 
 from __future__ import annotations
 
@@ -20,20 +22,29 @@ def blocks(language: str) -> list[str]:
 
 
 @pytest.mark.slow
-def test_the_session_prints_what_it_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_session_prints_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)  # it writes a folder
     sessions = blocks("python")
     assert len(sessions) == 1
-    # What the session prints may not change unnoticed; numbers are compared digit by digit.
+    # What the session prints may not change unnoticed; numbers are compared digit by
+    # digit.
     runner = doctest.DocTestRunner(optionflags=doctest.REPORT_NDIFF)
-    test = doctest.DocTestParser().get_doctest(sessions[0], {}, "README session", "README.md", 0)
+    test = doctest.DocTestParser().get_doctest(
+        sessions[0], {}, "README session", "README.md", 0
+    )
     outcome = runner.run(test)
     assert outcome.attempted >= 10
     assert outcome.failed == 0
 
 
-@pytest.mark.parametrize("line", [line for block in blocks("console") for line in block.splitlines()])
-def test_every_command_exists_with_its_options(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "line", [line for block in blocks("console") for line in block.splitlines()]
+)
+def test_every_command_exists_with_its_options(
+    line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = line.removeprefix("$ ").split()
     assert words[0] == "fraclink"
     verb = words[1:3] if words[1] == "export" else words[1:2]

@@ -1,7 +1,9 @@
-"""The real-time loop around two functions: the same law, missed periods, lost samples, a stop at the end.
+"""The real-time loop around two functions: the same law, missed periods, lost samples,
+a stop at the end.
 
-On a virtual clock, which goes on only while everybody sleeps: periods are lost on purpose, by sleeping in the
-functions, and never by a busy machine. What a machine keeps is measured by benchmarks/bench_realtime.py.
+On a virtual clock, which goes on only while everybody sleeps: periods are lost on
+purpose, by sleeping in the functions, and never by a busy machine. What a machine keeps
+is measured by benchmarks/bench_realtime.py.
 """
 
 from __future__ import annotations
@@ -53,11 +55,15 @@ MISSED, ENCODER = 8, 1  # LAW_FLAG_MISSED and LAW_FLAG_ENCODER of law.h
 
 @pytest.fixture(scope="module")
 def law() -> Law:
-    return fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), PERIOD, order=4)
+    return fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), PERIOD, order=4
+    )
 
 
 class Board:
-    """An arm that stands where it is told to, with a note of everything that was written to it."""
+    """An arm that stands where it is told to, with a note of everything that was
+    written to it.
+    """
 
     def __init__(self) -> None:
         self.angle = 0.3
@@ -75,11 +81,16 @@ class Board:
 
     def run(self, law: Law, **options: object) -> RealtimeRun:
         return live(
-            law, Callback(self.read, self.write), fl.smooth_step(0.1, 0.2), **{"duration": 0.3} | options
+            law,
+            Callback(self.read, self.write),
+            fl.smooth_step(0.1, 0.2),
+            **{"duration": 0.3} | options,
         )
 
 
-def live(law: Law, board: Callback, reference: Reference | None = None, **options: object) -> RealtimeRun:
+def live(
+    law: Law, board: Callback, reference: Reference | None = None, **options: object
+) -> RealtimeRun:
     """Run `law` on a clock of its own; by default to stay where the arm is."""
     given = {"priority": 0, "lock_memory": False, "clock": VirtualClock(1)} | options
     return run_realtime(law, reference or fl.hold(0.0), board, **given)  # type: ignore[arg-type]
@@ -114,10 +125,16 @@ def test_the_record_replays_to_the_last_bit(law: Law, precision: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("payload", "periods"), [(0.0, 0), (0.03, 0), (50.0, 16)])
-def test_a_payload_that_the_law_rejects_is_said(law: Law, payload: float, periods: int) -> None:
+def test_a_payload_that_the_law_rejects_is_said(
+    law: Law, payload: float, periods: int
+) -> None:
     run = Board().run(law, payload=payload)
-    assert [finding.evidence for finding in run.findings] == [{"periods": periods}] * bool(periods)
-    assert [note[:4] for note in view(run).notes if note.startswith("W")] == ["W603"] * bool(periods)
+    assert [finding.evidence for finding in run.findings] == [
+        {"periods": periods}
+    ] * bool(periods)
+    assert [note[:4] for note in view(run).notes if note.startswith("W")] == [
+        "W603"
+    ] * bool(periods)
 
 
 def test_a_record_that_was_touched_does_not(law: Law) -> None:
@@ -131,7 +148,9 @@ def test_a_record_that_was_touched_does_not(law: Law) -> None:
     for name in ("motor_angle", "torque", "reference"):
         assert touched(name, getattr(run, name)[4] + 1e-9).difference(law) == 4
     for name in ("motor_reference", "voltage", "tip_estimate"):
-        assert touched(name, np.nextafter(getattr(run, name)[4], 2.0)).difference(law) == 4
+        assert (
+            touched(name, np.nextafter(getattr(run, name)[4], 2.0)).difference(law) == 4
+        )
     for name in ("mode", "flags"):
         assert touched(name, 2).difference(law) == 4
     with pytest.raises(FieldError, match="another than the one that ran"):
@@ -156,8 +175,14 @@ def test_missed_periods_reach_the_law(law: Law) -> None:
 
     run = live(law, Callback(late, board.write), duration=0.4, clock=clock)
     jump = int(np.flatnonzero(np.diff(run.tick) > 1)[0]) + 1
-    # Read 6 is that of period 5 (read 1 found the arm); it ends in the middle of period 7, and 6 is lost.
-    assert (run.tick[jump - 1], run.tick[jump], run.missed, run.overruns) == (5, 7, 1, 2)
+    # Read 6 is that of period 5 (read 1 found the arm); it ends in the middle of period
+    # 7, and 6 is lost.
+    assert (run.tick[jump - 1], run.tick[jump], run.missed, run.overruns) == (
+        5,
+        7,
+        1,
+        2,
+    )
     assert run.work[jump - 1] == pytest.approx(2.5 * PERIOD)
     assert run.latency[jump] == pytest.approx(1.5 * PERIOD)
     assert run.flags[jump] & MISSED
@@ -216,12 +241,27 @@ def test_a_law_that_gave_up_the_gauge_goes_on_and_does_not_hold(law: Law) -> Non
     assert run.first_difference is None
 
 
-ENDING = ("INT", "TERM", "HUP", "QUIT", "TSTP", "USR1", "USR2", "ALRM", "VTALRM", "XCPU", "TTIN", "RTMIN")
+ENDING = (
+    "INT",
+    "TERM",
+    "HUP",
+    "QUIT",
+    "TSTP",
+    "USR1",
+    "USR2",
+    "ALRM",
+    "VTALRM",
+    "XCPU",
+    "TTIN",
+    "RTMIN",
+)
 
 
 @pytest.fixture(autouse=True)
 def ordinary_signals() -> Iterator[None]:
-    """Signals as a terminal gives them: a background job ignores some, and what is ignored ends no run."""
+    """Signals as a terminal gives them: a background job ignores some, and what is
+    ignored ends no run.
+    """
     numbers = [signal.Signals[f"SIG{name}"] for name in ENDING]
     before = [signal.signal(number, signal.SIG_DFL) for number in numbers]
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -232,7 +272,9 @@ def ordinary_signals() -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.Signals[f"SIG{name}"] for name in ENDING])
-def test_a_signal_stops_the_run_and_python_has_its_handler_back(law: Law, number: signal.Signals) -> None:
+def test_a_signal_stops_the_run_and_python_has_its_handler_back(
+    law: Law, number: signal.Signals
+) -> None:
     board = Board()
     before = signal.getsignal(number)
 
@@ -251,7 +293,9 @@ def test_a_signal_stops_the_run_and_python_has_its_handler_back(law: Law, number
         signal.raise_signal(signal.SIGINT)
 
 
-def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(law: Law) -> None:
+def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(
+    law: Law,
+) -> None:
     board = Board()
     seen: list[int] = []
     before = signal.signal(signal.SIGUSR1, lambda number, frame: seen.append(number))
@@ -259,7 +303,13 @@ def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(law: Law
 
     def read() -> tuple[float, float] | None:
         if board.reads == 4:
-            for number in (signal.SIGUSR1, signal.SIGHUP, signal.SIGWINCH, signal.SIGCONT, signal.SIGCHLD):
+            for number in (
+                signal.SIGUSR1,
+                signal.SIGHUP,
+                signal.SIGWINCH,
+                signal.SIGCONT,
+                signal.SIGCHLD,
+            ):
                 os.kill(os.getpid(), number)
         return board.read()
 
@@ -275,7 +325,9 @@ def test_signals_that_end_nothing_and_those_the_program_uses_end_no_run(law: Law
 def test_no_signal_takes_the_record_away(
     law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ended: bool
 ) -> None:
-    """A second one, as a closed terminal sends, changes nothing; a first one waits for the file."""
+    """A second one, as a closed terminal sends, changes nothing; a first one waits for
+    the file.
+    """
     board, place = Board(), tmp_path / "run.npz"
 
     def read() -> tuple[float, float]:
@@ -298,7 +350,9 @@ def test_no_signal_takes_the_record_away(
     assert stopped(board)
 
 
-def test_a_signal_that_comes_as_the_others_are_given_back_is_obeyed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_signal_that_comes_as_the_others_are_given_back_is_obeyed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     release = _kernels.realtime_release_signals
 
     def late() -> None:
@@ -315,13 +369,23 @@ def test_a_signal_that_comes_as_the_others_are_given_back_is_obeyed(monkeypatch:
 def test_a_name_that_no_record_can_have_is_found_before_the_arm_moves(
     law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # As from Python 3.14 on, which says of a name that is too long that it is no folder.
+    # As from Python 3.14 on, which says of a name that is too long that it is no
+    # folder.
     monkeypatch.setattr(Path, "is_dir", lambda path, **_: os.path.isdir(path))  # noqa: PTH112
     board = Board()
     for place, said in (
-        (tmp_path / "run.csv", r"out: of another kind of file \(got run\.csv\); expected \.npz"),
-        (tmp_path / "run.json", r"out: of another kind of file \(got run\.json\); expected \.npz"),
-        (tmp_path / f"{'r' * 252}.npz", r"out: not writable \(File name too long\); the arm has not moved"),
+        (
+            tmp_path / "run.csv",
+            r"out: of another kind of file \(got run\.csv\); expected \.npz",
+        ),
+        (
+            tmp_path / "run.json",
+            r"out: of another kind of file \(got run\.json\); expected \.npz",
+        ),
+        (
+            tmp_path / f"{'r' * 252}.npz",
+            r"out: not writable \(File name too long\); the arm has not moved",
+        ),
         (tmp_path, r"out: not writable \(Is a directory\); the arm has not moved"),
     ):
         with pytest.raises(FieldError, match=said):
@@ -329,7 +393,9 @@ def test_a_name_that_no_record_can_have_is_found_before_the_arm_moves(
     assert (board.reads, board.commands, list(tmp_path.iterdir())) == (0, [], [])
 
 
-def test_a_process_that_is_killed_leaves_no_file_behind(law: Law, tmp_path: Path) -> None:
+def test_a_process_that_is_killed_leaves_no_file_behind(
+    law: Law, tmp_path: Path
+) -> None:
     board = Board()
     seen: set[str] = set()
 
@@ -354,7 +420,9 @@ def test_a_file_system_that_unlinks_no_open_file_takes_the_record(
         unlink(path, missing_ok=missing_ok)
 
     monkeypatch.setattr(Path, "unlink", refusing)
-    run = live(law, Callback(board.read, board.write), duration=0.3, out=tmp_path / "run.npz")
+    run = live(
+        law, Callback(board.read, board.write), duration=0.3, out=tmp_path / "run.npz"
+    )
     assert (run.stopped, run.saved) == ("finished", str(tmp_path / "run.npz"))
     left = {item.suffix for item in tmp_path.iterdir()}
     assert left == ({".npz"} if ever else {".npz", ".reserved"})
@@ -368,7 +436,12 @@ def test_another_system_is_refused_and_not_its_missing_calls(
     for name in ("watch_signals", "release_signals", "signalled"):
         monkeypatch.delattr(_kernels, f"realtime_{name}")
     for held in (reserved(tmp_path / "run.npz"), signals_held()):
-        with pytest.raises(FieldError, match=r"^system: without clock_nanosleep.*expected Linux"), held:
+        with (
+            pytest.raises(
+                FieldError, match=r"^system: without clock_nanosleep.*expected Linux"
+            ),
+            held,
+        ):
             pass
     assert not list(tmp_path.iterdir())
 
@@ -379,7 +452,9 @@ def test_a_place_that_takes_no_record_is_found_before_the_arm_moves(
     board = Board()
     (tmp_path / "file").touch()
     for place in (tmp_path / "file" / "run.npz", Path("/proc/nope/run.npz")):
-        with pytest.raises(FieldError, match=r"out: not writable \(.*the arm has not moved"):
+        with pytest.raises(
+            FieldError, match=r"out: not writable \(.*the arm has not moved"
+        ):
             board.run(law, out=place)
 
     def full(file: int, offset: int, size: int) -> None:
@@ -411,13 +486,17 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
         return board.read()
 
     board.reads = 30
-    longest = "r" * 251 + ".npz"  # the second place adds to the name, and has no more than 255 bytes either
+    longest = (
+        "r" * 251 + ".npz"
+    )  # the second place adds to the name, and has no more than 255 bytes either
     run = live(law, Callback(read, board.write), duration=0.3, out=place / longest)
     assert Path(run.saved).parent == second
     assert fl.load(run.saved, RealtimeRun).tick.tobytes() == run.tick.tobytes()
 
 
-def test_a_signal_before_the_first_sample_leaves_an_empty_record(law: Law, tmp_path: Path) -> None:
+def test_a_signal_before_the_first_sample_leaves_an_empty_record(
+    law: Law, tmp_path: Path
+) -> None:
     board = Board()
 
     def read() -> None:
@@ -426,7 +505,12 @@ def test_a_signal_before_the_first_sample_leaves_an_empty_record(law: Law, tmp_p
             os.kill(os.getpid(), signal.SIGTERM)
 
     run = live(law, Callback(read, board.write), duration=5.0)
-    assert (run.stopped, run.problem, len(run.tick), run.missed) == ("signal", "safe stop: signal", 0, 0)
+    assert (run.stopped, run.problem, len(run.tick), run.missed) == (
+        "signal",
+        "safe stop: signal",
+        0,
+        0,
+    )
     assert stopped(board)
     again = fl.load(fl.save(run, tmp_path / "run.npz"), RealtimeRun)
     assert math.isnan(again.latencies.mean)
@@ -462,12 +546,18 @@ def test_an_exception_of_a_callback_stops_the_drive_first(law: Law) -> None:
 
 def test_an_arm_that_gives_no_sample_is_named(law: Law) -> None:
     commands: list[Command] = []
-    with pytest.raises(FieldError, match=r"io: silent: no sample in 0.05 s \(got callback\)"):
+    with pytest.raises(
+        FieldError, match=r"io: silent: no sample in 0.05 s \(got callback\)"
+    ):
         live(law, Callback(lambda: None, commands.append), patience=0.05)
-    assert {(command.voltage, command.motor_reference) for command in commands} == {(0.0, 0.0)}
+    assert {(command.voltage, command.motor_reference) for command in commands} == {
+        (0.0, 0.0)
+    }
     assert commands[-1].mode == OFF
     commands.clear()
-    with pytest.raises(FieldError, match="silent"):  # a sample that is no number starts nothing
+    with pytest.raises(
+        FieldError, match="silent"
+    ):  # a sample that is no number starts nothing
         live(
             law,
             Callback(lambda: (math.nan, 0.0), commands.append),
@@ -481,7 +571,15 @@ def test_a_saved_record_comes_back(law: Law, tmp_path: Path) -> None:
     assert again.difference(law) is None
     for name in ("time", "latency", "work", "torque", "tick", "flags"):
         assert getattr(again, name).tobytes() == getattr(run, name).tobytes()
-    for name in ("stopped", "period", "connection", "scheduling", "memory", "origin", "first_difference"):
+    for name in (
+        "stopped",
+        "period",
+        "connection",
+        "scheduling",
+        "memory",
+        "origin",
+        "first_difference",
+    ):
         assert getattr(again, name) == getattr(run, name)
     with pytest.raises(ValueError, match="read-only"):
         again.torque[0] = 1.0
@@ -504,10 +602,14 @@ def test_a_run_is_a_log_to_identify_from(law: Law) -> None:
     rows = run.tick[present].astype(int) - 1
     assert log.motor_angle[rows].tobytes() == run.motor_angle[present].tobytes()
     assert log.output[rows].tobytes() == run.torque[present].tobytes()
-    assert log.motor_angle[run.tick[40] - 1] == pytest.approx(0.5 * (lost[39] + lost[41]), abs=1e-3)
+    assert log.motor_angle[run.tick[40] - 1] == pytest.approx(
+        0.5 * (lost[39] + lost[41]), abs=1e-3
+    )
     assert ("interpolated_samples", str(1 + run.missed + run.lost_samples)) in log.notes
     lost[40:50] = math.nan
-    with pytest.raises(LogError, match=rf"lost \(got 1[0-9] of {count} samples\); expected 1 %"):
+    with pytest.raises(
+        LogError, match=rf"lost \(got 1[0-9] of {count} samples\); expected 1 %"
+    ):
         replace(run, motor_angle=lost).experiment()
 
 
@@ -538,7 +640,9 @@ def test_bad_values_are_named(law: Law, options: dict[str, object], field: str) 
 
 
 def test_periods_and_lengths_out_of_range_are_refused(law: Law) -> None:
-    slow = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), 1.5, order=2)
+    slow = fl.discretize(
+        fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), 1.5, order=2
+    )
     with pytest.raises(FieldError, match=r"period: .*1\.5.* 5e-5 to 1 s"):
         Board().run(slow)
     with pytest.raises(SizeError):
@@ -547,7 +651,9 @@ def test_periods_and_lengths_out_of_range_are_refused(law: Law) -> None:
         live(law, Callback(lambda: None, None))  # type: ignore[arg-type]
 
 
-def test_another_system_is_told_plainly(law: Law, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_system_is_told_plainly(
+    law: Law, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(_kernels, "REALTIME", False)
     with pytest.raises(FieldError, match="expected Linux"):
         Board().run(law)
@@ -573,7 +679,10 @@ REFUSED = """
 @pytest.mark.slow
 def test_what_the_machine_refuses_stands_in_the_result() -> None:
     answer = subprocess.run(  # noqa: S603
-        [sys.executable, "-c", textwrap.dedent(REFUSED)], capture_output=True, text=True, check=True
+        [sys.executable, "-c", textwrap.dedent(REFUSED)],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     told = answer.stdout.strip().split(" | ")
     assert told[0] == "refused (Operation not permitted)"
@@ -596,7 +705,9 @@ def test_what_it_grants_is_given_back(law: Law) -> None:
         return 0.3, 0.0
 
     board = Board()
-    run = run_realtime(law, fl.hold(0.0), Callback(read, board.write), duration=0.1, priority=5)
+    run = run_realtime(
+        law, fl.hold(0.0), Callback(read, board.write), duration=0.1, priority=5
+    )
     scheduler, kilobytes = seen[-1]
     # A container may refuse either: then it is not had, and the result says so.
     assert (run.scheduling == "SCHED_FIFO 5") == (scheduler == os.SCHED_FIFO)
@@ -612,5 +723,8 @@ def test_a_board_that_states_no_period_must_be_told_one() -> None:
     ):
         pass
     assert caught.value.field == "period"
-    with open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (line, first):
+    with open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (
+        line,
+        first,
+    ):
         assert (line.period, first.angle, first.torque) == (PERIOD, 0.1, 0.2)

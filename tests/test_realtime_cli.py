@@ -1,6 +1,8 @@
-"""run-realtime, serve-arm and export io, as a user calls them: libraries in C, an arm in another process.
+"""run-realtime, serve-arm and export io, as a user calls them: libraries in C, an arm
+in another process.
 
-The loops run on a virtual clock, which two processes may share: a busy machine changes nothing.
+The loops run on a virtual clock, which two processes may share: a busy machine changes
+nothing.
 """
 
 from __future__ import annotations
@@ -37,11 +39,20 @@ if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
 Command = Callable[[str], tuple[int, str, str]]
-STRICT = ("-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Wno-unused-parameter", "-Werror")
+STRICT = (
+    "-std=c99",
+    "-pedantic",
+    "-Wall",
+    "-Wextra",
+    "-Wconversion",
+    "-Wno-unused-parameter",
+    "-Werror",
+)
 PERIOD = 0.02
 MANY = 1_000_000
 
-# A motor that follows a voltage or, as a servo, a reference; one sample is lost, the last command is noted.
+# A motor that follows a voltage or, as a servo, a reference; one sample is lost, the
+# last command is noted.
 BOARD = """
 #include "arm_io.h"
 #include <math.h>
@@ -93,7 +104,9 @@ void arm_close(void)
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rig = geared(replace(fl.Rig.named("paper-2023"), period=PERIOD))
     assert rig.model is not None
-    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(20), filter_time=0.0)
+    design = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(20), filter_time=0.0
+    )
     slow = replace(design.controller, inner=MotorLoop(pole=20.0))
     place = tmp_path_factory.mktemp("design") / "design.json"
     replace(design, controller=slow).save(place)
@@ -107,7 +120,10 @@ def law(design: Path) -> fl.Law:
 
 @pytest.fixture
 def fraclink(
-    design: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    design: Path,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Command:
     """Run the command line in a folder that holds design.json."""
     monkeypatch.chdir(tmp_path)
@@ -125,16 +141,33 @@ def fraclink(
 def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
     """The loop's clock is one on which this thread is alone."""
     clock = _kernels.RealtimeClock
-    monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock(max(threads, 1)))
+    monkeypatch.setattr(
+        _kernels, "RealtimeClock", lambda threads: clock(max(threads, 1))
+    )
 
 
 def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
     (folder / f"{name}.c").write_text(text, encoding="utf-8")
     library = folder / f"{name}.so"
-    given = {"VERSION": "ARM_IO_VERSION", "OPENED": 0, "BROKEN": MANY, "CRASH": MANY, "DEEP": MANY} | defines
+    given = {
+        "VERSION": "ARM_IO_VERSION",
+        "OPENED": 0,
+        "BROKEN": MANY,
+        "CRASH": MANY,
+        "DEEP": MANY,
+    } | defines
     flags = [f"-D{key}={value}" for key, value in given.items()]
     subprocess.run(  # noqa: S603
-        [tool("cc", "gcc"), *STRICT, "-shared", "-fPIC", *flags, f"{name}.c", "-o", library],
+        [
+            tool("cc", "gcc"),
+            *STRICT,
+            "-shared",
+            "-fPIC",
+            *flags,
+            f"{name}.c",
+            "-o",
+            library,
+        ],
         cwd=folder,
         check=True,
     )
@@ -143,14 +176,14 @@ def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
-def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Path) -> None:
+def test_the_template_compiles_and_stands_still(
+    fraclink: Command, tmp_path: Path
+) -> None:
     code, out, _ = fraclink("export io --out board")
     assert (code, out.split()) == (0, ["board/arm_io.h", "board/my_board.c"])
     text = (tmp_path / "board" / "my_board.c").read_text("utf-8")
     compiled(tmp_path / "board", "my_board", text)
-    line = (
-        "run-realtime design.json --io library:board/my_board.so --amplitude 0 --duration 0.2 --log log.csv"
-    )
+    line = "run-realtime design.json --io library:board/my_board.so --amplitude 0 --duration 0.2 --log log.csv"
     code, out, err = fraclink(f"{line} --force")
     assert code == 0, out + err
     assert "the record replays through the law to the last bit" in out
@@ -161,7 +194,15 @@ def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Pat
     assert fraclink("export io --out board")[0] == 2  # never over the user's work
     assert fraclink("export io --out board --force")[0] == 0
     # the header is C++ too
-    cxx = [tool("c++", "g++"), "-fsyntax-only", "-Wall", "-Werror", "-x", "c++", "my_board.c"]
+    cxx = [
+        tool("c++", "g++"),
+        "-fsyntax-only",
+        "-Wall",
+        "-Werror",
+        "-x",
+        "c++",
+        "my_board.c",
+    ]
     subprocess.run(cxx, cwd=tmp_path / "board", check=True)  # noqa: S603
 
 
@@ -170,11 +211,15 @@ def test_the_template_compiles_and_stands_still(fraclink: Command, tmp_path: Pat
 def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_moves(
     fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It says what it measured: 0 µs on the virtual clock, then three of 250 wake-ups a period late."""
+    """It says what it measured: 0 µs on the virtual clock, then three of 250 wake-ups a
+    period late.
+    """
     export_io(tmp_path, force=True)
     compiled(tmp_path, "arm", BOARD)
     line = "run-realtime design.json --io library:arm.so --amplitude 0 --duration 0.1"
-    assert "wake-ups 0 µs late on average, 0 µs at most" in (err := fraclink(line)[2]), err
+    assert "wake-ups 0 µs late on average, 0 µs at most" in (
+        err := fraclink(line)[2]
+    ), err
     assert "20 ms can be kept" in err
     (tmp_path / "last").unlink()
     bare = _kernels.realtime_bare
@@ -186,14 +231,19 @@ def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_move
 
     monkeypatch.setattr(_kernels, "realtime_bare", busy)
     code, _, err = fraclink(f"{line} --force")
-    assert (code, "period: not kept by this machine: 1.2 % of its wake-ups" in err) == (2, True), err
+    assert (code, "period: not kept by this machine: 1.2 % of its wake-ups" in err) == (
+        2,
+        True,
+    ), err
     assert "21.0 ms at most" in err and "20 ms cannot be kept" in err
     assert not (tmp_path / "last").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
-def test_a_key_comes_from_a_file_and_only_for_datagrams(fraclink: Command, tmp_path: Path) -> None:
+def test_a_key_comes_from_a_file_and_only_for_datagrams(
+    fraclink: Command, tmp_path: Path
+) -> None:
     (tmp_path / "short").write_bytes(b"secret")
     for options, said in (
         ("--io udp:127.0.0.1:5005 --key-file short", "key: not a key (got 6 bytes)"),
@@ -213,7 +263,12 @@ def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -
     line = "run-realtime design.json --io library:arm.so --amplitude 0.05 --move-time 0.5 --duration 0.6"
     code, out, err = fraclink(f"{line} --json")
     told = json.loads(out)
-    assert (code, told["passed"], told["stopped"], told["replays"]) == (0, True, "finished", True), err
+    assert (code, told["passed"], told["stopped"], told["replays"]) == (
+        0,
+        True,
+        "finished",
+        True,
+    ), err
     assert (told["periods"], told["missed"], told["overruns"]) == (31, 0, 0)
     assert told["lost_samples"] == 1
     assert set(told["latency_s"]) == {"least", "mean", "high", "most"}
@@ -222,7 +277,9 @@ def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -
     assert (tmp_path / "last").read_text() == "4 0"  # off, without voltage
     assert (tmp_path / "closed").is_file()
     assert fraclink(line)[0] == 2  # the record is kept
-    shutil.copy("arm.so", "anew.so")  # a library that is loaded already has its samples behind it
+    shutil.copy(
+        "arm.so", "anew.so"
+    )  # a library that is loaded already has its samples behind it
     code, out, err = fraclink(f"{line.replace('arm', 'anew')} --force --log log.csv")
     assert code == 1
     assert "samples); expected 1 %" in err
@@ -243,12 +300,16 @@ def test_a_reference_to_identify_from(fraclink: Command, tmp_path: Path) -> None
     fraclink(f"{line} --no-motor")
     run = fl.load("realtime.npz", RealtimeRun)
     # at rest for half a second; a register of ones makes the first nine bits alike
-    assert run.reference.tolist() == pytest.approx((0.1 * (run.time >= 0.4999)).tolist())
+    assert run.reference.tolist() == pytest.approx(
+        (0.1 * (run.time >= 0.4999)).tolist()
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
-def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path) -> None:
+def test_a_library_that_breaks_is_a_safe_stop(
+    fraclink: Command, tmp_path: Path
+) -> None:
     export_io(tmp_path, force=True)
     compiled(tmp_path, "arm", BOARD, BROKEN=9)
     code, out, _ = fraclink("run-realtime design.json --io library:arm.so --duration 5")
@@ -267,7 +328,10 @@ def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path)
         ("udp", "io: without a port (got udp)"),
         ("udp:127.0.0.1", "without a port"),
         ("udp::5005", "without a host"),
-        ("udp:127.0.0.1:0", "port: out of range (got 0); expected whole number 1 to 65535"),
+        (
+            "udp:127.0.0.1:0",
+            "port: out of range (got 0); expected whole number 1 to 65535",
+        ),
         ("udp:127.0.0.1:70000", "port: out of range (got 70000)"),
         ("udp:127.0.0.1:http", "without a port"),
         ("shm:", "not a name"),
@@ -277,7 +341,9 @@ def test_a_library_that_breaks_is_a_safe_stop(fraclink: Command, tmp_path: Path)
         ("", "no way to an arm"),
     ],
 )
-def test_ways_that_lead_nowhere(fraclink: Command, tmp_path: Path, io: str, said: str) -> None:
+def test_ways_that_lead_nowhere(
+    fraclink: Command, tmp_path: Path, io: str, said: str
+) -> None:
     code = main(["run-realtime", "design.json", "--io", io, "--patience", "0.05"])
     assert code == 2
     assert not (tmp_path / "realtime.npz").exists()
@@ -304,7 +370,10 @@ def test_ways_that_fail_when_they_are_opened(
         (Library(Path("bare.so")), r"without arm_read, arm_write and arm_io_version"),
         (Library(Path("nowhere.so")), r"not to be loaded"),
         (Library(Path("arm_io.h")), r"not to be loaded"),
-        (Udp("no-such-host.invalid", 5005), r"io: refused \(.*\(got udp:no-such-host\.invalid:5005\)"),
+        (
+            Udp("no-such-host.invalid", 5005),
+            r"io: refused \(.*\(got udp:no-such-host\.invalid:5005\)",
+        ),
     ):
         with pytest.raises(FieldError, match=said):
             run_realtime(law, fl.hold(0.0), way, patience=0.05)
@@ -322,8 +391,12 @@ CRASHING = """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["CRASH", "DEEP"])  # a call without end leaves no stack to stop the arm on
-def test_a_process_that_crashes_leaves_a_stop_behind(fraclink: Command, tmp_path: Path, fault: str) -> None:
+@pytest.mark.parametrize(
+    "fault", ["CRASH", "DEEP"]
+)  # a call without end leaves no stack to stop the arm on
+def test_a_process_that_crashes_leaves_a_stop_behind(
+    fraclink: Command, tmp_path: Path, fault: str
+) -> None:
     export_io(tmp_path, force=True)
     board = compiled(tmp_path, "arm", BOARD, **{fault: 9})
     command = [sys.executable, "-c", textwrap.dedent(CRASHING), str(board)]
@@ -339,17 +412,24 @@ def test_the_record_has_a_place_before_the_arm_moves_or_nothing_happens(
 ) -> None:
     export_io(tmp_path, force=True)
     compiled(tmp_path, "arm", BOARD)
-    code, _, err = fraclink("run-realtime design.json --io library:arm.so --out /proc/nope/r.npz")
+    code, _, err = fraclink(
+        "run-realtime design.json --io library:arm.so --out /proc/nope/r.npz"
+    )
     assert (code, "the arm has not moved" in err) == (2, True)
     assert not (tmp_path / "last").exists()
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
-def test_no_file_of_a_run_is_refused_only_when_it_is_over(fraclink: Command, tmp_path: Path) -> None:
+def test_no_file_of_a_run_is_refused_only_when_it_is_over(
+    fraclink: Command, tmp_path: Path
+) -> None:
     export_io(tmp_path, force=True)
     compiled(tmp_path, "arm", BOARD)
-    run, serve = "run-realtime design.json --io library:arm.so", "serve-arm design.json --io udp:127.0.0.1:5"
+    run, serve = (
+        "run-realtime design.json --io library:arm.so",
+        "serve-arm design.json --io udp:127.0.0.1:5",
+    )
     for line, said in (
         (f"{run} --log /proc/nope/log.csv", "log: not writable"),
         (f"{run} --out run.csv", "out: of another kind of file (got run.csv)"),
@@ -366,8 +446,12 @@ def test_no_file_of_a_run_is_refused_only_when_it_is_over(fraclink: Command, tmp
 def test_no_signal_takes_the_motion_of_a_served_arm_away(
     fraclink: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Two of them, as a closed terminal sends: one that ends the serving, and one as it is written."""
-    line = f"serve-arm design.json --io shm:kept-{os.getpid()} --priority 0 --duration 0.2"
+    """Two of them, as a closed terminal sends: one that ends the serving, and one as it
+    is written.
+    """
+    line = (
+        f"serve-arm design.json --io shm:kept-{os.getpid()} --priority 0 --duration 0.2"
+    )
     keep, hold = boards.realtime.saved, boards.realtime.reserved
 
     def first(*given: Any, **options: Any) -> Any:
@@ -379,7 +463,9 @@ def test_no_signal_takes_the_motion_of_a_served_arm_away(
         return keep(value, place)
 
     monkeypatch.setattr(boards.realtime, "saved", late)
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background of a shell
+    handler = signal.signal(
+        signal.SIGINT, signal.default_int_handler
+    )  # ignored in the background of a shell
     try:
         code, _, err = fraclink(f"{line} --out whole.npz")
         assert (code, len(fl.load("whole.npz", ServedArm).time)) == (0, 10), err
@@ -407,8 +493,14 @@ def test_on_another_system_an_arm_is_refused_with_its_file(
 def test_another_machine_needs_a_word(fraclink: Command) -> None:
     for command in ("run-realtime", "serve-arm"):
         code, _, err = fraclink(f"{command} design.json --io udp:203.0.113.7:5005")
-        assert (code, "not this machine" in err, "--unsafe-remote" in err) == (2, True, True)
-    code, _, err = fraclink("serve-arm design.json --io udp:203.0.113.7:5005 --unsafe-remote")
+        assert (code, "not this machine" in err, "--unsafe-remote" in err) == (
+            2,
+            True,
+            True,
+        )
+    code, _, err = fraclink(
+        "serve-arm design.json --io udp:203.0.113.7:5005 --unsafe-remote"
+    )
     assert (code, "refused" in err) == (2, True)  # nobody's address
 
 
@@ -425,20 +517,30 @@ ARM = """
 
 
 @contextmanager
-def arm_process(threads: int, *more: str) -> Iterator[tuple[subprocess.Popen[str], Any]]:
-    """Serve an arm in another process, which ends with the block whatever happens in it.
+def arm_process(
+    threads: int, *more: str
+) -> Iterator[tuple[subprocess.Popen[str], Any]]:
+    """Serve an arm in another process, which ends with the block whatever happens in
+    it.
 
-    Yields it and the clock that `threads` take turns on, the arm's being one of them: nobody can be late.
+    Yields it and the clock that `threads` take turns on, the arm's being one of them:
+    nobody can be late.
     """
     file = os.memfd_create("clock")
     clock = _kernels.RealtimeClock(threads, file)
     command = [sys.executable, "-c", textwrap.dedent(ARM), str(file), *more]
     with subprocess.Popen(  # noqa: S603
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, pass_fds=(file,)
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        pass_fds=(file,),
     ) as arm:
         try:
             assert arm.stderr is not None
-            assert "an arm at" in arm.stderr.readline()  # however long it takes to start
+            assert (
+                "an arm at" in arm.stderr.readline()
+            )  # however long it takes to start
             yield arm, clock
         finally:
             arm.kill()
@@ -447,18 +549,38 @@ def arm_process(threads: int, *more: str) -> Iterator[tuple[subprocess.Popen[str
 
 
 @pytest.mark.slow
-def test_an_arm_in_another_process(fraclink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_in_another_process(
+    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
     io = f"shm:cli-{os.getpid()}"
-    with arm_process(2, "--io", io, "--once", "--out", "arm.npz", "--json") as (arm, clock):
+    with arm_process(2, "--io", io, "--once", "--out", "arm.npz", "--json") as (
+        arm,
+        clock,
+    ):
         monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
         line = f"run-realtime design.json --io {io} --amplitude 0.2 --duration 2 --patience 60 --json"
         code, out, err = fraclink(line)
         clock.leave()
         printed, arms = arm.communicate()
     told, ran = json.loads(printed), json.loads(out)
-    assert (code, ran["passed"], ran["stopped"], ran["replays"]) == (0, True, "finished", True), err
-    assert (ran["periods"], ran["missed"], ran["overruns"], ran["lost_samples"]) == (101, 0, 0, 0)
-    assert (arm.returncode, told["controllers"], told["silences"], told["late"]) == (0, 1, 0, 0), arms
+    assert (code, ran["passed"], ran["stopped"], ran["replays"]) == (
+        0,
+        True,
+        "finished",
+        True,
+    ), err
+    assert (ran["periods"], ran["missed"], ran["overruns"], ran["lost_samples"]) == (
+        101,
+        0,
+        0,
+        0,
+    )
+    assert (arm.returncode, told["controllers"], told["silences"], told["late"]) == (
+        0,
+        1,
+        0,
+        0,
+    ), arms
     served = fl.load("arm.npz", ServedArm)
     assert served.tip_angle[-1] == pytest.approx(told["last_tip_angle"])
     assert told["last_tip_angle"] == pytest.approx(0.2, abs=0.02)
@@ -474,7 +596,9 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
         monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
 
         def freeze() -> None:
-            clock.sleep(1.0)  # half a second goes by before the run, to see what the machine keeps
+            clock.sleep(
+                1.0
+            )  # half a second goes by before the run, to see what the machine keeps
             arm.send_signal(signal.SIGSTOP)
             os.waitid(os.P_PID, arm.pid, os.WSTOPPED | os.WNOWAIT)
             clock.leave()
@@ -482,14 +606,21 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
 
         frost = threading.Thread(target=freeze)
         frost.start()
-        code, out, err = fraclink(f"run-realtime design.json --io {io} --duration 9 --patience 60 --json")
+        code, out, err = fraclink(
+            f"run-realtime design.json --io {io} --duration 9 --patience 60 --json"
+        )
         frost.join()
         clock.leave()
         arm.send_signal(signal.SIGTERM)  # waits until it goes on
         arm.send_signal(signal.SIGCONT)
         printed, arms = arm.communicate()
     told, ran = json.loads(printed), json.loads(out)
-    assert (code, ran["stopped"], ran["replays"], ran["missed"]) == (1, "law off", True, 0), err
+    assert (code, ran["stopped"], ran["replays"], ran["missed"]) == (
+        1,
+        "law off",
+        True,
+        0,
+    ), err
     run = fl.load("realtime.npz", RealtimeRun)
     assert REASONS[run.reason[-1]] == "encoder"
     assert 20 < len(run.tick) < 40  # up to the frost and five periods more

@@ -1,4 +1,6 @@
-"""The line to an arm and the guard on it, period by period, against an arm of a few lines on a made clock."""
+"""The line to an arm and the guard on it, period by period, against an arm of a few
+lines on a made clock.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,9 @@ def test_the_next_sample_is_looked_for_sixteen_times_a_period() -> None:
     arm = line(way)
     assert arm.exchange(1.5) == Reading(0.5, 0.25, 1)
     assert way.written == [(0.0, 1.5, 1, 1, 0, 0)]
-    assert set(clock.slept) == {PERIOD / 16} and len(clock.slept) == 12  # 12/16 of a period are 7.5 ms
+    assert (
+        set(clock.slept) == {PERIOD / 16} and len(clock.slept) == 12
+    )  # 12/16 of a period are 7.5 ms
     way.samples = [(clock.now, (0, math.nan, 0.0)), (clock.now, (0, 0.6, 0.3))]
     assert arm.exchange(-1.0).angle == 0.6  # what is no number is no sample
     assert way.written[-1] == (0.0, -1.0, 2, 1, 0, 0)
@@ -95,7 +99,10 @@ def test_the_samples_own_numbers_say_how_many_were_missed() -> None:
     way = Way(clock, [(0.0, (0, 0.1, 0.0))], taken=2**32 - 2)
     arm = line(way)
     assert arm.exchange(0.0).periods == 1
-    way.samples, way.taken = [(0.0, (0, 0.4, 0.0))], 2  # the newest of a few, and the count began anew
+    way.samples, way.taken = (
+        [(0.0, (0, 0.4, 0.0))],
+        2,
+    )  # the newest of a few, and the count began anew
     assert arm.exchange(0.0).periods == 4
     way.samples, way.taken = (
         [(0.0, (0, 0.4, 0.0))],
@@ -137,7 +144,9 @@ def test_a_board_is_read_on_deadlines() -> None:
     assert clock.now == pytest.approx(100.01)
     clock.now += 0.004  # what is computed is part of the period
     arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.02) and clock.slept[-1] == pytest.approx(0.006)
+    assert clock.now == pytest.approx(100.02) and clock.slept[-1] == pytest.approx(
+        0.006
+    )
     clock.now += 0.025  # two deadlines have gone by: they are not made up for
     arm.exchange(0.0)
     assert clock.now == pytest.approx(100.045) and len(clock.slept) == 2
@@ -149,12 +158,18 @@ def test_a_board_is_read_on_deadlines() -> None:
 
 def test_lost_samples_of_a_board_are_periods() -> None:
     none = (0.0, None)
-    way = Way(Clock(100.0), [none, (0.0, (0, math.nan, 0.0)), (0.0, (0, 0.3, 0.1))], clocked=False)
+    way = Way(
+        Clock(100.0),
+        [none, (0.0, (0, math.nan, 0.0)), (0.0, (0, 0.3, 0.1))],
+        clocked=False,
+    )
     assert line(way).exchange(0.0) == Reading(0.3, 0.1, 3)
     way = Way(Clock(100.0), [none] * 4 + [(0.0, (0, 0.3, 0.1))], clocked=False)
     assert line(way).exchange(0.0).periods == 5
     with pytest.raises(ArmLost):
-        line(Way(Clock(100.0), [none] * 5 + [(0.0, (0, 0.3, 0.1))], clocked=False)).exchange(0.0)
+        line(
+            Way(Clock(100.0), [none] * 5 + [(0.0, (0, 0.3, 0.1))], clocked=False)
+        ).exchange(0.0)
 
 
 def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:
@@ -169,11 +184,19 @@ def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:
 # --- opening ---------------------------------------------------------------------------------------------
 
 
-def first(way: Way, period: float | None = PERIOD, *, patience: float = 0.1, noted: bool = False) -> Sample:
+def first(
+    way: Way,
+    period: float | None = PERIOD,
+    *,
+    patience: float = 0.1,
+    noted: bool = False,
+) -> Sample:
     event = threading.Event()
     if noted:
         event.set()
-    return _first_sample(way, Callback(lambda: None, print), period, patience, way.clock, event)
+    return _first_sample(
+        way, Callback(lambda: None, print), period, patience, way.clock, event
+    )
 
 
 def test_the_first_sample_is_asked_for_and_its_period_compared() -> None:
@@ -190,7 +213,9 @@ def test_the_first_sample_is_asked_for_and_its_period_compared() -> None:
     ):
         with pytest.raises(FieldError, match=said):
             first(Way(Clock(), [(0.0, (stated, 0.2, 0.1))]), period)
-    assert first(Way(Clock(), [(0.0, (0, 0.2, 0.1))]))[0] == 0  # a board that states none is believed
+    assert (
+        first(Way(Clock(), [(0.0, (0, 0.2, 0.1))]))[0] == 0
+    )  # a board that states none is believed
     way = Way(Clock(100.0), [])
     with pytest.raises(FieldError, match=r"silent: no sample in 0\.1 s"):
         first(way)
@@ -200,10 +225,22 @@ def test_the_first_sample_is_asked_for_and_its_period_compared() -> None:
 
 
 def test_signals_are_noted_and_given_back() -> None:
-    """Whatever would end or stop the process, as in `run_realtime`: an arm is tuned by the same rules."""
-    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP", "SIGUSR1", "SIGALRM", "SIGXCPU")
+    """Whatever would end or stop the process, as in `run_realtime`: an arm is tuned by
+    the same rules.
+    """
+    names = (
+        "SIGINT",
+        "SIGTERM",
+        "SIGHUP",
+        "SIGQUIT",
+        "SIGTSTP",
+        "SIGUSR1",
+        "SIGALRM",
+        "SIGXCPU",
+    )
     numbers = [signal.Signals[name] for name in names]
-    # One that is ignored stays so, as SIGINT is where a shell runs the tests in the background.
+    # One that is ignored stays so, as SIGINT is where a shell runs the tests in the
+    # background.
     usual = [signal.signal(number, signal.SIG_DFL) for number in numbers]
     signal.signal(signal.SIGINT, signal.default_int_handler)
     before = [signal.getsignal(number) for number in numbers]
@@ -218,7 +255,9 @@ def test_signals_are_noted_and_given_back() -> None:
     seen: list[bool] = []
     try:
         noted_here()
-        thread = threading.Thread(target=noted_here)  # as in a notebook, where Python delivers no signals
+        thread = threading.Thread(
+            target=noted_here
+        )  # as in a notebook, where Python delivers no signals
         thread.start()
         thread.join()
         assert seen == [True] * 2 * len(names)
@@ -234,12 +273,18 @@ def test_however_a_line_ends_a_stop_is_sent() -> None:
     sent: list[Command] = []
     with (
         pytest.raises(ZeroDivisionError),
-        open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (arm, reading),
+        open_line(Callback(lambda: (0.1, 0.2), sent.append), PERIOD, clock="none") as (
+            arm,
+            reading,
+        ),
     ):
         assert reading == Reading(0.1, 0.2, 1) and arm.period == PERIOD
         arm.exchange(3.0)
         raise ZeroDivisionError
-    assert [(command.voltage, command.mode, command.tick) for command in sent] == [(3.0, 1, 1), (0.0, 4, 2)]
+    assert [(command.voltage, command.mode, command.tick) for command in sent] == [
+        (3.0, 1, 1),
+        (0.0, 4, 2),
+    ]
 
 
 # --- the machine -----------------------------------------------------------------------------------------
@@ -251,14 +296,20 @@ def test_a_period_is_kept_where_one_wake_up_in_a_hundred_is_late() -> None:
     awake = WakeUps(latency, 0.004, "SCHED_FIFO 80", "locked")
     assert awake.late == 0.01 and awake.kept
     awake.check()
-    at_most = "wake-ups 61 µs late on average, 4.1 ms at most (SCHED_FIFO 80, memory locked)"
+    at_most = (
+        "wake-ups 61 µs late on average, 4.1 ms at most (SCHED_FIFO 80, memory locked)"
+    )
     assert str(awake) == f"{at_most}: 4 ms can be kept"
     latency[1] = 0.0041
-    assert not awake.kept and str(awake).endswith(": 4 ms cannot be kept, 2 % came later than that")
+    assert not awake.kept and str(awake).endswith(
+        ": 4 ms cannot be kept, 2 % came later than that"
+    )
     latency[:2] = 0.004  # as late as a period is not later
     assert awake.late == 0.0
     latency[:3] = 0.1
-    with pytest.raises(FieldError, match=r"3 % of its wake-ups come later .*expected at most 1 %"):
+    with pytest.raises(
+        FieldError, match=r"3 % of its wake-ups come later .*expected at most 1 %"
+    ):
         awake.check()
     near = WakeUps(np.array([1e-3, 0.998e-3]), 0.004, "", "")
     assert str(near).startswith("wake-ups 999 µs late on average, 1.0 ms at most")
@@ -274,14 +325,22 @@ def test_a_period_is_kept_where_one_wake_up_in_a_hundred_is_late() -> None:
     ],
 )
 def test_wake_ups_are_measured_for_half_a_second(
-    monkeypatch: pytest.MonkeyPatch, period: float, options: dict[str, Any], count: int, step: int
+    monkeypatch: pytest.MonkeyPatch,
+    period: float,
+    options: dict[str, Any],
+    count: int,
+    step: int,
 ) -> None:
     asked: list[tuple[Any, ...]] = []
 
     def bare(latency: Any, *rest: Any) -> dict[str, float]:
         asked.append((len(latency), *rest))
         latency[:] = 1e-5
-        return {"count": len(latency) - stopped, "priority_error": errno.EPERM, "memory_error": errno.ENOMEM}
+        return {
+            "count": len(latency) - stopped,
+            "priority_error": errno.EPERM,
+            "memory_error": errno.ENOMEM,
+        }
 
     monkeypatch.setattr(_kernels, "realtime_bare", bare)
     stopped = 0
@@ -303,7 +362,11 @@ def test_what_was_granted_is_said_in_words() -> None:
     assert granted(fine, 42, True) == ("SCHED_FIFO 42", "locked")
     assert granted(fine, 0, False) == ("ordinary, as asked", "not locked, as asked")
     assert granted_priority(0, errno.EPERM) == "ordinary, as asked"
-    assert (period_ns(5e-5), period_ns(1.0), period_ns(0.0033333333)) == (50_000, 1_000_000_000, 3_333_333)
+    assert (period_ns(5e-5), period_ns(1.0), period_ns(0.0033333333)) == (
+        50_000,
+        1_000_000_000,
+        3_333_333,
+    )
     for period in (4.9e-5, 1.01):
         with pytest.raises(FieldError, match="period"):
             period_ns(period)
@@ -331,7 +394,9 @@ class Arm:
 
     def exchange(self, voltage: float) -> Reading:
         self.sent.append(voltage)
-        self.last = self.readings.pop(0) if self.readings else self.last._replace(periods=1)
+        self.last = (
+            self.readings.pop(0) if self.readings else self.last._replace(periods=1)
+        )
         return self.last
 
     @contextlib.contextmanager
@@ -353,16 +418,28 @@ def angles(*values: float) -> list[Reading]:
 def test_a_guard_opens_once_counts_from_the_start_and_closes() -> None:
     arm = Arm(last=Reading(0.3, 0.5, 1))
     guard = arm.guard()
-    assert (guard.origin, guard.offset, guard.period, guard.count, guard.lost) == (0.3, 0.5, PERIOD, 0, 0)
+    assert (guard.origin, guard.offset, guard.period, guard.count, guard.lost) == (
+        0.3,
+        0.5,
+        PERIOD,
+        0,
+        0,
+    )
     arm.readings = [Reading(0.31, 0.7, 1), Reading(0.32, 0.6, 1)]
     guard.step(1.0)
     assert guard.angle == pytest.approx(0.01) and guard.torque == pytest.approx(0.2)
     guard.step(-9.0)
-    assert guard.count == 2 and arm.opened == 1 and arm.sent == [1.0, -5.0]  # clipped to the limit
+    assert (
+        guard.count == 2 and arm.opened == 1 and arm.sent == [1.0, -5.0]
+    )  # clipped to the limit
     record = guard.record()
     assert record.voltage.tolist() == [1.0, -5.0]
-    assert record.angle == pytest.approx([0.0, 0.01]) and record.torque == pytest.approx([0.0, 0.2])
-    assert record.duration == pytest.approx(2 * PERIOD) and guard.record(1).angle.size == 1
+    assert record.angle == pytest.approx(
+        [0.0, 0.01]
+    ) and record.torque == pytest.approx([0.0, 0.2])
+    assert (
+        record.duration == pytest.approx(2 * PERIOD) and guard.record(1).angle.size == 1
+    )
     guard.release()
     guard.release()
     assert arm.closed == 1
@@ -370,7 +447,9 @@ def test_a_guard_opens_once_counts_from_the_start_and_closes() -> None:
     assert arm.opened == 2 and arm.sent[-1] == 0.0
 
 
-def test_a_stretch_without_samples_is_a_line_and_its_speed_that_of_all_its_periods() -> None:
+def test_a_stretch_without_samples_is_a_line_and_its_speed_that_of_all_its_periods() -> (
+    None
+):
     arm = Arm()
     guard = arm.guard()
     guard.step(1.0)
@@ -378,9 +457,9 @@ def test_a_stretch_without_samples_is_a_line_and_its_speed_that_of_all_its_perio
     guard.step(2.0)
     record = guard.record()
     assert record.voltage.tolist() == [1.0, 2.0, 2.0, 2.0] and guard.lost == 2
-    assert record.angle == pytest.approx([0.0, 0.0, 0.01, 0.02]) and record.torque == pytest.approx(
-        [0, 0, 0.1, 0.2]
-    )
+    assert record.angle == pytest.approx(
+        [0.0, 0.0, 0.01, 0.02]
+    ) and record.torque == pytest.approx([0, 0, 0.1, 0.2])
     assert guard.speed == pytest.approx(1.0)
 
 
@@ -389,7 +468,10 @@ def test_a_stretch_without_samples_is_a_line_and_its_speed_that_of_all_its_perio
     [
         (angles(0.0, 0.02, 0.04, 0.06), ""),
         ([Reading(0.0, 1.59, 1)], ""),
-        ([Reading(0.0, -1.61, 1)], "torque: -1.61 N·m is about to exceed the limit of 2 N·m"),
+        (
+            [Reading(0.0, -1.61, 1)],
+            "torque: -1.61 N·m is about to exceed the limit of 2 N·m",
+        ),
         (angles(0.0, 0.094), ""),
         (angles(0.0, 0.096), "speed: 9.6 rad/s"),
         (angles(*np.arange(0.0, 0.9, 0.005)), "angle"),
@@ -397,14 +479,22 @@ def test_a_stretch_without_samples_is_a_line_and_its_speed_that_of_all_its_perio
         ([Reading(0.0, math.nan, 1)], "torque"),
     ],
 )
-def test_a_limit_is_kept_before_it_is_reached(readings: list[Reading], limit: str) -> None:
-    """At 0.8 of angle and torque, at 0.95 of the speed; the angle is the one at which the arm would rest."""
+def test_a_limit_is_kept_before_it_is_reached(
+    readings: list[Reading], limit: str
+) -> None:
+    """At 0.8 of angle and torque, at 0.95 of the speed; the angle is the one at which
+    the arm would rest.
+    """
     arm = Arm(readings=[Reading(0.0, 9.0, 1)] * 2)
     guard = arm.guard()
     for _ in range(3):
-        guard.step(0.0)  # an arm that nobody has moved breaks no limit, whatever its sensors show
+        guard.step(
+            0.0
+        )  # an arm that nobody has moved breaks no limit, whatever its sensors show
     arm.readings = list(readings)
-    with pytest.raises(LimitReached, match=limit) if limit else contextlib.nullcontext():
+    with (
+        pytest.raises(LimitReached, match=limit) if limit else contextlib.nullcontext()
+    ):
         for k in range(len(readings) + 1):
             guard.step(0.0 if k else 0.1)
     if limit == "angle" and len(readings) > 1:
@@ -413,28 +503,42 @@ def test_a_limit_is_kept_before_it_is_reached(readings: list[Reading], limit: st
 
 
 def test_an_encoders_noise_is_allowed_for_and_no_more() -> None:
-    """Six standard deviations of the difference of two readings: 6 √2 · 1 mrad / 10 ms = 0.85 rad/s."""
+    """Six standard deviations of the difference of two readings: 6 √2 · 1 mrad / 10 ms
+    = 0.85 rad/s.
+    """
     for step, stops in ((0.1030, False), (0.1045, True)):
         guard = Arm(readings=angles(step)).guard()
         guard.allow(1e-3)
         assert guard.shake == pytest.approx(0.8485, rel=1e-3)
         guard.limits = replace(LIMITS, angle=100.0)
-        with pytest.raises(LimitReached, match="speed") if stops else contextlib.nullcontext():
+        with (
+            pytest.raises(LimitReached, match="speed")
+            if stops
+            else contextlib.nullcontext()
+        ):
             guard.step(0.1)
             guard.step(0.1)
 
 
 def test_no_voltage_drives_the_motor_beyond_four_fifths_of_the_speed() -> None:
-    """K/J = 100 rad/(s²·V): a volt adds 1 rad/s a period; with a delay of two, what was sent counts."""
+    """K/J = 100 rad/(s²·V): a volt adds 1 rad/s a period; with a delay of two, what was
+    sent counts.
+    """
     arm = Arm(readings=angles(0.0, 0.0, 0.0, 0.0))
     guard = arm.guard(replace(LIMITS, angle=100.0))
     guard.learn(100.0, 2 * PERIOD)
     sent = [guard.step(5.0) and arm.sent[-1] for _ in range(3)]
-    assert sent == [5.0, 3.0, 0.0]  # 8 rad/s on their way: no more, but the other way is free
+    assert sent == [
+        5.0,
+        3.0,
+        0.0,
+    ]  # 8 rad/s on their way: no more, but the other way is free
     guard.step(-5.0)
     assert arm.sent[-1] == -5.0
     slow = Arm(readings=angles(0.0)).guard(replace(LIMITS, angle=100.0))
-    slow.learn(100.0, 1.05 * PERIOD)  # one period, and what a clock of a tenth more may be
+    slow.learn(
+        100.0, 1.05 * PERIOD
+    )  # one period, and what a clock of a tenth more may be
     assert slow._sent.maxlen == 2
     slow.learn(100.0, 1.2 * PERIOD)
     assert slow._sent.maxlen == 3
@@ -448,7 +552,8 @@ def test_the_speed_is_that_of_now_and_not_of_half_a_period_ago() -> None:
     guard.learn(100.0, PERIOD)
     for _ in range(2):
         guard.step(2.0)
-    # 1 rad/s between the samples; the voltage that acted last, 2 V, added half of its 2 rad/s since
+    # 1 rad/s between the samples; the voltage that acted last, 2 V, added half of its 2
+    # rad/s since
     assert guard.speed == pytest.approx(1.0 + 0.5 * 2.0)
 
 
@@ -463,6 +568,8 @@ def test_rest_and_quiet_last_as_long_as_said() -> None:
     arm.readings = list(noise)
     guard.quiet(0.01, 1.2)  # as long as was said, in looks of 0.15 s
     assert guard.count == 71 + 120
-    arm.readings = noise[:75]  # then it rests, and is looked at until the ringing has left the window
+    arm.readings = noise[
+        :75
+    ]  # then it rests, and is looked at until the ringing has left the window
     guard.quiet(0.01, 3.0)
     assert guard.count == 191 + 75 + 60

@@ -1,7 +1,9 @@
-"""Controller and simulated arm by messages: the documented bytes, one controller at a time, silence.
+"""Controller and simulated arm by messages: the documented bytes, one controller at a
+time, silence.
 
-Arm and controller run in two threads of this process, or one of them is a few lines of Python that speak the
-format of docs/reference/file-formats.md. They take turns on a virtual clock, so that no machine is too busy.
+Arm and controller run in two threads of this process, or one of them is a few lines of
+Python that speak the format of docs/reference/file-formats.md. They take turns on a
+virtual clock, so that no machine is too busy.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ def rig() -> fl.Rig:
 @pytest.fixture(scope="module")
 def law(rig: fl.Rig) -> Law:
     slow_motor = MotorLoop(pole=20.0)  # what a period of 20 ms can close
-    controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model, inner=slow_motor)
+    controller = fl.Controller(
+        gain=0.069876, order=0.612197, link=rig.model, inner=slow_motor
+    )
     assert rig.model is not None
     return equip(fl.discretize(controller, PERIOD, order=4), rig, rig.model)
 
@@ -66,12 +70,18 @@ def law(rig: fl.Rig) -> Law:
 @pytest.fixture(scope="module")
 def twin(rig: fl.Rig) -> Twin:
     arm = Twin.from_rig(rig, link_mass=0.00735)
-    return replace(arm, sensors=replace(arm.sensors, gauge_noise=0.0, gauge_offset=0.02))
+    return replace(
+        arm, sensors=replace(arm.sensors, gauge_noise=0.0, gauge_offset=0.02)
+    )
 
 
 @pytest.fixture(params=["udp", "shm"])
 def way(request: pytest.FixtureRequest) -> Way:
-    return Udp("127.0.0.1", free_port()) if request.param == "udp" else SharedMemory(f"test-{os.getpid()}")
+    return (
+        Udp("127.0.0.1", free_port())
+        if request.param == "udp"
+        else SharedMemory(f"test-{os.getpid()}")
+    )
 
 
 def free_port() -> int:
@@ -81,12 +91,21 @@ def free_port() -> int:
 
 
 class Serving:
-    """An arm in a thread of its own, and the clock that it shares with the thread of the test."""
+    """An arm in a thread of its own, and the clock that it shares with the thread of
+    the test.
+    """
 
-    def __init__(self, twin: Twin, way: Way, period: float = PERIOD, **options: object) -> None:
+    def __init__(
+        self, twin: Twin, way: Way, period: float = PERIOD, **options: object
+    ) -> None:
         self.way, self.clock = way, VirtualClock(2)
         self.results: list[ServedArm] = []
-        given = {"duration": 10.0, "once": True, "priority": 0, "clock": self.clock} | options
+        given = {
+            "duration": 10.0,
+            "once": True,
+            "priority": 0,
+            "clock": self.clock,
+        } | options
 
         def serve() -> None:
             try:
@@ -110,7 +129,9 @@ class Serving:
         """What happened there, once the block has ended."""
         return self.results[0]
 
-    def control(self, law: Law, reference: Reference | None = None, **options: object) -> RealtimeRun:
+    def control(
+        self, law: Law, reference: Reference | None = None, **options: object
+    ) -> RealtimeRun:
         """Run a law on the arm."""
         given = {"clock": self.clock, "priority": 0, "lock_memory": False} | options
         return run_realtime(law, reference or fl.hold(0.0), self.way, **given)  # type: ignore[arg-type]
@@ -122,25 +143,42 @@ class Peer(socket.socket):
     def __init__(self, serving: Serving) -> None:
         super().__init__(socket.AF_INET, socket.SOCK_DGRAM)
         assert isinstance(serving.way, Udp)
-        self.address, self.clock, self.run = (serving.way.host, serving.way.port), serving.clock, 0
+        self.address, self.clock, self.run = (
+            (serving.way.host, serving.way.port),
+            serving.clock,
+            0,
+        )
         self.key: bytes | None = None
         self.setblocking(False)
 
-    def say(self, sequence: int, voltage: float = 0.0, *, mode: int = 1, run: int | None = None) -> bytes:
+    def say(
+        self,
+        sequence: int,
+        voltage: float = 0.0,
+        *,
+        mode: int = 1,
+        run: int | None = None,
+    ) -> bytes:
         """Send a command, and wait for a period and a bit."""
-        sent = message(2, sequence, 0.0, voltage, mode, self.run if run is None else run)
+        sent = message(
+            2, sequence, 0.0, voltage, mode, self.run if run is None else run
+        )
         sent = sent if self.key is None else tagged(sent, self.key)
         self.pass_on(sent)
         return sent
 
     def pass_on(self, sent: bytes, periods: float = 1.1) -> None:
         """Send bytes as they are."""
-        with contextlib.suppress(ConnectionRefusedError):  # of the message before, which found no arm yet
+        with contextlib.suppress(
+            ConnectionRefusedError
+        ):  # of the message before, which found no arm yet
             self.sendto(sent, self.address)
         self.clock.sleep(periods * PERIOD)
 
     def greet(self) -> bytes:
-        """Knock until the arm answers; return its first sample and take the number of the run from it."""
+        """Knock until the arm answers; return its first sample and take the number of
+        the run from it.
+        """
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             while self.recv(100):  # samples of the run before
                 pass
@@ -153,13 +191,19 @@ class Peer(socket.socket):
         pytest.fail("the arm never answered")
 
 
-def message(kind: int, sequence: int, first: float, second: float, mode: int = 1, run: int = 0) -> bytes:
-    body = struct.pack(MESSAGE, b"FLRT", 2, kind, sequence, 0, first, second, mode, 0, 0, run)
+def message(
+    kind: int, sequence: int, first: float, second: float, mode: int = 1, run: int = 0
+) -> bytes:
+    body = struct.pack(
+        MESSAGE, b"FLRT", 2, kind, sequence, 0, first, second, mode, 0, 0, run
+    )
     return body + struct.pack("<I", zlib.crc32(body))
 
 
 @pytest.mark.slow
-def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(law: Law, twin: Twin, way: Way) -> None:
+def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(
+    law: Law, twin: Twin, way: Way
+) -> None:
     move = fl.smooth_step(0.3, 1.0)
     simulated = fl.simulate(law, move, arm=twin, duration=1.0)
     with Serving(twin, way) as serving:
@@ -171,14 +215,18 @@ def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(law: Law, twin: Twin, 
         ("torque", "torque_measured"),
         ("motor_reference", "motor_reference"),
     ):
-        assert getattr(run, name).tobytes() == getattr(simulated, other)[:26].tobytes(), name
+        assert (
+            getattr(run, name).tobytes() == getattr(simulated, other)[:26].tobytes()
+        ), name
     assert run.motor_angle[-1] > 0.01
 
 
 def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port())
     with Serving(replace(twin, voltage_delay=3), way) as serving, Peer(serving) as peer:
-        answered = struct.unpack(MESSAGE, peer.greet()[:-4])[4]  # the arm's period of the sample
+        answered = struct.unpack(MESSAGE, peer.greet()[:-4])[
+            4
+        ]  # the arm's period of the sample
         for sequence in range(2, 8):
             peer.say(sequence, 3.0)
         peer.say(8, mode=OFF)
@@ -189,7 +237,9 @@ def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
 
 
 @pytest.mark.slow
-def test_an_arm_that_dies_is_given_up_by_the_law(law: Law, twin: Twin, way: Way) -> None:
+def test_an_arm_that_dies_is_given_up_by_the_law(
+    law: Law, twin: Twin, way: Way
+) -> None:
     with Serving(twin, way, duration=0.4, once=False) as serving:
         run = serving.control(law, fl.smooth_step(0.3, 1.0), duration=5.0)
     assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
@@ -208,13 +258,17 @@ def test_a_controller_that_dies_is_replaced_by_the_watchdog(twin: Twin) -> None:
     served = serving.arm
     assert (served.controllers, served.silences, served.passed) == (1, 1, False)
     driven = np.flatnonzero(served.voltage == 3.0)
-    assert len(driven) >= 17 + 9  # the watchdog's periods among them, in which the last voltage acts
+    assert (
+        len(driven) >= 17 + 9
+    )  # the watchdog's periods among them, in which the last voltage acts
     assert served.motor_angle.max() > 0.01
     assert set(served.voltage) == {0.0, 3.0}
 
 
 def test_no_command_of_a_run_that_is_over_moves_the_arm(twin: Twin) -> None:
-    """Late or recorded, from the controller's own address, and however its number stands."""
+    """Late or recorded, from the controller's own address, and however its number
+    stands.
+    """
     way = Udp("127.0.0.1", free_port())
     with Serving(twin, way, duration=4.0, once=False) as serving, Peer(serving) as peer:
         peer.greet()
@@ -225,9 +279,14 @@ def test_no_command_of_a_run_that_is_over_moves_the_arm(twin: Twin) -> None:
             peer.pass_on(off, 0.0)
         peer.clock.sleep(2 * PERIOD)
         until = peer.clock.now
-        for late in [*recorded, message(2, 10_000, 0.0, 4.0, 1, first), message(2, 10_000, 0.0, 4.0, 1, 0)]:
+        for late in [
+            *recorded,
+            message(2, 10_000, 0.0, 4.0, 1, first),
+            message(2, 10_000, 0.0, 4.0, 1, 0),
+        ]:
             peer.pass_on(late)
-        peer.greet()  # a new run: the next controller is welcome, and its count begins anew
+        # a new run: the next controller is welcome, and its count begins anew
+        peer.greet()
         assert peer.run not in (0, first)
         for late in recorded:
             peer.pass_on(late, 0.0)
@@ -263,7 +322,9 @@ def test_an_arm_that_starts_again_in_a_run_is_another_one(law: Law, twin: Twin) 
 
     thread = threading.Thread(target=serve_twice)
     thread.start()
-    run = run_realtime(law, fl.hold(0.0), way, duration=5.0, priority=0, lock_memory=False, clock=clock)
+    run = run_realtime(
+        law, fl.hold(0.0), way, duration=5.0, priority=0, lock_memory=False, clock=clock
+    )
     clock.leave()
     thread.join(60.0)
     assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
@@ -280,8 +341,16 @@ def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
     for sample in samples:
         assert len(sample) == 56
         assert struct.unpack("<I", sample[52:]) == (zlib.crc32(sample[:52]),)
-        magic, version, kind, sequence, tick, angle, _, period, *rest = struct.unpack(MESSAGE, sample[:52])
-        assert (magic, version, kind, period, rest) == (b"FLRT", 2, 1, 20_000_000, [0, 0, peer.run])
+        magic, version, kind, sequence, tick, angle, _, period, *rest = struct.unpack(
+            MESSAGE, sample[:52]
+        )
+        assert (magic, version, kind, period, rest) == (
+            b"FLRT",
+            2,
+            1,
+            20_000_000,
+            [0, 0, peer.run],
+        )
         assert angle == 0.0
         numbers.append((sequence, tick))
     assert np.all(np.diff(np.array(numbers), axis=0) == 1)
@@ -291,10 +360,14 @@ def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
 def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) -> None:
     """Every message that must be dropped would drive the arm with 5 V if it were heard."""
     way = Udp("127.0.0.1", free_port())
-    with Serving(twin, way, duration=30.0) as serving, Peer(serving) as peer, Peer(serving) as stranger:
+    with (
+        Serving(twin, way, duration=30.0) as serving,
+        Peer(serving) as peer,
+        Peer(serving) as stranger,
+    ):
         peer.greet()
         drive = message(2, 10_000, 0.0, 5.0, 1, peer.run)
-        noise = random.Random(7)  # noqa: S311  # not a secret
+        noise = random.Random(7)  # not a secret  # noqa: S311
         flipped = [
             drive[:at] + bytes([drive[at] ^ 1 << noise.randrange(8)]) + drive[at + 1 :]
             for at in range(len(drive))
@@ -304,7 +377,9 @@ def test_what_is_damaged_late_or_from_somebody_else_changes_nothing(twin: Twin) 
             drive[:-1],
             drive + b"\0",
             noise.randbytes(len(drive)),
-            message(1, 10_000, 0.0, 5.0, 1, peer.run),  # a sample where a command is due
+            message(
+                1, 10_000, 0.0, 5.0, 1, peer.run
+            ),  # a sample where a command is due
             message(2, 1, 0.0, 5.0, 1, peer.run),  # a step back
             message(2, 10_000, 0.0, 5.0, 1, peer.run ^ 1),  # another run
             *flipped,
@@ -328,7 +403,9 @@ def tagged(message: bytes, key: bytes = KEY) -> bytes:
     return message + hmac.new(key, message, hashlib.sha256).digest()[:16]
 
 
-def test_with_a_shared_key_both_ends_agree_to_the_last_bit(law: Law, twin: Twin) -> None:
+def test_with_a_shared_key_both_ends_agree_to_the_last_bit(
+    law: Law, twin: Twin
+) -> None:
     move, port = fl.smooth_step(0.3, 1.0), free_port()
     with Serving(twin, Udp("127.0.0.1", port, key=KEY)) as serving:
         keyed = serving.control(law, move, duration=0.5)
@@ -342,15 +419,27 @@ def test_with_a_shared_key_both_ends_agree_to_the_last_bit(law: Law, twin: Twin)
 def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
     way = Udp("127.0.0.1", free_port(), key=KEY)
     assert "\\x01" not in repr(way)
-    with Serving(twin, way, duration=30.0) as serving, Peer(serving) as peer, Peer(serving) as stranger:
+    with (
+        Serving(twin, way, duration=30.0) as serving,
+        Peer(serving) as peer,
+        Peer(serving) as stranger,
+    ):
         peer.key = KEY
         assert len(sample := peer.greet()) == 72
         assert sample == tagged(sample[:56])
         drive = message(2, 10_000, 0.0, 5.0, 1, peer.run)
         other = tagged(message(2, 9_000, 0.0, 5.0, 1, peer.run))
-        wrong = [drive, tagged(drive, bytes(32)), drive + other[56:], drive + bytes(16), tagged(drive)[:-1]]
+        wrong = [
+            drive,
+            tagged(drive, bytes(32)),
+            drive + other[56:],
+            drive + bytes(16),
+            tagged(drive)[:-1],
+        ]
         wrong += [
-            tagged(drive)[:at] + bytes([tagged(drive)[at] ^ 1]) + tagged(drive)[at + 1 :]
+            tagged(drive)[:at]
+            + bytes([tagged(drive)[at] ^ 1])
+            + tagged(drive)[at + 1 :]
             for at in (0, 56, 71)
         ]
         for number, bad in enumerate(wrong):
@@ -360,27 +449,47 @@ def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
         peer.say(2000, mode=OFF)
     served = serving.arm
     assert set(served.voltage) == {0.0}
-    assert (served.rejected, served.controllers, served.silences) == (2 * len(wrong), 1, 0)
+    assert (served.rejected, served.controllers, served.silences) == (
+        2 * len(wrong),
+        1,
+        0,
+    )
     # a controller without the key, or with another, is not even answered
     for key in (None, bytes(32)):
         with Serving(twin, way) as serving, pytest.raises(FieldError, match="silent"):
-            run_realtime(law, fl.hold(0.0), replace(way, key=key), patience=0.1, clock=serving.clock)
+            run_realtime(
+                law,
+                fl.hold(0.0),
+                replace(way, key=key),
+                patience=0.1,
+                clock=serving.clock,
+            )
         assert (serving.arm.controllers, set(serving.arm.voltage)) == (0, {0.0})
 
 
 @pytest.mark.parametrize("key", [b"", bytes(15), "a password of 32 characters ....."])
 def test_what_is_no_key_is_refused_and_not_shown(key: object) -> None:
     with pytest.raises(
-        FieldError, match=r"key: not a key \(got \d+ (bytes|str)\); expected 16 bytes or more"
+        FieldError,
+        match=r"key: not a key \(got \d+ (bytes|str)\); expected 16 bytes or more",
     ):
         Udp("127.0.0.1", 5005, key=key)  # type: ignore[arg-type]
 
 
-def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(law: Law, twin: Twin, way: Way) -> None:
+def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(
+    law: Law, twin: Twin, way: Way
+) -> None:
     with Serving(twin, way, duration=1.8, once=False) as serving:
-        runs = [serving.control(law, fl.smooth_step(0.1, 0.4), duration=0.5) for _ in range(2)]
+        runs = [
+            serving.control(law, fl.smooth_step(0.1, 0.4), duration=0.5)
+            for _ in range(2)
+        ]
     assert [run.problem for run in runs] == ["", ""]
-    assert (serving.arm.controllers, serving.arm.silences, serving.arm.rejected) == (2, 0, 0)
+    assert (serving.arm.controllers, serving.arm.silences, serving.arm.rejected) == (
+        2,
+        0,
+        0,
+    )
     # the second move begins where the first one ended
     assert runs[1].origin == pytest.approx(runs[0].motor_angle[-1], abs=0.05)
 
@@ -393,7 +502,9 @@ def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None
 
 
 @pytest.mark.slow
-def test_nobody_there_and_somebody_there_already(law: Law, twin: Twin, way: Way) -> None:
+def test_nobody_there_and_somebody_there_already(
+    law: Law, twin: Twin, way: Way
+) -> None:
     with pytest.raises(FieldError, match=r"silent|served by no arm") as caught:
         run_realtime(law, fl.hold(0.0), way, patience=0.1)
     assert caught.value.value == str(way)
@@ -404,27 +515,40 @@ def test_nobody_there_and_somebody_there_already(law: Law, twin: Twin, way: Way)
 
 
 def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
-    """An address kept for documentation, which is nobody's; and every address of this machine at once."""
+    """An address kept for documentation, which is nobody's; and every address of this
+    machine at once.
+    """
     for host in ("203.0.113.7", "0.0.0.0", "::"):  # noqa: S104
         for call in (
             lambda way: run_realtime(law, fl.hold(0.0), way, patience=0.05),
             lambda way: serve_arm(twin, way, PERIOD, duration=0.1),
         ):
-            with pytest.raises(FieldError, match=r"not this machine: .*password.*--unsafe-remote"):
+            with pytest.raises(
+                FieldError, match=r"not this machine: .*password.*--unsafe-remote"
+            ):
                 call(Udp(host, free_port()))
     with pytest.raises(FieldError, match="refused"):
         serve_arm(twin, Udp("203.0.113.7", 5005, unsafe_remote=True), PERIOD)
     way = Udp("0.0.0.0", free_port(), unsafe_remote=True)  # noqa: S104
-    assert serve_arm(twin, way, PERIOD, duration=0.1, clock=VirtualClock(1)).controllers == 0
+    assert (
+        serve_arm(twin, way, PERIOD, duration=0.1, clock=VirtualClock(1)).controllers
+        == 0
+    )
 
 
 def test_one_controller_at_a_time_in_shared_memory(law: Law) -> None:
     way = SharedMemory(f"one-{os.getpid()}")
-    with arm_end(way), controller_end(way, 1.0), pytest.raises(FieldError, match="another controller"):
+    with (
+        arm_end(way),
+        controller_end(way, 1.0),
+        pytest.raises(FieldError, match="another controller"),
+    ):
         run_realtime(law, fl.hold(0.0), way, duration=0.1)
 
 
-def test_shared_memory_is_private_and_leaves_nothing_behind(law: Law, twin: Twin) -> None:
+def test_shared_memory_is_private_and_leaves_nothing_behind(
+    law: Law, twin: Twin
+) -> None:
     way = SharedMemory(f"left-{os.getpid()}")
     place = Path("/dev/shm") / f"fraclink-{way.name}"  # noqa: S108
     place.write_bytes(b"\xff" * 512)  # an arm that was killed, of another release
@@ -444,19 +568,27 @@ def test_shared_memory_is_private_and_leaves_nothing_behind(law: Law, twin: Twin
 
 def test_a_command_from_before_a_kill_is_not_obeyed(twin: Twin) -> None:
     way = SharedMemory(f"stale-{os.getpid()}")
-    slot = struct.pack("<I60x", 2) + message(2, 7, 0.0, 5.0) + bytes(8)  # turn, and at byte 64 the message
+    slot = (
+        struct.pack("<I60x", 2) + message(2, 7, 0.0, 5.0) + bytes(8)
+    )  # turn, and at byte 64 the message
     (Path("/dev/shm") / f"fraclink-{way.name}").write_bytes(bytes(128) + slot)  # noqa: S108
     served = serve_arm(twin, way, PERIOD, duration=0.2, clock=VirtualClock(1))
     assert (served.controllers, served.rejected, set(served.voltage)) == (0, 0, {0.0})
 
 
-def test_the_record_of_the_arm_comes_back(law: Law, twin: Twin, way: Way, tmp_path: Path) -> None:
+def test_the_record_of_the_arm_comes_back(
+    law: Law, twin: Twin, way: Way, tmp_path: Path
+) -> None:
     with Serving(twin, way) as serving:
         serving.control(law, duration=0.1)
     served = serving.arm
     again = fl.load(fl.save(served, tmp_path / "arm.npz"), ServedArm)
     assert again.voltage.tobytes() == served.voltage.tobytes()
-    assert (again.period, again.late, again.scheduling) == (PERIOD, served.late, served.scheduling)
+    assert (again.period, again.late, again.scheduling) == (
+        PERIOD,
+        served.late,
+        served.scheduling,
+    )
     assert again.time[-1] == pytest.approx(PERIOD * (len(again.voltage) - 1))
     with pytest.raises(FileFormatError, match="kind"):
         fl.load(tmp_path / "arm.npz", RealtimeRun)
@@ -471,7 +603,9 @@ def test_the_record_of_the_arm_comes_back(law: Law, twin: Twin, way: Way, tmp_pa
         ({"priority": 100}, "priority"),
     ],
 )
-def test_bad_values_are_named(twin: Twin, options: dict[str, object], field: str) -> None:
+def test_bad_values_are_named(
+    twin: Twin, options: dict[str, object], field: str
+) -> None:
     with pytest.raises(FieldError) as caught:
         serve_arm(twin, SharedMemory("bad"), PERIOD, **options)  # type: ignore[arg-type]
     assert caught.value.field == field

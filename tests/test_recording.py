@@ -1,4 +1,6 @@
-"""Records of any two channels: ring-downs, channels of a log, lines of a response and their weights."""
+"""Records of any two channels: ring-downs, channels of a log, lines of a response and
+their weights.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from fraclink.errors import FieldError, LogError
 
 T = 0.01
 TIME = T * np.arange(1000)
-SWING = 0.3 + 0.1 * np.cos(6.0 * TIME) * np.exp(-0.5 * TIME)  # about 0.3, as a laser reads it
+SWING = 0.3 + 0.1 * np.cos(6.0 * TIME) * np.exp(
+    -0.5 * TIME
+)  # about 0.3, as a laser reads it
 
 
 def test_a_ring_down_is_the_step_of_the_force_that_is_taken_away() -> None:
@@ -22,7 +26,9 @@ def test_a_ring_down_is_the_step_of_the_force_that_is_taken_away() -> None:
     assert made.period == T and (made.source, made.sha256) == ("a.csv", "ab")
     assert made.input.tolist() == [1.0] * 1000 and made.input_at_rest == 0.0
     np.testing.assert_allclose(made.output, SWING[0] - SWING)
-    assert made.output[-200:].mean() == pytest.approx(0.1, abs=2e-3)  # where it was bent from
+    assert made.output[-200:].mean() == pytest.approx(
+        0.1, abs=2e-3
+    )  # where it was bent from
 
 
 def test_a_record_that_begins_later_is_cut_where_the_link_turns() -> None:
@@ -30,11 +36,15 @@ def test_a_record_that_begins_later_is_cut_where_the_link_turns() -> None:
     made = Recording.ring_down(T, late)
     turn = round(math.pi / 6.0 / T) - 30
     assert made.output.size == pytest.approx(late.size - turn, abs=2)
-    assert made.output[0] == 0.0 and np.abs(np.diff(made.output[:2]))[0] < 1e-3  # at rest there
+    assert (
+        made.output[0] == 0.0 and np.abs(np.diff(made.output[:2]))[0] < 1e-3
+    )  # at rest there
     # noise at the end, however large, is no swing
     rest = np.concatenate([late, np.full(400, 0.3)])
     rest[-350] = 1.3
-    assert Recording.ring_down(T, rest).output.size == pytest.approx(rest.size - turn, abs=2)
+    assert Recording.ring_down(T, rest).output.size == pytest.approx(
+        rest.size - turn, abs=2
+    )
 
 
 def test_a_record_that_begins_while_it_is_held_keeps_that_part() -> None:
@@ -56,9 +66,19 @@ def test_what_does_not_ring_is_refused(values: np.ndarray) -> None:
 
 def test_channels_of_a_log_are_at_rest_where_they_began() -> None:
     angle, torque, volts = 0.5 + SWING, 2.0 * SWING, 3.0 * SWING
-    log = fl.Experiment(period=T, motor_angle=angle, output=torque, voltage=volts, source="x", sha256="cd")
+    log = fl.Experiment(
+        period=T,
+        motor_angle=angle,
+        output=torque,
+        voltage=volts,
+        source="x",
+        sha256="cd",
+    )
     plain = Recording.of(log)
-    assert plain.input_at_rest == angle[0] and (plain.source, plain.sha256) == ("x", "cd")
+    assert plain.input_at_rest == angle[0] and (plain.source, plain.sha256) == (
+        "x",
+        "cd",
+    )
     assert np.array_equal(plain.input, angle) and np.array_equal(plain.output, torque)
     motor = Recording.of(log, "voltage", "motor_angle")
     assert motor.input_at_rest == 0.0 and np.array_equal(motor.input, volts)
@@ -68,7 +88,10 @@ def test_channels_of_a_log_are_at_rest_where_they_began() -> None:
     bare = fl.Experiment(period=T, motor_angle=angle, output=torque)
     with pytest.raises(LogError, match="not in the log") as caught:
         Recording.of(bare, "voltage")
-    assert caught.value.value == "voltage" and caught.value.allowed == "motor_angle, output"
+    assert (
+        caught.value.value == "voltage"
+        and caught.value.allowed == "motor_angle, output"
+    )
     with pytest.raises(LogError, match="not as long as the input"):
         Recording(period=T, input=[0, 1, 2], output=[0, 1])
 
@@ -98,7 +121,11 @@ def test_lines_between_two_frequencies_keep_their_columns() -> None:
 
 @pytest.mark.parametrize("name", ["response", "magnitude", "coherence"])
 def test_columns_of_other_lengths_are_named(name: str) -> None:
-    columns = {"response": [1, 1j], "magnitude": [1.0, 1.0], "coherence": [0.5, 0.5]} | {name: [0.5]}
+    columns = {
+        "response": [1, 1j],
+        "magnitude": [1.0, 1.0],
+        "coherence": [0.5, 0.5],
+    } | {name: [0.5]}
     with pytest.raises(FieldError, match="not as long as frequency") as caught:
         FrequencyResponse([1.0, 2.0], **columns)
     assert caught.value.field == name

@@ -1,4 +1,6 @@
-"""References: their derivatives against differences, their shapes against the definition."""
+"""References: their derivatives against differences, their shapes against the
+definition.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +40,21 @@ def test_velocity_and_acceleration_are_the_derivatives(name: str) -> None:
     st.floats(0.05, 10),
     st.floats(0, 10),
 )
-def test_smooth_step_goes_from_rest_to_rest(amplitude: float, duration: float, start: float) -> None:
+def test_smooth_step_goes_from_rest_to_rest(
+    amplitude: float, duration: float, start: float
+) -> None:
     path = fl.smooth_step(amplitude, duration, start)
     ends = np.array([0.0, start, path.duration, path.duration + 3.0])
-    np.testing.assert_allclose(path.angle(ends), [0, 0, amplitude, amplitude], atol=1e-12 * abs(amplitude))
-    np.testing.assert_allclose(path.velocity(ends), 0, atol=1e-9 * (1 + abs(amplitude) / duration))
+    np.testing.assert_allclose(
+        path.angle(ends), [0, 0, amplitude, amplitude], atol=1e-12 * abs(amplitude)
+    )
+    np.testing.assert_allclose(
+        path.velocity(ends), 0, atol=1e-9 * (1 + abs(amplitude) / duration)
+    )
     t = np.linspace(start, start + duration, 2001)
-    assert np.abs(path.velocity(t)).max() == pytest.approx(1.875 * abs(amplitude) / duration, rel=1e-5)
+    assert np.abs(path.velocity(t)).max() == pytest.approx(
+        1.875 * abs(amplitude) / duration, rel=1e-5
+    )
     assert np.abs(path.acceleration(t)).max() == pytest.approx(
         10 / math.sqrt(3) * abs(amplitude) / duration**2, rel=1e-4
     )
@@ -65,7 +75,9 @@ def test_prbs_has_maximum_length_and_a_flat_correlation(register: int) -> None:
     assert set(bits.tolist()) == {-1.0, 1.0}
     np.testing.assert_array_equal(bits[:length], bits[length:])
     correlation = np.fft.ifft(np.abs(np.fft.fft(bits[:length])) ** 2).real
-    np.testing.assert_allclose(correlation, [length] + [-1] * (length - 1), atol=1e-8 * length)
+    np.testing.assert_allclose(
+        correlation, [length] + [-1] * (length - 1), atol=1e-8 * length
+    )
 
 
 def test_prbs_starts_late_and_ends_at_rest() -> None:

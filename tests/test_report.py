@@ -69,7 +69,9 @@ RIG = Rig.named("paper-2023")
 
 
 class Elements(HTMLParser):
-    """Counts start tags with the names of their attributes, and keeps what they refer to."""
+    """Counts start tags with the names of their attributes, and keeps what they refer
+    to.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -143,7 +145,9 @@ def test_no_text_from_outside_becomes_an_element(text: str, plain: Elements) -> 
 
 def test_the_counter_sees_a_new_element(plain: Elements) -> None:
     assert parsed("<p>x</p>" + HOSTILE[0]).found != parsed("<p>x</p>").found
-    assert plain.found["svg", ("aria-label", "class", "data-link", "data-x", "id", "role", "style")]
+    assert plain.found[
+        "svg", ("aria-label", "class", "data-link", "data-x", "id", "role", "style")
+    ]
 
 
 @pytest.mark.slow
@@ -155,11 +159,18 @@ def test_the_page_asks_nobody_for_anything() -> None:
     assert "default-src 'none'" in text
     allowed = re.findall(r"script-src ([^;]*);", text)
     scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
-    digests = (base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts)
+    digests = (
+        base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        for script in scripts
+    )
     hashes = " ".join(f"'sha256-{digest}'" for digest in digests)
-    assert [html.unescape(sources) for sources in allowed] == [f"{hashes} 'wasm-unsafe-eval'"]
+    assert [html.unescape(sources) for sources in allowed] == [
+        f"{hashes} 'wasm-unsafe-eval'"
+    ]
     assert "self-contained: no request to any host." in text
-    assert len(scripts) == 2  # values under the pointer, and the arm with the numbers that it reads
+    assert (
+        len(scripts) == 2
+    )  # values under the pointer, and the arm with the numbers that it reads
     assert text.count("<script") == 3
     assert len(scripts[0].encode()) <= 10_000
     assert len(text.encode()) < 700_000
@@ -175,13 +186,18 @@ def test_a_report_without_script_holds_none() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("period, payload", [(1e-4, 0.03), (0.004, None)], ids=["short run", "no payload"])
+@pytest.mark.parametrize(
+    "period, payload", [(1e-4, 0.03), (0.004, None)], ids=["short run", "no payload"]
+)
 def test_a_design_with_a_fast_clock_or_without_a_payload_is_reported(
     period: float, payload: float | None
 ) -> None:
     rig = replace(RIG, period=period)
     made = design(
-        replace(rig.model, payload=payload), rig, gain_crossover=12.0, phase_margin=math.radians(50)
+        replace(rig.model, payload=payload),
+        rig,
+        gain_crossover=12.0,
+        phase_margin=math.radians(50),
     )
     assert 'id="moving"' in render_report(Study(rig=rig, design=made))
 
@@ -191,7 +207,11 @@ def test_a_report_leaves_the_arm_out_that_no_payload_lets_move() -> None:
     made = design(RIG.model, RIG, gain_crossover=12.0, phase_margin=math.radians(50))
     fast = replace(made, model=replace(made.model, natural_frequency=1e3))
     text = render_report(Study(rig=RIG, design=fast, law=made.law()))
-    assert 'id="moving"' not in text and "wasm-unsafe-eval" not in text and 'id="design"' in text
+    assert (
+        'id="moving"' not in text
+        and "wasm-unsafe-eval" not in text
+        and 'id="design"' in text
+    )
 
 
 @pytest.mark.slow
@@ -201,9 +221,17 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
     assert [name for name, count in Counter(ids).items() if count > 1] == []
     used = re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)
     assert {first or second for first, second in used} <= set(ids)
-    # Margins again for the first sheet of paper: not named twice, and silent for readers of screens.
-    paper = re.search(r'<div class="paper" aria-hidden="true">(.*?)</div>', text, re.DOTALL)
-    assert paper and "<svg" in paper[1] and " id=" not in paper[1] and "aria-label" not in paper[1]
+    # Margins again for the first sheet of paper: not named twice, and silent for
+    # readers of screens.
+    paper = re.search(
+        r'<div class="paper" aria-hidden="true">(.*?)</div>', text, re.DOTALL
+    )
+    assert (
+        paper
+        and "<svg" in paper[1]
+        and " id=" not in paper[1]
+        and "aria-label" not in paper[1]
+    )
 
 
 @pytest.mark.slow
@@ -217,8 +245,14 @@ def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) 
     )
     places = [tmp_path / "a.html", tmp_path / "b.html"]
     for place, seed in zip(places, ("1", "2"), strict=True):
-        environment = {"PYTHONHASHSEED": seed, "PATH": "", "MPLCONFIGDIR": str(tmp_path)}
-        subprocess.run([sys.executable, "-c", code, str(place)], check=True, env=environment)  # noqa: S603
+        environment = {
+            "PYTHONHASHSEED": seed,
+            "PATH": "",
+            "MPLCONFIGDIR": str(tmp_path),
+        }
+        subprocess.run(  # noqa: S603
+            [sys.executable, "-c", code, str(place)], check=True, env=environment
+        )
     assert places[0].read_bytes() == places[1].read_bytes()
 
 
@@ -229,7 +263,9 @@ def test_a_report_of_nothing_says_so() -> None:
 
 
 def test_an_infeasible_design_is_told() -> None:
-    assert "because of the moon" in render_report(Study(rig=RIG, stopped="because of the moon"))
+    assert "because of the moon" in render_report(
+        Study(rig=RIG, stopped="because of the moon")
+    )
 
 
 @pytest.mark.slow
@@ -239,11 +275,15 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults
-    assert back.verdict.reality == Scope("failed", ("1 of 2 faults miss their requirement",))
+    assert back.verdict.reality == Scope(
+        "failed", ("1 of 2 faults miss their requirement",)
+    )
     assert back.verdict.promise == replace(saved, faults=None).verdict.promise
     texts = " ".join(parsed(render_report(back)).texts)
     assert "1 of 2 faults meet their requirement in every run, 2 runs" in texts
-    assert "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
+    assert (
+        "peak over clean: 1.3 (limit 1.1) (F11-2-30g-start-1: peak over clean)" in texts
+    )
     assert "≤ 1.1 × that of the clean run" in texts
     assert 'id="faults"' not in render_report(replace(back, faults=None))
 
@@ -258,7 +298,9 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
         (("passed", "passed", "failed"), "failed"),
     ],
 )
-def test_the_headline_is_never_better_than_its_worst_part(states: tuple[str, ...], whole: str) -> None:
+def test_the_headline_is_never_better_than_its_worst_part(
+    states: tuple[str, ...], whole: str
+) -> None:
     verdict = Verdict(*(Scope(state) for state in states))
     assert verdict.state == whole
     assert verdict.passed == (whole == "passed")
@@ -282,14 +324,18 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
     for requirement in made.requirements:
         assert requirement.name in texts
     assert number(made.controller.gain, 5) in texts
-    assert "48.8°" in texts or "50.0°" in texts  # the sampled margin at 20 g stands beside the one asked for
+    assert (
+        "48.8°" in texts or "50.0°" in texts
+    )  # the sampled margin at 20 g stands beside the one asked for
 
 
 @pytest.mark.slow
 def test_a_model_without_a_natural_frequency_is_named_by_the_model_that_it_is() -> None:
     log = read_log(bundled_log("pulse_30g"))
     comparison = compare_structures(log, details=False)
-    page = render_report(Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"]))
+    page = render_report(
+        Study(experiment=log, comparison=comparison, fit=comparison.fits["UD-FOM"])
+    )
     row = page[page.index("<td>D-FOM</td>") :].partition("</tr>")[0]
     assert re.findall(r"<td[^>]*>(.*?)</td>", row)[1] == "–"
     assert "D-FOM ended at ω₀ = 0: it is UD-FOM with λ = 2 − α" in page
@@ -316,7 +362,14 @@ def test_thinning_keeps_every_peak() -> None:
 
 @pytest.mark.parametrize(
     ("value", "shown"),
-    [(0.0, "0"), (math.nan, "–"), (None, "–"), (1e-12, "1×10⁻¹²"), (-1.5, "−1.5"), (123456.0, "1.235×10⁵")],
+    [
+        (0.0, "0"),
+        (math.nan, "–"),
+        (None, "–"),
+        (1e-12, "1×10⁻¹²"),
+        (-1.5, "−1.5"),
+        (123456.0, "1.235×10⁵"),
+    ],
 )
 def test_numbers_read_well(value: float | None, shown: str) -> None:
     assert number(value) == shown
@@ -354,7 +407,9 @@ document.title = JSON.stringify(said);
 def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
     made, _ = design_for(RIG)
     page = render_report(Study(rig=RIG, design=made))
-    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)  # of the copy that is tried
+    page = re.sub(
+        r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page
+    )  # of the copy that is tried
     place = tmp_path / "report.html"
     place.write_text(page.replace("</body>", POINTER + "</body>"), "utf-8")
     answer = subprocess.run(  # noqa: S603
@@ -364,7 +419,9 @@ def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
         timeout=120,
         check=True,
     )
-    title = html.unescape(re.findall(r"<title>(.*?)</title>", answer.stdout, re.DOTALL)[0])
+    title = html.unescape(
+        re.findall(r"<title>(.*?)</title>", answer.stdout, re.DOTALL)[0]
+    )
     tip, cursors, left, whole, buttons = json.loads(title)
     assert re.fullmatch(r"[\d.]+\n20 g: −?[\d.]+\n30 g: −?[\d.]+\n40 g: −?[\d.]+", tip)
     assert cursors == 2  # both panels
@@ -375,16 +432,25 @@ def test_the_pointer_shows_values_and_zooms(tmp_path: Path) -> None:
 def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
     place = write_report(study(HOSTILE[0], design=True), tmp_path / "report.html")
     answer = subprocess.run(  # noqa: S603
-        [*command_line(tmp_path, "--enable-logging=stderr", "--dump-dom"), place.as_uri()],
+        [
+            *command_line(tmp_path, "--enable-logging=stderr", "--dump-dom"),
+            place.as_uri(),
+        ],
         capture_output=True,
         text=True,
         timeout=120,
         check=True,
     )
     assert "alert" in answer.stdout  # the hostile name is on the page, as text
-    assert "CONSOLE" not in answer.stderr  # neither a refused style nor a script that ran
+    assert (
+        "CONSOLE" not in answer.stderr
+    )  # neither a refused style nor a script that ran
     found = parsed(answer.stdout)
-    drawn = sum(count for (tag, names), count in found.found.items() if tag == "svg" and "data-x" in names)
+    drawn = sum(
+        count
+        for (tag, names), count in found.found.items()
+        if tag == "svg" and "data-x" in names
+    )
     assert drawn == 4  # log, Bode, margins, phase budget
     assert 'data-ready="true"' in answer.stdout
 
@@ -396,9 +462,17 @@ def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None
 
     def shown(name: str, structure: str = "UD-FOM", **values: float) -> str:
         model = SimpleNamespace(
-            **{"natural_frequency": 10.02, "order": 1.92, "damping": 0.0, "damping_order": 1.0} | values
+            **{
+                "natural_frequency": 10.02,
+                "order": 1.92,
+                "damping": 0.0,
+                "damping_order": 1.0,
+            }
+            | values
         )
-        fit = SimpleNamespace(model=model, structure=structure, standard_errors={"order": 0.01})
+        fit = SimpleNamespace(
+            model=model, structure=structure, standard_errors={"order": 0.01}
+        )
         return _parameter(fit, name)  # type: ignore[arg-type]
 
     assert shown("natural_frequency", natural_frequency=0.0) == "–"
@@ -417,7 +491,10 @@ def test_the_sentences_on_tolerances_say_each_bound_that_there_is() -> None:
     from fraclink._design.assess import Tolerances
     from fraclink._show.words import tolerance_sentences
 
-    made = SimpleNamespace(payloads=(0.02, 0.04), rig=SimpleNamespace(motor_loop=SimpleNamespace(pole=80.0)))
+    made = SimpleNamespace(
+        payloads=(0.02, 0.04),
+        rig=SimpleNamespace(motor_loop=SimpleNamespace(pole=80.0)),
+    )
 
     def said(*numbers: float) -> list[str]:
         return tolerance_sentences(Tolerances(*numbers), made)  # type: ignore[arg-type]
@@ -433,7 +510,10 @@ def test_the_sentences_on_tolerances_say_each_bound_that_there_is() -> None:
         "payloads down to 4 g instead of 20 to 40 g",
         "a link up to 6 times as stiff as the model",
     ]
-    assert said(0.0, 0.0, 0.2, 0.25, math.inf, 0.0)[1] == "a link 0.25 times as stiff as the model"
+    assert (
+        said(0.0, 0.0, 0.2, 0.25, math.inf, 0.0)[1]
+        == "a link 0.25 times as stiff as the model"
+    )
 
 
 def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -> None:
@@ -450,10 +530,19 @@ def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -
         "Where the phase goes at 30 g: feedback 180°, controller +40.0°, link −150.5°, delay −20.0°, "
         "phase margin 49.5°"
     )
-    assert budget_figure(shares).description.startswith("Where the phase goes: feedback 180°")
+    assert budget_figure(shares).description.startswith(
+        "Where the phase goes: feedback 180°"
+    )
     low, high = figure.x.low, figure.x.high
     assert low == 0.0 and high == pytest.approx(1.12 * 220.0)
-    assert [tick[0] for tick in figure.x.ticks] == [0.0, 45.0, 90.0, 135.0, 180.0, 225.0]
+    assert [tick[0] for tick in figure.x.ticks] == [
+        0.0,
+        45.0,
+        90.0,
+        135.0,
+        180.0,
+        225.0,
+    ]
     beyond = budget_figure([PhaseShare("link", math.radians(-200.0))])
     assert beyond.x.low == pytest.approx(-20.0)
 
@@ -469,7 +558,9 @@ def test_a_name_stands_at_the_last_value_that_is_drawn(kind: str) -> None:
     x, nan = [0.0, 1.0, 2.0, 3.0], math.nan
 
     def ends(y: list[float], name: str) -> list[tuple[float, str]]:
-        return [(place, text) for place, text, _ in mark(x, y, name=name).drawn(frame).ends]
+        return [
+            (place, text) for place, text, _ in mark(x, y, name=name).drawn(frame).ends
+        ]
 
     assert ends([1.0, 2.0, 5.0, nan], "tip") == [(frame.down(5.0), "tip")]
     assert ends([1.0, 2.0, 5.0, 7.5], "tip") == [(frame.down(7.5), "tip")]

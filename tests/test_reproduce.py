@@ -1,4 +1,6 @@
-"""The paper's numbers, statements and equations: our values, and verdicts that follow from them."""
+"""The paper's numbers, statements and equations: our values, and verdicts that follow
+from them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,14 @@ from reproduce.evidence_model import NEAR, ratios_of_table_3
 from reproduce.judged import LOGS, Reading, judged, together
 from reproduce.loops import curves, sampled
 from reproduce.points import Check
-from reproduce.published import Claim, Equation, Number, agreement, agrees, read_published
+from reproduce.published import (
+    Claim,
+    Equation,
+    Number,
+    agreement,
+    agrees,
+    read_published,
+)
 from reproduce.runs import move, tracking_pairs
 from reproduce.values import computed
 
@@ -59,23 +68,32 @@ CHECKED = {
 }
 
 
-@pytest.mark.parametrize(("name", "value", "places"), [(k, *v) for k, v in CHECKED.items()])
+@pytest.mark.parametrize(
+    ("name", "value", "places"), [(k, *v) for k, v in CHECKED.items()]
+)
 def test_our_values_are_the_checked_ones(name: str, value: float, places: int) -> None:
     assert abs(VALUES[name] - value) <= 0.5000001 * 10**-places
 
 
 @pytest.mark.slow
 def test_what_the_procedure_leaves_out_costs_what_was_checked() -> None:
-    """By hand-written scripts, from the printed inputs: 70° becomes 63° and 27.6°; the redesign keeps 48.8°.
+    """By hand-written scripts, from the printed inputs: 70° becomes 63° and 27.6°; the
+    redesign keeps 48.8°.
 
-    Those scripts simulated the paper's own sums, which lag; the exact controller keeps the 50° asked for.
+    Those scripts simulated the paper's own sums, which lag; the exact controller keeps
+    the 50° asked for.
     """
     printed = [before for _, before, _ in omissions.costs()]
     assert printed[:3] == pytest.approx([70.0, 63.0, 27.6], abs=0.05)
     assert 15.0 < printed[4] < printed[3] < 19.0
     checked = {0.040: 63.9, 0.030: 57.9, 0.020: 48.8, 0.016: 43.3, 0.008: 23.9}
-    found = {payload: (exact, sums) for payload, exact, _, sums in omissions.sampled_margins()}
-    assert {payload: sums for payload, (_, sums) in found.items()} == pytest.approx(checked, abs=0.05)
+    found = {
+        payload: (exact, sums)
+        for payload, exact, _, sums in omissions.sampled_margins()
+    }
+    assert {payload: sums for payload, (_, sums) in found.items()} == pytest.approx(
+        checked, abs=0.05
+    )
     assert found[0.020][0] == pytest.approx(50.0, abs=0.1)
 
 
@@ -94,7 +112,9 @@ def test_other_facts_are_the_checked_ones() -> None:
 def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
     same = agrees(item.value, VALUES[item.ours])
     if item.verdict in {"input", "reproduced"}:
-        assert same  # an input is read from where it is used, not from where it is typed
+        assert (
+            same
+        )  # an input is read from where it is used, not from where it is typed
     elif item.verdict in {"corrected", "contradicts"}:
         assert not same
         assert item.reason
@@ -103,7 +123,9 @@ def test_every_verdict_follows_from_the_numbers(item: Number) -> None:
 
 
 def test_only_what_stands_on_the_twin_or_a_measurement_needs_the_logs() -> None:
-    """What follows from the paper's own numbers is reproduced, corrected or contradicts."""
+    """What follows from the paper's own numbers is reproduced, corrected or
+    contradicts.
+    """
     for item in PUBLISHED.numbers:
         if item.verdict == "not reproducible":
             assert item.ours.startswith(("twin.", "resonance.")), item.id
@@ -118,10 +140,20 @@ RATIOS = {"light": 1.5**0.5, "heavy": (4 / 3) ** 0.5}  # of (5), to 30 g
 
 @pytest.mark.parametrize("structure", ["UD-FOM", "D-FOM", "UD-IOM", "D-IOM"])
 def test_every_frequency_of_table_3_is_judged_alike(structure: str) -> None:
-    """A ratio to 30 g that (5) does not give contradicts; 30 g itself does where both are off."""
-    printed = dict(zip(("light", "heavy"), ratios_of_table_3(PUBLISHED, structure), strict=True))
-    off = {name: abs(value / RATIOS[name] - 1.0) >= NEAR for name, value in printed.items()}
-    wanted = {"m_min": off["light"], "m_nom": off["light"] and off["heavy"], "m_max": off["heavy"]}
+    """A ratio to 30 g that (5) does not give contradicts; 30 g itself does where both
+    are off.
+    """
+    printed = dict(
+        zip(("light", "heavy"), ratios_of_table_3(PUBLISHED, structure), strict=True)
+    )
+    off = {
+        name: abs(value / RATIOS[name] - 1.0) >= NEAR for name, value in printed.items()
+    }
+    wanted = {
+        "m_min": off["light"],
+        "m_nom": off["light"] and off["heavy"],
+        "m_max": off["heavy"],
+    }
     column = structure.lower().replace("-", "")
     found = {item.id: item.verdict for item in PUBLISHED.numbers}
     for payload, contradicts in wanted.items():
@@ -136,20 +168,33 @@ def test_the_pulse_is_the_papers_on_the_arm_of_the_bundled_logs() -> None:
     assert np.max(np.abs(log.torque)) < 2.5  # the converter's range: nothing is clipped
     text = (ROOT / "src/fraclink/logs/pulse_30g.csv").read_text("utf-8")
     bundled = dict(re.findall(r"^# (\w+): (.*)$", text, flags=re.MULTILINE))
-    other = {"title", "source", "gauge_noise_Nm"}  # the noise is the same share of a larger torque
+    other = {
+        "title",
+        "source",
+        "gauge_noise_Nm",
+    }  # the noise is the same share of a larger torque
     assert {key: log.header[key] for key in log.header if key not in other} == {
         key: value for key, value in bundled.items() if key not in other
     }
 
 
 def test_table_2_and_3_are_fitted_as_the_paper_says() -> None:
-    """c is held and there is no delay; α and μ of D-FOM, μ of D-IOM and λ of UD-FOM are common."""
+    """c is held and there is no delay; α and μ of D-FOM, μ of D-IOM and λ of UD-FOM are
+    common.
+    """
     for name in ("pulse", *logs.PAYLOADS):
         for fit in logs.twin_fits(name).values():
             assert fit.model.stiffness == 1.56
             assert fit.model.gauge_delay == 0.0
-    for structure, shared in (("D-FOM", "damping_order"), ("D-FOM", "damping"), ("D-IOM", "damping")):
-        found = {getattr(logs.twin_fits(name)[structure].model, shared) for name in logs.PAYLOADS}
+    for structure, shared in (
+        ("D-FOM", "damping_order"),
+        ("D-FOM", "damping"),
+        ("D-IOM", "damping"),
+    ):
+        found = {
+            getattr(logs.twin_fits(name)[structure].model, shared)
+            for name in logs.PAYLOADS
+        }
         assert len(found) == 1
     assert VALUES["twin.prbs.joint.damping_order"] == pytest.approx(1.2558, abs=1e-4)
     # The figure that only a free gain and delay give.
@@ -174,19 +219,25 @@ def test_one_reading_that_differs_is_enough() -> None:
     rows = [Reading("a", "", "holds"), Reading("b", "", "holds")]
     assert together(rows, "").verdict == "holds"
     for verdict in ("does not hold", "holds in part", LOGS):
-        assert together([*rows, Reading("c", "", verdict)], "").verdict == "holds in part"
+        assert (
+            together([*rows, Reading("c", "", verdict)], "").verdict == "holds in part"
+        )
     assert judged([False, False]) == "does not hold"
 
 
 def test_what_a_twin_shows_is_no_verdict_on_the_paper() -> None:
-    """λ = 1.92 was written into it: whatever its logs say, the statement stays with the laboratory's."""
+    """λ = 1.92 was written into it: whatever its logs say, the statement stays with the
+    laboratory's.
+    """
     found = EVIDENCE["order_of_payloads"](PUBLISHED)
     assert found.verdict == LOGS
     assert {row.verdict for row in found.readings} == {"holds", "does not hold"}
 
 
 def test_margins_of_every_reading_are_the_checked_ones() -> None:
-    """By a hand-written script: LM_M and LM'_M of the printed gains, and of the procedure's with a filter."""
+    """By a hand-written script: LM_M and LM'_M of the printed gains, and of the
+    procedure's with a filter.
+    """
     plain, rescaled, own = (curves(designs.readings()[i]) for i in (1, 2, 4))
     for item, grams, known in (
         (plain, 20, (42.3, 33.8)),
@@ -204,7 +255,13 @@ def test_margins_of_every_reading_are_the_checked_ones() -> None:
 
 def test_every_unstable_loop_is_flagged_in_its_caption() -> None:
     text = (FOLDER / "RESULTS.md").read_text("utf-8")
-    for number, payload in ((11, 0.030), (12, 0.040), (13, 0.020), (15, 0.016), (16, 0.008)):
+    for number, payload in (
+        (11, 0.030),
+        (12, 0.040),
+        (13, 0.020),
+        (15, 0.016),
+        (16, 0.008),
+    ):
         caption = text.split(f"![Fig. {number}:")[1].split("###")[0]
         flagged = re.search(r"\*\*Unstable loops\*\*: (.*?)\. Moves", caption)
         found = {
@@ -215,17 +272,23 @@ def test_every_unstable_loop_is_flagged_in_its_caption() -> None:
         }
         assert set(flagged[1].split("; ") if flagged else ()) == found, number
     assert {"printed (58), (59), C", "printed (58), (59), C'"} <= set(
-        re.search(r"Fig\. 11: .*?\*\*Unstable loops\*\*: (.*?)\. Moves", text, flags=re.DOTALL)[1].split("; ")
+        re.search(
+            r"Fig\. 11: .*?\*\*Unstable loops\*\*: (.*?)\. Moves", text, flags=re.DOTALL
+        )[1].split("; ")
     )
 
 
 def test_moves_are_drawn_with_the_rigs_noise() -> None:
     run = move(designs.in_loop().fractional, 0.030)
-    assert np.std(run.torque_measured - run.torque - 0.05) == pytest.approx(0.01, rel=0.1)
+    assert np.std(run.torque_measured - run.torque - 0.05) == pytest.approx(
+        0.01, rel=0.1
+    )
 
 
 def test_every_equation_is_there_once() -> None:
-    assert [item.number for item in PUBLISHED.equations] == [f"({n})" for n in range(1, 61)]
+    assert [item.number for item in PUBLISHED.equations] == [
+        f"({n})" for n in range(1, 61)
+    ]
     assert set(CHECKS) == {item.number for item in PUBLISHED.equations}
 
 
@@ -243,7 +306,9 @@ def _survives(item: Equation) -> bool:
 
 
 def test_no_row_survives_that_names_the_code_of_another() -> None:
-    """Every code of the table in every other row: an exception, or a value that is not the equation's."""
+    """Every code of the table in every other row: an exception, or a value that is not
+    the equation's.
+    """
     codes = sorted({item.code for item in PUBLISHED.equations})
     assert len(codes) > 30
     left = [
@@ -257,12 +322,17 @@ def test_no_row_survives_that_names_the_code_of_another() -> None:
 
 def test_a_wrong_verdict_of_a_row_does_not_survive() -> None:
     flipped = {"right": "misprint", "misprint": "right"}
-    assert not any(_survives(replace(item, verdict=flipped[item.verdict])) for item in PUBLISHED.equations)
+    assert not any(
+        _survives(replace(item, verdict=flipped[item.verdict]))
+        for item in PUBLISHED.equations
+    )
 
 
 def test_the_misprint_of_the_closed_loop_is_in_its_first_column() -> None:
     for number in ("(24)", "(25)"):
-        printed, _, true = CHECKS[number].sides(lambda *_, **__: 0.0, np.random.default_rng(1))
+        printed, _, true = CHECKS[number].sides(
+            lambda *_, **__: 0.0, np.random.default_rng(1)
+        )
         same = np.isclose(printed, true, rtol=1e-9)
         assert same.tolist() == [[False, True], [False, True]]
 
@@ -286,16 +356,26 @@ def test_results_regenerate_bit_for_bit(tmp_path: Path) -> None:
     place = reproduce(FOLDER, tmp_path / "again")
     assert place.read_text("utf-8") == (FOLDER / "RESULTS.md").read_text("utf-8")
     names = sorted(path.name for path in (FOLDER / "figures").iterdir())
-    again = {path.name: path.read_bytes() for path in (tmp_path / "again" / "figures").iterdir()}
+    again = {
+        path.name: path.read_bytes()
+        for path in (tmp_path / "again" / "figures").iterdir()
+    }
     assert again == {name: (FOLDER / "figures" / name).read_bytes() for name in names}
     shown = re.findall(r"\(figures/([\w.]+)\)", place.read_text("utf-8"))
     assert sorted(shown) == names
 
 
 def test_no_line_of_the_page_is_lost() -> None:
-    """The documentation includes RESULTS.md, and MyST takes a line that begins with % for a comment."""
-    for page in (FOLDER / "RESULTS.md", ROOT / "docs/explanation/if-you-are-the-authors.md"):
-        assert not re.search(r"^\s*%", page.read_text("utf-8"), flags=re.MULTILINE), page.name
+    """The documentation includes RESULTS.md, and MyST takes a line that begins with %
+    for a comment.
+    """
+    for page in (
+        FOLDER / "RESULTS.md",
+        ROOT / "docs/explanation/if-you-are-the-authors.md",
+    ):
+        assert not re.search(r"^\s*%", page.read_text("utf-8"), flags=re.MULTILINE), (
+            page.name
+        )
 
 
 def test_missing_data_are_named(tmp_path: Path) -> None:

@@ -36,12 +36,16 @@ def peak_error(output: np.ndarray, expected: np.ndarray) -> float:
     return float(np.max(np.abs(output - expected)) / np.max(np.abs(expected)))
 
 
-# -- closed forms ---------------------------------------------------------------------------------
+# -- closed forms
+# ---------------------------------------------------------------------------------
 
 
 def test_order_one_is_the_exponential() -> None:
     t = np.arange(2000) * T
-    assert peak_error(step_response(5 / (s + 5), t[-1], T).output, -np.expm1(-5 * t)) < 1e-13
+    assert (
+        peak_error(step_response(5 / (s + 5), t[-1], T).output, -np.expm1(-5 * t))
+        < 1e-13
+    )
 
 
 def test_order_two_is_the_cosine_for_100_s() -> None:
@@ -55,12 +59,17 @@ def test_order_one_half_is_the_error_function() -> None:
     assert peak_error(result.output, 1 - erfcx(3 * np.sqrt(result.time))) < 1e-12
 
 
-@pytest.mark.parametrize("order", [0.0, 0.1, 0.5, 0.93, 0.95, 1.0, 1.5, 2.0, 3.0, math.pi])
+@pytest.mark.parametrize(
+    "order", [0.0, 0.1, 0.5, 0.93, 0.95, 1.0, 1.5, 2.0, 3.0, math.pi]
+)
 def test_powers_of_the_integrator(order: float) -> None:
     result = time_response(2 / s**order, np.ones(3000), T)
     assert peak_error(result.output, 2 * result.time**order / gamma(1 + order)) < 5e-12
     ramp = time_response(2 / s**order, result.time, T, hold="first")
-    assert peak_error(ramp.output, 2 * result.time ** (order + 1) / gamma(2 + order)) < 5e-12
+    assert (
+        peak_error(ramp.output, 2 * result.time ** (order + 1) / gamma(2 + order))
+        < 5e-12
+    )
 
 
 def test_semigroup_of_the_responses() -> None:
@@ -87,19 +96,26 @@ def test_triple_complex_pole() -> None:
 
 
 def test_servo_and_link_a_double_pole_on_the_cut() -> None:
-    """LinkModel's plant behind its servo: double pole at -80, on the branch cut of s^1.92."""
+    """LinkModel's plant behind its servo: double pole at -80, on the branch cut of
+    s^1.92.
+    """
     plant = LINK / (1 + s / 80) ** 2
     result = time_response(plant, np.ones(25_001), T)
     assert result.method == "modes"
     assert result.error_estimate < 1e-11
-    # The double pole as the limit of two simple ones on the cut, by Richardson extrapolation.
+    # The double pole as the limit of two simple ones on the cut, by Richardson
+    # extrapolation.
     values = []
     for gap in (16.0, 8.0, 4.0, 2.0, 1.0):
         low, high = 80 - gap, 80 + gap
         split = LINK * (6400 / ((s + low) * (s + high)))
-        values.append(time_response(split, np.ones(400), T).output * (low * high / 6400))
+        values.append(
+            time_response(split, np.ones(400), T).output * (low * high / 6400)
+        )
     for level in range(1, 5):
-        values = [(4**level * b - a) / (4**level - 1) for a, b in itertools.pairwise(values)]
+        values = [
+            (4**level * b - a) / (4**level - 1) for a, b in itertools.pairwise(values)
+        ]
     assert peak_error(result.output[:400], values[0]) < 1e-10
 
 
@@ -108,14 +124,21 @@ def test_undamped_double_resonance() -> None:
     result = time_response((100 / (s**2 + 100)) ** 2, np.ones(5000), T)
     t = result.time
     assert result.method == "modes"
-    assert peak_error(result.output, 1 - np.cos(10 * t) - 5 * t * np.sin(10 * t)) < 1e-11
+    assert (
+        peak_error(result.output, 1 - np.cos(10 * t) - 5 * t * np.sin(10 * t)) < 1e-11
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("detuning", [0.0, 1e-9, 1e-6, 1e-4, 1e-2])
 def test_merging_resonances_are_continuous(detuning: float) -> None:
     """Two links in series, equal and nearly equal: Talbot's inversion knows no poles."""
-    pair = LINK * (1 + detuning) ** 2 * 11.54**2 / (s**1.92 + (1 + detuning) ** 2 * 11.54**2)
+    pair = (
+        LINK
+        * (1 + detuning) ** 2
+        * 11.54**2
+        / (s**1.92 + (1 + detuning) ** 2 * 11.54**2)
+    )
     result = step_response(pair, 5.0, T)
 
     def total(terms: tuple[Term, ...], z: mp.mpc) -> mp.mpc:
@@ -134,17 +157,24 @@ def test_merging_resonances_are_continuous(detuning: float) -> None:
 
 
 def test_simple_pole_on_the_cut() -> None:
-    """1/((s+1)(√s+2)): partial fractions in √s, with error functions of complex argument."""
+    """1/((s+1)(√s+2)): partial fractions in √s, with error functions of complex
+    argument.
+    """
     t = np.arange(1, 1500) * 0.01
-    # 1/((w²+1)(w+2)) = Σ A_i/(w - w_i), w = √s; the step of 1/(√s - a) is (erfcx(-a√t) - 1)/a
+    # 1/((w²+1)(w+2)) = Σ A_i/(w - w_i), w = √s; the step of 1/(√s - a) is (erfcx(-a√t)
+    # - 1)/a
     roots = np.array([1j, -1j, -2.0])
     weights = 1 / np.array([2j * (1j + 2), -2j * (-1j + 2), 5.0])
-    exact = sum(c / a * (wofz(-1j * a * np.sqrt(t)) - 1) for a, c in zip(roots, weights, strict=True)).real
+    exact = sum(
+        c / a * (wofz(-1j * a * np.sqrt(t)) - 1)
+        for a, c in zip(roots, weights, strict=True)
+    ).real
     result = step_response(1 / ((s + 1) * (s**0.5 + 2)), 14.99, 0.01)
     assert peak_error(result.output[1:], exact) < 1e-11
 
 
-# -- holds, delays, linearity ---------------------------------------------------------------------
+# -- holds, delays, linearity
+# ---------------------------------------------------------------------
 
 
 def held_exactly(u: np.ndarray, delay: float, rate: float, hold: str) -> np.ndarray:
@@ -172,18 +202,26 @@ def held_exactly(u: np.ndarray, delay: float, rate: float, hold: str) -> np.ndar
 def test_holds_and_delays(hold: str, delay: float) -> None:
     u = RNG.normal(size=400)
     result = time_response((5 / (s + 5)).delayed(delay), u, T, hold=hold)
-    np.testing.assert_allclose(result.output, held_exactly(u, delay, 5.0, hold), atol=2e-13)
+    np.testing.assert_allclose(
+        result.output, held_exactly(u, delay, 5.0, hold), atol=2e-13
+    )
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
 @pytest.mark.parametrize("delay", [0.0, 0.3 * T, 1.7 * T])
-def test_integrators_of_held_inputs_seen_between_samples(hold: str, delay: float) -> None:
-    """2/s + 3/s²: the sums of held values, of their slopes, and what a jump at 0 adds, late by any time."""
+def test_integrators_of_held_inputs_seen_between_samples(
+    hold: str, delay: float
+) -> None:
+    """2/s + 3/s²: the sums of held values, of their slopes, and what a jump at 0 adds,
+    late by any time.
+    """
     u = RNG.normal(size=60)
     t = np.arange(60) * T - delay
     exact = np.zeros(60)
     starts, jumps = np.arange(60) * T, np.diff(u, prepend=0.0)
-    for start, jump in zip(starts, jumps if hold == "zero" else [u[0], *np.zeros(59)], strict=True):
+    for start, jump in zip(
+        starts, jumps if hold == "zero" else [u[0], *np.zeros(59)], strict=True
+    ):
         after = np.maximum(t - start, 0.0)
         exact += jump * (2 * after + 1.5 * after**2)
     if hold == "first":
@@ -197,13 +235,17 @@ def test_integrators_of_held_inputs_seen_between_samples(hold: str, delay: float
     alone = time_response((2 / s).delayed(delay) + LINK.delayed(delay), u, T, hold=hold)  # type: ignore[arg-type]
     link = time_response(LINK.delayed(delay), u, T, hold=hold).output  # type: ignore[arg-type]
     held = time_response((3 / s**2).delayed(delay), u, T, hold=hold).output  # type: ignore[arg-type]
-    np.testing.assert_allclose(alone.output - link, exact - held, atol=2e-12 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        alone.output - link, exact - held, atol=2e-12 * np.abs(exact).max()
+    )
 
 
 def test_several_delays_add_up() -> None:
     parts = [(2.0, 0.0101), (-0.5, 0.0), (1.0, 0.3)]
     total = sum((c * LINK.delayed(d) for c, d in parts), 0 * s)
-    expected = sum(c * time_response(LINK.delayed(d), SIGNAL, T).output for c, d in parts)
+    expected = sum(
+        c * time_response(LINK.delayed(d), SIGNAL, T).output for c, d in parts
+    )
     assert peak_error(time_response(total, SIGNAL, T).output, expected) < 1e-13
 
 
@@ -217,14 +259,19 @@ def test_delay_of_whole_samples_shifts() -> None:
 def test_feedthrough_jumps_with_the_input() -> None:
     torque = 1.56 * (1 - LINK)
     assert time_response(torque, [0.0, 1.0, 1.0], T).output[1] == pytest.approx(1.56)
-    assert time_response(torque, [1.0], T, hold="first").output[0] == pytest.approx(1.56)
+    assert time_response(torque, [1.0], T, hold="first").output[0] == pytest.approx(
+        1.56
+    )
     assert step_response(torque, [0.0]).output[0] == pytest.approx(1.56)
 
 
 def test_first_order_hold_converges_with_the_square_of_the_period() -> None:
     exact_period, errors = T / 64, []
     reference = time_response(
-        LINK, np.sin(9 * np.arange(64 * 250 + 1) * exact_period), exact_period, hold="first"
+        LINK,
+        np.sin(9 * np.arange(64 * 250 + 1) * exact_period),
+        exact_period,
+        hold="first",
     )
     for factor in (1, 2, 4):
         period = T / factor
@@ -246,12 +293,15 @@ def test_grunwald_letnikov_converges_slowly_to_the_same_response() -> None:
     assert 3.0 < errors[1] / errors[2] < 6.0
 
 
-# -- exact properties -----------------------------------------------------------------------------
+# -- exact properties
+# -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("order", [1.01, 1.37, 1.92, 2.0])
 def test_homothety(order: float) -> None:
-    """The response of ω₀²/(s^λ + ω₀²) depends on t ω₀^(2/λ) only (Lemma 1 of the source paper)."""
+    """The response of ω₀²/(s^λ + ω₀²) depends on t ω₀^(2/λ) only (Lemma 1 of the source
+    paper).
+    """
     t = np.linspace(0.01, 3.0, 50)
     slow = step_response(1 / (s**order + 1), t * 11.54 ** (2 / order)).output
     fast = step_response(11.54**2 / (s**order + 11.54**2), t).output
@@ -266,7 +316,8 @@ def test_parseval() -> None:
     w = (0.5 * np.diff(edges)[:, None] * weight).ravel() * np.exp(x)
     in_time = float(w @ impulse_response(LINK, np.exp(x)).output ** 2)
     in_frequency = float(w @ np.abs(LINK(1j * np.exp(x))) ** 2) / math.pi
-    # Beyond ω = 1e4 there is ω₀⁴ ω^-2.84/2.84 = 3e-8 of the integral; below 1e-7 nothing of note.
+    # Beyond ω = 1e4 there is ω₀⁴ ω^-2.84/2.84 = 3e-8 of the integral; below 1e-7
+    # nothing of note.
     tail = 11.54**4 * 1e4**-2.84 / 2.84 / math.pi
     assert in_time == pytest.approx(in_frequency + tail, rel=1e-7)
 
@@ -282,7 +333,11 @@ def test_frequency_response_of_the_modes_sums_the_aliases() -> None:
 
 def test_modes_are_the_recursion_they_document() -> None:
     modes = discrete_modes((1.56 * (1 - LINK)).delayed(1.5 * T), T, span=10.0)
-    y, x, z = np.zeros(50), np.zeros(len(modes.gains)), np.zeros(len(modes.pole_gains), complex)
+    y, x, z = (
+        np.zeros(50),
+        np.zeros(len(modes.gains)),
+        np.zeros(len(modes.pole_gains), complex),
+    )
     v = np.concatenate((np.zeros(modes.lag), SIGNAL))[:50]
     for k in range(50):
         y[k] = modes.direct * v[k] + (modes.first * v[k - 1] if k else 0.0)
@@ -346,18 +401,27 @@ def test_link_models_of_every_structure() -> None:
         np.testing.assert_allclose(tip + torque / 1.56, SIGNAL, atol=2e-11)
 
 
-# -- methods --------------------------------------------------------------------------------------
+# -- methods
+# --------------------------------------------------------------------------------------
 
 
 def test_a_contour_per_lag_where_modes_would_cancel() -> None:
-    """s^-2.9/(1 + 0.035 s^-0.2): its pole at 0.035^5 rad/s is far slower than the 30 ms asked for."""
+    """s^-2.9/(1 + 0.035 s^-0.2): its pole at 0.035^5 rad/s is far slower than the 30 ms
+    asked for.
+    """
     system = 1 / (s**2.9 + 0.0350585 * s**2.7)
     result = time_response(system, np.ones(10), 0.003)
     assert result.method == "contour"
-    series = sum((-0.0350585) ** k * result.time ** (2.9 + 0.2 * k) / gamma(3.9 + 0.2 * k) for k in range(40))
+    series = sum(
+        (-0.0350585) ** k * result.time ** (2.9 + 0.2 * k) / gamma(3.9 + 0.2 * k)
+        for k in range(40)
+    )
     assert peak_error(result.output, series) < 1e-12
     ramp = time_response(system, result.time, 0.003, hold="first")
-    series = sum((-0.0350585) ** k * result.time ** (3.9 + 0.2 * k) / gamma(4.9 + 0.2 * k) for k in range(40))
+    series = sum(
+        (-0.0350585) ** k * result.time ** (3.9 + 0.2 * k) / gamma(4.9 + 0.2 * k)
+        for k in range(40)
+    )
     assert peak_error(ramp.output, series) < 1e-11
 
 
@@ -369,13 +433,19 @@ def delayed_integrator(gain: float) -> FractionalTransferFunction:
 def method_of_steps(t: np.ndarray, gain: float, power: int) -> np.ndarray:
     total = np.zeros(len(t))
     for k in range(int(t[-1]) + 1):
-        total += (-gain) ** k * np.maximum(t - k, 0) ** (k + power) / math.factorial(k + power)
+        total += (
+            (-gain) ** k
+            * np.maximum(t - k, 0) ** (k + power)
+            / math.factorial(k + power)
+        )
     return total
 
 
 @pytest.mark.parametrize("gain", [0.5, 1.5, 2.0])
 def test_delay_in_the_denominator(gain: float) -> None:
-    """Delayed feedback, stable and unstable (gain > π/2): numerical inversion, with an honest estimate."""
+    """Delayed feedback, stable and unstable (gain > π/2): numerical inversion, with an
+    honest estimate.
+    """
     result = step_response(delayed_integrator(gain), 10.0, 0.01)
     exact = method_of_steps(result.time, gain, 1)
     error = float(np.max(np.abs(result.output - exact)))
@@ -390,7 +460,9 @@ def test_delay_in_the_denominator(gain: float) -> None:
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
-def test_inversion_where_poles_are_not_certified(hold: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_inversion_where_poles_are_not_certified(
+    hold: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """0.5 + 2/(s+1)^3, inverted as if its triple pole could not be found."""
 
     def lost(*_: object) -> None:
@@ -413,16 +485,21 @@ def test_inversion_where_poles_are_not_certified(hold: str, monkeypatch: pytest.
     assert step_response(system, 1.0, 0.01).method == "fft"
 
 
-# -- what is sampled when, what is claimed, what is kept -------------------------------------------
+# -- what is sampled when, what is claimed, what is kept
+# -------------------------------------------
 
 
 def test_a_sample_on_the_jump_counts_as_after_it() -> None:
-    """0.3 is 2.9999999999999996 periods of 0.1 s: still four samples, and the last one has jumped."""
+    """0.3 is 2.9999999999999996 periods of 0.1 s: still four samples, and the last one
+    has jumped.
+    """
     late = step_response((0 * s + 2).delayed(0.3), 0.3, 0.1)
     assert late.output.tolist() == [0.0, 0.0, 0.0, 2.0]
     assert late.time.tolist() == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert len(step_response(LINK, 0.39, 0.1).time) == 4
-    near = step_response((0 * s + 2).delayed(0.3), [0.3 - 1e-9, 0.3 - 1e-14, 0.3 + 1e-9])
+    near = step_response(
+        (0 * s + 2).delayed(0.3), [0.3 - 1e-9, 0.3 - 1e-14, 0.3 + 1e-9]
+    )
     assert near.output.tolist() == [0.0, 2.0, 2.0]
     far = step_response((0 * s + 2).delayed(1000.0), [1000.0 - 1e-7, 1000.0 - 5e-10])
     assert far.output.tolist() == [0.0, 2.0]
@@ -430,8 +507,14 @@ def test_a_sample_on_the_jump_counts_as_after_it() -> None:
 
 def test_a_gain_claims_rounding_and_no_more() -> None:
     found = time_response(0 * s - 3, SIGNAL, T)
-    assert (found.error_estimate, found.modes, found.method) == (pytest.approx(3 * 4e-15), 0, "modes")
-    assert step_response(0 * s - 3, [0.0, 1.0]).error_estimate == pytest.approx(3 * 4e-15)
+    assert (found.error_estimate, found.modes, found.method) == (
+        pytest.approx(3 * 4e-15),
+        0,
+        "modes",
+    )
+    assert step_response(0 * s - 3, [0.0, 1.0]).error_estimate == pytest.approx(
+        3 * 4e-15
+    )
 
 
 def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() -> None:
@@ -440,7 +523,9 @@ def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() ->
     both = time_response(LINK + LINK.delayed(0.1), SIGNAL, T)
     assert plain.error_estimate < both.error_estimate <= 2 * plain.error_estimate
     assert both.modes == plain.modes > 2
-    mixed = time_response(1 / s**0.5 + (1 / s**0.5).delayed(0.1) * (1 + 1 / s), SIGNAL, T)
+    mixed = time_response(
+        1 / s**0.5 + (1 / s**0.5).delayed(0.1) * (1 + 1 / s), SIGNAL, T
+    )
     assert mixed.method == "modes+convolution"
     assert time_response(0 * s, SIGNAL, T).error_estimate == 0.0
 
@@ -457,7 +542,9 @@ def test_several_delays_claim_the_errors_of_all_and_the_least_direct_method() ->
         (1e-6 * T, 1, T * (1 - 1e-6)),
     ],
 )
-def test_a_delay_is_whole_periods_and_the_rest_ahead(delay: float, lag: int, ahead: float) -> None:
+def test_a_delay_is_whole_periods_and_the_rest_ahead(
+    delay: float, lag: int, ahead: float
+) -> None:
     assert split_delay(delay, T) == (lag, pytest.approx(ahead, rel=1e-9, abs=0.0))
 
 
@@ -466,16 +553,24 @@ DAMPED = (s + 40) / (s**2 + 4 * s + 100) + 0.3
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
 @pytest.mark.parametrize("delay", [0.0, 0.01, 0.013])
-def test_the_frequency_response_is_the_transform_of_the_samples(hold: Any, delay: float) -> None:
+def test_the_frequency_response_is_the_transform_of_the_samples(
+    hold: Any, delay: float
+) -> None:
     modes = discrete_modes(DAMPED.delayed(delay), 0.01, hold=hold, span=20.0)
     impulse = np.zeros(2000)
     impulse[1] = 1.0  # the hat of a linear hold begins one sample before
     w = np.array([0.0, 0.4, 9.0, 70.0, 314.0])
-    transform = np.exp(-1j * np.outer(w, np.arange(2000) - 1) * 0.01) @ modes.respond(impulse)
+    transform = np.exp(-1j * np.outer(w, np.arange(2000) - 1) * 0.01) @ modes.respond(
+        impulse
+    )
     np.testing.assert_allclose(modes.frequency_response(w), transform, atol=1e-12)
     assert modes.frequency_response(w)[0] == pytest.approx(DAMPED.dcgain(), abs=1e-12)
-    exact = time_response(DAMPED.delayed(delay), np.sin(7 * np.arange(500) * 0.01), 0.01, hold=hold).output
-    np.testing.assert_allclose(modes.respond(np.sin(7 * np.arange(500) * 0.01)), exact, atol=1e-11)
+    exact = time_response(
+        DAMPED.delayed(delay), np.sin(7 * np.arange(500) * 0.01), 0.01, hold=hold
+    ).output
+    np.testing.assert_allclose(
+        modes.respond(np.sin(7 * np.arange(500) * 0.01)), exact, atol=1e-11
+    )
 
 
 def test_a_run_goes_on_from_the_state_in_which_another_ended() -> None:
@@ -487,22 +582,33 @@ def test_a_run_goes_on_from_the_state_in_which_another_ended() -> None:
     state = np.concatenate((x, np.column_stack((z.real, z.imag)).ravel()))
     assert modes.count == len(state) == len(x) + 2 * len(z) == 3
     rest = modes.respond(SIGNAL[150:400], initial=state)
-    rest[0] += modes.first * SIGNAL[149]  # v[k-1] of the first sample, which the state does not hold
+    rest[0] += (
+        modes.first * SIGNAL[149]
+    )  # v[k-1] of the first sample, which the state does not hold
     np.testing.assert_allclose(rest, whole[150:], atol=1e-13)
 
 
 def test_spans_and_tolerances_at_their_bounds() -> None:
     assert discrete_modes(LINK, T, span=T).span == T
     for tolerance in (1e-14, 1e-2):
-        assert discrete_modes(LINK, T, span=1.0, tolerance=tolerance).tolerance == tolerance
+        assert (
+            discrete_modes(LINK, T, span=1.0, tolerance=tolerance).tolerance
+            == tolerance
+        )
     with pytest.raises(FieldError, match="one period"):
         discrete_modes(LINK, T, span=0.999 * T)
 
 
 def test_growth_is_admitted_to_the_end_of_doubles() -> None:
-    """e^690 is held, with two periods behind the span; what is longer is told how long it may be."""
+    """e^690 is held, with two periods behind the span; what is longer is told how long
+    it may be.
+    """
     found = time_response(1 / (s - 1), np.ones(688), 1.0)
-    assert abs(found.output[-1] - math.expm1(687.0)) <= found.error_estimate <= 1e-11 * found.output[-1]
+    assert (
+        abs(found.output[-1] - math.expm1(687.0))
+        <= found.error_estimate
+        <= 1e-11 * found.output[-1]
+    )
     with pytest.raises(FieldError, match=r"at most 690 s") as refused:
         time_response(1 / (s - 1), np.ones(689), 1.0)
     assert refused.value.field == "span"
@@ -511,24 +617,34 @@ def test_growth_is_admitted_to_the_end_of_doubles() -> None:
 def test_weights_of_grunwald_and_letnikov_are_signed_binomials() -> None:
     for order in (-0.7, 0.0, 0.5, 1.0, 2.0, 2.3):
         wanted = [(-1) ** k * binom(order, k) for k in range(7)]
-        assert grunwald_letnikov_weights(order, 7).tolist() == pytest.approx(wanted, abs=1e-15)
+        assert grunwald_letnikov_weights(order, 7).tolist() == pytest.approx(
+            wanted, abs=1e-15
+        )
     assert grunwald_letnikov_weights(0.5, 1).tolist() == [1.0]
     assert grunwald_letnikov_weights(0.5, 0).tolist() == []
 
 
 def test_grunwald_and_letnikov_of_whole_orders_are_backward_differences() -> None:
-    """s/(s² + 3 s + 5) as (1 − 1/z)/T: solved for the newest sample, one after the other."""
+    """s/(s² + 3 s + 5) as (1 − 1/z)/T: solved for the newest sample, one after the
+    other.
+    """
     u, period, y = SIGNAL[:60], 0.05, np.zeros(62)
     for k in range(60):
         before = u[k - 1] if k else 0.0
-        right = (u[k] - before) / period + (2 * y[k + 1] - y[k]) / period**2 + 3 * y[k + 1] / period
+        right = (
+            (u[k] - before) / period
+            + (2 * y[k + 1] - y[k]) / period**2
+            + 3 * y[k + 1] / period
+        )
         y[k + 2] = right / (1 / period**2 + 3 / period + 5)
     found = grunwald_letnikov(s / (s**2 + 3 * s + 5), u, period)
     np.testing.assert_allclose(found, y[2:], rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("count", [299_999, 300_001])
-def test_the_longest_memory_of_grunwald_and_letnikov(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_longest_memory_of_grunwald_and_letnikov(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """300 000 samples take half a minute: the kernels are left out of this."""
     monkeypatch.setattr("fraclink._kernels.memory_sum", lambda _, u: u)
     monkeypatch.setattr("fraclink._kernels.memory_solve", lambda _, u: u)
@@ -540,12 +656,16 @@ def test_the_longest_memory_of_grunwald_and_letnikov(count: int, monkeypatch: py
 
 
 def test_modes_that_a_board_runs() -> None:
-    """A pair for the resonance, exponentials in even steps above 1/span, and ten for all that is slower."""
+    """A pair for the resonance, exponentials in even steps above 1/span, and ten for
+    all that is slower.
+    """
     modes = discrete_modes(LINK, T, span=100.0)
     rates = -modes.log_decays / T
     assert (
         len(modes.pole_gains) == 1
-        and modes.count == len(rates) + 2 == time_response(LINK, np.ones(25_001), T).modes
+        and modes.count
+        == len(rates) + 2
+        == time_response(LINK, np.ones(25_001), T).modes
     )
     slow, steps = rates[rates < 0.01], np.diff(np.log(rates[rates > 0.01]))
     # The rule's error is e^(−2π·1.5/h)/2: h is what makes it the tolerance.
@@ -561,7 +681,9 @@ def test_modes_that_a_board_runs() -> None:
 
 def test_a_pole_at_one_over_the_time_is_like_any_other() -> None:
     """1/(s − 1) at 1 s: no warning of a division by zero where |s| t = 1 is looked at."""
-    assert step_response(1 / (s - 1), [1.0]).output[0] == pytest.approx(math.expm1(1.0), rel=1e-13)
+    assert step_response(1 / (s - 1), [1.0]).output[0] == pytest.approx(
+        math.expm1(1.0), rel=1e-13
+    )
     assert step_response((s - 1) / (s + 2), [1.0]).output[0] == pytest.approx(
         1.5 * math.exp(-2.0) - 0.5, rel=1e-12
     )

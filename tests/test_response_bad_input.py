@@ -1,4 +1,6 @@
-"""Requests that are refused: field, value, range and remedy in every message, nothing allocated."""
+"""Requests that are refused: field, value, range and remedy in every message, nothing
+allocated.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,9 @@ def test_refused(call, field: str) -> None:  # type: ignore[no-untyped-def]
 
 
 @pytest.mark.parametrize("duration", [1e9, 1e300])
-def test_b51_beyond_memory_is_refused_before_anything_is_allocated(duration: float) -> None:
+def test_b51_beyond_memory_is_refused_before_anything_is_allocated(
+    duration: float,
+) -> None:
     tracemalloc.start()
     with pytest.raises(SizeError, match="too many samples"):
         step_response(LINK, duration, 1e-6)
@@ -88,7 +92,10 @@ def test_b51_beyond_memory_is_refused_before_anything_is_allocated(duration: flo
 def test_b53_full_memory_is_refused_with_the_way_that_is_linear() -> None:
     u = np.ones(1_000_000)
     # It is refused, not begun: begun, it takes minutes.
-    with processor_limit(1.0), pytest.raises(SizeError, match="1e\\+12 products") as caught:
+    with (
+        processor_limit(1.0),
+        pytest.raises(SizeError, match="1e\\+12 products") as caught,
+    ):
         grunwald_letnikov(LINK, u, 0.004)
     assert caught.value.field == "u"
     assert "time_response" in caught.value.remedy

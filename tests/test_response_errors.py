@@ -10,28 +10,42 @@ import numpy as np
 import pytest
 
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import TimeResponse, impulse_response, step_response, time_response
+from fraclink._systems.response import (
+    TimeResponse,
+    impulse_response,
+    step_response,
+    time_response,
+)
 from fraclink._systems.stability import poles
 
-MEMORY = 1 / (s**6.1 + 5 * s**5.2 + 11 * s**4.1 + 14 * s**2.9 + 11 * s**2.2 + 5 * s**0.9 + 1)
+MEMORY = 1 / (
+    s**6.1 + 5 * s**5.2 + 11 * s**4.1 + 14 * s**2.9 + 11 * s**2.2 + 5 * s**0.9 + 1
+)
 
 
 def inverse(G: FractionalTransferFunction, time: float, degree: int) -> float:
-    """Inverse Laplace transform of G(s)/s^degree, without the direct part for an impulse.
+    """Inverse Laplace transform of G(s)/s^degree, without the direct part for an
+    impulse.
 
-    Fixed Talbot (Abate and Valkó, 2004): with N nodes the contour passes the imaginary axis at 0.63 N/t, so
-    that fast poles beside that axis need many; the digits are what its nodes' growth, e^(0.4 N), costs.
+    Fixed Talbot (Abate and Valkó, 2004): with N nodes the contour passes the imaginary
+    axis at 0.63 N/t, so that fast poles beside that axis need many; the digits are what
+    its nodes' growth, e^(0.4 N), costs.
     """
     fastest = float(np.max(np.abs(poles(G).imag), initial=0.0))
     nodes = 80 + 2 * int(fastest * time)
     with mpmath.workdps(40 + nodes // 2):
         direct = mpmath.mpf(0)
         if degree == 0 and G.relative_degree == 0.0:
-            direct = mpmath.mpf(G.numerator[0].coefficient) / G.denominator[0].coefficient
+            direct = (
+                mpmath.mpf(G.numerator[0].coefficient) / G.denominator[0].coefficient
+            )
 
         def value(z: mpmath.mpc) -> mpmath.mpc:
             top, bottom = (
-                mpmath.fsum(t.coefficient * mpmath.exp(mpmath.mpf(t.order) * mpmath.log(z)) for t in side)
+                mpmath.fsum(
+                    t.coefficient * mpmath.exp(mpmath.mpf(t.order) * mpmath.log(z))
+                    for t in side
+                )
                 for side in (G.numerator, G.denominator)
             )
             return (top / bottom - direct) / z**degree
@@ -48,13 +62,19 @@ def inverse(G: FractionalTransferFunction, time: float, degree: int) -> float:
         return float(total * scale / nodes)
 
 
-def worst(found: TimeResponse, G: FractionalTransferFunction, degree: int, places: np.ndarray) -> float:
+def worst(
+    found: TimeResponse, G: FractionalTransferFunction, degree: int, places: np.ndarray
+) -> float:
     """Largest true error at some of the times."""
-    return max(abs(found.output[k] - inverse(G, float(found.time[k]), degree)) for k in places)
+    return max(
+        abs(found.output[k] - inverse(G, float(found.time[k]), degree)) for k in places
+    )
 
 
 @pytest.mark.parametrize("time", [1e-9, 1e-6, 1e-4, 1e-3])
-def test_the_impulse_response_of_a_biproper_function_is_right_at_short_times(time: float) -> None:
+def test_the_impulse_response_of_a_biproper_function_is_right_at_short_times(
+    time: float,
+) -> None:
     link = 1.56 * s**1.92 / (s**1.92 + 100.4)
     found = impulse_response(link, [time])
     exact = inverse(link, time, 0)
@@ -69,8 +89,12 @@ def test_a_late_time_does_not_spoil_an_early_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("G", [MEMORY, 1 / (s**0.9 + 1) ** 5], ids=["order 6.1", "fivefold pole"])
-def test_contours_keep_their_digits_where_residues_cancel(G: FractionalTransferFunction) -> None:
+@pytest.mark.parametrize(
+    "G", [MEMORY, 1 / (s**0.9 + 1) ** 5], ids=["order 6.1", "fivefold pole"]
+)
+def test_contours_keep_their_digits_where_residues_cancel(
+    G: FractionalTransferFunction,
+) -> None:
     """The output begins like t^6 while the residues are of order one."""
     found = time_response(G, np.ones(200), 0.001)
     assert found.method == "contour"
@@ -91,7 +115,9 @@ def test_the_estimate_of_a_contour_holds_for_any_input(hold: str) -> None:
     else:
         ramp = np.array([0.0, *(inverse(MEMORY, t, 2) for t in times)])
         slopes = np.append(np.diff(u), 0.0) / period
-        exact = u[0] * step[:24] + np.convolve(slopes, np.diff(ramp[:24], prepend=0.0))[:24]
+        exact = (
+            u[0] * step[:24] + np.convolve(slopes, np.diff(ramp[:24], prepend=0.0))[:24]
+        )
     true = float(np.max(np.abs(found.output - exact)))
     assert true <= found.error_estimate <= 1e-8 * float(np.max(np.abs(exact)))
 
@@ -105,30 +131,45 @@ def test_the_estimate_of_an_impulse_is_its_own() -> None:
 
 
 def random_system(generator: np.random.Generator) -> FractionalTransferFunction:
-    """A product of 1/(s^a + c), stable for a < 2, with a sum above and at times a singular power."""
-    G = float(generator.choice([-1.0, 1.0])) * math.exp(generator.uniform(-2, 2)) + 0 * s
+    """A product of 1/(s^a + c), stable for a < 2, with a sum above and at times a
+    singular power.
+    """
+    G = (
+        float(generator.choice([-1.0, 1.0])) * math.exp(generator.uniform(-2, 2))
+        + 0 * s
+    )
     for _ in range(int(generator.integers(1, 4))):
         constant = math.exp(generator.uniform(-3, 6))
         G = G * constant / (s ** float(generator.uniform(0.1, 1.8)) + constant)
     if generator.random() < 0.4:
         G = G * (1 + float(generator.uniform(0.1, 10)) * s ** (0.9 * G.relative_degree))
-    return G / s ** float(generator.uniform(0.0, 1.5)) if generator.random() < 0.3 else G
+    return (
+        G / s ** float(generator.uniform(0.0, 1.5)) if generator.random() < 0.3 else G
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("respond", [impulse_response, step_response])
 @pytest.mark.parametrize("seed", range(24))
-def test_true_errors_stay_within_their_estimates(respond: Callable[..., TimeResponse], seed: int) -> None:
+def test_true_errors_stay_within_their_estimates(
+    respond: Callable[..., TimeResponse], seed: int
+) -> None:
     generator = np.random.default_rng(seed)
     G = random_system(generator)
-    times = np.sort(np.exp(generator.uniform(-8, 0.5, size=int(generator.integers(1, 4)))))
+    times = np.sort(
+        np.exp(generator.uniform(-8, 0.5, size=int(generator.integers(1, 4))))
+    )
     found = respond(G, times)
-    true = worst(found, G, 0 if respond is impulse_response else 1, np.arange(len(times)))
+    true = worst(
+        found, G, 0 if respond is impulse_response else 1, np.arange(len(times))
+    )
     assert true <= found.error_estimate
 
 
 def test_the_first_samples_of_a_linear_hold_keep_their_digits() -> None:
-    """The output begins like t^1.1: 1e-6 after 28 samples, beside modes with weights of order one."""
+    """The output begins like t^1.1: 1e-6 after 28 samples, beside modes with weights of
+    order one.
+    """
     G = 0.0158 / (s**1.1027 + 0.0158)
     found = time_response(G, np.ones(28), 1e-5, hold="first")
     true = worst(found, G, 1, np.array([1, 5, 27]))
@@ -136,7 +177,9 @@ def test_the_first_samples_of_a_linear_hold_keep_their_digits() -> None:
 
 
 def test_hats_of_singular_powers_do_not_cancel() -> None:
-    """A jump less its straight rise is a difference of T/t: taken from the powers it loses as many digits."""
+    """A jump less its straight rise is a difference of T/t: taken from the powers it
+    loses as many digits.
+    """
     G = (64.3424 * s + 64.3424) / (s**4.0118 + 64.3424 * s**3.2572)
     found = time_response(G, np.ones(2000), 1.67e-4, hold="first")
     true = worst(found, G, 1, np.array([2, 700, 1999]))
@@ -145,7 +188,9 @@ def test_hats_of_singular_powers_do_not_cancel() -> None:
 
 def test_the_estimate_grows_with_the_turns_of_an_undamped_mode() -> None:
     found = time_response(1 / (s**2 + 1), np.ones(200_000), 0.01)
-    exact = np.array([float(1 - mpmath.cos(k * mpmath.mpf(0.01))) for k in (150_003, 199_999)])
+    exact = np.array(
+        [float(1 - mpmath.cos(k * mpmath.mpf(0.01))) for k in (150_003, 199_999)]
+    )
     true = np.max(np.abs(found.output[[150_003, 199_999]] - exact))
     assert true <= found.error_estimate <= 1e-9
 
@@ -159,8 +204,12 @@ def test_the_estimate_grows_with_an_unstable_mode() -> None:
 
 @pytest.mark.parametrize("hold", ["zero", "first"])
 @pytest.mark.parametrize(("gain", "delay"), [(0.7, 0.5), (1.2, 1.0), (2.0, 0.3)])
-def test_the_estimate_of_a_retarded_loop_is_near_its_error(gain: float, delay: float, hold: str) -> None:
-    """ẏ = k (u − y) a delay later, whose step response is a polynomial between multiples of the delay."""
+def test_the_estimate_of_a_retarded_loop_is_near_its_error(
+    gain: float, delay: float, hold: str
+) -> None:
+    """ẏ = k (u − y) a delay later, whose step response is a polynomial between
+    multiples of the delay.
+    """
     loop = (gain / s).delayed(delay).feedback()
     count, period = 400, 0.02
     time = period * np.arange(count)
@@ -176,9 +225,18 @@ def test_the_estimate_of_a_retarded_loop_is_near_its_error(gain: float, delay: f
 
 @pytest.mark.slow
 def test_the_errors_of_several_jumps_add_up() -> None:
-    """Found by benchmarks/bench_promises.py, seed 100926: three jumps, each with the error of a step."""
-    link = 1.56 / (s**1.7283840909811163 + 0.0002466047329379374 * s**1.1106082016811476 + 48.156444060782455)
-    jumps, period = {0: -0.69984677, 35: 0.99660463, 49: -0.41257491}, 0.01695048353398508
+    """Found by benchmarks/bench_promises.py, seed 100926: three jumps, each with the
+    error of a step.
+    """
+    link = 1.56 / (
+        s**1.7283840909811163
+        + 0.0002466047329379374 * s**1.1106082016811476
+        + 48.156444060782455
+    )
+    jumps, period = (
+        {0: -0.69984677, 35: 0.99660463, 49: -0.41257491},
+        0.01695048353398508,
+    )
     u = np.zeros(164)
     for at, jump in jumps.items():
         u[at:] += jump

@@ -1,4 +1,6 @@
-"""Random systems: modes against contour integrals, superposition, shifts, and honest error estimates."""
+"""Random systems: modes against contour integrals, superposition, shifts, and honest
+error estimates.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,12 @@ from hypothesis import strategies as st
 
 from fraclink._systems.contour import careful_response
 from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import discrete_modes, held_quotient, step_response, time_response
+from fraclink._systems.response import (
+    discrete_modes,
+    held_quotient,
+    step_response,
+    time_response,
+)
 
 orders = st.floats(0.05, 1.98).map(lambda x: round(x, 3))
 factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))
@@ -19,7 +26,9 @@ factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))
 
 @st.composite
 def stable_systems(draw: st.DrawFn) -> FractionalTransferFunction:
-    """Products of 1/(s^a + c), a < 2, c > 0 (stable for any such a), behind a sum of lower powers."""
+    """Products of 1/(s^a + c), a < 2, c > 0 (stable for any such a), behind a sum of
+    lower powers.
+    """
     G = draw(st.floats(-2, 2).filter(lambda g: abs(g) > 0.01)) + 0 * s
     for order, constant in draw(st.lists(factors, min_size=1, max_size=3)):
         G = G * constant / (s**order + constant)
@@ -30,11 +39,19 @@ def stable_systems(draw: st.DrawFn) -> FractionalTransferFunction:
 
 @pytest.mark.slow
 @settings(deadline=None, max_examples=80)
-@given(G=stable_systems(), period=st.floats(-6, -2).map(math.exp), count=st.integers(2, 2000))
-def test_modes_agree_with_contours(G: FractionalTransferFunction, period: float, count: int) -> None:
+@given(
+    G=stable_systems(),
+    period=st.floats(-6, -2).map(math.exp),
+    count=st.integers(2, 2000),
+)
+def test_modes_agree_with_contours(
+    G: FractionalTransferFunction, period: float, count: int
+) -> None:
     result = time_response(G, np.ones(count), period)
     index = np.unique(np.geomspace(1, count - 1, 6).astype(int))
-    exact, _ = careful_response(held_quotient(G.numerator, G.denominator).whole, index * period, 1)
+    exact, _ = careful_response(
+        held_quotient(G.numerator, G.denominator).whole, index * period, 1
+    )
     peak = float(np.max(np.abs(result.output)))
     error = float(np.max(np.abs(result.output[index] - exact)))
     assert error <= 2e-10 * peak
@@ -55,20 +72,27 @@ def test_superposition_and_time_invariance(
     generator = np.random.default_rng(seed)
     u, v = generator.normal(size=(2, 120))
     if hold == "first":
-        u[0] = v[0] = 0.0  # the jump from rest to u[0] is not a straight line from sample to sample
+        u[0] = v[0] = (
+            # the jump from rest to u[0] is not a straight line from sample to sample
+            0.0
+        )
     y = time_response(G, u, 0.01, hold=hold).output
     both = time_response(G, 2 * u - 3 * v, 0.01, hold=hold).output
     scale = float(np.max(np.abs(y))) + float(np.max(np.abs(both))) + 1e-300
     np.testing.assert_allclose(
         both, 2 * y - 3 * time_response(G, v, 0.01, hold=hold).output, atol=1e-9 * scale
     )
-    late = time_response(G, np.concatenate((np.zeros(shift), u)), 0.01, hold=hold).output
+    late = time_response(
+        G, np.concatenate((np.zeros(shift), u)), 0.01, hold=hold
+    ).output
     np.testing.assert_allclose(late[shift:], y, atol=1e-9 * scale)
 
 
 @settings(deadline=None, max_examples=30)
 @given(G=stable_systems(), delay=st.floats(0, 0.5), period=st.floats(0.002, 0.05))
-def test_delayed_step_is_the_step_delayed(G: FractionalTransferFunction, delay: float, period: float) -> None:
+def test_delayed_step_is_the_step_delayed(
+    G: FractionalTransferFunction, delay: float, period: float
+) -> None:
     late = step_response(G.delayed(delay), 1.0, period)
     earlier = np.maximum(late.time - delay, 0.0)
     earlier[np.abs(late.time - delay) <= 1e-12 * max(1.0, delay)] = 0.0

@@ -1,4 +1,6 @@
-"""The field's published benchmark problems, and 40-digit references, against the time responses."""
+"""The field's published benchmark problems, and 40-digit references, against the time
+responses.
+"""
 
 from __future__ import annotations
 
@@ -27,23 +29,31 @@ def reference_cases() -> dict[tuple[str, ...], list[tuple[int, float]]]:
     cases: dict[tuple[str, ...], list[tuple[int, float]]] = {}
     for entry in json.loads(REFERENCE.read_text(encoding="utf-8"))["values"]:
         index = round(float(entry["time"]) / PERIOD)
-        cases.setdefault(tuple(entry["case"]), []).append((index, float.fromhex(entry["hex"])))
+        cases.setdefault(tuple(entry["case"]), []).append(
+            (index, float.fromhex(entry["hex"]))
+        )
     return cases
 
 
 @pytest.mark.parametrize("case", sorted(reference_cases()), ids=" ".join)
 def test_link_for_100_s_at_4_ms(case: tuple[str, ...]) -> None:
-    """UD-FOM (λ, ω₀) and D-FOM (λ, μ, α, ω₀) against values on which two methods agree to 40 digits."""
+    """UD-FOM (λ, ω₀) and D-FOM (λ, μ, α, ω₀) against values on which two methods agree
+    to 40 digits.
+    """
     order, *damping, frequency = map(float, case)
     loss = damping[0] * s ** damping[1] if damping else 0.0
-    output = time_response(frequency**2 / (s**order + loss + frequency**2), np.ones(25_001), PERIOD).output
+    output = time_response(
+        frequency**2 / (s**order + loss + frequency**2), np.ones(25_001), PERIOD
+    ).output
     values = reference_cases()[case]
     assert len(values) == 10
     error = max(abs(output[index] - value) for index, value in values)
     assert error <= 1e-11 * np.max(np.abs(output))  # the promise is 1e-10
 
 
-@pytest.mark.parametrize(("case", "time"), [(("1.92", "11.54"), "0.4"), (("2", "0.9", "0.5", "10.5"), "1")])
+@pytest.mark.parametrize(
+    ("case", "time"), [(("1.92", "11.54"), "0.4"), (("2", "0.9", "0.5", "10.5"), "1")]
+)
 def test_the_references_come_from_their_script(
     case: tuple[str, ...], time: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -58,12 +68,16 @@ def test_the_references_come_from_their_script(
     stored = json.loads(REFERENCE.read_text(encoding="utf-8"))["values"]
     with mp.workdps(50):
         made = script.entry((case, time))
-    assert [v["step"] for v in stored if v["case"] == list(case) and v["time"] == time] == [made["step"]]
+    assert [
+        v["step"] for v in stored if v["case"] == list(case) and v["time"] == time
+    ] == [made["step"]]
     assert float(made["difference"]) < 1e-41
 
 
 def by_square_root(coefficients: list[float]) -> Callable[[np.ndarray], np.ndarray]:
-    """Step response of 1/P(√s) by partial fractions in √s: Σ (erfcx(-w_i √t) - 1)/(w_i P'(w_i))."""
+    """Step response of 1/P(√s) by partial fractions in √s: Σ (erfcx(-w_i √t) - 1)/(w_i
+    P'(w_i)).
+    """
     roots = np.roots(coefficients)
     weights = 1.0 / (roots * np.polyval(np.polyder(coefficients), roots))
 
@@ -77,35 +91,47 @@ def by_square_root(coefficients: list[float]) -> Callable[[np.ndarray], np.ndarr
 
 
 def test_bagley_torvik() -> None:
-    """A y'' + B y^(3/2) + C y = 8 on [0, 1], 0 after: Podlubny (1999), section 8.4, A = 1, B = C = 1/2."""
+    """A y'' + B y^(3/2) + C y = 8 on [0, 1], 0 after: Podlubny (1999), section 8.4, A =
+    1, B = C = 1/2.
+    """
     plate = 1 / (s**2 + 0.5 * s**1.5 + 0.5)
     t = np.arange(3001) * 0.01
     load = np.where(t < 1.0 - 1e-9, 8.0, 0.0)
     step = by_square_root([1.0, 0.5, 0.0, 0.0, 0.5])
-    exact = 8 * step(t) - np.where(t >= 1.0 - 1e-9, 8 * step(np.maximum(t - 1.0, 0.0)), 0.0)
+    exact = 8 * step(t) - np.where(
+        t >= 1.0 - 1e-9, 8 * step(np.maximum(t - 1.0, 0.0)), 0.0
+    )
     assert peak_error(time_response(plate, load, 0.01).output, exact) < 1e-12
 
 
 @pytest.mark.parametrize("order", [0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 1.95, 2.0])
 def test_relaxation_and_oscillation(order: float) -> None:
-    """D^α y + y = 1 from rest: y = t^α E_{α,α+1}(-t^α), Caputo's problem, by the series at 60 digits."""
+    """D^α y + y = 1 from rest: y = t^α E_{α,α+1}(-t^α), Caputo's problem, by the series
+    at 60 digits.
+    """
     times = np.array([0.1, 0.5, 1.0, 2.0, 5.0, 8.0])
     exact = []
     with mp.workdps(60):
         a = mp.mpf(order)
         for t in map(mp.mpf, times):
             terms = (
-                (-1) ** k * t ** (a * (k + 1)) * mp.rgamma(a * (k + 1) + 1) for k in range(int(120 / order))
+                (-1) ** k * t ** (a * (k + 1)) * mp.rgamma(a * (k + 1) + 1)
+                for k in range(int(120 / order))
             )
             exact.append(float(mp.fsum(terms)))
     if order == 0.25:
-        times, exact = times[:3], exact[:3]  # at 2 and later the series needs more terms than are taken
+        times, exact = (
+            times[:3],
+            exact[:3],
+        )  # at 2 and later the series needs more terms than are taken
     output = step_response(1 / (s**order + 1), times).output
     np.testing.assert_allclose(output, exact, atol=1e-13)
 
 
 def test_basset() -> None:
-    """Basset's problem for a sphere in a fluid: D y + √β D^(1/2) y + y = 1, β = 9/(1 + 2χ), χ = 10."""
+    """Basset's problem for a sphere in a fluid: D y + √β D^(1/2) y + y = 1, β = 9/(1 +
+    2χ), χ = 10.
+    """
     beta = 9 / 21
     t = np.arange(2001) * 0.01
     exact = by_square_root([1.0, beta**0.5, 1.0])(t)
@@ -129,7 +155,9 @@ def talbot(G: FractionalTransferFunction, t: float, digits: int = 30) -> float:
 PUBLISHED = {
     "heating furnace, Podlubny 1994": 1 / (14994 * s**1.31 + 6009.5 * s**0.69 + 1.69),
     "Podlubny's plant, 1994": 1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1),
-    "its PD^μ loop": ((20.5 + 3.7343 * s**1.15) / (0.8 * s**2.2 + 0.5 * s**0.9 + 1)).feedback(),
+    "its PD^μ loop": (
+        (20.5 + 3.7343 * s**1.15) / (0.8 * s**2.2 + 0.5 * s**0.9 + 1)
+    ).feedback(),
     "Monje's plant with integrator": 0.55 / (s * (0.6 * s**1.1 + 1)),
     "implicit half integrator": (s**0.3 + 2) / (s**0.8 * (s**0.5 + 1)),
 }
@@ -152,4 +180,6 @@ def test_impulse_response_of_the_half_order_relaxation() -> None:
     """1/(√s + 1): h = 1/√(πt) - erfcx(√t)."""
     t = np.geomspace(1e-6, 50.0, 60)
     exact = 1 / np.sqrt(np.pi * t) - erfcx(np.sqrt(t))
-    np.testing.assert_allclose(impulse_response(1 / (s**0.5 + 1), t).output, exact, atol=1e-9 * exact[0])
+    np.testing.assert_allclose(
+        impulse_response(1 / (s**0.5 + 1), t).output, exact, atol=1e-9 * exact[0]
+    )

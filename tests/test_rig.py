@@ -1,4 +1,6 @@
-"""The rig: the paper's values, files that come back equal, and contradictions that are named."""
+"""The rig: the paper's values, files that come back equal, and contradictions that are
+named.
+"""
 
 from __future__ import annotations
 
@@ -36,13 +38,25 @@ RIGS = ROOT / "tests" / "rigs"
 
 def test_the_paper_rig_holds_table_1() -> None:
     rig = Rig.named("paper-2023")
-    assert (rig.motor.inertia, rig.motor.viscous_friction, rig.motor.torque_constant) == (
+    assert (
+        rig.motor.inertia,
+        rig.motor.viscous_friction,
+        rig.motor.torque_constant,
+    ) == (
         6.87e-5,
         1.041e-3,
         0.21,
     )
-    assert (rig.link.length, rig.link.flexural_rigidity, rig.link.stiffness) == (0.65, 0.260, 1.56)
-    assert (rig.payloads.low, rig.payloads.high, rig.payloads.nominal) == (0.020, 0.040, 0.030)
+    assert (rig.link.length, rig.link.flexural_rigidity, rig.link.stiffness) == (
+        0.65,
+        0.260,
+        1.56,
+    )
+    assert (rig.payloads.low, rig.payloads.high, rig.payloads.nominal) == (
+        0.020,
+        0.040,
+        0.030,
+    )
     assert rig.period == 0.004
     assert rig.model is not None
     assert rig.model.order == 1.92
@@ -51,24 +65,41 @@ def test_the_paper_rig_holds_table_1() -> None:
     assert rig.motor.decay == pytest.approx(15.152838, rel=1e-7)
 
 
-def test_the_geared_rig_differs_from_the_printed_one_by_gear_link_mass_and_request_only() -> None:
+def test_the_geared_rig_differs_from_the_printed_one_by_gear_link_mass_and_request_only() -> (
+    None
+):
     printed, geared = Rig.named("paper-2023"), Rig.named("paper-2023-geared")
     assert geared.motor == dataclasses.replace(printed.motor, gear_ratio=50.0)
     assert geared.link == dataclasses.replace(printed.link, mass=0.00735)
     assert geared.design == DesignDefaults(11.7, 45.0)
-    same = {"motor": printed.motor, "link": printed.link, "design": printed.design, "name": printed.name}
-    assert dataclasses.replace(geared, **same, assumptions=printed.assumptions) == printed
+    same = {
+        "motor": printed.motor,
+        "link": printed.link,
+        "design": printed.design,
+        "name": printed.name,
+    }
+    assert (
+        dataclasses.replace(geared, **same, assumptions=printed.assumptions) == printed
+    )
     assert set(printed.assumptions) < set(geared.assumptions)
 
 
 def test_the_geared_rig_has_the_link_mass_of_the_bundled_logs() -> None:
-    said = dict(fl.read_log(fl.bundled_log("prbs_30g"), rig=Rig.named("paper-2023-geared")).notes)
+    said = dict(
+        fl.read_log(
+            fl.bundled_log("prbs_30g"), rig=Rig.named("paper-2023-geared")
+        ).notes
+    )
     assert float(said["link_mass_kg"]) == Rig.named("paper-2023-geared").link.mass
 
 
-@pytest.mark.parametrize(("payload", "frequency"), [(0.030, 11.0940), (0.040, 9.6077), (0.020, 13.5873)])
+@pytest.mark.parametrize(
+    ("payload", "frequency"), [(0.030, 11.0940), (0.040, 9.6077), (0.020, 13.5873)]
+)
 def test_natural_frequency_is_equation_5(payload: float, frequency: float) -> None:
-    assert Rig.named("paper-2023").natural_frequency(payload) == pytest.approx(frequency, abs=5e-5)
+    assert Rig.named("paper-2023").natural_frequency(payload) == pytest.approx(
+        frequency, abs=5e-5
+    )
 
 
 def test_what_the_paper_does_not_print_is_listed_as_assumed() -> None:
@@ -77,12 +108,18 @@ def test_what_the_paper_does_not_print_is_listed_as_assumed() -> None:
         assert value in said
 
 
-def test_b30_a_stiffness_that_contradicts_the_beam_is_a_warning_that_names_both() -> None:
+def test_b30_a_stiffness_that_contradicts_the_beam_is_a_warning_that_names_both() -> (
+    None
+):
     (finding,) = Rig.named("paper-2023").warnings
     assert finding.code == "W101"
     assert "1.56" in finding.message and "1.2 " in finding.message
-    assert dict(finding.evidence) == pytest.approx({"stiffness": 1.56, "beam_stiffness": 1.2})
-    unmeasured = dataclasses.replace(Rig.named("paper-2023"), link=Link(0.65, 0.260), model=None)
+    assert dict(finding.evidence) == pytest.approx(
+        {"stiffness": 1.56, "beam_stiffness": 1.2}
+    )
+    unmeasured = dataclasses.replace(
+        Rig.named("paper-2023"), link=Link(0.65, 0.260), model=None
+    )
     assert unmeasured.link.stiffness == pytest.approx(1.2)
     assert unmeasured.warnings == ()
 
@@ -95,7 +132,9 @@ def test_a_model_that_contradicts_the_rig_is_a_warning() -> None:
 
 
 def test_a_heavy_link_is_pointed_out() -> None:
-    assert [finding.code for finding in Rig.load(RIGS / "merced.toml").warnings] == ["W104"]
+    assert [finding.code for finding in Rig.load(RIGS / "merced.toml").warnings] == [
+        "W104"
+    ]
 
 
 @pytest.mark.parametrize("payload", [20.0, 30, 1e-4])
@@ -111,13 +150,17 @@ def test_a_payload_beyond_the_range_is_believed(payload: float) -> None:
 
 
 def test_the_gear_is_included_in_the_gain() -> None:
-    geared = Motor(inertia=1e-4, viscous_friction=1e-3, torque_constant=0.2, gear_ratio=50)
+    geared = Motor(
+        inertia=1e-4, viscous_friction=1e-3, torque_constant=0.2, gear_ratio=50
+    )
     assert geared.gain == pytest.approx(0.2 / (50 * 1e-4))
     assert geared.decay == pytest.approx(10.0)
 
 
 def test_sensors_know_their_steps() -> None:
-    assert Encoder(counts_per_revolution=4096).resolution == pytest.approx(2 * math.pi / 4096)
+    assert Encoder(counts_per_revolution=4096).resolution == pytest.approx(
+        2 * math.pi / 4096
+    )
     assert Encoder().resolution == 0.0
     assert Gauge().limit == math.inf
 
@@ -143,7 +186,9 @@ channels = st.builds(
     st.just("s"),
     sign=st.sampled_from([-1, 1]),
     scale=positive,
-    offset=st.one_of(st.just("first"), st.floats(-1e9, 1e9).filter(lambda x: x == 0 or abs(x) > 1e-9)),
+    offset=st.one_of(
+        st.just("first"), st.floats(-1e9, 1e9).filter(lambda x: x == 0 or abs(x) > 1e-9)
+    ),
 )
 
 
@@ -155,7 +200,13 @@ rigs = st.builds(
     Rig,
     name=texts,
     motor=st.builds(
-        Motor, positive, positive, positive, positive, positive, st.one_of(positive, st.just(math.inf))
+        Motor,
+        positive,
+        positive,
+        positive,
+        positive,
+        positive,
+        st.one_of(positive, st.just(math.inf)),
     ),
     link=st.builds(Link, positive, positive, positive, positive),
     payloads=positive.map(lambda m: Payloads(m, 2 * m, 1.5 * m)),
@@ -197,7 +248,9 @@ def test_any_rig_comes_back_equal_whatever_its_texts_hold(rig: Rig) -> None:
         assert Rig.load(path) == rig
 
 
-def test_what_was_identified_and_what_is_tolerated_stay_with_the_rig(tmp_path: Path) -> None:
+def test_what_was_identified_and_what_is_tolerated_stay_with_the_rig(
+    tmp_path: Path,
+) -> None:
     model = LinkModel(
         1.56,
         11.0,
@@ -268,7 +321,11 @@ def _keys(kind: type) -> list[str]:
 
 def test_every_key_of_the_file_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "file-formats.md").read_text(encoding="utf-8")
-    assert [key for key in set(_keys(_RigFile)) if f"`{key}`" not in page and f"{key} = " not in page] == []
+    assert [
+        key
+        for key in set(_keys(_RigFile))
+        if f"`{key}`" not in page and f"{key} = " not in page
+    ] == []
     tables = [name for name, key in keys_of(_RigFile).items() if key.table]
     assert len(tables) == 10
     assert [name for name in tables if f"`[{name}]`" not in page] == []
@@ -285,8 +342,14 @@ def test_every_default_of_the_tolerances_stands_in_the_reference() -> None:
 def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
     folders = [ROOT / "src" / "fraclink" / name for name in ("_arm", "_logs")]
-    sources = [path.read_text(encoding="utf-8") for folder in folders for path in folder.rglob("*.py")]
-    codes = {code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)}
+    sources = [
+        path.read_text(encoding="utf-8")
+        for folder in folders
+        for path in folder.rglob("*.py")
+    ]
+    codes = {
+        code for source in sources for code in re.findall(r'"(W[12]\d\d)"', source)
+    }
     assert len(codes) > 20
     assert [code for code in sorted(codes) if code not in page] == []
 
@@ -310,17 +373,28 @@ def test_what_a_rig_leaves_out_follows_from_what_it_states() -> None:
         assert caught.value.field == field
     assert Payloads(0.02, 0.02).nominal == 0.02
     for length in (1, 100):
-        assert len(dataclasses.replace(Rig.named("paper-2023"), name="x" * length).name) == length
+        assert (
+            len(dataclasses.replace(Rig.named("paper-2023"), name="x" * length).name)
+            == length
+        )
     for name in ("", "x" * 101, "\ud800"):
         with pytest.raises(FieldError, match="name"):
             dataclasses.replace(Rig.named("paper-2023"), name=name)
     plain = Motor(1e-4, 1e-3, 0.2)
-    assert (plain.gear_ratio, plain.coulomb_torque, plain.voltage_limit) == (1.0, 0.0, math.inf)
+    assert (plain.gear_ratio, plain.coulomb_torque, plain.voltage_limit) == (
+        1.0,
+        0.0,
+        math.inf,
+    )
     assert DesignDefaults(12.0, 90.0).phase_margin == pytest.approx(math.pi / 2)
 
 
-@pytest.mark.parametrize(("payload", "doubted"), [(2e-4, False), (1.9e-4, True), (4.0, False), (4.1, True)])
-def test_a_payload_a_hundred_times_off_is_doubted(payload: float, doubted: bool) -> None:
+@pytest.mark.parametrize(
+    ("payload", "doubted"), [(2e-4, False), (1.9e-4, True), (4.0, False), (4.1, True)]
+)
+def test_a_payload_a_hundred_times_off_is_doubted(
+    payload: float, doubted: bool
+) -> None:
     finding = Payloads(0.02, 0.04).doubt(payload)
     assert (finding is not None) is doubted
     if finding is not None:
@@ -330,7 +404,9 @@ def test_a_payload_a_hundred_times_off_is_doubted(payload: float, doubted: bool)
 
 
 def test_contradictions_begin_at_two_per_cent() -> None:
-    rig = dataclasses.replace(Rig.named("paper-2023"), link=Link(0.65, 0.26), model=None)
+    rig = dataclasses.replace(
+        Rig.named("paper-2023"), link=Link(0.65, 0.26), model=None
+    )
     for share, told in ((1.019, False), (1.021, True), (0.981, False), (0.979, True)):
         link = dataclasses.replace(rig.link, stiffness=share * 1.2)
         assert bool(dataclasses.replace(rig, link=link).warnings) is told
@@ -342,12 +418,20 @@ def test_contradictions_begin_at_two_per_cent() -> None:
         assert [one.code for one in found] == (["W103"] if told else [])
     assert found[0].message.startswith("model.natural_frequency = ")
     assert found[0].evidence == pytest.approx(
-        {"stated": 0.979 * rig.natural_frequency(0.03), "expected": rig.natural_frequency(0.03)}
+        {
+            "stated": 0.979 * rig.natural_frequency(0.03),
+            "expected": rig.natural_frequency(0.03),
+        }
     )
     massive = dataclasses.replace(rig, link=dataclasses.replace(rig.link, mass=0.0201))
     (heavy,) = massive.warnings
-    assert heavy.message.startswith("the link (0.0201 kg) outweighs the lightest payload (0.02 kg)")
-    assert dataclasses.replace(rig, link=dataclasses.replace(rig.link, mass=0.02)).warnings == ()
+    assert heavy.message.startswith(
+        "the link (0.0201 kg) outweighs the lightest payload (0.02 kg)"
+    )
+    assert (
+        dataclasses.replace(rig, link=dataclasses.replace(rig.link, mass=0.02)).warnings
+        == ()
+    )
 
 
 def test_a_model_table_is_completed_from_link_and_payload() -> None:
@@ -357,12 +441,25 @@ def test_a_model_table_is_completed_from_link_and_payload() -> None:
     assert model is not None
     assert (model.stiffness, model.payload, model.order) == (1.56, 0.03, 1.9)
     assert model.natural_frequency == pytest.approx(math.sqrt(1.56 / (0.03 * 0.65**2)))
-    assert (model.gauge_gain, model.gauge_delay, model.intervals, model.second_mode) == (1.0, 0.0, (), None)
-    more = bare.replace("order = 1.9\n", "order = 1.9\nstiffness_Nm_per_rad = 2.0\npayload_kg = 0.05\n")
+    assert (
+        model.gauge_gain,
+        model.gauge_delay,
+        model.intervals,
+        model.second_mode,
+    ) == (1.0, 0.0, (), None)
+    more = bare.replace(
+        "order = 1.9\n", "order = 1.9\nstiffness_Nm_per_rad = 2.0\npayload_kg = 0.05\n"
+    )
     other = Rig.from_toml(more).model
-    assert other is not None and other.natural_frequency == pytest.approx(math.sqrt(2.0 / (0.05 * 0.65**2)))
-    with pytest.raises(FieldError, match=r"period_ms is required.*state the control period|period"):
-        Rig.from_toml(text.replace("period_s = 0.004\n", "").replace("period_ms = 4.0\n", ""))
+    assert other is not None and other.natural_frequency == pytest.approx(
+        math.sqrt(2.0 / (0.05 * 0.65**2))
+    )
+    with pytest.raises(
+        FieldError, match=r"period_ms is required.*state the control period|period"
+    ):
+        Rig.from_toml(
+            text.replace("period_s = 0.004\n", "").replace("period_ms = 4.0\n", "")
+        )
     twice = text.replace("period_s = 0.004\n", "period_s = 0.004\nperiod_ms = 4.0\n")
     with pytest.raises(FieldError, match="given twice, as period_s and as period_ms"):
         Rig.from_toml(twice)

@@ -1,4 +1,6 @@
-"""Gates between a rig and what is used with it: payloads, models, logs. Each names both numbers."""
+"""Gates between a rig and what is used with it: payloads, models, logs. Each names both
+numbers.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,11 @@ from identify_cases import PERIOD, TRUTH
 
 RIG = fl.Rig.named("paper-2023")
 LINK = replace(TRUTH, payload=0.030)
-ASK: dict[str, Any] = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+ASK: dict[str, Any] = {
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+    "filter_time": 0.0,
+}
 DEGREES = replace(LINK, stiffness=np.rad2deg(1e-3) / 1e-3 * LINK.stiffness)
 OTHER = LinkModel(4.8, 29.0, damping=1.2, payload=0.030)
 
@@ -34,7 +40,11 @@ OTHER = LinkModel(4.8, 29.0, damping=1.2, payload=0.030)
     [
         (LINK, (20.0, 40.0), ("W105", "20 kg", "500 times")),
         (replace(LINK, payload=50.0), (), ("W105", "50 kg", "1.25e+03 times")),
-        (replace(LINK, payload=30e-6), (), ("W105", "3e-05 kg", "0.0015 times the lightest")),
+        (
+            replace(LINK, payload=30e-6),
+            (),
+            ("W105", "3e-05 kg", "0.0015 times the lightest"),
+        ),
         (DEGREES, (), ("W106", "89.38", "1.56", "degrees")),
         (replace(LINK, stiffness=1560.0), (), ("W106", "1560", "1.56", "milli")),
         (OTHER, (), ("W106", "4.8", "1.56")),
@@ -52,17 +62,28 @@ def test_a_contradiction_is_an_error_with_both_numbers(
 def test_arms_that_are_merely_imprecise_are_in_no_doubt() -> None:
     for stiffness in (0.8, 1.2, 1.56, 3.0):
         for factor in (0.65, 1.0, 1.6):
-            model = replace(LINK, stiffness=stiffness, natural_frequency=factor * LINK.natural_frequency)
+            model = replace(
+                LINK,
+                stiffness=stiffness,
+                natural_frequency=factor * LINK.natural_frequency,
+            )
             assert doubts_of(RIG, model, (0.010, 0.080)) == ()
-    # A heavy link that the rig states vibrates more slowly than its payload alone would.
+    # A heavy link that the rig states vibrates more slowly than its payload alone
+    # would.
     heavy = replace(RIG, link=replace(RIG.link, mass=0.4))
-    slow = replace(LINK, order=2.0, natural_frequency=11.09 * (0.030 / (0.030 + 33 / 140 * 0.4)) ** 0.5)
+    slow = replace(
+        LINK,
+        order=2.0,
+        natural_frequency=11.09 * (0.030 / (0.030 + 33 / 140 * 0.4)) ** 0.5,
+    )
     assert doubts_of(heavy, slow) == ()
     assert [finding.code for finding in doubts_of(RIG, slow)] == ["W107"]
 
 
 @pytest.mark.slow
-def test_a_design_behind_a_contradiction_meets_its_requirements_and_does_not_pass() -> None:
+def test_a_design_behind_a_contradiction_meets_its_requirements_and_does_not_pass() -> (
+    None
+):
     good, bad = (fl.design(model, RIG, **ASK) for model in (LINK, DEGREES))
     assert good.passed
     assert all(item.passed for item in bad.requirements)
@@ -82,7 +103,9 @@ def test_a_refusal_names_the_contradiction_behind_it() -> None:
 def test_a_design_of_a_fit_that_failed_a_gate_does_not_pass() -> None:
     angle = 0.3 * np.clip((PERIOD * np.arange(3000) - 0.5) / 0.2, 0, 1)
     torque = -simulated_torque(TRUTH, angle, PERIOD)
-    fit = fl.identify(fl.Experiment(period=PERIOD, motor_angle=angle, output=torque, payload=0.030))
+    fit = fl.identify(
+        fl.Experiment(period=PERIOD, motor_angle=angle, output=torque, payload=0.030)
+    )
     made = fl.design(fit, RIG, **ASK)
     assert [finding.code for finding in made.doubts] == ["W307"]
     assert not made.passed
@@ -97,22 +120,51 @@ def _written(path: Path, model: LinkModel) -> str:
 
 
 @pytest.mark.slow
-def test_a_model_of_another_arm_fails_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_model_of_another_arm_fails_the_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     model, out = _written(tmp_path / "model.json", DEGREES), tmp_path / "design.json"
-    assert main(["design", "--rig", "paper-2023", "--model", model, "--out", str(out)]) == 1
+    assert (
+        main(["design", "--rig", "paper-2023", "--model", model, "--out", str(out)])
+        == 1
+    )
     printed = capsys.readouterr().out
     assert "not shown" in printed
     assert "W106" in printed
     assert not Design.load(out).passed
-    assert main(["simulate", str(out), "--payload", "0.03", "--out", str(tmp_path / "run.npz")]) == 1
+    assert (
+        main(
+            [
+                "simulate",
+                str(out),
+                "--payload",
+                "0.03",
+                "--out",
+                str(tmp_path / "run.npz"),
+            ]
+        )
+        == 1
+    )
 
 
 @pytest.mark.slow
-def test_a_payload_in_grams_fails_the_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_payload_in_grams_fails_the_command(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     design = tmp_path / "design.json"
     assert main(["design", "--rig", "paper-2023", "--out", str(design)]) == 0
     capsys.readouterr()
-    code = main(["simulate", str(design), "--payload", "50", "--out", str(tmp_path / "run.npz"), "--json"])
+    code = main(
+        [
+            "simulate",
+            str(design),
+            "--payload",
+            "50",
+            "--out",
+            str(tmp_path / "run.npz"),
+            "--json",
+        ]
+    )
     assert code == 1
     assert json.loads(capsys.readouterr().out)["findings"][0]["code"] == "W105"
     arguments = ["--payload", "50", "--out", str(tmp_path / "model.json")]
@@ -144,4 +196,6 @@ def test_a_log_against_its_header_is_shown_nothing(tmp_path: Path) -> None:
 def test_a_study_of_a_design_behind_a_contradiction_is_not_shown() -> None:
     verdict = Study(rig=RIG, design=fl.design(DEGREES, RIG, **ASK)).verdict
     assert verdict.promise.state == "not shown"
-    assert any("89.38 N·m/rad, the rig's 1.56 N·m/rad" in reason for reason in verdict.reasons)
+    assert any(
+        "89.38 N·m/rad, the rig's 1.56 N·m/rad" in reason for reason in verdict.reasons
+    )

@@ -1,4 +1,6 @@
-"""Zeros of fractional polynomials against polynomial roots, closed forms and 40-digit Newton iterations."""
+"""Zeros of fractional polynomials against polynomial roots, closed forms and 40-digit
+Newton iterations.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ def polished(coefficients: list[float], orders: list[float], z: complex) -> comp
     with mpmath.workdps(40):
         a = [mpmath.mpf(c) for c in coefficients]
         nu = [mpmath.mpf(o) for o in orders]
-        f = lambda x: mpmath.fsum(c * mpmath.exp(o * x) for c, o in zip(a, nu, strict=True))  # noqa: E731
+        f = lambda x: mpmath.fsum(  # noqa: E731
+            c * mpmath.exp(o * x) for c, o in zip(a, nu, strict=True)
+        )
         return complex(mpmath.findroot(f, mpmath.mpc(z)))
 
 
@@ -35,7 +39,9 @@ def test_integer_orders_agree_with_polynomial_roots(coefficients: list[float]) -
     degree = len(coefficients) - 1
     expected = np.roots(coefficients)
     found = np.exp(log_zeros(coefficients, range(degree, -1, -1), angle=PI))
-    both = np.concatenate([found, found[np.abs(found.imag) > 1e-9 * np.abs(found)].conj()])
+    both = np.concatenate(
+        [found, found[np.abs(found.imag) > 1e-9 * np.abs(found)].conj()]
+    )
     assert len(both) == degree
     for root in expected:  # clusters are known to ε^(1/m) in both methods
         assert np.min(np.abs(both - root)) < 2e-4 * max(abs(root), 1e-3)
@@ -53,7 +59,9 @@ def test_integer_orders_agree_with_polynomial_roots(coefficients: list[float]) -
         ([1e-9, 1, 1e9], [2.5, 1.1, 0], 1),
     ],
 )
-def test_zeros_are_right_to_rounding(coefficients: list[float], orders: list[float], count: int) -> None:
+def test_zeros_are_right_to_rounding(
+    coefficients: list[float], orders: list[float], count: int
+) -> None:
     z = log_zeros(coefficients, orders, angle=PI)
     assert len(z) == count
     for value in z:
@@ -84,9 +92,13 @@ def test_zeros_on_the_positive_axis_are_real_and_on_the_cut_exactly_there() -> N
 
 @pytest.mark.parametrize("multiplicity", [2, 3, 4])
 @pytest.mark.parametrize(("order", "constant"), [(1.0, 2.0), (1.1, 1.0), (1.92, 100.0)])
-def test_multiple_zeros_stand_together(multiplicity: int, order: float, constant: float) -> None:
+def test_multiple_zeros_stand_together(
+    multiplicity: int, order: float, constant: float
+) -> None:
     powers = np.arange(multiplicity + 1)
-    coefficients = [math.comb(multiplicity, int(k)) * constant ** (multiplicity - k) for k in powers]
+    coefficients = [
+        math.comb(multiplicity, int(k)) * constant ** (multiplicity - k) for k in powers
+    ]
     z = log_zeros(coefficients, order * powers, angle=PI)
     exact = complex(math.log(constant) / order, PI / order)
     assert len(z) == multiplicity
@@ -96,20 +108,28 @@ def test_multiple_zeros_stand_together(multiplicity: int, order: float, constant
 
 @pytest.mark.parametrize("multiplicity", [5, 6, 7, 8])
 def test_zeros_of_high_multiplicity_are_counted_and_found(multiplicity: int) -> None:
-    # Rounding moves the points of an eightfold zero by ε^(1/8), a hundredth of its modulus and more.
+    # Rounding moves the points of an eightfold zero by ε^(1/8), a hundredth of its
+    # modulus and more.
     powers = np.arange(multiplicity + 1)
-    coefficients = [math.comb(multiplicity, int(k)) * 3.0 ** (multiplicity - k) for k in powers]
+    coefficients = [
+        math.comb(multiplicity, int(k)) * 3.0 ** (multiplicity - k) for k in powers
+    ]
     z = log_zeros(coefficients, 1.5 * powers, angle=PI)
     assert len(z) == multiplicity
-    np.testing.assert_allclose(z, complex(math.log(3.0) / 1.5, PI / 1.5), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        z, complex(math.log(3.0) / 1.5, PI / 1.5), rtol=0, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_cluster_of_real_zeros_is_found_whole(sign: float) -> None:
-    # Distinct, so no multiple zero; rounding moves each off the axis by 1e-11, and none may be lost there.
+    # Distinct, so no multiple zero; rounding moves each off the axis by 1e-11, and none
+    # may be lost there.
     wanted = sign * np.array([1.0, 1.02, 1.05, 1.08])
     z = log_zeros(np.poly(wanted), [4, 3, 2, 1, 0], angle=PI)
-    np.testing.assert_allclose(np.sort(sign * np.exp(z.real)), np.sort(wanted), rtol=1e-8)
+    np.testing.assert_allclose(
+        np.sort(sign * np.exp(z.real)), np.sort(wanted), rtol=1e-8
+    )
 
 
 def test_close_zeros_stay_apart() -> None:
@@ -148,7 +168,11 @@ def test_count_and_residues(seed: int) -> None:
     if z.size:
         values, moduli = terms.derivatives(z, 1)
         assert np.max(np.abs(values[0]) / moduli[0]) < 1e-13
-    for angle in (0.7, 1.9, 3.3):  # the strip count against the zeros found, conjugates added
+    for angle in (
+        0.7,
+        1.9,
+        3.3,
+    ):  # the strip count against the zeros found, conjugates added
         inside = z[z.imag < angle]
         assert count_strip(terms, angle) == 2 * len(inside) - np.sum(inside.imag == 0)
 
@@ -166,7 +190,9 @@ def test_homothety(power: float, scale: float) -> None:
 
 
 def test_conjugate_pair_close_to_the_axis_is_resolved() -> None:
-    """A double real zero split by 1e-9 goes into the right half plane's count and not to the axis."""
+    """A double real zero split by 1e-9 goes into the right half plane's count and not
+    to the axis.
+    """
     z = log_zeros([1.0, -2.0, 1.0 + 1e-10], [2, 1, 0], angle=PI)
     assert len(z) == 1
     assert z[0].imag == pytest.approx(1e-5, rel=1e-4)
@@ -184,7 +210,9 @@ def test_conjugate_pair_close_to_the_axis_is_resolved() -> None:
         ([1.0, 1.0], [1, 0], math.nan, "angle"),
     ],
 )
-def test_bad_input(coefficients: list[float], orders: list[float], angle: float, field: str) -> None:
+def test_bad_input(
+    coefficients: list[float], orders: list[float], angle: float, field: str
+) -> None:
     with pytest.raises(FieldError) as caught:
         log_zeros(coefficients, orders, angle=angle)
     assert caught.value.field == field

@@ -19,14 +19,21 @@ from fraclink.errors import FieldError
 
 S = fl.s
 LOOP = 2.0 / (S**1.5 + S)
-# Public classes without a file of their own: open connections, and a study, which is a folder of files.
+# Public classes without a file of their own: open connections, and a study, which is a
+# folder of files.
 WITHOUT_FILE = {*_NO_VALUES, "Study"}
 
 
 @cache
 def design() -> fl.Design:
     rig = fl.Rig.named("paper-2023")
-    return fl.design(rig.model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    return fl.design(
+        rig.model,
+        rig,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
 
 
 @cache
@@ -48,8 +55,12 @@ HELD: dict[str, Any] = {
     "Margins": lambda: fl.margins(LOOP),
     "DiskMargin": lambda: fl.disk_margin(LOOP),
     "StabilityVerdict": lambda: fl.is_stable(LOOP),
-    "MultivariableMargins": lambda: fl.multivariable_margins(fl.TransferMatrix([[LOOP, 0], [0, LOOP]])),
-    "RationalApproximation": lambda: fl.approximate(1 / (S**0.5 + 1), (0.1, 10.0), order=4),
+    "MultivariableMargins": lambda: fl.multivariable_margins(
+        fl.TransferMatrix([[LOOP, 0], [0, LOOP]])
+    ),
+    "RationalApproximation": lambda: fl.approximate(
+        1 / (S**0.5 + 1), (0.1, 10.0), order=4
+    ),
     "Controller": lambda: design().controller,
     "Design": design,
     "LinkModel": lambda: design().model,
@@ -58,7 +69,9 @@ HELD: dict[str, Any] = {
     "Tolerances": lambda: fl.tolerances(design()),
     "MarginCurve": lambda: fl.margin_curve(design(), [0.02, 0.03]),
     "Requirement": lambda: design().requirements[0],
-    "Run": lambda: fl.simulate(design(), fl.smooth_step(1.0, duration=0.5), duration=0.8),
+    "Run": lambda: fl.simulate(
+        design(), fl.smooth_step(1.0, duration=0.5), duration=0.8
+    ),
     "Metrics": lambda: HELD["Run"]().metrics,
     "Experiment": log,
     "Fit": lambda: fl.identify(log(), "D-IOM", details=False),
@@ -67,8 +80,12 @@ HELD: dict[str, Any] = {
     "PidTuning": pid,
     "PidStep": lambda: pid().step(),
     "FractionalPid": lambda: pid().controller,
-    "SampledReference": lambda: fl.SampledReference(0.1, [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]),
-    "Finding": lambda: fl.Finding("W210", "warning", "an offset", {"offset": 0.1}, "subtract it"),
+    "SampledReference": lambda: fl.SampledReference(
+        0.1, [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
+    ),
+    "Finding": lambda: fl.Finding(
+        "W210", "warning", "an offset", {"offset": 0.1}, "subtract it"
+    ),
     "Rig": lambda: fl.Rig.named("paper-2023"),
     "Specification": lambda: fl.Specification(gain_crossover=12.0, phase_margin=1.0),
     "SecondMode": lambda: fl.SecondMode(60.0, 0.1, 0.02),
@@ -103,7 +120,9 @@ def test_a_certificate_is_saved_and_loaded(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_process_that_has_loaded_nothing_reads_every_public_result(tmp_path: Path) -> None:
+def test_a_process_that_has_loaded_nothing_reads_every_public_result(
+    tmp_path: Path,
+) -> None:
     place = fl.save(HELD["TimeResponse"](), tmp_path / "response.json")
     command = f"import fraclink as fl; print(type(fl.load({str(place)!r})).__name__)"
     done = subprocess.run(  # noqa: S603
@@ -117,10 +136,16 @@ def test_every_public_class_is_a_value_or_named_as_none() -> None:
 
     for name in fl.__all__:
         kind = getattr(fl, name)
-        if isinstance(kind, type) and (hasattr(kind, "__dataclass_fields__") or hasattr(kind, "_fields")):
+        if isinstance(kind, type) and (
+            hasattr(kind, "__dataclass_fields__") or hasattr(kind, "_fields")
+        ):
             if name in WITHOUT_FILE:
                 continue
-            document_of(object.__new__(kind) if not issubclass(kind, tuple) else tuple.__new__(kind, ()))
+            document_of(
+                object.__new__(kind)
+                if not issubclass(kind, tuple)
+                else tuple.__new__(kind, ())
+            )
 
 
 @pytest.mark.parametrize("value", [(), print, 3.0, fl.Callback, object()])
@@ -131,7 +156,8 @@ def test_what_is_no_result_is_refused(value: Any, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["TimeResponse", "MarginCurve", "DiscreteModes", "Run", "Comparison", "Path"]
+    "name",
+    ["TimeResponse", "MarginCurve", "DiscreteModes", "Run", "Comparison", "Path"],
 )
 def test_results_with_arrays_are_equal_where_their_samples_are(name: str) -> None:
     one, other = HELD[name](), HELD[name]()

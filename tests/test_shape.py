@@ -1,4 +1,6 @@
-"""Shaped moves: what the linear loop promises is what the arm does, and every limit is kept."""
+"""Shaped moves: what the linear loop promises is what the arm does, and every limit is
+kept.
+"""
 
 from __future__ import annotations
 
@@ -61,16 +63,21 @@ def unknown(design: fl.Design) -> ShapedMove:
 
 @pytest.fixture(scope="module")
 def known(design: fl.Design) -> ShapedMove:
-    return fl.shape(design, 1.0, payloads=KNOWN, told=True, gauge_offset=0.05, seeds=2, rivals=False)
+    return fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, gauge_offset=0.05, seeds=2, rivals=False
+    )
 
 
-# ── the linear loop ─────────────────────────────────────────────────────────────────────────────────────────
+# ── the linear loop
+# ─────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("told", [False, True])
 @pytest.mark.parametrize("on", ["twin", "model"])
-def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bool, on: str) -> None:
+def test_the_responses_predict_every_signal_of_a_run(
+    design: fl.Design, told: bool, on: str
+) -> None:
     arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG) if on == "twin" else None)
     free, plain = without_friction(design.law(), arm.with_exact_sensors())
     move = fl.smooth_step(0.4, 0.3, 0.05)
@@ -81,16 +88,22 @@ def test_the_responses_predict_every_signal_of_a_run(design: fl.Design, told: bo
     np.testing.assert_allclose(rows["tip"], run.tip_angle, atol=1e-8)
     np.testing.assert_allclose(rows["voltage"], run.voltage, atol=1e-5)
     np.testing.assert_allclose(rows["torque"], run.torque, atol=1e-7)
-    speed = run.extras.get("motor_velocity", np.diff(run.motor_angle, prepend=0.0) / run.period)
+    speed = run.extras.get(
+        "motor_velocity", np.diff(run.motor_angle, prepend=0.0) / run.period
+    )
     np.testing.assert_allclose(rows["motor_speed"], speed, atol=1e-5)
-    np.testing.assert_allclose(np.cumsum(rows["motor_step"]), run.motor_reference, atol=1e-8)
+    np.testing.assert_allclose(
+        np.cumsum(rows["motor_step"]), run.motor_reference, atol=1e-8
+    )
 
 
 @pytest.mark.slow
 def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) -> None:
     arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG))
     loops = responses_of(design.law(), arm, (0.020, 0.040), 2.5, told=False)
-    bounds = MoveBounds({"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0)
+    bounds = MoveBounds(
+        {"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0
+    )
     programme = Programme(loops, 6, bounds)
     target, count = np.ones(programme.length), programme.count_for(0.5)
     found = programme.solve(count, target, 125, 400)
@@ -99,12 +112,18 @@ def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) ->
     free = [(None, None)] * count + [(0.0, None)]
     every = linprog(np.append(np.zeros(count), 1.0), rows, sides, ends, [1.0], free)
     assert found is not None and found.distance == pytest.approx(every.fun, abs=2e-4)
-    # of all that are as near, the gentlest: no farther, and its acceleration varies less
+    # of all that are as near, the gentlest: no farther, and its acceleration varies
+    # less
     gentle = programme.solve(count, target, 125, 400, within=1.2 * found.distance)
     assert gentle is not None and gentle.distance <= 1.2 * found.distance + 1e-4
-    varied = [np.abs(programme._jerk(count)[:, :-1] @ s.coefficients).sum() for s in (gentle, found)]
+    varied = [
+        np.abs(programme._jerk(count)[:, :-1] @ s.coefficients).sum()
+        for s in (gentle, found)
+    ]
     assert varied[0] < 0.8 * varied[1]
-    assert programme.solve(3, target, 125, 400) is None  # three knots for 1 rad: beyond every limit
+    assert (
+        programme.solve(3, target, 125, 400) is None
+    )  # three knots for 1 rad: beyond every limit
 
 
 def test_a_path_of_smooth_steps_is_smooth() -> None:
@@ -113,15 +132,25 @@ def test_a_path_of_smooth_steps_is_smooth() -> None:
     assert float(path.angle(path.duration)) == pytest.approx(0.5)
     for order in (0, 1):
         slope = np.gradient(path.derivative(inside, order), inside)
-        # the next derivative is continuous: its straight pieces differ from differences at their ends only
+        # the next derivative is continuous: its straight pieces differ from differences
+        # at their ends only
         np.testing.assert_allclose(
-            slope[1:-1], path.derivative(inside, order + 1)[1:-1], atol=0.01 if order == 0 else 11.0
+            slope[1:-1],
+            path.derivative(inside, order + 1)[1:-1],
+            atol=0.01 if order == 0 else 11.0,
         )
-    assert np.abs(np.diff(path.acceleration(inside))).max() < 25.0  # 0.5 rad over 0.02² s² is 1250
-    assert float(path.velocity(path.duration)) == float(path.acceleration(path.duration)) == 0.0
+    assert (
+        np.abs(np.diff(path.acceleration(inside))).max() < 25.0
+    )  # 0.5 rad over 0.02² s² is 1250
+    assert (
+        float(path.velocity(path.duration))
+        == float(path.acceleration(path.duration))
+        == 0.0
+    )
 
 
-# ── a move from rest to rest ────────────────────────────────────────────────────────────────────────────────
+# ── a move from rest to rest
+# ────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
@@ -144,16 +173,25 @@ def test_a_known_payload_moves_twice_as_fast(known: ShapedMove) -> None:
 
 @pytest.mark.slow
 def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> None:
-    """An arm that is 15 % slower than stiffness and length say, as identified, with a second mode."""
+    """An arm that is 15 % slower than stiffness and length say, as identified, with a
+    second mode.
+    """
     slow = replace(
         design.model,
         natural_frequency=0.85 * design.model.natural_frequency,
         second_mode=fl.SecondMode(frequency=180.0, damping_ratio=0.02, gain=0.1),
     )
     made = fl.design(
-        slow, RIG, payloads=(0.020, 0.040), gain_crossover=10.0, phase_margin=fl.deg(45), filter_time=0.02
+        slow,
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=10.0,
+        phase_margin=fl.deg(45),
+        filter_time=0.02,
     )
-    fitting = fl.shape(made, 1.0, payloads=KNOWN, told=True, on="model", seeds=2, rivals=False)
+    fitting = fl.shape(
+        made, 1.0, payloads=KNOWN, told=True, on="model", seeds=2, rivals=False
+    )
     assert fitting.passed and fitting.settling_time < 0.45
     of_twin = fl.shape(made, 1.0, payloads=KNOWN, told=True, seeds=1, rivals=False)
     run = fl.simulate(made, of_twin.reference, payload=0.030, told=True)
@@ -161,30 +199,46 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
 
 
 @pytest.mark.slow
-def test_moves_to_the_other_side_are_the_same(design: fl.Design, known: ShapedMove) -> None:
+def test_moves_to_the_other_side_are_the_same(
+    design: fl.Design, known: ShapedMove
+) -> None:
     back = fl.shape(design, -1.0, payloads=KNOWN, told=True, seeds=1, rivals=False)
     assert back.amplitude == pytest.approx(-1.0) and back.passed
     assert back.settling_time == pytest.approx(known.settling_time, abs=0.009)
 
 
 @pytest.mark.slow
-def test_limits_of_speed_and_torque_cost_time(design: fl.Design, known: ShapedMove) -> None:
-    slow = fl.shape(design, 1.0, payloads=KNOWN, told=True, speed=3.0, seeds=1, rivals=False)
-    run = fl.simulate(design, slow.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True)
+def test_limits_of_speed_and_torque_cost_time(
+    design: fl.Design, known: ShapedMove
+) -> None:
+    slow = fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, speed=3.0, seeds=1, rivals=False
+    )
+    run = fl.simulate(
+        design, slow.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True
+    )
     assert np.abs(run.extras["motor_velocity"]).max() <= 3.0
     assert slow.settling_time > known.settling_time + 0.05
-    soft = fl.shape(design, 1.0, payloads=KNOWN, told=True, torque=0.3, seeds=1, rivals=False)
-    run = fl.simulate(design, soft.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True)
+    soft = fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, torque=0.3, seeds=1, rivals=False
+    )
+    run = fl.simulate(
+        design, soft.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True
+    )
     assert np.abs(run.torque).max() <= 0.3
     assert soft.settling_time > known.settling_time + 0.05
 
 
 @pytest.mark.slow
-def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_promise_that_noise_breaks_is_a_finding(
+    design: fl.Design, monkeypatch: pytest.MonkeyPatch
+) -> None:
     small = fl.shape(design, 0.01, payloads=KNOWN, told=True, seeds=1, rivals=False)
     assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
     monkeypatch.setattr(move, "_NOISES", 0.0)  # nothing is left to noise
-    tight = fl.shape(design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2, rivals=False)
+    tight = fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2, rivals=False
+    )
     assert [finding.code for finding in tight.findings] == ["W502"]
 
 
@@ -192,8 +246,12 @@ def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design, monkeypatch
 def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -> None:
     arm = Twin.from_rig(RIG)
     sticks = replace(arm, motor=replace(arm.motor, coulomb_torque=0.4))
-    found = fl.shape(design, 1.0, payloads=KNOWN, told=True, arm=sticks, seeds=1, rivals=False)
-    assert {"W501", "W503"} & {finding.code for finding in found.findings} and not found.passed
+    found = fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, arm=sticks, seeds=1, rivals=False
+    )
+    assert {"W501", "W503"} & {
+        finding.code for finding in found.findings
+    } and not found.passed
 
 
 @pytest.mark.slow
@@ -219,17 +277,22 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
         fl.shape(light, 1.0)
 
 
-# ── along a path ────────────────────────────────────────────────────────────────────────────────────────────
+# ── along a path
+# ────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
 def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
-    wanted = fl.SampledReference(0.004, sampled(fl.smooth_step(0.5, 0.5, 0.2), 0.004, 176))
+    wanted = fl.SampledReference(
+        0.004, sampled(fl.smooth_step(0.5, 0.5, 0.2), 0.004, 176)
+    )
     found = fl.shape(design, wanted, payloads=KNOWN, told=True, seeds=1)
     ours, given = found.measured
     assert found.passed and ours.largest_error < 0.005
     assert given.largest_error > 0.04 and given.name == "as given"
-    assert found.target is not None and float(found.target.angle(0.45)) == pytest.approx(0.25, abs=1e-4)
+    assert found.target is not None and float(
+        found.target.angle(0.45)
+    ) == pytest.approx(0.25, abs=1e-4)
     assert "mrad of the path" in shaped_view(found).headline
     assert shaped_figure(found).alone().startswith("<svg")
 
@@ -237,12 +300,17 @@ def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
 @pytest.mark.slow
 def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
     found = fl.shape(
-        design, fl.spline([0.0, 0.1, 0.3], [0.0, 1.0, 0.0]), payloads=KNOWN, seeds=1, rivals=False
+        design,
+        fl.spline([0.0, 0.1, 0.3], [0.0, 1.0, 0.0]),
+        payloads=KNOWN,
+        seeds=1,
+        rivals=False,
     )
     assert "W504" in [finding.code for finding in found.findings] and not found.passed
 
 
-# ── shapers and references ──────────────────────────────────────────────────────────────────────────────────
+# ── shapers and references
+# ──────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.0654, 0.2])
@@ -256,7 +324,11 @@ def test_shapers_cancel_what_they_say(ratio: float) -> None:
         vibration = abs(np.sum(times**order * sizes * np.exp(-pole * times)))
         return float(vibration * math.exp(pole.real * times[-1]))
 
-    assert left("ZV", 1.0) < 1e-12 and left("ZVD", 1.0) < 1e-12 and left("ZVD", 1.0, 1) < 1e-12
+    assert (
+        left("ZV", 1.0) < 1e-12
+        and left("ZVD", 1.0) < 1e-12
+        and left("ZVD", 1.0, 1) < 1e-12
+    )
     assert left("EI", 1.0) == pytest.approx(0.05, abs=0.006)
     near = [left("EI", factor) for factor in np.linspace(0.8, 1.2, 81).tolist()]
     assert max(near) < 0.06 and min(near[:40]) < 0.01 and min(near[41:]) < 0.01
@@ -264,17 +336,25 @@ def test_shapers_cancel_what_they_say(ratio: float) -> None:
 
 def test_a_shaped_reference_has_its_derivatives() -> None:
     times, sizes = shaper_impulses("ZVD", 12.0, 0.0654)
-    shaped = Shaped(fl.smooth_step(1.0, 1.0), tuple(times.tolist()), tuple(sizes.tolist()))
+    shaped = Shaped(
+        fl.smooth_step(1.0, 1.0), tuple(times.tolist()), tuple(sizes.tolist())
+    )
     t = np.linspace(0, 3, 3001)
     assert shaped.angle(t)[-1] == pytest.approx(1.0)
-    assert np.gradient(shaped.angle(t), t)[1:-1] == pytest.approx(shaped.velocity(t)[1:-1], abs=1e-4)
+    assert np.gradient(shaped.angle(t), t)[1:-1] == pytest.approx(
+        shaped.velocity(t)[1:-1], abs=1e-4
+    )
     assert shaped.duration == pytest.approx(1.0 + times[-1])
 
 
 def test_samples_are_the_law_s_own_numbers(tmp_path: Path) -> None:
     move = fl.smooth_step(1.0, 0.5)
-    table = fl.read_reference(fl.export_reference(move, tmp_path / "move.csv", period=0.004))
-    assert isinstance(table, fl.SampledReference) and table.duration == pytest.approx(0.5)
+    table = fl.read_reference(
+        fl.export_reference(move, tmp_path / "move.csv", period=0.004)
+    )
+    assert isinstance(table, fl.SampledReference) and table.duration == pytest.approx(
+        0.5
+    )
     assert np.array_equal(sampled(table, 0.004, 126), sampled(move, 0.004, 126))
     assert float(table.angle(2.0)) == 1.0 and float(table.velocity(2.0)) == 0.0
     for values in (np.zeros((2, 5)), np.zeros((3, 1)), np.full((3, 4), np.nan)):
@@ -286,9 +366,13 @@ def test_points_become_a_spline(tmp_path: Path) -> None:
     place = tmp_path / "points.csv"
     place.write_text("time_s,angle_rad\n0.1,0\n0.4,0.7\n1,0.5\n")
     path = fl.read_reference(place)
-    assert path.angle([0.0, 0.1, 0.4, 1.0, 2.0]).tolist() == pytest.approx([0, 0, 0.7, 0.5, 0.5])
+    assert path.angle([0.0, 0.1, 0.4, 1.0, 2.0]).tolist() == pytest.approx(
+        [0, 0, 0.7, 0.5, 0.5]
+    )
     t = np.linspace(0.1, 1.0, 2001)
-    assert np.gradient(path.angle(t), t)[1:-1] == pytest.approx(path.velocity(t)[1:-1], abs=1e-4)
+    assert np.gradient(path.angle(t), t)[1:-1] == pytest.approx(
+        path.velocity(t)[1:-1], abs=1e-4
+    )
     assert np.abs(path.velocity([0.1, 1.0])).max() < 1e-12
     for times in ([0.0, 0.0], [-1.0, 1.0], [0.0, 1.0, 2.0]):
         with pytest.raises(FieldError):
@@ -310,7 +394,8 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
         fl.read_reference(tmp_path / "move.csv")
 
 
-# ── everything that moves an arm takes it ───────────────────────────────────────────────────────────────────
+# ── everything that moves an arm takes it
+# ───────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
@@ -322,27 +407,40 @@ def test_a_saved_move_comes_back_and_moves_the_same(
     again = fl.load(place)
     assert isinstance(again, ShapedMove) and again.measured == unknown.measured
     assert np.array_equal(again.tip_angle, unknown.tip_angle) and again.target is None
-    table = fl.read_reference(fl.export_reference(unknown.reference, tmp_path / "move.csv", period=0.004))
+    table = fl.read_reference(
+        fl.export_reference(unknown.reference, tmp_path / "move.csv", period=0.004)
+    )
     runs = [
         fl.simulate(design, each, duration=1.0)
         for each in (unknown.reference, table, fl.read_reference(place))
     ]
     assert all(np.array_equal(run.tip_angle, runs[0].tip_angle) for run in runs)
     runs = [
-        fl.simulate(design, each, arm=Twin.from_rig(RIG), duration=1.0) for each in (unknown.reference, table)
+        fl.simulate(design, each, arm=Twin.from_rig(RIG), duration=1.0)
+        for each in (unknown.reference, table)
     ]
     assert np.array_equal(runs[0].tip_angle, runs[1].tip_angle)
-    assert "settles in" in str(shaped_view(again)) and shaped_figure(again).alone().startswith("<svg")
+    assert "settles in" in str(shaped_view(again)) and shaped_figure(
+        again
+    ).alone().startswith("<svg")
     assert repr(again).startswith("ShapedMove(") and "<svg" in again._repr_html_()  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
-def test_the_loop_in_real_time_takes_a_table(design: fl.Design, known: ShapedMove) -> None:
+def test_the_loop_in_real_time_takes_a_table(
+    design: fl.Design, known: ShapedMove
+) -> None:
     law = design.law()
     table = fl.SampledReference(0.004, sampled(known.reference, 0.004, 100))
     board = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     run = fl.run_realtime(
-        law, table, board, duration=0.3, priority=0, lock_memory=False, clock=VirtualClock(1)
+        law,
+        table,
+        board,
+        duration=0.3,
+        priority=0,
+        lock_memory=False,
+        clock=VirtualClock(1),
     )
     expected = sampled(known.reference, 0.004, len(run.tick))
     assert np.array_equal(run.reference, expected[0])
@@ -350,7 +448,9 @@ def test_the_loop_in_real_time_takes_a_table(design: fl.Design, known: ShapedMov
 
 
 @pytest.mark.slow
-def test_a_campaign_follows_it_and_comes_back(design: fl.Design, unknown: ShapedMove, tmp_path: Path) -> None:
+def test_a_campaign_follows_it_and_comes_back(
+    design: fl.Design, unknown: ShapedMove, tmp_path: Path
+) -> None:
     law = design.law()
     asked = Campaign.of(RIG, design.model, law, runs=60, reference=unknown.reference)
     found = fl.simulate_part(asked, 0)
@@ -362,7 +462,9 @@ def test_a_campaign_follows_it_and_comes_back(design: fl.Design, unknown: Shaped
     assert again.fingerprint != Campaign.of(RIG, design.model, law, runs=60).fingerprint
     run = fl.replay_run(again, 17)
     assert run.metrics.settling_time == found["settling_time"][17]
-    assert np.array_equal(run.reference[:160], unknown.reference.angle(0.004 * np.arange(160)))
+    assert np.array_equal(
+        run.reference[:160], unknown.reference.angle(0.004 * np.arange(160))
+    )
     with pytest.raises(FieldError, match="reference"):
         replace(asked, reference=fl.smooth_step(1.0, 3.5))
 
@@ -400,10 +502,18 @@ def test_the_board_takes_it_as_an_array(
     fl.export_c(law, tmp_path)
     fl.export_reference(known.reference, tmp_path / "move.h", period=law.period)
     (tmp_path / "main.c").write_text(_PROGRAM)
-    flags = ["-std=c99", "-Wall", "-Werror", "-ffp-contract=off"] + ["-DLAW_SINGLE"] * (precision == "single")
-    subprocess.run([tool("gcc"), *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True)  # noqa: S603
-    text = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True).stdout  # noqa: S603
-    told = np.array([[float.fromhex(x) for x in line.split()] for line in text.splitlines()])
+    flags = ["-std=c99", "-Wall", "-Werror", "-ffp-contract=off"] + ["-DLAW_SINGLE"] * (
+        precision == "single"
+    )
+    subprocess.run(  # noqa: S603
+        [tool("gcc"), *flags, "main.c", "-o", "main"], cwd=tmp_path, check=True
+    )
+    text = subprocess.run(  # noqa: S603
+        [tmp_path / "main"], capture_output=True, text=True, check=True
+    ).stdout
+    told = np.array(
+        [[float.fromhex(x) for x in line.split()] for line in text.splitlines()]
+    )
     assert np.array_equal(told, _stepped(law, known.reference, len(told)))
 
 
@@ -411,7 +521,9 @@ def _stepped(law: fl.Law, reference: fl.Reference, count: int) -> NDArray[np.flo
     state, rows, at = law.initial_state(), [], 0.0
     angle, _, acceleration = sampled(reference, law.period, count).tolist()
     for k in range(count):
-        state, out = law.step(state, LawInputs(angle[k], acceleration[k], at, 0.0, 0.0), tick=k + 1)
+        state, out = law.step(
+            state, LawInputs(angle[k], acceleration[k], at, 0.0, 0.0), tick=k + 1
+        )
         at = out.motor_reference
         rows.append([out.motor_reference, out.voltage])
     return np.array(rows)
@@ -425,26 +537,84 @@ def test_a_table_needs_a_name_that_c_or_csv_takes(tmp_path: Path, name: str) -> 
 
 @pytest.mark.slow
 def test_the_command_line_shapes_and_moves(
-    design: fl.Design, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    design: fl.Design,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     design.save("design.json")
     assert (
-        main(["shape", "design.json", "--payload", "0.03", "--told", "--seeds", "1", "--table", "move.h"])
+        main(
+            [
+                "shape",
+                "design.json",
+                "--payload",
+                "0.03",
+                "--told",
+                "--seeds",
+                "1",
+                "--table",
+                "move.h",
+            ]
+        )
         == 0
     )
     assert "settles in 0.29" in capsys.readouterr().out
     move = ["--reference", "move.json", "--json"]
-    assert main(["simulate", "design.json", "--payload", "0.03", "--told", "0.03", *move]) == 0
-    assert json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.5  # the model has no link mass
-    assert main(["twin", "design.json", "--payload", "0.03", "--told", "0.03", *move]) == 0
+    assert (
+        main(["simulate", "design.json", "--payload", "0.03", "--told", "0.03", *move])
+        == 0
+    )
+    assert (
+        json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.5
+    )  # the model has no link mass
+    assert (
+        main(["twin", "design.json", "--payload", "0.03", "--told", "0.03", *move]) == 0
+    )
     assert json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.35
     Path("path.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
     known = ["--payload", "0.03", "--told", "--seeds", "1"]
     assert main(
-        ["shape", "design.json", "--follow", "path.csv", *known, "--out", "along.json", "--json"]
+        [
+            "shape",
+            "design.json",
+            "--follow",
+            "path.csv",
+            *known,
+            "--out",
+            "along.json",
+            "--json",
+        ]
     ) in (0, 1)
     assert json.loads(capsys.readouterr().out)["measured"][1]["name"] == "as given"
-    assert main(["shape", "design.json", "--on", "model", "--model", "design.json", "--force"]) == 2
-    assert main(["shape", "design.json", "--payload", "0.03", "--payloads", "0.02", "0.04", "--force"]) == 2
+    assert (
+        main(
+            [
+                "shape",
+                "design.json",
+                "--on",
+                "model",
+                "--model",
+                "design.json",
+                "--force",
+            ]
+        )
+        == 2
+    )
+    assert (
+        main(
+            [
+                "shape",
+                "design.json",
+                "--payload",
+                "0.03",
+                "--payloads",
+                "0.02",
+                "0.04",
+                "--force",
+            ]
+        )
+        == 2
+    )
     assert "payload" in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""The pieces of a shaped move: splines, programme, bounds, candidates and findings, each by itself."""
+"""The pieces of a shaped move: splines, programme, bounds, candidates and findings,
+each by itself.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,14 @@ from fraclink._simulate.shape_programme import (
     spline_path,
     without_friction,
 )
-from fraclink._simulate.shaped_move import Candidate, Measured, MoveSetting, ShapedMove, candidates, settling
+from fraclink._simulate.shaped_move import (
+    Candidate,
+    Measured,
+    MoveSetting,
+    ShapedMove,
+    candidates,
+    settling,
+)
 from fraclink.errors import FieldError
 from law_bench import law
 
@@ -43,8 +52,12 @@ Real = NDArray[np.float64]
 FREE = MoveBounds({"voltage": 100.0}, velocity=100.0, acceleration=1000.0)
 
 
-def direct(count: int = 200, payloads: int = 1, gains: tuple[float, ...] = (1.0,)) -> Responses:
-    """Loops whose tip is the reference times a gain, whose voltage is its acceleration, and no more."""
+def direct(
+    count: int = 200, payloads: int = 1, gains: tuple[float, ...] = (1.0,)
+) -> Responses:
+    """Loops whose tip is the reference times a gain, whose voltage is its acceleration,
+    and no more.
+    """
     impulses = np.zeros((payloads, 2, len(SIGNALS), count))
     for p in range(payloads):
         impulses[p, 0, SIGNALS.index("tip"), 0] = gains[p % len(gains)]
@@ -56,11 +69,14 @@ def programme(bounds: MoveBounds = FREE, knot: int = 5, **own: Any) -> Programme
     return Programme(direct(**own), knot, bounds)
 
 
-# ── the linear loop ─────────────────────────────────────────────────────────────────────────────────────────
+# ── the linear loop
+# ─────────────────────────────────────────────────────────────────────────────────────────
 
 
 def test_responses_are_summed_along_a_reference() -> None:
-    """Angle and acceleration of each period, times their impulse responses, by a plain convolution."""
+    """Angle and acceleration of each period, times their impulse responses, by a plain
+    convolution.
+    """
     rng = np.random.default_rng(2)
     impulses = rng.standard_normal((2, 2, len(SIGNALS), 60))
     loops = Responses((0.02, 0.04), PERIOD, impulses)
@@ -73,17 +89,27 @@ def test_responses_are_summed_along_a_reference() -> None:
     for p in range(2):
         for k, name in enumerate(("torque", "tip")):
             row = SIGNALS.index(name)
-            wanted = sum(np.convolve(inputs[i], impulses[p, i, row])[:60] for i in (0, 1))
+            wanted = sum(
+                np.convolve(inputs[i], impulses[p, i, row])[:60] for i in (0, 1)
+            )
             assert found[p, k] == pytest.approx(wanted, abs=1e-9)
 
 
 def test_a_spline_is_the_sum_of_its_smooth_steps() -> None:
-    """One step of 1 rad: 1/6, 5/6 and 1 at its knots, by the quadratic spline of its velocity."""
+    """One step of 1 rad: 1/6, 5/6 and 1 at its knots, by the quadratic spline of its
+    velocity.
+    """
     one = spline_path(np.array([1.0]), 0.1)
     assert one.duration == pytest.approx(0.3)
-    assert one.angle([0.0, 0.1, 0.2, 0.3, 1.0]) == pytest.approx([0, 1 / 6, 5 / 6, 1, 1])
-    assert one.velocity([0.0, 0.1, 0.15, 0.2, 0.3]) == pytest.approx([0, 5.0, 7.5, 5.0, 0], abs=1e-9)
-    assert one.acceleration([0.05, 0.15, 0.25]) == pytest.approx([50.0, 0.0, -50.0], abs=1e-9)
+    assert one.angle([0.0, 0.1, 0.2, 0.3, 1.0]) == pytest.approx(
+        [0, 1 / 6, 5 / 6, 1, 1]
+    )
+    assert one.velocity([0.0, 0.1, 0.15, 0.2, 0.3]) == pytest.approx(
+        [0, 5.0, 7.5, 5.0, 0], abs=1e-9
+    )
+    assert one.acceleration([0.05, 0.15, 0.25]) == pytest.approx(
+        [50.0, 0.0, -50.0], abs=1e-9
+    )
     both = spline_path(np.array([0.3, -0.2]), 0.1)
     later = np.array([0.05, 0.17, 0.31, 0.6])
     assert both.duration == pytest.approx(0.4)
@@ -92,7 +118,9 @@ def test_a_spline_is_the_sum_of_its_smooth_steps() -> None:
     )
 
 
-@pytest.mark.parametrize(("time", "count"), [(0.0, 3), (0.02, 3), (0.0201, 4), (0.04, 4), (0.1, 7)])
+@pytest.mark.parametrize(
+    ("time", "count"), [(0.0, 3), (0.02, 3), (0.0201, 4), (0.04, 4), (0.1, 7)]
+)
 def test_a_reference_goes_on_for_two_knots(time: float, count: int) -> None:
     assert programme().count_for(time) == count
 
@@ -105,24 +133,37 @@ def test_the_programme_keeps_to_the_target_and_to_every_bound() -> None:
     assert found is not None
     path = made.path(found)
     time = np.linspace(0.0, 0.8, 4001)
-    assert float(path.angle(10.0)) == pytest.approx(1.0, abs=1e-9) == found.coefficients.sum()
+    assert (
+        float(path.angle(10.0))
+        == pytest.approx(1.0, abs=1e-9)
+        == found.coefficients.sum()
+    )
     assert np.abs(path.velocity(time)).max() <= 4.0 * (1 + 1e-3)
-    assert np.abs(path.acceleration(time)).max() <= 30.0 * (1 + 1e-3)  # the voltage is the smaller bound
+    assert np.abs(path.acceleration(time)).max() <= 30.0 * (
+        1 + 1e-3
+    )  # the voltage is the smaller bound
     tip = path.angle(PERIOD * np.arange(200))
     assert found.distance == pytest.approx(np.abs(tip[120:] - 1.0).max(), abs=2e-3)
-    # Bang-bang: 1 rad with ±30 rad/s² and at most 4 rad/s takes 2·√(1/30) = 0.365 s; not half of that.
+    # Bang-bang: 1 rad with ±30 rad/s² and at most 4 rad/s takes 2·√(1/30) = 0.365 s;
+    # not half of that.
     assert made.solve(made.count_for(0.16), target, 40, 200) is None
 
 
 def test_limits_are_kept_until_a_tenth_of_a_second_behind_the_reference() -> None:
-    """Two rows for each period and signal; the tip's where it is asked for, the reference's at its knots."""
+    """Two rows for each period and signal; the tip's where it is asked for, the
+    reference's at its knots.
+    """
     made = programme(MoveBounds({"voltage": 1.0, "torque": 2.0}, 3.0, 4.0), payloads=2)
     rows, sides = made._kept(10, np.ones(200), 60, 90)
     watched = 10 * 5 + 25
     assert len(rows) == len(sides) == 2 * 2 * (30 + 2 * watched) + 2 * 10 + 2 * 11
-    assert np.count_nonzero(rows[:, -1] == -1.0) == 2 * 2 * 30  # the distance, in the tip's rows alone
+    assert (
+        np.count_nonzero(rows[:, -1] == -1.0) == 2 * 2 * 30
+    )  # the distance, in the tip's rows alone
     assert sorted(set(sides.tolist())) == [-1.0, 1.0, 2.0, 3.0, 4.0]
-    short = programme(MoveBounds({"voltage": 1.0}, 3.0, 4.0))._kept(36, np.ones(200), 60, 90)[0]
+    short = programme(MoveBounds({"voltage": 1.0}, 3.0, 4.0))._kept(
+        36, np.ones(200), 60, 90
+    )[0]
     assert len(short) == 2 * (30 + 200) + 2 * 36 + 2 * 37  # no more than is known
 
 
@@ -146,7 +187,8 @@ def test_differences_of_the_acceleration_are_counted_from_rest_to_rest() -> None
     assert np.all(jerk[:, 3] == 0.0)  # the distance has no jerk
 
 
-# ── the arm that it is shaped for ───────────────────────────────────────────────────────────────────────────
+# ── the arm that it is shaped for
+# ───────────────────────────────────────────────────────────────────────────
 
 
 def test_an_arm_without_friction_has_no_limit_either() -> None:
@@ -156,16 +198,33 @@ def test_an_arm_without_friction_has_no_limit_either() -> None:
         assert free.drive is not None and free.precision == "double"
         assert (free.drive.coulomb_voltage, free.drive.voltage_limit) == (0.0, 1e4)
         assert plain.voltage_limit == 1e4 and plain.rig.motor.coulomb_torque == 0.0
-        assert plain.twin is None or (plain.twin.coulomb, plain.twin.breakaway) == (0.0, 0.0)
+        assert plain.twin is None or (plain.twin.coulomb, plain.twin.breakaway) == (
+            0.0,
+            0.0,
+        )
         assert arm.voltage_limit == 10.0 and arm.gauge_limit == 4.0
         exact = arm.with_exact_sensors()
-        assert exact.gauge_limit == math.inf and exact.rig.encoder.counts_per_revolution is None
-        assert (exact.rig.gauge.noise, exact.rig.gauge.quantum, exact.rig.gauge.offset) == (0.0, 0.0, 0.0)
+        assert (
+            exact.gauge_limit == math.inf
+            and exact.rig.encoder.counts_per_revolution is None
+        )
+        assert (
+            exact.rig.gauge.noise,
+            exact.rig.gauge.quantum,
+            exact.rig.gauge.offset,
+        ) == (0.0, 0.0, 0.0)
         if exact.twin is not None:
             assert exact.twin.sensors == Sensors()
-    late = replace(twin, sensors=replace(twin.sensors, gauge_delay=0.003, gauge_drift=0.1, gauge_gain=1.1))
+    late = replace(
+        twin,
+        sensors=replace(
+            twin.sensors, gauge_delay=0.003, gauge_drift=0.1, gauge_gain=1.1
+        ),
+    )
     kept = ShapedArm(RIG, MODEL, late).with_exact_sensors().twin
-    assert kept is not None and kept.sensors == Sensors(gauge_delay=0.003, gauge_gain=1.1)
+    assert kept is not None and kept.sensors == Sensors(
+        gauge_delay=0.003, gauge_gain=1.1
+    )
     with pytest.raises(FieldError, match="law: without a voltage"):
         without_friction(replace(law(), drive=None), ShapedArm(RIG, MODEL, None))
 
@@ -174,22 +233,35 @@ def test_signals_of_the_model_have_a_speed_by_differences() -> None:
     arm = ShapedArm(RIG, MODEL, None).with_exact_sensors()
     free, plain = without_friction(law(), arm)
     loops = responses_of(law(), arm, (0.03,), 0.4, told=False)
-    assert loops.payloads == (0.03,) and loops.period == PERIOD and loops.impulses.shape == (1, 2, 5, 101)
+    assert (
+        loops.payloads == (0.03,)
+        and loops.period == PERIOD
+        and loops.impulses.shape == (1, 2, 5, 101)
+    )
     move = fl.smooth_step(0.1, 0.2)
     run = plain.run(free, move, 0.03, 0.3, told=False)
     found = dict(zip(SIGNALS, loops.to(move)[0], strict=True))
     speed = np.diff(run.motor_angle, prepend=0.0) / PERIOD
     assert found["motor_speed"][:76] == pytest.approx(speed, abs=1e-6)
-    assert found["motor_step"][:76] == pytest.approx(np.diff(run.motor_reference, prepend=0.0), abs=1e-8)
+    assert found["motor_step"][:76] == pytest.approx(
+        np.diff(run.motor_reference, prepend=0.0), abs=1e-8
+    )
 
 
 def test_noise_is_a_standard_deviation_at_rest_and_none_without_a_gauges() -> None:
-    loud, still = ShapedArm(RIG, MODEL, None), ShapedArm(RIG, MODEL, None).with_exact_sensors()
-    assert noise_of(law(), still, 0.03, told=False) == pytest.approx(dict.fromkeys(SIGNALS, 0.0), abs=1e-12)
+    loud, still = (
+        ShapedArm(RIG, MODEL, None),
+        ShapedArm(RIG, MODEL, None).with_exact_sensors(),
+    )
+    assert noise_of(law(), still, 0.03, told=False) == pytest.approx(
+        dict.fromkeys(SIGNALS, 0.0), abs=1e-12
+    )
     found = noise_of(law(), loud, 0.03, told=False)
     assert list(found) == list(SIGNALS) and 0.01 < found["voltage"] < 1.0
     offset = replace(RIG, gauge=replace(RIG.gauge, offset=0.5))  # an offset is no noise
-    assert noise_of(law(), ShapedArm(offset, MODEL, None), 0.03, told=False) == pytest.approx(found)
+    assert noise_of(
+        law(), ShapedArm(offset, MODEL, None), 0.03, told=False
+    ) == pytest.approx(found)
 
 
 @pytest.mark.parametrize(
@@ -210,15 +282,21 @@ def test_payloads_stand_so_near_that_the_frequency_changes_by_a_tenth(
 
 
 def setting(**own: Any) -> MoveSetting:
-    made = MoveSetting(law(), ShapedArm(RIG, MODEL, None), MODEL, (0.02, 0.04), False, None)
+    made = MoveSetting(
+        law(), ShapedArm(RIG, MODEL, None), MODEL, (0.02, 0.04), False, None
+    )
     return replace(made, **own)
 
 
-def test_bounds_leave_room_for_noise_friction_and_guards(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bounds_leave_room_for_noise_friction_and_guards(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked = []
     noise = dict(zip(SIGNALS, (1e-3, 0.1, 1e-3, 0.02, 0.01), strict=True))
 
-    def responses(law: Any, arm: Any, payloads: Any, duration: float, *, told: bool) -> Responses:
+    def responses(
+        law: Any, arm: Any, payloads: Any, duration: float, *, told: bool
+    ) -> Responses:
         asked.append((payloads, duration, told))
         return direct()
 
@@ -252,7 +330,9 @@ def test_bounds_leave_room_for_noise_friction_and_guards(monkeypatch: pytest.Mon
         ((8.0, 0.09, None), "speed"),
         ((8.0, None, 0.045), "torque"),
     ):
-        with pytest.raises(FieldError, match=f"{field}: less than noise and friction take"):
+        with pytest.raises(
+            FieldError, match=f"{field}: less than noise and friction take"
+        ):
             made.programme(*options)
 
 
@@ -260,8 +340,13 @@ def test_a_setting_takes_the_middle_payload_and_refuses_none() -> None:
     design: Any = SimpleNamespace(rig=RIG, model=MODEL, payloads=(0.02, 0.04), law=law)
     made = MoveSetting.of(design, None, True, None, 0.05)
     assert made.payloads == (0.02, 0.04) and made.told and made.gauge_offset == 0.05
-    assert made.link.payload == pytest.approx(math.sqrt(0.0008)) and made.law.drive == law().drive
-    assert MoveSetting.of(design, (0.01, 0.09), False, None, None).link.payload == pytest.approx(0.03)
+    assert (
+        made.link.payload == pytest.approx(math.sqrt(0.0008))
+        and made.law.drive == law().drive
+    )
+    assert MoveSetting.of(
+        design, (0.01, 0.09), False, None, None
+    ).link.payload == pytest.approx(0.03)
     unknown: Any = SimpleNamespace(
         rig=RIG, model=replace(MODEL, payload=None), payloads=(0.02, 0.04), law=law
     )
@@ -270,19 +355,27 @@ def test_a_setting_takes_the_middle_payload_and_refuses_none() -> None:
         MoveSetting.of(design, (0.0, 0.04), False, None, None)
 
 
-def test_the_worst_of_all_payloads_and_noises_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_worst_of_all_payloads_and_noises_is_measured(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     asked: list[tuple[float, int]] = []
 
     def run(self: MoveSetting, reference: Any, payload: float, seed: int) -> Any:
         asked.append((payload, seed))
         k = len(asked)
         metrics = SimpleNamespace(
-            settling_time=1.0 + (k == 3), residual_vibration=0.1 * (k == 2), peak_voltage=5.0 + k
+            settling_time=1.0 + (k == 3),
+            residual_vibration=0.1 * (k == 2),
+            peak_voltage=5.0 + k,
         )
         flags = np.array([_kernels.LAW_FLAG_STARTED, 64 * (k == 4)], dtype=np.uint32)
         time = PERIOD * np.arange(2)
         return SimpleNamespace(
-            metrics=metrics, flags=flags, finished=k != 6, tip_angle=0.01 * k + 0 * time, time=time
+            metrics=metrics,
+            flags=flags,
+            finished=k != 6,
+            tip_angle=0.01 * k + 0 * time,
+            time=time,
         )
 
     monkeypatch.setattr(MoveSetting, "run", run)
@@ -291,7 +384,14 @@ def test_the_worst_of_all_payloads_and_noises_is_measured(monkeypatch: pytest.Mo
     found = made.measured(tried, None, 6)
     assert asked == [(0.03, seed) for seed in range(6)]
     assert found == Measured(
-        "quintic", 0.5, 0.7, 2.0, pytest.approx(math.nan, nan_ok=True), 0.1, 11.0, pytest.approx(2 / 6)
+        "quintic",
+        0.5,
+        0.7,
+        2.0,
+        pytest.approx(math.nan, nan_ok=True),
+        0.1,
+        11.0,
+        pytest.approx(2 / 6),
     )
     assert found.computing_time == 0.01
     asked.clear()
@@ -299,10 +399,13 @@ def test_the_worst_of_all_payloads_and_noises_is_measured(monkeypatch: pytest.Mo
     assert along.largest_error == pytest.approx(0.04)
     asked.clear()
     setting().measured(tried, None, 1)
-    assert [payload for payload, _ in asked] == pytest.approx(np.geomspace(0.02, 0.04, 9))
+    assert [payload for payload, _ in asked] == pytest.approx(
+        np.geomspace(0.02, 0.04, 9)
+    )
 
 
-# ── its rivals ──────────────────────────────────────────────────────────────────────────────────────────────
+# ── its rivals
+# ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def test_settled_is_the_period_after_the_last_outside_of_any_payload() -> None:
@@ -321,7 +424,9 @@ def test_quintics_and_shapers_are_tried_at_every_duration_and_frequency() -> Non
     durations = np.geomspace(0.15, 4.0, 40) * VIBRATION
     quintics = list(move_module._tried(None, 1.0, MODEL))
     assert [each.duration for _, each in quintics] == pytest.approx(durations)
-    assert [name for name, _ in quintics] == [f"quintic of {duration:.2f} s" for duration in durations]
+    assert [name for name, _ in quintics] == [
+        f"quintic of {duration:.2f} s" for duration in durations
+    ]
     shaped = list(move_module._tried("ZVD", 1.0, MODEL))
     assert len(shaped) == 400
     frequency, ratio = abs(MODEL.pole), -MODEL.pole.real / abs(MODEL.pole)
@@ -329,35 +434,55 @@ def test_quintics_and_shapers_are_tried_at_every_duration_and_frequency() -> Non
         times, _ = shaper_impulses("ZVD", factor * frequency, ratio)
         name, each = shaped[30 + k]
         assert each.duration == pytest.approx(durations[3] + times[-1])
-        assert name == f"ZVD at {factor * frequency:.1f} rad/s on a quintic of {durations[3]:.2f} s"
+        assert (
+            name
+            == f"ZVD at {factor * frequency:.1f} rad/s on a quintic of {durations[3]:.2f} s"
+        )
         assert float(each.angle(9.0)) == pytest.approx(1.0)
 
 
-def test_the_first_to_settle_within_the_bounds_is_the_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a loop that follows its reference, the shortest quintic that keeps velocity and acceleration."""
+def test_the_first_to_settle_within_the_bounds_is_the_candidate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a loop that follows its reference, the shortest quintic that keeps velocity
+    and acceleration.
+    """
     monkeypatch.setattr(move_module, "_DURATIONS", np.array([0.5, 1.0, 1.5, 2.0]))
     monkeypatch.setattr(move_module, "_FREQUENCIES", np.array([1.0, 1.2]))
 
     def best(**bounds: float) -> dict[str, Candidate]:
         whole = {"voltage": 1e6, "velocity": 1e6, "acceleration": 1e6} | bounds
         made = MoveBounds({"voltage": whole.pop("voltage")}, **whole)
-        return {each.name.split()[0]: each for each in candidates(direct(500), 1.0, 0.02, made, MODEL)}
+        return {
+            each.name.split()[0]: each
+            for each in candidates(direct(500), 1.0, 0.02, made, MODEL)
+        }
 
     durations = np.array([0.5, 1.0, 1.5, 2.0]) * VIBRATION
     found = best(velocity=4.0)
     assert list(found) == ["quintic", "ZV", "ZVD", "EI"]
-    # A quintic's largest speed is 15/8 of its mean, its largest acceleration 10/√3 over the time squared.
-    assert found["quintic"].reference.duration == pytest.approx(durations[1.875 / durations <= 4.0].min())
-    first, *_ = shaper_impulses("ZV", 1.2 * abs(MODEL.pole), -MODEL.pole.real / abs(MODEL.pole))
+    # A quintic's largest speed is 15/8 of its mean, its largest acceleration 10/√3 over
+    # the time squared.
+    assert found["quintic"].reference.duration == pytest.approx(
+        durations[1.875 / durations <= 4.0].min()
+    )
+    first, *_ = shaper_impulses(
+        "ZV", 1.2 * abs(MODEL.pole), -MODEL.pole.real / abs(MODEL.pole)
+    )
     assert best()["ZV"].reference.duration == pytest.approx(durations[0] + first[-1])
     quickest = durations[10 / math.sqrt(3) / durations**2 <= 12.0].min()
-    assert best(acceleration=12.0)["quintic"].reference.duration == pytest.approx(quickest)
+    assert best(acceleration=12.0)["quintic"].reference.duration == pytest.approx(
+        quickest
+    )
     assert best(voltage=12.0)["quintic"].reference.duration == pytest.approx(quickest)
-    assert quickest == durations[2] and best()["quintic"].reference.duration == pytest.approx(durations[0])
+    assert quickest == durations[2] and best()[
+        "quintic"
+    ].reference.duration == pytest.approx(durations[0])
     assert best(voltage=1e-6) == {}
 
 
-# ── the search and what is said of it ───────────────────────────────────────────────────────────────────────
+# ── the search and what is said of it
+# ───────────────────────────────────────────────────────────────────────
 
 
 def test_a_longer_reference_gets_fewer_knots() -> None:
@@ -369,13 +494,20 @@ def test_a_longer_reference_gets_fewer_knots() -> None:
 
 
 def test_the_shortest_settling_is_found_by_bisection() -> None:
-    """A loop that follows its reference settles as soon as that may come within the band."""
+    """A loop that follows its reference settles as soon as that may come within the
+    band.
+    """
     bounds = MoveBounds({}, velocity=5.0, acceleration=1e4)
     own: Any = SimpleNamespace(vibration=0.1, longer=None)
-    found, made = shape_module._fastest(own, Programme(direct(200), 2, bounds), 1.0, 0.25)
+    found, made = shape_module._fastest(
+        own, Programme(direct(200), 2, bounds), 1.0, 0.25
+    )
     path = made.path(found)
     time = PERIOD * np.arange(200)
-    late = np.flatnonzero(np.abs(path.angle(time) - 1.0) > 0.75 * 0.02 * (1 + 1e-3))[-1] + 1
+    late = (
+        np.flatnonzero(np.abs(path.angle(time) - 1.0) > 0.75 * 0.02 * (1 + 1e-3))[-1]
+        + 1
+    )
     # 0.985 rad at 5 rad/s are 0.197 s, and a knot's length to get there.
     assert 50 <= late <= 55
     assert np.abs(path.velocity(np.linspace(0, 1, 2001))).max() <= 5.0 * (1 + 1e-3)
@@ -399,9 +531,9 @@ def test_a_move_that_no_length_allows_is_refused() -> None:
 def test_a_path_is_followed_from_rest_at_0_and_within_what_is_known() -> None:
     wanted = spline_path(np.array([0.2, 0.3]), 0.1)
     found = shape_module._following(programme(), wanted)
-    assert shape_module._distance(direct(), programme().path(found), wanted) == pytest.approx(
-        found.distance, abs=1e-3
-    )
+    assert shape_module._distance(
+        direct(), programme().path(found), wanted
+    ) == pytest.approx(found.distance, abs=1e-3)
     assert found.distance < 5e-3
     with pytest.raises(FieldError, match=r"move: too long a path .* <= 0.78 s"):
         shape_module._following(programme(), spline_path(np.array([0.1] * 6), 0.1))
@@ -416,7 +548,9 @@ def measured(**own: Any) -> Measured:
     return replace(Measured("shaped", 0.5, 0.6, 0.6, math.nan, 0.0, 7.9, 0.0), **own)
 
 
-def moved(best: Measured, *, target: Any = None, voltage: float = 8.0, kept_back: float = 1.0) -> ShapedMove:
+def moved(
+    best: Measured, *, target: Any = None, voltage: float = 8.0, kept_back: float = 1.0
+) -> ShapedMove:
     path = spline_path(np.array([1.0]), 0.1)
     nothing = np.zeros((1, 200))
     return ShapedMove(
@@ -435,7 +569,9 @@ def moved(best: Measured, *, target: Any = None, voltage: float = 8.0, kept_back
         (measured(peak_voltage=8.01, limited=0.2), ["W502", "W503"]),
     ],
 )
-def test_what_a_move_did_not_keep_is_a_finding(best: Measured, codes: list[str]) -> None:
+def test_what_a_move_did_not_keep_is_a_finding(
+    best: Measured, codes: list[str]
+) -> None:
     found = shape_module._findings(moved(best))
     assert [finding.code for finding in found] == codes
     assert replace(moved(best), findings=found).passed == (not codes)
@@ -455,18 +591,26 @@ def test_what_a_move_did_not_keep_is_a_finding(best: Measured, codes: list[str])
         (0.1001, 0.1001, ["W504"]),
     ],
 )
-def test_a_path_that_is_not_followed_is_a_finding(error: float, predicted: float, codes: list[str]) -> None:
+def test_a_path_that_is_not_followed_is_a_finding(
+    error: float, predicted: float, codes: list[str]
+) -> None:
     best = measured(largest_error=error, predicted=predicted, settling_time=math.inf)
-    found = shape_module._findings(moved(best, target=spline_path(np.array([1.0]), 0.1)))
+    found = shape_module._findings(
+        moved(best, target=spline_path(np.array([1.0]), 0.1))
+    )
     assert [finding.code for finding in found] == codes
 
 
 def test_a_move_is_saved_with_all_but_the_time_that_it_took(tmp_path: Path) -> None:
-    made = replace(moved(measured(computing_time=3.0)), target=spline_path(np.array([0.5]), 0.1))
+    made = replace(
+        moved(measured(computing_time=3.0)), target=spline_path(np.array([0.5]), 0.1)
+    )
     made.save(tmp_path / "move.json")
     back = ShapedMove.load(tmp_path / "move.json")
     assert back == made and math.isnan(back.shaped.computing_time)
-    assert back.target is not None and float(back.target.angle(1.0)) == pytest.approx(0.5)
+    assert back.target is not None and float(back.target.angle(1.0)) == pytest.approx(
+        0.5
+    )
     made.save(tmp_path / "move.json")  # over itself
 
 

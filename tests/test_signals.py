@@ -1,4 +1,6 @@
-"""Signals that laboratories have: two channels, lengths, raw gauges; each from a file to a model."""
+"""Signals that laboratories have: two channels, lengths, raw gauges; each from a file
+to a model.
+"""
 
 from __future__ import annotations
 
@@ -32,28 +34,45 @@ def motion() -> Signals:
 
 def written(place: Path, **columns: NDArray[np.float64]) -> Path:
     table = np.column_stack(list(columns.values()))
-    np.savetxt(place, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+    np.savetxt(
+        place, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g"
+    )
     return place
 
 
 def model_of(path: Path, *stated: str) -> fl.Fit:
-    return fl.identify(fl.read_log(path, columns=parse_columns(stated)), "UD-FOM", details=False)
+    return fl.identify(
+        fl.read_log(path, columns=parse_columns(stated)), "UD-FOM", details=False
+    )
 
 
 NOISE = np.random.default_rng(3).standard_normal((2, COUNT))
 
 
 def cases(m: Signals) -> dict[str, tuple[Signals, tuple[str, ...], float]]:
-    """Columns of the file, what is said of them, and the gain that a right reading gives."""
+    """Columns of the file, what is said of them, and the gain that a right reading
+    gives.
+    """
     angle, bent = m["angle"], m["deflection"]
     degrees = np.degrees(angle)
     time, motor = "time=t_s [s]", "motor_angle=enc [deg]"
     common = {"t_s": m["t_s"], "enc": degrees}
     tip = np.degrees(angle - bent + 3e-4 * NOISE[0])
-    gauges = {"g1": 0.9 * bent + 1.2 + 2e-3 * NOISE[0], "g2": -0.9 * bent + 0.7 + 2e-3 * NOISE[1]}
+    gauges = {
+        "g1": 0.9 * bent + 1.2 + 2e-3 * NOISE[0],
+        "g2": -0.9 * bent + 0.7 + 2e-3 * NOISE[1],
+    }
     return {
-        "tip encoder": ({**common, "tip": tip}, (time, motor, "deflection=enc - tip [deg]"), 1.0),
-        "half bridge": ({**common, **gauges}, (time, motor, "deflection=g1 - g2 [rad]"), 1.8),
+        "tip encoder": (
+            {**common, "tip": tip},
+            (time, motor, "deflection=enc - tip [deg]"),
+            1.0,
+        ),
+        "half bridge": (
+            {**common, **gauges},
+            (time, motor, "deflection=g1 - g2 [rad]"),
+            1.8,
+        ),
         "sum": (
             {**common, "a": 0.25 * bent + 1e-3 * NOISE[0], "b": 0.75 * bent},
             (time, motor, "deflection=a + b * 1/2 [rad]"),
@@ -64,7 +83,11 @@ def cases(m: Signals) -> dict[str, tuple[Signals, tuple[str, ...], float]]:
             (time, motor, "deflection=laser * 1/0.32 [rad]"),
             1.0,
         ),
-        "volts": ({**common, "bridge": 1.83 * bent + 0.2}, (time, motor, "deflection=bridge [rad]"), 1.83),
+        "volts": (
+            {**common, "bridge": 1.83 * bent + 0.2},
+            (time, motor, "deflection=bridge [rad]"),
+            1.83,
+        ),
         "no stamps": (
             {"enc": degrees, "bridge": bent},
             ("time=#row * 4 [ms]", motor, "deflection=bridge [rad]"),
@@ -78,7 +101,15 @@ def cases(m: Signals) -> dict[str, tuple[Signals, tuple[str, ...], float]]:
     }
 
 
-NAMES = ("tip encoder", "half bridge", "sum", "metres", "volts", "no stamps", "linear axis")
+NAMES = (
+    "tip encoder",
+    "half bridge",
+    "sum",
+    "metres",
+    "volts",
+    "no stamps",
+    "linear axis",
+)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -94,7 +125,9 @@ def test_columns_as_a_mapping(motion: Signals, tmp_path: Path) -> None:
     columns, stated, _ = cases(motion)["half bridge"]
     path = written(tmp_path / "log.csv", **columns)
     texts = dict(text.split("=", 1) for text in stated)
-    assert fl.read_log(path, columns=texts) == fl.read_log(path, columns=parse_columns(stated))
+    assert fl.read_log(path, columns=texts) == fl.read_log(
+        path, columns=parse_columns(stated)
+    )
 
 
 def test_every_case_is_tried(motion: Signals) -> None:
@@ -106,17 +139,33 @@ def test_start_takes_a_difference(
     motion: Signals, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     columns, _, _ = cases(motion)["tip encoder"]
-    named = {"t_s": columns["t_s"], "enc_deg": columns["enc"], "tip_deg": columns["tip"]}
+    named = {
+        "t_s": columns["t_s"],
+        "enc_deg": columns["enc"],
+        "tip_deg": columns["tip"],
+    }
     path = written(tmp_path / "log.csv", **named)
     out = tmp_path / "out"
     assert (
-        main(["start", str(path), "--column", "deflection=enc_deg - tip_deg [deg]", "--out", str(out)]) == 0
+        main(
+            [
+                "start",
+                str(path),
+                "--column",
+                "deflection=enc_deg - tip_deg [deg]",
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
     )
     assert "UD-FOM" in capsys.readouterr().out
     assert "enc_deg - tip_deg" in (out / "rig.toml").read_text()
 
 
-@pytest.mark.parametrize("stated", ["deflection=enc - nothing [deg]", "deflection=nothing + tip [deg]"])
+@pytest.mark.parametrize(
+    "stated", ["deflection=enc - nothing [deg]", "deflection=nothing + tip [deg]"]
+)
 def test_a_part_that_is_not_there(stated: str, motion: Signals, tmp_path: Path) -> None:
     columns, _, _ = cases(motion)["tip encoder"]
     path = written(tmp_path / "log.csv", **columns)
@@ -125,10 +174,17 @@ def test_a_part_that_is_not_there(stated: str, motion: Signals, tmp_path: Path) 
 
 
 def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> None:
-    columns = {"t_s": motion["t_s"], "enc": motion["angle"], "enc - x": motion["deflection"]}
+    columns = {
+        "t_s": motion["t_s"],
+        "enc": motion["angle"],
+        "enc - x": motion["deflection"],
+    }
     path = written(tmp_path / "log.csv", **columns, x=motion["angle"])
     log = fl.read_log(
-        path, columns=parse_columns(["time=t_s [s]", "motor_angle=enc [rad]", "deflection=enc - x [rad]"])
+        path,
+        columns=parse_columns(
+            ["time=t_s [s]", "motor_angle=enc [rad]", "deflection=enc - x [rad]"]
+        ),
     )
     np.testing.assert_allclose(log.output, motion["deflection"], rtol=1e-8)
 
@@ -150,7 +206,9 @@ def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> N
     ],
 )
 def test_no_suggestion_crosses_quantities(kind: str, unit: str, words: str) -> None:
-    """Metres were answered by "did you mean 'mrad'?", which is wrong by 1000 over the link's length."""
+    """Metres were answered by "did you mean 'mrad'?", which is wrong by 1000 over the
+    link's length.
+    """
     with pytest.raises(FieldError) as caught:
         LogColumns(Channel("t", "s"), Channel("enc", "deg"), Channel("x", unit), kind)  # type: ignore[arg-type]
     assert words in caught.value.remedy

@@ -1,5 +1,5 @@
-"""The closed loop: its plant against independent solutions, its verdicts against what is known of the
-design.
+"""The closed loop: its plant against independent solutions, its verdicts against what
+is known of the design.
 """
 
 from __future__ import annotations
@@ -26,15 +26,23 @@ from law_bench import PERIOD, law
 RIG = Rig.named("paper-2023")
 MODEL = RIG.model
 assert MODEL is not None
-EXACT = replace(RIG, encoder=Encoder(), gauge=Gauge(), motor=replace(RIG.motor, coulomb_torque=0.0))
+EXACT = replace(
+    RIG, encoder=Encoder(), gauge=Gauge(), motor=replace(RIG.motor, coulomb_torque=0.0)
+)
 STEP = fl.smooth_step(1.0, 0.3)
 
 
 def _held(transfer: object, held: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Response at the samples to `held`, from step responses by numerical Laplace inversion at 40 digits."""
+    """Response at the samples to `held`, from step responses by numerical Laplace
+    inversion at 40 digits.
+    """
     mpmath.mp.dps = 40
     step = [0.0] + [
-        float(mpmath.invertlaplace(lambda s: transfer(s) / s, PERIOD * k, method="talbot", degree=48))  # type: ignore[operator]
+        float(
+            mpmath.invertlaplace(
+                lambda s: transfer(s) / s, PERIOD * k, method="talbot", degree=48
+            )
+        )  # type: ignore[operator]
         for k in range(1, len(held))
     ]
     return np.convolve(np.diff(held, prepend=0.0), step)[: len(held)]
@@ -57,19 +65,29 @@ def _tip_transfer(model: LinkModel) -> object:
     ],
     ids=lambda m: m.structure,
 )
-def test_the_tip_follows_an_independent_solution_behind_m_of_s(model: LinkModel) -> None:
-    run = simulate(law(), STEP, rig=EXACT, model=model, motor_loop="ideal", duration=0.6)
+def test_the_tip_follows_an_independent_solution_behind_m_of_s(
+    model: LinkModel,
+) -> None:
+    run = simulate(
+        law(), STEP, rig=EXACT, model=model, motor_loop="ideal", duration=0.6
+    )
     delayed = np.concatenate([[0.0], run.motor_reference[:-1]])
     link = _tip_transfer(model)
     expected = _held(lambda s: link(s) / (1 + s / 80) ** 2, delayed)  # type: ignore[operator]
     assert np.abs(run.tip_angle - expected).max() < 1e-8
-    assert np.abs(run.motor_angle - _held(lambda s: 1 / (1 + s / 80) ** 2, delayed)).max() < 1e-10
+    assert (
+        np.abs(run.motor_angle - _held(lambda s: 1 / (1 + s / 80) ** 2, delayed)).max()
+        < 1e-10
+    )
 
 
 @pytest.mark.slow
 def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
-    run = simulate(law(), STEP, rig=EXACT, model=MODEL, duration=0.6, motor_loop="sampled")
-    # the law's voltage contains its compensation of the coupling torque, which is taken as exact
+    run = simulate(
+        law(), STEP, rig=EXACT, model=MODEL, duration=0.6, motor_loop="sampled"
+    )
+    # the law's voltage contains its compensation of the coupling torque, which is taken
+    # as exact
     voltage = run.voltage - law().coefficients["torque_voltage"] * run.torque_measured
     delayed = np.concatenate([[0.0], voltage[:-1]])
     link, gain, decay = _tip_transfer(MODEL), RIG.motor.gain, RIG.motor.decay
@@ -78,19 +96,28 @@ def test_the_tip_follows_an_independent_solution_behind_the_motor() -> None:
 
 
 def test_friction_stops_the_motor_where_the_equation_says() -> None:
-    """A motor that coasts against Coulomb friction stops at v/B − (f/B²) ln(1 + B v/f), and stays."""
+    """A motor that coasts against Coulomb friction stops at v/B − (f/B²) ln(1 + B v/f),
+    and stays.
+    """
     gain, decay, friction = 3000.0, 15.0, 90.0
     speed = 2.0
     stop = speed / decay - friction / decay**2 * np.log(1 + decay * speed / friction)
     angle = _coast(gain, decay, friction, speed, substeps=200)
     assert angle[-1] - angle[-2] == 0.0
     assert angle[-1] == pytest.approx(stop, rel=2e-4)
-    errors = [abs(_coast(gain, decay, friction, speed, substeps=n)[-1] - stop) for n in (1, 4, 16)]
+    errors = [
+        abs(_coast(gain, decay, friction, speed, substeps=n)[-1] - stop)
+        for n in (1, 4, 16)
+    ]
     assert errors[0] > errors[1] > errors[2]
 
 
-def _coast(gain: float, decay: float, friction: float, speed: float, *, substeps: int) -> NDArray[np.float64]:
-    """Angles at the samples of a motor that starts at `speed`, by the kernel's own step."""
+def _coast(
+    gain: float, decay: float, friction: float, speed: float, *, substeps: int
+) -> NDArray[np.float64]:
+    """Angles at the samples of a motor that starts at `speed`, by the kernel's own
+    step.
+    """
     angle = np.empty(100)
     _kernels.loop_coast(angle, speed, gain, decay, friction, PERIOD, substeps)
     return angle
@@ -99,13 +126,23 @@ def _coast(gain: float, decay: float, friction: float, speed: float, *, substeps
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_default_design_holds_for_every_payload(payload: float) -> None:
     run = simulate(
-        law(), fl.smooth_step(1.0, 0.5), rig=EXACT, model=MODEL, motor_loop="ideal", payload=payload
+        law(),
+        fl.smooth_step(1.0, 0.5),
+        rig=EXACT,
+        model=MODEL,
+        motor_loop="ideal",
+        payload=payload,
     )
     assert run.verdict.passed, run.verdict.reason
     assert abs(run.metrics.steady_state_error) < 1e-3
     assert run.payload == payload
     sampled = simulate(
-        law(), fl.smooth_step(1.0, 0.5), rig=EXACT, model=MODEL, payload=payload, motor_loop="sampled"
+        law(),
+        fl.smooth_step(1.0, 0.5),
+        rig=EXACT,
+        model=MODEL,
+        payload=payload,
+        motor_loop="sampled",
     )
     assert sampled.verdict.passed, sampled.verdict.reason
 
@@ -113,7 +150,9 @@ def test_the_default_design_holds_for_every_payload(payload: float) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.030, 0.040])
 def test_the_printed_controller_visibly_diverges(payload: float) -> None:
-    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
+    printed = fl.Controller(
+        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL
+    )
     run = simulate(
         fl.discretize(printed, PERIOD),
         STEP,
@@ -149,22 +188,30 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.04])
 def test_friction_is_compensated(payload: float) -> None:
-    """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11 of the swing."""
+    """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11
+    of the swing.
+    """
     rough = replace(EXACT, motor=RIG.motor)
     design = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
     made, move = design.law(), fl.smooth_step(1.0, 0.5)
     assert made.drive is not None
-    run = simulate(made, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled")
+    run = simulate(
+        made, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled"
+    )
     assert run.verdict.passed, run.verdict.reason
     bare = replace(made, drive=replace(made.drive, coulomb_voltage=0.0))
-    worse = simulate(bare, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled")
+    worse = simulate(
+        bare, move, rig=rough, model=MODEL, payload=payload, motor_loop="sampled"
+    )
     assert np.ptp(run.tip_angle[-250:]) < 0.1 * np.ptp(worse.tip_angle[-250:])
 
 
 def test_saturation_is_reported() -> None:
     weak = replace(EXACT, motor=replace(RIG.motor, voltage_limit=0.02))
     bounded = replace(law(), drive=replace(law().drive, voltage_limit=0.02))  # type: ignore[type-var]
-    run = simulate(bounded, fl.smooth_step(1.0, 0.5), rig=weak, model=MODEL, motor_loop="sampled")
+    run = simulate(
+        bounded, fl.smooth_step(1.0, 0.5), rig=weak, model=MODEL, motor_loop="sampled"
+    )
     assert np.abs(run.voltage).max() <= 0.02
     assert run.metrics.saturated > 0.01
     assert not run.verdict
@@ -181,13 +228,25 @@ def test_sensors_quantise_clip_and_lie() -> None:
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
     assert np.abs(run.torque_measured).max() == 0.15
     quiet = np.abs(run.torque) < 0.05
-    assert np.mean((run.torque_measured - run.torque)[1:][quiet[1:]]) == pytest.approx(0.01, abs=2e-3)
-    assert np.std((run.torque_measured - run.torque)[quiet]) == pytest.approx(0.02, rel=0.1)
+    assert np.mean((run.torque_measured - run.torque)[1:][quiet[1:]]) == pytest.approx(
+        0.01, abs=2e-3
+    )
+    assert np.std((run.torque_measured - run.torque)[quiet]) == pytest.approx(
+        0.02, rel=0.1
+    )
 
 
 def test_seeds_repeat_and_differ() -> None:
     runs = [
-        simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", seed=seed, duration=1.0)
+        simulate(
+            law(),
+            STEP,
+            rig=RIG,
+            model=MODEL,
+            motor_loop="ideal",
+            seed=seed,
+            duration=1.0,
+        )
         for seed in (7, 7, 8)
     ]
     np.testing.assert_array_equal(runs[0].torque_measured, runs[1].torque_measured)
@@ -197,22 +256,46 @@ def test_seeds_repeat_and_differ() -> None:
 def test_noise_is_standard_normal() -> None:
     drawn = np.array([_kernels.loop_normal(11, k) for k in range(200_000)])
     assert abs(drawn.mean()) < 0.01
-    for quantile, wanted in ((0.001, -3.0902), (0.1587, -1.0), (0.5, 0.0), (0.9772, 2.0), (0.9999, 3.719)):
-        assert np.quantile(drawn, quantile) == pytest.approx(wanted, abs=0.06 if quantile < 0.999 else 0.4)
+    for quantile, wanted in (
+        (0.001, -3.0902),
+        (0.1587, -1.0),
+        (0.5, 0.0),
+        (0.9772, 2.0),
+        (0.9999, 3.719),
+    ):
+        assert np.quantile(drawn, quantile) == pytest.approx(
+            wanted, abs=0.06 if quantile < 0.999 else 0.4
+        )
     for lag in (1, 2, 10):
         assert abs(np.mean(drawn[lag:] * drawn[:-lag])) < 0.01
 
 
 def test_the_delay_acts() -> None:
     runs = {
-        d: simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal", duration=0.5, delay_samples=d)
+        d: simulate(
+            law(),
+            STEP,
+            rig=EXACT,
+            model=MODEL,
+            motor_loop="ideal",
+            duration=0.5,
+            delay_samples=d,
+        )
         for d in (0, 1, 5)
     }
     for delay, run in runs.items():
         moved = int(np.argmax(run.motor_angle != 0))
         commanded = int(np.argmax(run.motor_reference != 0))
         assert moved == commanded + delay + 1
-    late = simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal", duration=6.0, delay_samples=20)
+    late = simulate(
+        law(),
+        STEP,
+        rig=EXACT,
+        model=MODEL,
+        motor_loop="ideal",
+        duration=6.0,
+        delay_samples=20,
+    )
     assert not late.verdict
 
 
@@ -226,12 +309,25 @@ def test_a_start_away_from_zero_is_a_shifted_run() -> None:
 
 
 def test_a_run_survives_its_file(tmp_path: Path) -> None:
-    run = simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", payload=0.02, duration=1.0, seed=3)
+    run = simulate(
+        law(),
+        STEP,
+        rig=RIG,
+        model=MODEL,
+        motor_loop="ideal",
+        payload=0.02,
+        duration=1.0,
+        seed=3,
+    )
     run.save(tmp_path / "run.npz")
     back = fl.Run.load(tmp_path / "run.npz")
     assert back.metrics == run.metrics
     assert back.verdict == run.verdict
-    assert (back.about, back.payload, back.findings) == (run.about, run.payload, run.findings)
+    assert (back.about, back.payload, back.findings) == (
+        run.about,
+        run.payload,
+        run.findings,
+    )
     np.testing.assert_array_equal(back.tip_angle, run.tip_angle)
     with pytest.raises(ValueError, match="read-only"):
         back.tip_angle[0] = 1.0
@@ -284,25 +380,46 @@ def test_sizes_and_periods_are_checked_first() -> None:
     with pytest.raises(SizeError):
         simulate(law(), STEP, rig=RIG, model=MODEL, motor_loop="ideal", duration=1e9)
     with pytest.raises(FieldError, match="period"):
-        simulate(law(), STEP, rig=replace(RIG, period=0.002), model=MODEL, motor_loop="ideal")
+        simulate(
+            law(), STEP, rig=replace(RIG, period=0.002), model=MODEL, motor_loop="ideal"
+        )
 
 
 def test_a_measured_compensation_costs_damping() -> None:
-    """One delay late, the compensation feeds the vibration: less damping than ideal, none at 8 g."""
+    """One delay late, the compensation feeds the vibration: less damping than ideal,
+    none at 8 g.
+    """
     move = fl.smooth_step(1.0, 0.5)
     late = {}
     for kind in ("ideal", "measured"):
-        options: dict[str, Any] = {"motor_loop": "sampled", "compensation": kind, "duration": 3.0}
+        options: dict[str, Any] = {
+            "motor_loop": "sampled",
+            "compensation": kind,
+            "duration": 3.0,
+        }
         run = simulate(law(), move, rig=EXACT, model=MODEL, payload=0.03, **options)
         assert run.verdict.passed, run.verdict.reason
         late[kind] = np.ptp(run.tip_angle[-250:])
     assert late["measured"] > 2 * late["ideal"]
     light = simulate(
-        law(), move, rig=EXACT, model=MODEL, payload=0.008, motor_loop="sampled", compensation="measured"
+        law(),
+        move,
+        rig=EXACT,
+        model=MODEL,
+        payload=0.008,
+        motor_loop="sampled",
+        compensation="measured",
     )
     assert not light.verdict
     with pytest.raises(FieldError, match="compensation"):
-        simulate(law(), move, rig=EXACT, model=MODEL, motor_loop="ideal", compensation="measured")
+        simulate(
+            law(),
+            move,
+            rig=EXACT,
+            model=MODEL,
+            motor_loop="ideal",
+            compensation="measured",
+        )
 
 
 def test_the_coupled_motor_converges_with_its_substeps() -> None:
@@ -324,39 +441,69 @@ def test_the_coupled_motor_converges_with_its_substeps() -> None:
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
 
 
-# ── what identification found is in the simulation ──────────────────────────────────────────────────────────
+# ── what identification found is in the simulation
+# ──────────────────────────────────────────────────────────
 
 
 def test_the_printed_controller_fails_within_four_seconds() -> None:
-    """Controller (58) at 30 g grows by 0.14 a second, also where its vibration is still small."""
-    printed = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL)
+    """Controller (58) at 30 g grows by 0.14 a second, also where its vibration is still
+    small.
+    """
+    printed = fl.Controller(
+        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=MODEL
+    )
     made = fl.discretize(printed, PERIOD)
     for amplitude in (1.0, 0.2, 0.1):
         move = fl.smooth_step(amplitude, 0.5)
-        run = simulate(made, move, rig=RIG, model=MODEL, payload=0.030, duration=4.0, noise=0.0)
-        assert run.verdict.reason.startswith("unstable: the vibration grows"), run.verdict.reason
+        run = simulate(
+            made, move, rig=RIG, model=MODEL, payload=0.030, duration=4.0, noise=0.0
+        )
+        assert run.verdict.reason.startswith("unstable: the vibration grows"), (
+            run.verdict.reason
+        )
         assert run.metrics.growth == pytest.approx(0.14, abs=0.01)
-    gentle = simulate(made, fl.smooth_step(1.0, 1.0), rig=RIG, model=MODEL, payload=0.030, noise=0.0)
+    gentle = simulate(
+        made, fl.smooth_step(1.0, 1.0), rig=RIG, model=MODEL, payload=0.030, noise=0.0
+    )
     assert gentle.metrics.settling_time < 2.0  # by its size alone it would have passed
-    assert gentle.verdict.reason.startswith("unstable: the vibration grows"), gentle.verdict.reason
+    assert gentle.verdict.reason.startswith("unstable: the vibration grows"), (
+        gentle.verdict.reason
+    )
 
 
 @pytest.mark.parametrize("delay", [0.004, 0.057, 0.0013, 0.0578])
 def test_the_gauge_shows_the_torque_of_its_delay(delay: float) -> None:
     slow = fl.smooth_step(0.5, 1.0)
-    run = simulate(law(), slow, rig=EXACT, model=MODEL, gauge_delay=delay, gauge_gain=-0.7, duration=3.0)
-    # A spline through all samples is another interpolation than the kernel's cubic through four of them.
+    run = simulate(
+        law(),
+        slow,
+        rig=EXACT,
+        model=MODEL,
+        gauge_delay=delay,
+        gauge_gain=-0.7,
+        duration=3.0,
+    )
+    # A spline through all samples is another interpolation than the kernel's cubic
+    # through four of them.
     before = np.arange(-50, 0) * PERIOD
-    spline = CubicSpline(np.concatenate([before, run.time]), np.concatenate([0 * before, run.torque]))
+    spline = CubicSpline(
+        np.concatenate([before, run.time]), np.concatenate([0 * before, run.torque])
+    )
     tolerance = 1e-12 if delay == 0.004 else 4e-3 * np.abs(run.torque).max()
-    np.testing.assert_allclose(run.torque_measured, -0.7 * spline(run.time - delay), atol=tolerance)
+    np.testing.assert_allclose(
+        run.torque_measured, -0.7 * spline(run.time - delay), atol=tolerance
+    )
     assert run.about["gauge_delay"] == delay
 
 
 def test_a_delay_between_samples_is_a_delay_to_fourth_order() -> None:
-    """The phase of a vibration that lasts, between what was there and what the gauge showed."""
+    """The phase of a vibration that lasts, between what was there and what the gauge
+    showed.
+    """
     undamped = LinkModel(1.56, 11.0)
-    idle = replace(law(), limits=replace(law().limits, torque_trip=1e6, residual_angle=1e6))
+    idle = replace(
+        law(), limits=replace(law().limits, torque_trip=1e6, residual_angle=1e6)
+    )
     run = simulate(
         idle,
         fl.pulse(0.4, 0.1, 0.2),
@@ -369,19 +516,35 @@ def test_a_delay_between_samples_is_a_delay_to_fourth_order() -> None:
     inner = slice(20, 140)
     at = run.time[inner] - 0.0103
     wanted = CubicSpline(run.time, run.torque)(at)
-    assert np.abs(run.torque_measured[inner] - wanted).max() < 5e-4 * np.abs(run.torque).max()
+    assert (
+        np.abs(run.torque_measured[inner] - wanted).max()
+        < 5e-4 * np.abs(run.torque).max()
+    )
 
 
 def test_the_model_brings_its_gauge_and_its_second_mode() -> None:
     found = replace(
-        MODEL, gauge_delay=0.012, gauge_gain=1.1, second_mode=SecondMode(frequency=200.0, gain=0.05)
+        MODEL,
+        gauge_delay=0.012,
+        gauge_gain=1.1,
+        second_mode=SecondMode(frequency=200.0, gain=0.05),
     )
     told = simulate(law(), STEP, rig=EXACT, model=found, duration=1.0)
     plain = replace(MODEL, second_mode=found.second_mode)
-    asked = simulate(law(), STEP, rig=EXACT, model=plain, gauge_delay=0.012, gauge_gain=1.1, duration=1.0)
+    asked = simulate(
+        law(),
+        STEP,
+        rig=EXACT,
+        model=plain,
+        gauge_delay=0.012,
+        gauge_gain=1.1,
+        duration=1.0,
+    )
     np.testing.assert_array_equal(told.torque_measured, asked.torque_measured)
     assert (told.about["gauge_delay"], told.about["gauge_gain"]) == (0.012, 1.1)
-    late = simulate(law(), STEP, rig=EXACT, model=replace(MODEL, gauge_delay=0.057), payload=0.02)
+    late = simulate(
+        law(), STEP, rig=EXACT, model=replace(MODEL, gauge_delay=0.057), payload=0.02
+    )
     assert not late.verdict  # a delay that was measured and is not in the design
     twin = fl.Twin.from_rig(EXACT, model=found)
     assert (twin.sensors.gauge_delay, twin.sensors.gauge_gain) == (0.012, 1.1)
@@ -393,26 +556,39 @@ def test_the_second_mode_is_its_transfer_function() -> None:
     options = {"rig": EXACT, "motor_loop": "ideal", "duration": 0.4}
     run = simulate(made, STEP, model=replace(MODEL, second_mode=mode), **options)
     extra = run.torque - MODEL.stiffness * (run.motor_angle - run.tip_angle)
-    # Another way: the mode's state space under the motor angle, which is smooth, at 40 steps a period.
+    # Another way: the mode's state space under the motor angle, which is smooth, at 40
+    # steps a period.
     fine = np.linspace(0.0, run.time[-1], 40 * (len(run.time) - 1) + 1)
     w, z = mode.frequency, mode.damping_ratio
     system = ([mode.gain, 0.0, 0.0], [1.0, 2 * z * w, w**2])
     _, answer, _ = lsim(system, CubicSpline(run.time, run.motor_angle)(fine), fine)
-    assert np.abs(extra - MODEL.stiffness * answer[::40]).max() < 2e-3 * np.abs(extra).max()
+    assert (
+        np.abs(extra - MODEL.stiffness * answer[::40]).max()
+        < 2e-3 * np.abs(extra).max()
+    )
 
 
 def test_a_law_without_a_motor_loop_is_said() -> None:
     bare = replace(law(), drive=None)
-    equipped = simulate(bare, STEP, rig=EXACT, model=MODEL, motor_loop="sampled", duration=1.0)
+    equipped = simulate(
+        bare, STEP, rig=EXACT, model=MODEL, motor_loop="sampled", duration=1.0
+    )
     assert [finding.code for finding in equipped.findings] == ["W602"]
     assert simulate(bare, STEP, rig=EXACT, model=MODEL, duration=1.0).findings == ()
-    assert simulate(law(), STEP, rig=EXACT, model=MODEL, duration=1.0).about["motor_loop"] == "sampled"
+    assert (
+        simulate(law(), STEP, rig=EXACT, model=MODEL, duration=1.0).about["motor_loop"]
+        == "sampled"
+    )
 
 
 @pytest.mark.slow
 def test_a_design_brings_rig_model_and_law() -> None:
-    design = fl.design(MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50)
+    )
     told = simulate(design, STEP, payload=0.02, duration=1.0)
-    asked = simulate(design.law(), STEP, rig=RIG, model=MODEL, payload=0.02, duration=1.0)
+    asked = simulate(
+        design.law(), STEP, rig=RIG, model=MODEL, payload=0.02, duration=1.0
+    )
     np.testing.assert_array_equal(told.tip_angle, asked.tip_angle)
     assert told.about["law_sha256"] == design.law().digest

@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, _driven, judge, measure
+from fraclink._simulate.metrics import (
+    Metrics,
+    MoveVerdict,
+    Signals,
+    _driven,
+    judge,
+    measure,
+)
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)
@@ -26,7 +33,9 @@ def signals(
     mode: np.ndarray = RUNNING,
 ) -> Signals:
     nothing = np.zeros_like(TIME)
-    flags = 64 * np.asarray(nothing if saturated is None else saturated, dtype=np.uint32)
+    flags = 64 * np.asarray(
+        nothing if saturated is None else saturated, dtype=np.uint32
+    )
     rows = (
         REFERENCE,
         tip,
@@ -77,9 +86,9 @@ def test_the_tip_settles_with_its_last_sample_outside_the_band() -> None:
 
 def test_residual_vibration_is_that_of_two_periods_after_the_reference() -> None:
     inside = (TIME >= ENDED) & (TIME <= ENDED + 2 * VIBRATION)
-    assert measured(vibrating(np.where(inside, 0.03, 0.2))).residual_vibration == pytest.approx(
-        0.03, rel=0.01
-    )
+    assert measured(
+        vibrating(np.where(inside, 0.03, 0.2))
+    ).residual_vibration == pytest.approx(0.03, rel=0.01)
 
 
 def test_what_is_left_at_the_end_is_a_mean_of_its_last_tenth() -> None:
@@ -87,9 +96,9 @@ def test_what_is_left_at_the_end_is_a_mean_of_its_last_tenth() -> None:
     tip[-60:] += 0.004
     assert measured(tip).steady_state_error == pytest.approx(0.004)
     noise = 0.01 * np.random.default_rng(1).standard_normal(TIME.size)
-    assert measured(tip, motor_reference=TIME**2 + noise).motor_reference_noise == pytest.approx(
-        0.01, rel=0.3
-    )
+    assert measured(
+        tip, motor_reference=TIME**2 + noise
+    ).motor_reference_noise == pytest.approx(0.01, rel=0.3)
 
 
 def test_voltage_and_saturation_are_counted() -> None:
@@ -103,17 +112,25 @@ def test_a_vibration_is_unstable_where_it_grows_and_only_after_the_move() -> Non
     growing = judged(vibrating(0.02 * np.exp(0.5 * (TIME - ENDED))))
     assert not growing.passed
     assert "0.5" in growing.reason
-    # Large while the arm moves, quiet behind it: what happened before the rest is no growth.
+    # Large while the arm moves, quiet behind it: what happened before the rest is no
+    # growth.
     assert judged(vibrating(np.where(TIME < ENDED, 0.3, 0.001))).passed
 
 
 def test_a_vibration_that_grows_fails_while_it_is_still_within_the_band() -> None:
-    """Settled by its size and unstable by its growth: what the size alone calls fine shakes itself apart."""
+    """Settled by its size and unstable by its growth: what the size alone calls fine
+    shakes itself apart.
+    """
     tip = vibrating(0.004 * np.exp(0.2 * (TIME - ENDED)))
     assert measured(tip).settling_time < 1.5
     verdict = judged(tip)
-    assert not verdict.passed and verdict.reason == "unstable: the vibration grows at 0.2 1/s"
-    assert measured(vibrating(0.004 * np.exp(-0.2 * (TIME - ENDED)))).growth == pytest.approx(-0.2, rel=1e-3)
+    assert (
+        not verdict.passed
+        and verdict.reason == "unstable: the vibration grows at 0.2 1/s"
+    )
+    assert measured(
+        vibrating(0.004 * np.exp(-0.2 * (TIME - ENDED)))
+    ).growth == pytest.approx(-0.2, rel=1e-3)
 
 
 @pytest.mark.slow
@@ -132,7 +149,8 @@ def test_a_vibration_that_noise_drives_does_not_grow() -> None:
 
 
 def test_a_vibration_that_lasts_without_growing_has_not_settled() -> None:
-    # Quiet until a period after the move, then slowly dying: over that border it would seem to grow.
+    # Quiet until a period after the move, then slowly dying: over that border it would
+    # seem to grow.
     dying = 0.1 * np.exp(-0.05 * TIME)
     verdict = judged(vibrating(np.where(TIME < ENDED + VIBRATION, 0.001, dying)))
     assert not verdict.passed
@@ -146,8 +164,11 @@ def test_a_tip_that_is_held_back_by_the_limit_is_called_saturated() -> None:
         assert verdict.reason.startswith(word)
 
 
-def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_tip() -> None:
-    # An unstable loop above the link's modes: the limit holds it, and the tip moves by less than 2 %.
+def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_tip() -> (
+    None
+):
+    # An unstable loop above the link's modes: the limit holds it, and the tip moves by
+    # less than 2 %.
     for share, passed in ((0.0, True), (0.05, True), (0.5, False)):
         at_limit = (np.arange(TIME.size) % 20 < 20 * share) & (TIME > ENDED)
         verdict = judged(REFERENCE, saturated=at_limit)
@@ -158,8 +179,12 @@ def test_a_voltage_at_its_limit_behind_the_move_does_not_pass_however_still_the_
 
 
 @pytest.mark.parametrize(("ended", "driven"), [(5.41, 0.5), (5.42, 0.0)])
-def test_a_voltage_at_its_limit_counts_once_the_reference_rests(ended: float, driven: float) -> None:
-    """Of 601 periods the last tenth begins at 5.41 s: a reference that rests then is at rest in all of it."""
+def test_a_voltage_at_its_limit_counts_once_the_reference_rests(
+    ended: float, driven: float
+) -> None:
+    """Of 601 periods the last tenth begins at 5.41 s: a reference that rests then is at
+    rest in all of it.
+    """
     at_limit = np.arange(TIME.size) % 2 == 0
     block = replace(signals(REFERENCE, saturated=at_limit), ended=np.array([ended]))
     assert float(_driven(block)[0]) == pytest.approx(driven, abs=0.01)
@@ -182,13 +207,17 @@ def test_what_is_steady_is_judged_by_the_last_tenth_alone(sign: float) -> None:
     tip[-last:] = REFERENCE[-last:] + sign * 0.02
     wild = np.random.default_rng(0).normal(size=TIME.size)
     k = np.arange(last)
-    wild[-last:] = 3.0 + 0.1 * k - 0.002 * k**2 + 1e-3 * (-1.0) ** k  # a parabola is no noise
+    wild[-last:] = (
+        3.0 + 0.1 * k - 0.002 * k**2 + 1e-3 * (-1.0) ** k
+    )  # a parabola is no noise
     found = measured(tip, motor_reference=wild)
     assert found.steady_state_error == pytest.approx(sign * 0.02, rel=1e-12)
     assert found.motor_reference_noise == pytest.approx(1e-3, rel=0.02)
 
 
-def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_unstable() -> None:
+def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_unstable() -> (
+    None
+):
     mode = RUNNING.copy()
     mode[550:] = 4
     growing = vibrating(0.02 * np.exp(0.5 * (TIME - ENDED)))
@@ -207,4 +236,6 @@ def test_an_unstable_run_says_when_the_law_trips_and_a_tip_that_is_no_number_is_
 def test_the_verdict_says_how_far_away_the_tip_still_is_and_when() -> None:
     tip = REFERENCE - 0.25 * (TIME > 5.9)
     assert judged(tip).reason == "not settled; the tip is still 0.25 rad away at 6 s"
-    assert str(judged(REFERENCE)) == "passed" and judged(REFERENCE).reason.startswith("settled in 0.")
+    assert str(judged(REFERENCE)) == "passed" and judged(REFERENCE).reason.startswith(
+        "settled in 0."
+    )

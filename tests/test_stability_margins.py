@@ -1,4 +1,6 @@
-"""Margins against closed forms, polynomial roots, 30-digit root finding and dense grids."""
+"""Margins against closed forms, polynomial roots, 30-digit root finding and dense
+grids.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,15 @@ from fraclink.errors import FieldError
 K, BETA, W = 0.148, 0.65, 10.0
 
 
-def link_loop(order: float, gain: float = K, beta: float = BETA) -> FractionalTransferFunction:
+def link_loop(
+    order: float, gain: float = K, beta: float = BETA
+) -> FractionalTransferFunction:
     return gain * s**beta * W**2 / (s**order + W**2)
 
 
-def exact_crossings(order: float, gain: float = K, beta: float = BETA) -> tuple[list[float], list[float]]:
+def exact_crossings(
+    order: float, gain: float = K, beta: float = BETA
+) -> tuple[list[float], list[float]]:
     """Frequencies and phase margins of the link loop's crossings in 30 digits."""
     with mpmath.workdps(30):
         k, b, a, w2 = (mpmath.mpf(v) for v in (gain, beta, order, W**2))
@@ -41,7 +47,9 @@ def exact_crossings(order: float, gain: float = K, beta: float = BETA) -> tuple[
         peak = w2 ** (1 / a)
         low = mpmath.findroot(level, (peak / 100, peak), solver="anderson", tol=1e-50)
         high = mpmath.findroot(level, (peak, peak * 100), solver="anderson", tol=1e-50)
-        return [float(low), float(high)], [float(mpmath.arg(-loop(w))) for w in (low, high)]
+        return [float(low), float(high)], [
+            float(mpmath.arg(-loop(w))) for w in (low, high)
+        ]
 
 
 @pytest.mark.parametrize("order", [1.5, 1.7, 1.92, 1.99, 1.999, 1.999999])
@@ -54,7 +62,9 @@ def test_both_crossings_of_the_link_loop(order: float, as_callable: bool) -> Non
     for crossing, w, p in zip(found.gain_crossings, frequency, phase, strict=True):
         assert crossing.frequency == pytest.approx(w, rel=1e-12)
         assert crossing.phase_margin == pytest.approx(p, abs=1e-11)
-        assert crossing.delay_margin == pytest.approx((p % (2 * math.pi)) / w, rel=1e-11)
+        assert crossing.delay_margin == pytest.approx(
+            (p % (2 * math.pi)) / w, rel=1e-11
+        )
 
 
 @pytest.mark.parametrize("as_callable", [False, True])
@@ -64,18 +74,32 @@ def test_undamped_link_has_a_pole_on_the_axis(as_callable: bool) -> None:
     found = margins((lambda z: loop(z)) if as_callable else loop, unstable_poles=0)
     with mpmath.workdps(30):
         k, b, w2 = mpmath.mpf(K), mpmath.mpf(BETA), mpmath.mpf(W**2)
-        low = mpmath.findroot(lambda w: k * w**b * w2 - (w2 - w**2), (1, 9.9), solver="anderson", tol=1e-50)
-        high = mpmath.findroot(
-            lambda w: k * w**b * w2 - (w**2 - w2), (10.1, 40), solver="anderson", tol=1e-50
+        low = mpmath.findroot(
+            lambda w: k * w**b * w2 - (w2 - w**2),
+            (1, 9.9),
+            solver="anderson",
+            tol=1e-50,
         )
-    assert [c.frequency for c in found.gain_crossings] == pytest.approx([float(low), float(high)], rel=1e-12)
+        high = mpmath.findroot(
+            lambda w: k * w**b * w2 - (w**2 - w2),
+            (10.1, 40),
+            solver="anderson",
+            tol=1e-50,
+        )
+    assert [c.frequency for c in found.gain_crossings] == pytest.approx(
+        [float(low), float(high)], rel=1e-12
+    )
     lead = 0.5 * math.pi * BETA
-    assert [c.phase_margin for c in found.gain_crossings] == pytest.approx([lead - math.pi, lead], abs=1e-12)
+    assert [c.phase_margin for c in found.gain_crossings] == pytest.approx(
+        [lead - math.pi, lead], abs=1e-12
+    )
     assert found.stable is True
 
 
 def test_the_papers_printed_loop_is_unstable() -> None:
-    """Eq. (58) at 30 g: −7.34° at the upper crossing (ECOSYSTEM, checked here in 30 digits), unstable."""
+    """Eq. (58) at 30 g: −7.34° at the upper crossing (ECOSYSTEM, checked here in 30
+    digits), unstable.
+    """
     w = 10.31
     loop = 0.148 * s**0.65 / (1 + 0.16 * s) ** 2 * w**2 / (s**1.92 + w**2)
     found = margins(loop)
@@ -96,7 +120,9 @@ def test_a_textbook_loop(gain: float, as_callable: bool) -> None:
     assert phase.gain_margin == found.gain_margin == pytest.approx(6 / gain, rel=1e-13)
     roots = np.roots([1, 0, 5, 0, 4, 0, -(gain**2)])  # ω²(ω²+1)(ω²+4) = k²
     (crossing,) = found.gain_crossings
-    assert crossing.frequency == pytest.approx(roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real[0])
+    assert crossing.frequency == pytest.approx(
+        roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)].real[0]
+    )
     assert found.stable is (gain < 6)
 
 
@@ -108,26 +134,38 @@ def test_delay_crossings_are_complete() -> None:
         seen = [c for c in found.phase_crossings if c.gain_margin < 900]
         for m, crossing in enumerate(seen):
             w = crossing.frequency
-            assert 0.1 * w + math.atan(w) == pytest.approx(math.pi * (2 * m + 1), rel=1e-12)
+            assert 0.1 * w + math.atan(w) == pytest.approx(
+                math.pi * (2 * m + 1), rel=1e-12
+            )
         assert len(seen) > 100
         assert found.stable is True
-        assert found.gain_crossings[0].frequency == pytest.approx(math.sqrt(99), rel=1e-13)
-        assert found.delay_margin == pytest.approx((math.pi - math.atan(math.sqrt(99))) / math.sqrt(99) - 0.1)
+        assert found.gain_crossings[0].frequency == pytest.approx(
+            math.sqrt(99), rel=1e-13
+        )
+        assert found.delay_margin == pytest.approx(
+            (math.pi - math.atan(math.sqrt(99))) / math.sqrt(99) - 0.1
+        )
 
 
 def test_a_delay_in_a_loop_that_rolls_off_slowly() -> None:
-    """10/√s with a delay is above −60 dB up to 1e8 rad/s: crossings are listed as far as they can matter."""
+    """10/√s with a delay is above −60 dB up to 1e8 rad/s: crossings are listed as far
+    as they can matter.
+    """
     loop = (10 / s**0.5).delayed(0.1)
     found = margins(loop)
     assert found.gain_crossover == pytest.approx(100.0)
     for m, crossing in enumerate(found.phase_crossings):
-        assert 0.1 * crossing.frequency + math.pi / 4 == pytest.approx(math.pi * (2 * m + 1), rel=1e-12)
+        assert 0.1 * crossing.frequency + math.pi / 4 == pytest.approx(
+            math.pi * (2 * m + 1), rel=1e-12
+        )
     assert len(found.phase_crossings) > 10
     assert found.stable is False
 
 
 def test_corners_of_neighbouring_powers_lie_anywhere() -> None:
-    """s^0.344 and a constant meet at 1e-37 rad/s: seen. s^0.005 meets its neighbour beyond doubles: open."""
+    """s^0.344 and a constant meet at 1e-37 rad/s: seen. s^0.005 meets its neighbour
+    beyond doubles: open.
+    """
     loop = 1.16 * s**0.04 / (s**1.42 + 0.43 * s**0.344 - 0.04)
     assert margins(loop).stable is bool(is_stable(loop.feedback())) is False
     far = 0.027 / (s**2.738 + 0.0067 * s**2.525 - 0.9 * s**2.425 + 4.2 * s**0.005)
@@ -143,7 +181,9 @@ def test_more_delay_than_the_delay_margin_destabilises() -> None:
 
 @pytest.mark.slow
 def test_a_peak_just_above_one_is_not_missed() -> None:
-    """The two crossings beside a peak of 1 + 1e-9 lie 1e-5 apart, far between two points of any grid."""
+    """The two crossings beside a peak of 1 + 1e-9 lie 1e-5 apart, far between two
+    points of any grid.
+    """
     plain = link_loop(1.7, gain=1.0)
     x = np.linspace(math.log(5), math.log(30), 400_001)
     peak = np.abs(plain(1j * np.exp(x))).max()
@@ -183,7 +223,9 @@ def test_modulus_margin_against_a_dense_grid(seed: int) -> None:
     st.floats(-20, 20).filter(lambda k: abs(k) > 0.05),
 )
 @settings(max_examples=200, deadline=None)
-def test_stability_agrees_with_closed_loop_roots(zeros: list[float], poles: list[float], gain: float) -> None:
+def test_stability_agrees_with_closed_loop_roots(
+    zeros: list[float], poles: list[float], gain: float
+) -> None:
     top, bottom = gain * np.poly(-np.array(zeros)), np.poly(-np.array(poles))
     if len(top) > len(bottom):
         top = gain * np.poly(-np.array(zeros[: len(poles)]))
@@ -248,7 +290,9 @@ def test_a_sampled_python_control_system_stops_at_nyquist() -> None:
     found = margins(plant, unstable_poles=0)
     pole, level = math.exp(-0.1), 2 * (1 - math.exp(-0.1))
     cosine = (1 + pole**2 - level**2) / (2 * pole)  # |e^(jθ) − p| = level
-    assert found.gain_crossings[0].frequency == pytest.approx(math.acos(cosine) / 0.1, rel=1e-12)
+    assert found.gain_crossings[0].frequency == pytest.approx(
+        math.acos(cosine) / 0.1, rel=1e-12
+    )
     assert found.stable is True
     assert found.modulus_frequency <= math.pi / 0.1 * (1 + 1e-12)
 
@@ -267,9 +311,9 @@ def test_measured_data_is_used_between_its_points() -> None:
     assert found.gain_margin == pytest.approx(exact.gain_margin, rel=1e-3)
     assert found.stable is True
     # On a point of the measurement the data themselves are met.
-    assert margins(control.frd(loop(1j * w) / abs(loop(1j * w[30])), w)).gain_crossover == pytest.approx(
-        w[30]
-    )
+    assert margins(
+        control.frd(loop(1j * w) / abs(loop(1j * w[30])), w)
+    ).gain_crossover == pytest.approx(w[30])
     assert margins(loop.to_control()) == exact
     with pytest.raises(FieldError, match="one input"):
         margins(control.frd(np.ones((2, 2, 3)), [1, 2, 3]))
@@ -324,12 +368,18 @@ def test_bad_input(loop: object, options: dict[str, float], field: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(60))
 def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
-    """Two methods: arg(1 + L) along the sweep, and the argument principle on the closed-loop denominator."""
+    """Two methods: arg(1 + L) along the sweep, and the argument principle on the
+    closed-loop denominator.
+    """
     rng = np.random.default_rng(1000 + seed)
     orders = np.sort(rng.uniform(0.1, 3.0, 3))
     a, b, c = orders
     shift, middle = rng.uniform([-1.0, 0.1], [3.0, 3.0])
-    loop = rng.uniform(-5, 30) * (s ** (0.5 * a) + rng.uniform(0.1, 2)) / (s**c + middle * s**b + shift)
+    loop = (
+        rng.uniform(-5, 30)
+        * (s ** (0.5 * a) + rng.uniform(0.1, 2))
+        / (s**c + middle * s**b + shift)
+    )
     if seed % 3 == 0:
         loop = loop / s ** rng.uniform(0.2, 1.2)
     if seed % 2:
@@ -355,14 +405,19 @@ def test_newton_stops_where_the_function_is_no_more_than_its_own_rounding() -> N
         return np.tanh(0.3 * (x - wanted)) + 1e-14 * np.sin(1e16 * x)
 
     found = bracketed_roots(
-        level, wanted - 0.4, wanted + 0.3, slope=lambda x: 0.3 / np.cosh(0.3 * (x - wanted)) ** 2
+        level,
+        wanted - 0.4,
+        wanted + 0.3,
+        slope=lambda x: 0.3 / np.cosh(0.3 * (x - wanted)) ** 2,
     )
     assert np.max(np.abs(found - wanted)) < 1e-13
     assert calls <= 10
 
 
 def test_the_printed_numbers_are_those_of_the_loop() -> None:
-    """4/(s(s+1)(s+2)): gain margin 1.5 at √2; the crossing and its phase from ω²(ω²+1)(ω²+4) = 16."""
+    """4/(s(s+1)(s+2)): gain margin 1.5 at √2; the crossing and its phase from
+    ω²(ω²+1)(ω²+4) = 16.
+    """
     lines = str(margins(4 / (s * (s + 1) * (s + 2)))).splitlines()
     w = math.sqrt(max(r.real for r in np.roots([1, 5, 4, -16]) if abs(r.imag) < 1e-9))
     phase = math.pi / 2 - math.atan(w) - math.atan(w / 2)
@@ -370,11 +425,16 @@ def test_the_printed_numbers_are_those_of_the_loop() -> None:
         f"gain crossing   {w:12.6g} rad/s  phase margin {math.degrees(phase):8.3f}°"
         f"  delay margin {phase / w:.4g} s"
     )
-    assert lines[1] == "phase crossing       1.41421 rad/s  gain margin        1.5  (3.52 dB)"
+    assert (
+        lines[1]
+        == "phase crossing       1.41421 rad/s  gain margin        1.5  (3.52 dB)"
+    )
     x = np.linspace(1.0, 1.5, 500_001)
     distance = np.abs(1 + 4 / (1j * x * (1j * x + 1) * (1j * x + 2)))
     least = int(distance.argmin())
-    place, number = re.fullmatch(r"nearest to −1 +(\S+) rad/s  distance +(\S+)", lines[2]).groups()  # type: ignore[union-attr]
+    place, number = re.fullmatch(
+        r"nearest to −1 +(\S+) rad/s  distance +(\S+)", lines[2]
+    ).groups()  # type: ignore[union-attr]
     assert float(place) == pytest.approx(x[least], abs=2e-5)
     assert float(number) == pytest.approx(distance[least], abs=5e-5)
     assert lines[3] == "closed loop     stable"
@@ -385,7 +445,9 @@ def test_eight_crossings_of_a_kind_are_printed_and_the_others_counted() -> None:
     lines = str(found).splitlines()
     assert sum(line.startswith("phase crossing") for line in lines) == 8
     assert f"… and {len(found.phase_crossings) - 8} crossings more" in lines
-    assert not any("more" in line for line in str(margins(link_loop(1.92))).splitlines())
+    assert not any(
+        "more" in line for line in str(margins(link_loop(1.92))).splitlines()
+    )
 
 
 def test_of_two_gain_margins_the_nearer_to_one_counts() -> None:
@@ -396,10 +458,13 @@ def test_of_two_gain_margins_the_nearer_to_one_counts() -> None:
         loop = k * (1j * w + 1) ** 2 / ((1j * w) ** 3 * (1j * w / 40 + 1) ** 2)
         at = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[1:] < 0))
         gains = sorted(1 / abs(float(loop[i].real)) for i in at)
-        assert [c.gain_margin for c in sorted(found.phase_crossings, key=lambda c: c.gain_margin)] == (
-            pytest.approx(gains, rel=1e-3)
+        assert [
+            c.gain_margin
+            for c in sorted(found.phase_crossings, key=lambda c: c.gain_margin)
+        ] == (pytest.approx(gains, rel=1e-3))
+        assert found.gain_margin == pytest.approx(
+            min(gains, key=lambda g: abs(math.log(g))), rel=1e-3
         )
-        assert found.gain_margin == pytest.approx(min(gains, key=lambda g: abs(math.log(g))), rel=1e-3)
         assert found.stable is (gains[0] < 1 < gains[1])
 
 
@@ -407,7 +472,9 @@ def test_a_negative_phase_margin_needs_the_long_way_round_to_the_point() -> None
     found = margins(9 / (s * (s + 1) * (s + 2)))
     (crossing,) = found.gain_crossings
     assert crossing.phase_margin < 0
-    assert crossing.delay_margin == pytest.approx((crossing.phase_margin + 2 * math.pi) / crossing.frequency)
+    assert crossing.delay_margin == pytest.approx(
+        (crossing.phase_margin + 2 * math.pi) / crossing.frequency
+    )
     assert found.critical == crossing
     assert found.phase_margin == crossing.phase_margin
 
@@ -424,10 +491,17 @@ def test_of_two_crossings_the_one_of_the_smaller_phase_is_critical() -> None:
 def test_crossings_up_to_the_limit_and_none_beyond(as_callable: bool) -> None:
     loop = link_loop(1.92)
     low, high = (c.frequency for c in margins(loop).gain_crossings)
-    for limit, count in ((low * 0.999, 0), (low * 1.001, 1), (high * 0.999, 1), (high * 1.001, 2)):
+    for limit, count in (
+        (low * 0.999, 0),
+        (low * 1.001, 1),
+        (high * 0.999, 1),
+        (high * 1.001, 2),
+    ):
         given_loop = (lambda z: loop(z)) if as_callable else loop
         assert len(margins(given_loop, limit=limit).gain_crossings) == count
-    assert margins(loop, limit=1.0).stable is margins(loop).stable  # of the whole loop, not of what is seen
+    assert (
+        margins(loop, limit=1.0).stable is margins(loop).stable
+    )  # of the whole loop, not of what is seen
 
 
 def test_the_infimum_of_the_distance_at_either_end_of_the_axis() -> None:
@@ -435,7 +509,10 @@ def test_the_infimum_of_the_distance_at_either_end_of_the_axis() -> None:
     falls = margins(-0.5 / (s + 1))
     assert (falls.modulus_margin, falls.modulus_frequency) == (0.5, 0.0)
     ends = margins((1 - 0.4 * s) / (s + 1))
-    assert (ends.modulus_margin, ends.modulus_frequency) == (pytest.approx(0.6, rel=1e-12), math.inf)
+    assert (ends.modulus_margin, ends.modulus_frequency) == (
+        pytest.approx(0.6, rel=1e-12),
+        math.inf,
+    )
     assert ends.sensitivity_peak == pytest.approx(1 / 0.6)
     assert margins(-1 / (s + 1)).sensitivity_peak == math.inf
 
@@ -447,7 +524,8 @@ def test_grids_for_plots_reach_two_decades_beyond_the_corners() -> None:
     assert np.all(np.diff(grid) > 0)
     even = np.geomspace(0.1, 1000.0, 100)
     assert all(np.min(np.abs(grid / w - 1)) < 1e-9 for w in even)
-    # The peak is 1/(2 ζ √(1 − ζ²)) at ζ = 0.001: the grid shows it to a part in a thousand.
+    # The peak is 1/(2 ζ √(1 − ζ²)) at ζ = 0.001: the grid shows it to a part in a
+    # thousand.
     assert np.abs(resonance(1j * grid)).max() == pytest.approx(1 / 0.002, rel=1e-3)
     cut = frequency_grid(resonance, points=100, limit=50.0)
     assert (cut[0], cut[-1]) == (pytest.approx(0.1), pytest.approx(50.0))
@@ -456,10 +534,14 @@ def test_grids_for_plots_reach_two_decades_beyond_the_corners() -> None:
 
 
 def test_grids_of_callables_keep_a_decade_of_each_straight_end() -> None:
-    """1/(z + 1) bends at 1 rad/s: its slope is within 0.02 of 0 below 0.14 and of −1 above 7 rad/s."""
+    """1/(z + 1) bends at 1 rad/s: its slope is within 0.02 of 0 below 0.14 and of −1
+    above 7 rad/s.
+    """
     grid = frequency_grid(lambda z: 1 / (z + 1), points=100)
     assert 1e-3 < grid[0] < 0.05 and 20 < grid[-1] < 1e3
-    assert frequency_grid(lambda z: 1 / (z + 1), points=100, limit=50.0)[-1] == pytest.approx(50.0)
+    assert frequency_grid(lambda z: 1 / (z + 1), points=100, limit=50.0)[
+        -1
+    ] == pytest.approx(50.0)
     for straight in (lambda z: 1 / z, lambda z: 5 + 0 * z):
         line = frequency_grid(straight)
         assert 0.01 <= line[0] < 0.0115 and 87 < line[-1] <= 100.0
@@ -494,7 +576,9 @@ def test_roots_in_brackets_of_either_direction(slope: Any) -> None:
     def level(x: np.ndarray) -> np.ndarray:
         return np.asarray(x**3 - cubes)
 
-    found = bracketed_roots(level, [1.0, 2.0, 2.0, 1.0], [2.0, 0.0, 2.0, 0.0], slope=slope)
+    found = bracketed_roots(
+        level, [1.0, 2.0, 2.0, 1.0], [2.0, 0.0, 2.0, 0.0], slope=slope
+    )
     assert found == pytest.approx(wanted, rel=1e-14)
 
 
@@ -503,10 +587,17 @@ def test_measured_data_at_zero_frequency_and_of_no_response() -> None:
     with_zero, without = (control.frd(2 / (1j * at + 1), at) for at in (w, w[1:]))
     assert margins(with_zero) == margins(without)
     # A straight line in a Bode plot, from √2 at 1 rad/s to 2/√5 at 2 rad/s.
-    share = math.log(math.sqrt(2)) / (math.log(math.sqrt(2)) - math.log(2 / math.sqrt(5)))
-    assert margins(without, limit=3.0).gain_crossover == pytest.approx(2**share, rel=1e-12)
+    share = math.log(math.sqrt(2)) / (
+        math.log(math.sqrt(2)) - math.log(2 / math.sqrt(5))
+    )
+    assert margins(without, limit=3.0).gain_crossover == pytest.approx(
+        2**share, rel=1e-12
+    )
     assert margins(without, limit=1.5).gain_crossings == ()
-    for bad in (control.frd([1.0, 0.0], [1.0, 2.0]), control.frd([1.0, 2.0], [0.0, 1.0])):
+    for bad in (
+        control.frd([1.0, 0.0], [1.0, 2.0]),
+        control.frd([1.0, 2.0], [0.0, 1.0]),
+    ):
         with pytest.raises(FieldError, match="two frequencies"):
             margins(bad)
 
@@ -525,7 +616,9 @@ def test_a_sampled_system_without_a_period_has_no_margins_in_seconds() -> None:
         margins(control.tf([1.5], [1.0, -0.5], True))
     assert refused.value.field == "loop" and "0.01" in refused.value.remedy
     sampled = margins(control.tf([0.9], [1.0, -0.5], 2.0))
-    assert sampled.gain_crossover == pytest.approx(math.acos(1.25 - 0.81) / 2.0, rel=1e-9)
+    assert sampled.gain_crossover == pytest.approx(
+        math.acos(1.25 - 0.81) / 2.0, rel=1e-9
+    )
 
 
 @pytest.mark.slow

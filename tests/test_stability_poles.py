@@ -1,4 +1,6 @@
-"""Poles, verdicts and delayed denominators against polynomial roots, closed forms and delay margins."""
+"""Poles, verdicts and delayed denominators against polynomial roots, closed forms and
+delay margins.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def test_pole_pair_of_the_link(order: float) -> None:
     exact = size * np.exp(1j * math.pi / order)
     if order == 1.01:
         assert found.size == 2 and abs(found[0] - exact) < 1e-12 * size
-    assert found.tolist() == pytest.approx([exact, exact.conjugate()], rel=1e-13, abs=1e-12 * size)
+    assert found.tolist() == pytest.approx(
+        [exact, exact.conjugate()], rel=1e-13, abs=1e-12 * size
+    )
 
 
 def test_poles_on_other_sheets_are_none() -> None:
@@ -71,10 +75,18 @@ def test_cancelled_poles_are_left_out_and_named() -> None:
     ],
 )
 def test_verdicts(
-    system: FractionalTransferFunction, stable: bool, integrators: float, winding: int, words: str
+    system: FractionalTransferFunction,
+    stable: bool,
+    integrators: float,
+    winding: int,
+    words: str,
 ) -> None:
     verdict = is_stable(system)
-    assert (bool(verdict), verdict.stable, verdict.integrators) == (stable, stable, integrators)
+    assert (bool(verdict), verdict.stable, verdict.integrators) == (
+        stable,
+        stable,
+        integrators,
+    )
     assert verdict.winding == winding
     assert words in verdict.reason
     assert all(p.real >= 0 for p in verdict.unstable_poles)
@@ -87,7 +99,9 @@ def test_verdicts(
 )
 @settings(max_examples=100, deadline=None)
 def test_products_of_known_factors(shifts: list[float], order: float) -> None:
-    """Π (s^a + c): unstable by each c < 0 (arg 0), and by each pair π/a < π/2 never for a < 2."""
+    """Π (s^a + c): unstable by each c < 0 (arg 0), and by each pair π/a < π/2 never for
+    a < 2.
+    """
     system: FractionalTransferFunction = 1 / (s**order + shifts[0])
     for c in shifts[1:]:
         system = system / (s**order + c)
@@ -108,7 +122,9 @@ def test_products_of_known_factors(shifts: list[float], order: float) -> None:
         20 / (s**1.5 + 2 * s**0.7 + 1),
     ],
 )
-def test_delay_in_the_loop_agrees_with_the_delay_margin(loop: FractionalTransferFunction) -> None:
+def test_delay_in_the_loop_agrees_with_the_delay_margin(
+    loop: FractionalTransferFunction,
+) -> None:
     spare = margins(loop).delay_margin
     assert is_stable(loop.delayed(0.99 * spare).feedback())
     late = is_stable(loop.delayed(1.01 * spare).feedback())
@@ -133,7 +149,9 @@ def test_delayed_integrator_in_the_denominator() -> None:
 
 
 def rightmost_root(gain: float) -> float:
-    """Largest Re s of s + 1 + gain (s + 2) e^(-s) = 0, by Newton from a grid: independent of the counting."""
+    """Largest Re s of s + 1 + gain (s + 2) e^(-s) = 0, by Newton from a grid:
+    independent of the counting.
+    """
     re, im = np.meshgrid(np.linspace(-3.0, 1.5, 40), np.linspace(0.0, 60.0, 400))
     z = (re + 1j * im).ravel()
     with np.errstate(all="ignore"):  # starts that run away are dropped below
@@ -141,13 +159,19 @@ def rightmost_root(gain: float) -> float:
             late = gain * np.exp(-z)
             z = z - (z + 1.0 + (z + 2.0) * late) / (1.0 + late - (z + 2.0) * late)
         left = np.abs(z + 1.0 + gain * (z + 2.0) * np.exp(-z))
-    return float(np.max(z.real[np.isfinite(left) & (left < 1e-9) & (np.abs(z) < 200.0)]))
+    return float(
+        np.max(z.real[np.isfinite(left) & (left < 1e-9) & (np.abs(z) < 200.0)])
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("gain", [-1.5, -1.0, -0.9, -0.6, -0.4, 0.1, 0.3, 0.5, 0.7, 0.95, 1.0, 2.0])
+@pytest.mark.parametrize(
+    "gain", [-1.5, -1.0, -0.9, -0.6, -0.4, 0.1, 0.3, 0.5, 0.7, 0.95, 1.0, 2.0]
+)
 def test_neutral_loops_have_one_verdict(gain: float) -> None:
-    """The closed loop of L = k (s + 2)/(s + 1) e^(-s): with |k| < 1 its far poles decay like ln |k|."""
+    """The closed loop of L = k (s + 2)/(s + 1) e^(-s): with |k| < 1 its far poles decay
+    like ln |k|.
+    """
     loop = (gain * (s + 2) / (s + 1)).delayed(1.0)
     verdict, found = is_stable(loop.feedback()), margins(loop)
     truth = abs(gain) < 1.0 and rightmost_root(gain) < 0.0
@@ -155,7 +179,8 @@ def test_neutral_loops_have_one_verdict(gain: float) -> None:
     assert found.stable == truth or (abs(gain) == 1.0 and found.stable is None)
     if abs(gain) >= 1.0:
         assert verdict.winding == -1 and "infinitely many" in verdict.reason
-    # Its jumps never end: no sample of a numerical inversion is worth the error that it would claim.
+    # Its jumps never end: no sample of a numerical inversion is worth the error that it
+    # would claim.
     with pytest.raises(FieldError, match="jumps anew"):
         step_response(loop.feedback(), 4.0, 0.01)
 
@@ -168,10 +193,14 @@ def test_what_cannot_be_decided_says_why() -> None:
 
 
 def test_a_published_benchmark() -> None:
-    """0.8 s^2.2 + 0.5 s^0.9 + 1 (Petráš, Fract. Calc. Appl. Anal. 12 (2009) 269): with w = s^(1/10) the
-    pair next to the sector's edge is 1.0045 ± 0.1684j there, found by making the orders commensurate."""
+    """0.8 s^2.2 + 0.5 s^0.9 + 1 (Petráš, Fract. Calc. Appl. Anal. 12 (2009) 269): with
+    w = s^(1/10) the pair next to the sector's edge is 1.0045 ± 0.1684j there, found by
+    making the orders commensurate."""
     found = poles(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
-    assert np.exp(np.log(found) / 10).round(4).tolist() == [1.0045 + 0.1684j, 1.0045 - 0.1684j]
+    assert np.exp(np.log(found) / 10).round(4).tolist() == [
+        1.0045 + 0.1684j,
+        1.0045 - 0.1684j,
+    ]
     assert is_stable(1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1))
 
 
@@ -179,7 +208,11 @@ def test_a_published_benchmark() -> None:
     ("system", "sentence", "unstable"),
     [
         (1 / (s + 1), "stable: no pole has Re s ≥ 0", ()),
-        (1 / (s - 1), "not stable: 1 pole has Re s > 0, the rightmost at 1 rad/s", (1,)),
+        (
+            1 / (s - 1),
+            "not stable: 1 pole has Re s > 0, the rightmost at 1 rad/s",
+            (1,),
+        ),
         (
             1 / (s**2 - 2 * s + 2),
             "not stable: 2 poles have Re s > 0, the rightmost at 1 ± 1j rad/s",
@@ -190,8 +223,16 @@ def test_a_published_benchmark() -> None:
             "not stable: 2 poles have Re s > 0, the rightmost at 3 rad/s",
             (1, 3),
         ),
-        (1 / (s**2 + 4), "not stable: a pole lies on the imaginary axis at 0 ± 2j rad/s", (2j, -2j)),
-        (1 / s**2, "not stable: s^2 divides the denominator: a step gives an unbounded output", ()),
+        (
+            1 / (s**2 + 4),
+            "not stable: a pole lies on the imaginary axis at 0 ± 2j rad/s",
+            (2j, -2j),
+        ),
+        (
+            1 / s**2,
+            "not stable: s^2 divides the denominator: a step gives an unbounded output",
+            (),
+        ),
         (
             s**0.5,
             "stable: no pole has Re s ≥ 0; the system is improper: "
@@ -211,7 +252,9 @@ def test_a_verdict_is_one_sentence(
 ) -> None:
     verdict = is_stable(system)
     assert str(verdict) == sentence
-    assert sorted(verdict.unstable_poles, key=lambda p: (p.real, p.imag)) == pytest.approx(
+    assert sorted(
+        verdict.unstable_poles, key=lambda p: (p.real, p.imag)
+    ) == pytest.approx(
         sorted(unstable, key=lambda p: (complex(p).real, complex(p).imag)), abs=1e-13
     )
 
@@ -221,7 +264,9 @@ def test_a_pole_and_a_zero_at_the_origin_divide_out() -> None:
     assert is_stable(s**0.3 / (s**0.5 * (s + 1))).integrators == pytest.approx(0.2)
     assert is_stable(s**2 / (s * (s + 1))).integrators == 0.0
     assert poles((s + 2) / (s**2 * (s + 1))).tolist() == pytest.approx([0, 0, -1])
-    assert poles(1 / (s**1.5 * (s + 1))).tolist() == pytest.approx([-1])  # a branch point is no pole
+    assert poles(1 / (s**1.5 * (s + 1))).tolist() == pytest.approx(
+        [-1]
+    )  # a branch point is no pole
     assert is_stable(0 * s).integrators == 0.0
 
 
@@ -250,9 +295,15 @@ def test_poles_come_in_pairs_and_exactly_on_the_axes() -> None:
 
 @pytest.mark.parametrize("order", [0.5, 1.0, 1.5])
 def test_delayed_feedback_around_a_power(order: float) -> None:
-    """s^a + k e^(−s): a pair crosses the axis at k = (π(1 − a/2))^a, and again 2π further on."""
+    """s^a + k e^(−s): a pair crosses the axis at k = (π(1 − a/2))^a, and again 2π
+    further on.
+    """
     for turn, poles_ in ((0, 0), (1, 2), (2, 4)):
-        low = (math.pi * (1 - order / 2) + 2 * math.pi * (turn - 1)) ** order if turn else 0.0
+        low = (
+            (math.pi * (1 - order / 2) + 2 * math.pi * (turn - 1)) ** order
+            if turn
+            else 0.0
+        )
         high = (math.pi * (1 - order / 2) + 2 * math.pi * turn) ** order
         gain = 0.5 * (low + high)
         verdict = is_stable(1 / (s**order + (gain + 0 * s).delayed(1.0)))

@@ -1,4 +1,6 @@
-"""`start` on logs of many shapes: what it takes each for, what it asks, and how it refuses."""
+"""`start` on logs of many shapes: what it takes each for, what it asks, and how it
+refuses.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ DEG = 180 / math.pi
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """A log as a file: columns by header, how cells are separated, and what stands before them."""
+    """A log as a file: columns by header, how cells are separated, and what stands
+    before them.
+    """
 
     columns: Mapping[str, Array]
     separator: str = ","
@@ -59,7 +63,8 @@ class Shape:
         return path
 
 
-# What each shape is taken for: time, unit; motor angle, unit; kind, column, unit, sign; certainty is below.
+# What each shape is taken for: time, unit; motor angle, unit; kind, column, unit, sign;
+# certainty is below.
 Taken = tuple[str, str, str, str, str, str, str, int]
 RAW = "rad"
 THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
@@ -69,26 +74,53 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("time_s", "s", "motor_angle_rad", "rad", "torque", "torque_Nm", "Nm", 1),
     ),
     "milliseconds, degrees, a turned sign in mN·m": (
-        Shape({"t_ms": 1e3 * TIME, "theta_deg": DEG * MOTOR, "bridge_mNm": -1e3 * TORQUE}),
+        Shape(
+            {"t_ms": 1e3 * TIME, "theta_deg": DEG * MOTOR, "bridge_mNm": -1e3 * TORQUE}
+        ),
         (),
         ("t_ms", "ms", "theta_deg", "deg", "torque", "bridge_mNm", "mNm", -1),
     ),
     "decimal commas": (
-        Shape({"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}, separator=";", comma=True),
+        Shape(
+            {"t_s": TIME, "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE},
+            separator=";",
+            comma=True,
+        ),
         (),
         ("t_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
     ),
     "units in brackets, semicolons": (
-        Shape({"Time [ms]": 1e3 * TIME, "Angle [deg]": DEG * MOTOR, "Torque [N*m]": TORQUE}, separator=";"),
+        Shape(
+            {
+                "Time [ms]": 1e3 * TIME,
+                "Angle [deg]": DEG * MOTOR,
+                "Torque [N*m]": TORQUE,
+            },
+            separator=";",
+        ),
         (),
         ("Time [ms]", "ms", "Angle [deg]", "deg", "torque", "Torque [N*m]", "N*m", 1),
     ),
     "German names": (
         Shape(
-            {"Zeit (s)": TIME, "Motorwinkel (Grad)": DEG * MOTOR, "Drehmoment (Nm)": TORQUE}, separator=";"
+            {
+                "Zeit (s)": TIME,
+                "Motorwinkel (Grad)": DEG * MOTOR,
+                "Drehmoment (Nm)": TORQUE,
+            },
+            separator=";",
         ),
         (),
-        ("Zeit (s)", "s", "Motorwinkel (Grad)", "deg", "torque", "Drehmoment (Nm)", "Nm", 1),
+        (
+            "Zeit (s)",
+            "s",
+            "Motorwinkel (Grad)",
+            "deg",
+            "torque",
+            "Drehmoment (Nm)",
+            "Nm",
+            1,
+        ),
     ),
     "no unit anywhere, tabs": (
         Shape({"time": TIME, "theta": MOTOR, "torque": TORQUE}, separator="\t"),
@@ -188,7 +220,9 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("x1", "s", "x3", "rad", "torque", "x2", "Nm", -1),
     ),
     "encoder counts with the counts of a turn": (
-        Shape({"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}),
+        Shape(
+            {"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}
+        ),
         ("motor_angle=enc * 1/4096 [rev]",),
         ("t", "s", "enc", "rev", "torque", "torque", "Nm", 1),
     ),
@@ -200,12 +234,30 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
     "a tip angle in other units": (
         Shape({"t": TIME, "theta_deg": DEG * MOTOR, "tip_rad": MOTOR - DEFLECTION}),
         (),
-        ("t", "s", "theta_deg", "deg", "deflection", "theta_deg - 57.2958 * tip_rad", "deg", 1),
+        (
+            "t",
+            "s",
+            "theta_deg",
+            "deg",
+            "deflection",
+            "theta_deg - 57.2958 * tip_rad",
+            "deg",
+            1,
+        ),
     ),
     "a tip angle that is called a deflection": (
         Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": MOTOR - DEFLECTION}),
         (),
-        ("t_s", "s", "theta_rad", "rad", "deflection", "theta_rad - alpha_rad", "rad", 1),
+        (
+            "t_s",
+            "s",
+            "theta_rad",
+            "rad",
+            "deflection",
+            "theta_rad - alpha_rad",
+            "rad",
+            1,
+        ),
     ),
     "a tip angle that nothing names": (
         Shape({"a": TIME, "b": MOTOR, "c": MOTOR - DEFLECTION}, header=False),
@@ -213,12 +265,26 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("#1", "s", "#2", "rad", "deflection", "#2 - #3", "rad", 1),
     ),
     "two gauges against each other": (
-        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION + 1, "strain2": NOISE - DEFLECTION}),
+        Shape(
+            {
+                "t": TIME,
+                "theta": MOTOR,
+                "strain1": DEFLECTION + 1,
+                "strain2": NOISE - DEFLECTION,
+            }
+        ),
         (),
         ("t", "s", "theta", "rad", "deflection", "strain1 - strain2", RAW, 1),
     ),
     "two gauges together": (
-        Shape({"t": TIME, "theta": MOTOR, "strain1": -DEFLECTION, "strain2": NOISE - DEFLECTION}),
+        Shape(
+            {
+                "t": TIME,
+                "theta": MOTOR,
+                "strain1": -DEFLECTION,
+                "strain2": NOISE - DEFLECTION,
+            }
+        ),
         (),
         ("t", "s", "theta", "rad", "deflection", "strain1 + strain2", RAW, -1),
     ),
@@ -238,7 +304,14 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("t", "s", "theta", "deg", "torque", "torque_Nm", "Nm", 1),
     ),
     "stamps of each channel, as in TDMS": (
-        Shape({"Arm/Theta": MOTOR, "Arm/Theta.time": TIME, "Arm/Torque": TORQUE, "Arm/Torque.time": TIME}),
+        Shape(
+            {
+                "Arm/Theta": MOTOR,
+                "Arm/Theta.time": TIME,
+                "Arm/Torque": TORQUE,
+                "Arm/Torque.time": TIME,
+            }
+        ),
         ("time=Arm/Theta.time [s]",),
         ("Arm/Theta.time", "s", "Arm/Theta", "rad", "torque", "Arm/Torque", "Nm", 1),
     ),
@@ -266,16 +339,27 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         "export with decimal points",
     ),
     "encoder counts": (
-        Shape({"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}),
+        Shape(
+            {"t": TIME, "enc": np.round(MOTOR * 4096 / 2 / math.pi), "torque": TORQUE}
+        ),
         '--column "motor_angle=enc * 1/4096 [rev]"',
     ),
     "a potentiometer in volts": (
         Shape({"t": TIME, "pot_V": MOTOR, "torque_Nm": TORQUE}),
         '--column "motor_angle=pot_V * 36.8 [deg]"',
     ),
-    "no stamps": (Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}), "--period-ms 4"),
+    "no stamps": (
+        Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        "--period-ms 4",
+    ),
     "a counter as the only clock": (
-        Shape({"n": np.arange(COUNT, dtype=np.float64), "theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
+        Shape(
+            {
+                "n": np.arange(COUNT, dtype=np.float64),
+                "theta_deg": DEG * MOTOR,
+                "torque_Nm": TORQUE,
+            }
+        ),
         '--column "time=n * 0.004 [s]"',
     ),
     "an angle between radians and degrees": (
@@ -283,11 +367,16 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         '--column "motor_angle=theta [deg]"',
     ),
     "two encoders": (
-        Shape({"t": TIME, "enc1": MOTOR, "enc2": MOTOR - DEFLECTION, "torque_Nm": TORQUE}),
+        Shape(
+            {"t": TIME, "enc1": MOTOR, "enc2": MOTOR - DEFLECTION, "torque_Nm": TORQUE}
+        ),
         '--column "motor_angle=enc1"',
     ),
     "no output": (Shape({"t": TIME, "theta": MOTOR}), "Record both signals together"),
-    "a table that is too short": (Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}), "too short"),
+    "a table that is too short": (
+        Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}),
+        "too short",
+    ),
     "two gauges that do not belong together": (
         Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": NOISE}),
         '--column "torque=strain1"',
@@ -297,7 +386,13 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         '--column "torque=tip_rad" or "deflection=',
     ),
     "an acceleration": (
-        Shape({"t": TIME, "theta_rad": MOTOR, "acc": np.gradient(np.gradient(MOTOR - DEFLECTION))}),
+        Shape(
+            {
+                "t": TIME,
+                "theta_rad": MOTOR,
+                "acc": np.gradient(np.gradient(MOTOR - DEFLECTION)),
+            }
+        ),
         'log.csv "k*s**2/(s**a + w)/(0.001*s + 1)*exp(-L*s)" --input theta_rad --output acc --period-ms 4',
     ),
     "an angle and a voltage": (
@@ -319,9 +414,13 @@ REFUSED: dict[str, tuple[Shape, str]] = {
 }
 
 
-def guessed(shape: Shape, path: Path, column: tuple[str, ...] = (), *, assume: bool = True) -> GuessedColumns:
+def guessed(
+    shape: Shape, path: Path, column: tuple[str, ...] = (), *, assume: bool = True
+) -> GuessedColumns:
     """What is guessed of a shape."""
-    return guess_columns(read_table(shape.write(path)), statements(column, None), assume=assume)
+    return guess_columns(
+        read_table(shape.write(path)), statements(column, None), assume=assume
+    )
 
 
 @pytest.mark.slow
@@ -345,7 +444,9 @@ def test_a_log_is_taken_for_what_it_is(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(name: str, tmp_path: Path) -> None:
+def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(
+    name: str, tmp_path: Path
+) -> None:
     shape, words = REFUSED[name]
     with pytest.raises(LogError) as caught:
         fl.start(shape.write(tmp_path / "log.csv"))
@@ -360,25 +461,32 @@ def certainty(found: GuessedColumns, part: str) -> str:
     return next(guess.certainty for guess in found.guesses if guess.part == part)
 
 
-def test_an_assumption_is_called_one_and_asked_where_somebody_can_answer(tmp_path: Path) -> None:
+def test_an_assumption_is_called_one_and_asked_where_somebody_can_answer(
+    tmp_path: Path,
+) -> None:
     shape = THROUGH["strain in volts"][0]
     alone = guessed(shape, tmp_path / "log.csv")
     assert certainty(alone, "output measures") == "assumed"
     assert certainty(alone, "sign of the output") == "certain"
     asked = guessed(shape, tmp_path / "log.csv", assume=False)
     assert asked.columns is None
-    assert [(q.role, q.part, q.default) for q in asked.questions] == [("output", "unit", "raw")]
+    assert [(q.role, q.part, q.default) for q in asked.questions] == [
+        ("output", "unit", "raw")
+    ]
     assert all(q.option.startswith("--column") for q in asked.questions)
 
 
 def test_a_gauge_without_a_unit_is_scaled_to_a_gain_of_one(tmp_path: Path) -> None:
     found = guessed(THROUGH["strain in volts"][0], tmp_path / "log.csv")
     assert found.columns is not None
-    # The gauge was made with 0.4 V for each radian of deflection; the scan is good for a few percent.
+    # The gauge was made with 0.4 V for each radian of deflection; the scan is good for
+    # a few percent.
     assert found.columns.output.scale == pytest.approx(1 / 0.4, rel=0.1)
 
 
-def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(tmp_path: Path) -> None:
+def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(
+    tmp_path: Path,
+) -> None:
     noise = np.random.default_rng(2).normal(0, 1, COUNT)
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": noise})
     found = guessed(shape, tmp_path / "log.csv")
@@ -388,10 +496,17 @@ def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(tmp_p
 
 
 def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> None:
-    late = np.concatenate((np.zeros(22), TORQUE[:-22]))  # 88 ms, a seventh of the vibration
+    late = np.concatenate(
+        (np.zeros(22), TORQUE[:-22])
+    )  # 88 ms, a seventh of the vibration
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": late})
-    assert [q.part for q in guessed(shape, tmp_path / "log.csv", assume=False).questions] == ["sign"]
-    assert certainty(guessed(shape, tmp_path / "log.csv"), "sign of the output") == "assumed"
+    assert [
+        q.part for q in guessed(shape, tmp_path / "log.csv", assume=False).questions
+    ] == ["sign"]
+    assert (
+        certainty(guessed(shape, tmp_path / "log.csv"), "sign of the output")
+        == "assumed"
+    )
 
 
 def test_values_near_the_limits_of_doubles_are_no_signals(tmp_path: Path) -> None:
@@ -402,11 +517,15 @@ def test_values_near_the_limits_of_doubles_are_no_signals(tmp_path: Path) -> Non
         assert "vibration" not in {guess.part for guess in found.guesses}
 
 
-def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(tmp_path: Path) -> None:
+def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(
+    tmp_path: Path,
+) -> None:
     # Both columns say rad, but one of them is in degrees: the gain is 57.
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": DEG * DEFLECTION})
     found = guessed(shape, tmp_path / "log.csv", assume=False)
-    assert [(question.role, question.part) for question in found.questions] == [("output", "unit")]
+    assert [(question.role, question.part) for question in found.questions] == [
+        ("output", "unit")
+    ]
 
 
 def test_the_voltage_turns_its_sign_to_the_motor(tmp_path: Path) -> None:
@@ -416,10 +535,14 @@ def test_the_voltage_turns_its_sign_to_the_motor(tmp_path: Path) -> None:
     assert (found.columns.voltage.column, found.columns.voltage.sign) == ("u_V", -1)
 
 
-def test_a_clock_in_milliseconds_that_is_called_seconds_is_a_question(tmp_path: Path) -> None:
+def test_a_clock_in_milliseconds_that_is_called_seconds_is_a_question(
+    tmp_path: Path,
+) -> None:
     shape = Shape({"time_s": 1e3 * TIME, "theta_rad": MOTOR, "torque_Nm": TORQUE})
     found = guessed(shape, tmp_path / "log.csv")
-    assert [(question.role, question.part) for question in found.questions] == [("time", "unit")]
+    assert [(question.role, question.part) for question in found.questions] == [
+        ("time", "unit")
+    ]
 
 
 @pytest.mark.parametrize(
@@ -449,7 +572,9 @@ def test_names_suggest_roles_by_whole_words(name: str, role: str) -> None:
 
 @pytest.fixture(scope="module")
 def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a log in ms, degrees and mN·m of the wrong sign, and what `start` made of it."""
+    """A folder with a log in ms, degrees and mN·m of the wrong sign, and what `start`
+    made of it.
+    """
     folder = tmp_path_factory.mktemp("start")
     THROUGH["milliseconds, degrees, a turned sign in mN·m"][0].write(folder / "log.csv")
     assert main(["start", str(folder / "log.csv"), "--out", str(folder)]) == 0
@@ -460,7 +585,8 @@ def turned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> None:
     fit = fl.Fit.load(turned / "model.json")
     assert fit.passed
-    # One period of vibration in ten leaves gain and damping correlated; a wrong unit is a factor of 57.
+    # One period of vibration in ten leaves gain and damping correlated; a wrong unit is
+    # a factor of 57.
     assert fit.gain == pytest.approx(1.5, rel=0.03)
     assert (turned / "fit.svg").read_text("utf-8").startswith("<svg")
     # Without --force nothing is overwritten.
@@ -471,8 +597,13 @@ def test_the_command_writes_a_rig_file_a_model_and_a_picture(turned: Path) -> No
 def test_other_commands_read_the_rig_file_as_it_is(turned: Path) -> None:
     rig, log = str(turned / "rig.toml"), str(turned / "log.csv")
     assert main(["diagnose", log, "--rig", rig]) == 0
-    assert main(["identify", log, "--rig", rig, "--out", str(turned / "again.json")]) == 0
-    again, first = fl.Fit.load(turned / "again.json"), fl.Fit.load(turned / "model.json")
+    assert (
+        main(["identify", log, "--rig", rig, "--out", str(turned / "again.json")]) == 0
+    )
+    again, first = (
+        fl.Fit.load(turned / "again.json"),
+        fl.Fit.load(turned / "model.json"),
+    )
     assert again.model == first.model
 
 
@@ -482,7 +613,9 @@ def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
 ) -> None:
     draft = load_rig_or_draft(turned / "rig.toml")
     assert isinstance(draft, RigDraft)
-    assert len(draft.blanks) == 5  # the stiffness is the log's, ν is taken as 0, nominal is the mean
+    assert (
+        len(draft.blanks) == 5
+    )  # the stiffness is the log's, ν is taken as 0, nominal is the mean
     model = str(turned / "model.json")
     assert main(["design", "--rig", str(turned / "rig.toml"), "--model", model]) == 2
     shown = capsys.readouterr().err
@@ -495,12 +628,16 @@ def test_design_names_every_blank_and_takes_the_file_once_they_are_filled(
     rig = fl.Rig.from_toml(text)
     assert (rig.link.length, rig.payloads.high, rig.period) == (0.65, 0.04, 0.004)
     assert rig.payloads.nominal == pytest.approx(0.03)
-    assert rig.link.stiffness == pytest.approx(fl.Fit.load(turned / "model.json").model.stiffness, rel=1e-4)
+    assert rig.link.stiffness == pytest.approx(
+        fl.Fit.load(turned / "model.json").model.stiffness, rel=1e-4
+    )
     assert rig.log == draft.log
 
 
 @pytest.mark.slow
-def test_a_rig_file_with_another_fault_is_no_draft(turned: Path, tmp_path: Path) -> None:
+def test_a_rig_file_with_another_fault_is_no_draft(
+    turned: Path, tmp_path: Path
+) -> None:
     text = (turned / "rig.toml").read_text("utf-8")
     for wrong in (
         text.replace('unit = "deg"', 'unit = "furlong"'),
@@ -514,14 +651,24 @@ def test_a_rig_file_with_another_fault_is_no_draft(turned: Path, tmp_path: Path)
 @pytest.mark.slow
 def test_names_from_a_log_cannot_break_the_rig_file(tmp_path: Path) -> None:
     shape = Shape({"t_s": TIME, 'theta\x1b"]#_rad': MOTOR, "torque_Nm": TORQUE})
-    found = fl.start(shape.write(tmp_path / "log.csv"), column=['motor_angle=theta\x1b"]#_rad'])
-    assert tomllib.loads(found.rig_file)["log"]["motor_angle"]["column"] == 'theta\x1b"]#_rad'
+    found = fl.start(
+        shape.write(tmp_path / "log.csv"), column=['motor_angle=theta\x1b"]#_rad']
+    )
+    assert (
+        tomllib.loads(found.rig_file)["log"]["motor_angle"]["column"]
+        == 'theta\x1b"]#_rad'
+    )
 
 
 @pytest.mark.slow
 def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
     shape = Shape(
-        {"t": TIME, "enc1": DEG * MOTOR, "enc2": DEG * (MOTOR - DEFLECTION), "bridge": -1e3 * TORQUE}
+        {
+            "t": TIME,
+            "enc1": DEG * MOTOR,
+            "enc2": DEG * (MOTOR - DEFLECTION),
+            "bridge": -1e3 * TORQUE,
+        }
     )
     seen: list[Question] = []
 
@@ -532,7 +679,10 @@ def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
     found = fl.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
     assert [question.part for question in seen] == ["column", "unit"]
     assert seen[0].choices[:2] == ("enc1", "enc2")
-    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == ("enc1", "deg")
+    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
+        "enc1",
+        "deg",
+    )
     assert (found.columns.output.unit, found.columns.output.sign) == ("mNm", -1)
     assert found.decisions == 3
     assert found.fit.gain == pytest.approx(1.5, rel=0.02)
@@ -544,10 +694,14 @@ def test_the_terminal_asks_again_until_it_understands(
 ) -> None:
     import io
 
-    question = Question("output", "unit", "What does bridge measure?", ("Nm", "deg"), "", "--column …")
+    question = Question(
+        "output", "unit", "What does bridge measure?", ("Nm", "deg"), "", "--column …"
+    )
     monkeypatch.setattr("sys.stdin", io.StringIO("\n4 furlong x [\n1\n"))
     assert starting._ask(question) == "Nm"
-    column = Question("motor_angle", "column", "Which column?", ("a", "b"), "", "--column …")
+    column = Question(
+        "motor_angle", "column", "Which column?", ("a", "b"), "", "--column …"
+    )
     monkeypatch.setattr("sys.stdin", io.StringIO("c\nb\n"))
     assert starting._ask(column) == "b"
     assert "not understood" in capsys.readouterr().err
@@ -557,7 +711,9 @@ def test_the_terminal_asks_again_until_it_understands(
 
 
 def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
-    path = Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}).write(tmp_path / "log.csv")
+    path = Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}).write(
+        tmp_path / "log.csv"
+    )
     found = fl.start(path, period=0.004)
     assert found.columns.time.column == ROW_NUMBER
     assert found.experiment.period == 0.004
@@ -568,7 +724,13 @@ def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["motor_angle", "angle=a [rad]", "motor_angle=a * 1/0 [rad]", "torque=a * 1.2.3 [Nm]"]
+    "text",
+    [
+        "motor_angle",
+        "angle=a [rad]",
+        "motor_angle=a * 1/0 [rad]",
+        "torque=a * 1.2.3 [Nm]",
+    ],
 )
 def test_statements_that_are_not_understood_are_refused(text: str) -> None:
     with pytest.raises(FieldError, match="column"):
@@ -576,10 +738,16 @@ def test_statements_that_are_not_understood_are_refused(text: str) -> None:
 
 
 def test_what_a_statement_leaves_open() -> None:
-    assert ColumnStatement.of("deflection=[deg]") == ColumnStatement("deflection", unit="deg")
-    assert ColumnStatement.of("motor_angle=a b") == ColumnStatement("motor_angle", "a b")
+    assert ColumnStatement.of("deflection=[deg]") == ColumnStatement(
+        "deflection", unit="deg"
+    )
+    assert ColumnStatement.of("motor_angle=a b") == ColumnStatement(
+        "motor_angle", "a b"
+    )
     assert ColumnStatement.of("torque=+g [Nm]").sign == 1
-    assert ColumnStatement.of("motor_angle=pot * 360/4096 [deg]").scale == pytest.approx(0.087890625)
+    assert ColumnStatement.of(
+        "motor_angle=pot * 360/4096 [deg]"
+    ).scale == pytest.approx(0.087890625)
 
 
 # --- recorded logs ------------------------------------------------------------------------------------------
@@ -589,7 +757,10 @@ def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
     place = shared_data("quanser_rfl_merced", "merced_rfl.csv")
     found = guess_columns(read_table(place), {}, assume=True)
     assert found.columns is not None and found.columns.voltage is not None
-    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == ("theta_deg", "deg")
+    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
+        "theta_deg",
+        "deg",
+    )
     assert (found.columns.output.column, found.columns.output.sign) == ("alpha_deg", -1)
     assert found.columns.voltage.column == "motor_V"
 
@@ -597,17 +768,24 @@ def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
 @pytest.mark.parametrize("name", ["2_lab_a05_f04", "2_lab_a10_f04", "2_lab_a15_f10"])
 def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     place = shared_data("ist_flexbar", f"{name}.csv")
-    assert [q.role for q in guess_columns(read_table(place), {}, assume=True).questions] == ["motor_angle"]
+    assert [
+        q.role for q in guess_columns(read_table(place), {}, assume=True).questions
+    ] == ["motor_angle"]
     stated = statements(["motor_angle=* 36.79 [deg]"], None)
     found = guess_columns(read_table(place), stated, assume=True)
     assert found.columns is not None and found.columns.voltage is not None
     assert found.columns.motor_angle.column == "pot_V"
-    assert (found.columns.output_kind, found.columns.output.column) == ("deflection", "strain_V")
+    assert (found.columns.output_kind, found.columns.output.column) == (
+        "deflection",
+        "strain_V",
+    )
     assert found.columns.voltage.column == "u_V"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("payload", "source"), [(None, "in the log's header"), (0.03, "as stated")])
+@pytest.mark.parametrize(
+    ("payload", "source"), [(None, "in the log's header"), (0.03, "as stated")]
+)
 @pytest.mark.parametrize("error", [None, 0.00021])
 def test_what_the_reader_and_the_fit_say_of_a_log(
     payload: float | None, source: str, error: float | None
@@ -616,10 +794,17 @@ def test_what_the_reader_and_the_fit_say_of_a_log(
 
     from fraclink._logs.start import _of_the_fit
 
-    log = SimpleNamespace(motor_angle=np.zeros(2501), duration=10.0, period=0.004, payload=0.03)
-    fit = SimpleNamespace(delay=0.0123, standard_errors={} if error is None else {"delay": error})
+    log = SimpleNamespace(
+        motor_angle=np.zeros(2501), duration=10.0, period=0.004, payload=0.03
+    )
+    fit = SimpleNamespace(
+        delay=0.0123, standard_errors={} if error is None else {"delay": error}
+    )
     said = {guess.part: guess for guess in _of_the_fit(log, fit, payload)}  # type: ignore[arg-type]
-    assert (said["period"].value, said["period"].evidence) == ("4 ms", "2501 samples, 10 s")
+    assert (said["period"].value, said["period"].evidence) == (
+        "4 ms",
+        "2501 samples, 10 s",
+    )
     assert (said["payload"].value, said["payload"].evidence) == ("0.03 kg", source)
     assert said["delay of the output"].value == "12.3 ms"
     assert said["delay of the output"].evidence == "fitted with the model" + (

@@ -1,4 +1,6 @@
-"""How sure a structure's parameters are, each finding at its threshold, and what a user states of them."""
+"""How sure a structure's parameters are, each finding at its threshold, and what a user
+states of them.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +47,14 @@ LIMITS = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e1
 LINK = "k*s**a/(s**a + w)*exp(-T*s)"
 
 
-def coordinates(text: str, fixed: dict[str, float] | None = None, **limits: Any) -> StructureCoordinates:
+def coordinates(
+    text: str, fixed: dict[str, float] | None = None, **limits: Any
+) -> StructureCoordinates:
     structure = parse_expression(text)
     return StructureCoordinates(
-        structure, {n: limits.get(n, LIMITS[r]) for n, r in structure.roles.items()}, fixed or {}
+        structure,
+        {n: limits.get(n, LIMITS[r]) for n, r in structure.roles.items()},
+        fixed or {},
     )
 
 
@@ -57,7 +63,13 @@ def coordinates(text: str, fixed: dict[str, float] | None = None, **limits: Any)
 
 def test_a_bound_is_met_within_a_ten_millionth_of_the_range() -> None:
     own = coordinates("k/(s**a + w)", w=(-1.0, 1.0))
-    for value, told in ((0.02, True), (0.02 + 3e-7, True), (0.02 + 6e-7, False), (4.0, True), (1.0, False)):
+    for value, told in (
+        (0.02, True),
+        (0.02 + 3e-7, True),
+        (0.02 + 6e-7, False),
+        (4.0, True),
+        (1.0, False),
+    ):
         assert _is_at_bound(own, "a", value) is told
     assert _is_at_bound(own, "k", 1e-12) and _is_at_bound(own, "k", 0.0)
     assert not _is_at_bound(own, "k", 1e-11)
@@ -72,7 +84,8 @@ def test_directions_that_are_not_seen() -> None:
     assert _blind(np.stack([a, 2 * a, c]), ("a", "b", "c")) == ("a", "b")
     assert _blind(np.stack([a, b, np.zeros(50)]), ("a", "b", "c")) == ("c",)
     assert _blind(np.stack([a, b, a + b]), ("a", "b", "c")) == ("a", "b", "c")
-    # A row behind the names is a constant output: it has no name, and may hide a parameter.
+    # A row behind the names is a constant output: it has no name, and may hide a
+    # parameter.
     assert _blind(np.stack([a, np.ones(50), 3 * np.ones(50)]), ("a", "b")) == ("b",)
 
 
@@ -80,14 +93,24 @@ def test_what_an_interval_determines() -> None:
     own = coordinates(LINK)
 
     def known(
-        name: str, value: float, low: float, high: float, *, below: bool = False, above: bool = False
+        name: str,
+        value: float,
+        low: float,
+        high: float,
+        *,
+        below: bool = False,
+        above: bool = False,
     ) -> bool:
         return _is_known(own, name, value, Interval(low, high, below, above))
 
     assert known("a", 1.0, 0.76, 1.25) and not known("a", 1.0, 0.74, 1.25)
     assert known("k", 10.0, 6.0, 15.9) and not known("k", 10.0, 6.0, 16.1)
-    assert known("T", 0.1, 0.0, 9.0, below=True) and not known("T", 0.1, 0.0, 9.0, above=True)
-    assert not known("a", 1.0, 0.9, 1.1, below=True) and not known("k", 1.0, 0.9, 1.1, above=True)
+    assert known("T", 0.1, 0.0, 9.0, below=True) and not known(
+        "T", 0.1, 0.0, 9.0, above=True
+    )
+    assert not known("a", 1.0, 0.9, 1.1, below=True) and not known(
+        "k", 1.0, 0.9, 1.1, above=True
+    )
 
 
 def test_the_interval_of_a_parabola() -> None:
@@ -117,10 +140,14 @@ def test_terms_that_may_change_names() -> None:
 
 
 def test_corners_of_asymptotes() -> None:
-    """s² + 10 s + 1: the terms are equal at 0.1 and at 10 rad/s; a small middle term leaves one corner."""
+    """s² + 10 s + 1: the terms are equal at 0.1 and at 10 rad/s; a small middle term
+    leaves one corner.
+    """
     terms = [Term(1.0, 2.0), Term(10.0, 1.0), Term(1.0, 0.0)]
     assert sorted(_corners(terms)) == pytest.approx([0.1, 10.0])
-    assert _corners([Term(1.0, 2.0), Term(0.1, 1.0), Term(9.0, 0.0)]) == pytest.approx([3.0])
+    assert _corners([Term(1.0, 2.0), Term(0.1, 1.0), Term(9.0, 0.0)]) == pytest.approx(
+        [3.0]
+    )
     assert _corners([Term(4.0, 1.0)]) == []
     assert _corners([Term(1.0, 1.0), Term(1e300, 0.999)]) == [math.exp(200.0)]
 
@@ -156,22 +183,40 @@ def test_a_parameter_at_a_bound_or_not_seen(fit: fl.StructureFit) -> None:
     assert (stuck.code, stuck.severity) == ("W351", "error")
     assert stuck.evidence == {"value": fit.parameters["a"], "low": 0.02, "high": 4.0}
     delay = replace(fit, at_bound=("a",), limits={**fit.limits, "a": (0.0, 1e7)})
-    assert one(_of_the_parameters(delay, certain())).severity == "warning"  # a delay of zero is no fault
-    blind = one(_of_the_parameters(replace(fit, undetermined=("k", "b")), certain(blind=("k", "b"))))
+    assert (
+        one(_of_the_parameters(delay, certain())).severity == "warning"
+    )  # a delay of zero is no fault
+    blind = one(
+        _of_the_parameters(
+            replace(fit, undetermined=("k", "b")), certain(blind=("k", "b"))
+        )
+    )
     assert (blind.code, blind.severity) == ("W352", "error")
     assert "k, b only in combination" in blind.message
     assert blind.evidence == {name: fit.parameters[name] for name in ("k", "b")}
     vague = one(_of_the_parameters(replace(fit, undetermined=("a",)), certain()))
     assert (vague.code, vague.severity) == ("W353", "error")
     interval = fit.intervals["a"]
-    assert vague.evidence == {"value": fit.parameters["a"], "low": interval.low, "high": interval.high}
+    assert vague.evidence == {
+        "value": fit.parameters["a"],
+        "low": interval.low,
+        "high": interval.high,
+    }
     for related, told in ((0.991, True), (-0.991, True), (0.989, False)):
         found = list(_of_the_parameters(fit, certain(pairs={("k", "a"): related})))
         assert codes(found) == ["W354"] * told
         assert not told or found[0].evidence == {"correlation": related}
-    assert not list(_of_the_parameters(fit, certain(pairs={("k", "a"): 1.0}, blind=("a",))))[1:]
-    early = one(_of_the_parameters(replace(fit, converged=False, evaluations=99), certain()))
-    assert (early.code, early.severity, early.evidence) == ("W359", "error", {"evaluations": 99.0})
+    assert not list(
+        _of_the_parameters(fit, certain(pairs={("k", "a"): 1.0}, blind=("a",)))
+    )[1:]
+    early = one(
+        _of_the_parameters(replace(fit, converged=False, evaluations=99), certain())
+    )
+    assert (early.code, early.severity, early.evidence) == (
+        "W359",
+        "error",
+        {"evaluations": 99.0},
+    )
 
 
 @pytest.mark.parametrize(
@@ -201,11 +246,15 @@ def test_the_error_seen_and_held_out(
 def test_another_valley_that_fits_as_well_is_told(fit: fl.StructureFit) -> None:
     weight = 1 / np.abs(fit.measured[:60] + 1j * fit.measured[60:])
     # A power of 9 and not of 1: costs are those of the data, whatever their scale.
-    data = Lines.of(fit.place, fit.measured[:60] + 1j * fit.measured[60:], 3 * weight / np.sqrt(60))
+    data = Lines.of(
+        fit.place, fit.measured[:60] + 1j * fit.measured[60:], 3 * weight / np.sqrt(60)
+    )
     cost = fit.nmse * float(data.measured @ data.measured)
     far = {name: 2.0 * value for name, value in fit.parameters.items()}
 
-    def said(ratio: float, values: dict[str, float], inflation: float = 1.0) -> list[Finding]:
+    def said(
+        ratio: float, values: dict[str, float], inflation: float = 1.0
+    ) -> list[Finding]:
         rival = Place(values, 0.0, cost * ratio, True)
         return list(_of_rivals(fit, certain(inflation=inflation), [rival], data))
 
@@ -236,11 +285,15 @@ def test_a_corner_outside_of_the_band_is_told(fit: fl.StructureFit) -> None:
     }
     assert codes(said(3.1 * corner, 9 * corner)) == ["W358"]
     stuck = replace(fit, at_bound=("b",))
-    assert list(_of_the_band(stuck, Lines.of(np.array([1e3, 1e4]), h, np.ones(2)))) == []
+    assert (
+        list(_of_the_band(stuck, Lines.of(np.array([1e3, 1e4]), h, np.ones(2)))) == []
+    )
 
 
 def test_findings_are_listed_worst_first(fit: fl.StructureFit) -> None:
-    data = Lines.of(np.array([1e3, 1e4]), np.ones(2, complex), np.ones(2))  # the corner lies far below
+    data = Lines.of(
+        np.array([1e3, 1e4]), np.ones(2, complex), np.ones(2)
+    )  # the corner lies far below
     changed = replace(fit, undetermined=("a",), nmse=0.3)
     found = structure_findings(changed, certain(pairs={("k", "b"): 0.999}), [], data)
     assert [(finding.code, finding.severity) for finding in found] == [
@@ -249,7 +302,10 @@ def test_findings_are_listed_worst_first(fit: fl.StructureFit) -> None:
 
 
 def test_a_fit_in_words(fit: fl.StructureFit) -> None:
-    intervals = {"k": Interval(1.9, 2.1, False, False), "b": Interval(1.0, 9.0, False, False)}
+    intervals = {
+        "k": Interval(1.9, 2.1, False, False),
+        "b": Interval(1.0, 9.0, False, False),
+    }
     shown = replace(
         fit, parameters={"k": 2.0, "a": 0.8, "b": 3.0}, fixed=(), at_bound=("a",), undetermined=("b",),
         intervals=intervals, nmse=0.0123, heldout_nmse=None, findings=(),
@@ -290,14 +346,30 @@ def swept(count: int = 40) -> fl.FrequencyResponse:
         ({"bounds": {"a": (0.0, 20.1)}}, "bounds['a']", 20.1, "-20 to 20"),
         ({"bounds": {"w": (0.0, 1.1e15)}}, "bounds['w']", 1.1e15, "-1e15 to 1e15"),
         ({"fixed": {"w": -1.1e15}}, "fixed['w']", -1.1e15, "-1e15 to 1e15"),
-        ({"fixed": {"k": 1.0, "a": 1.0, "w": 1.0}}, "expression", LAG, ">= 1 free parameter"),
-        ({"weighting": "coherence"}, "weighting", "coherence", "a response with coherence"),
+        (
+            {"fixed": {"k": 1.0, "a": 1.0, "w": 1.0}},
+            "expression",
+            LAG,
+            ">= 1 free parameter",
+        ),
+        (
+            {"weighting": "coherence"},
+            "weighting",
+            "coherence",
+            "a response with coherence",
+        ),
     ],
 )
-def test_what_is_stated_of_parameters(options: Any, field: str, value: Any, allowed: str) -> None:
+def test_what_is_stated_of_parameters(
+    options: Any, field: str, value: Any, allowed: str
+) -> None:
     with pytest.raises(FieldError) as caught:
         fl.identify_structure(swept(), LAG, **options)
-    assert (caught.value.field, caught.value.value, caught.value.allowed) == (field, value, allowed)
+    assert (caught.value.field, caught.value.value, caught.value.allowed) == (
+        field,
+        value,
+        allowed,
+    )
 
 
 def test_what_is_stated_of_delays() -> None:
@@ -310,17 +382,25 @@ def test_what_is_stated_of_delays() -> None:
             fl.identify_structure(swept(), late, **options)  # type: ignore[arg-type]
         assert (caught.value.field, caught.value.allowed) == (field, allowed)
     fit = fl.identify_structure(swept(), late, details=False)
-    assert fit.limits["T"] == (0.0, pytest.approx(20.0 / 30.0))  # 20 rad at the highest line
+    assert fit.limits["T"] == (
+        0.0,
+        pytest.approx(20.0 / 30.0),
+    )  # 20 rad at the highest line
     assert fit.limits["k"] == (1e-12, 1e12)
 
 
 def test_five_numbers_for_each_parameter() -> None:
-    assert fl.identify_structure(swept(8), LAG, details=False).fitted == 8  # 16 numbers for three parameters
+    assert (
+        fl.identify_structure(swept(8), LAG, details=False).fitted == 8
+    )  # 16 numbers for three parameters
     with pytest.raises(FieldError) as caught:
         fl.identify_structure(swept(7), LAG)
     assert (caught.value.field, caught.value.value) == ("data", 14)
     assert caught.value.allowed == ">= 15 numbers for 3 parameters"
-    assert fl.identify_structure(swept(7), LAG, fixed={"a": 1.2}, details=False).fitted == 7
+    assert (
+        fl.identify_structure(swept(7), LAG, fixed={"a": 1.2}, details=False).fitted
+        == 7
+    )
 
 
 def test_weights_of_lines_and_what_was_held_out() -> None:
@@ -337,8 +417,12 @@ def test_weights_of_lines_and_what_was_held_out() -> None:
             np.abs(weight * data.response) ** 2
         )
         assert fit.nmse == pytest.approx(wanted, rel=1e-6)
-        assert fit.predicted == pytest.approx(np.concatenate([h.real, h.imag]), rel=1e-9)
-        assert fit.measured == pytest.approx(np.concatenate([data.response.real, data.response.imag]))
+        assert fit.predicted == pytest.approx(
+            np.concatenate([h.real, h.imag]), rel=1e-9
+        )
+        assert fit.measured == pytest.approx(
+            np.concatenate([data.response.real, data.response.imag])
+        )
         assert fit.place == pytest.approx(data.frequency)
         assert (fit.domain, fit.period, fit.hold, fit.fitted, fit.offset) == (
             "frequency",
@@ -351,8 +435,12 @@ def test_weights_of_lines_and_what_was_held_out() -> None:
     held = np.arange(40) % 4 == 2
     rest = fl.FrequencyResponse(data.frequency[~held], data.response[~held])
     G = fl.identify_structure(rest, LAG, details=False).transfer_function
-    error = (data.response[held] - G(1j * data.frequency[held])) / np.abs(data.response[held])
-    assert relative.heldout_nmse == pytest.approx(float(np.mean(np.abs(error) ** 2)), rel=1e-3)
+    error = (data.response[held] - G(1j * data.frequency[held])) / np.abs(
+        data.response[held]
+    )
+    assert relative.heldout_nmse == pytest.approx(
+        float(np.mean(np.abs(error) ** 2)), rel=1e-3
+    )
 
 
 @pytest.mark.slow
@@ -362,17 +450,29 @@ def test_figures_of_a_fit_to_a_recording() -> None:
     y = 0.4 + fl.time_response(2 / (fl.s**1.2 + 1), u, 0.02, hold="zero").output + noise
     fit = fl.identify_structure(fl.Recording(0.02, u, y), LAG, details=False)
     count = fit.fitted
-    predicted = fit.offset + fl.time_response(fit.transfer_function, u, 0.02, hold="zero").output
+    predicted = (
+        fit.offset
+        + fl.time_response(fit.transfer_function, u, 0.02, hold="zero").output
+    )
     assert fit.predicted == pytest.approx(predicted, abs=1e-9)
     assert fit.measured == pytest.approx(y)
     assert fit.place == pytest.approx(0.02 * np.arange(1000))
     assert (fit.domain, fit.period, fit.hold, count) == ("time", 0.02, "zero", 600)
     error, power = (y - predicted) ** 2, (y - fit.offset) ** 2
     assert fit.nmse == pytest.approx(error[:600].sum() / power[:600].sum(), rel=1e-6)
-    assert fit.heldout_nmse == pytest.approx(error[600:].sum() / power[600:].sum(), rel=1e-6)
-    assert fl.identify_structure(fl.Recording(0.02, u, y), LAG, heldout=0.25, details=False).fitted == 750
+    assert fit.heldout_nmse == pytest.approx(
+        error[600:].sum() / power[600:].sum(), rel=1e-6
+    )
+    assert (
+        fl.identify_structure(
+            fl.Recording(0.02, u, y), LAG, heldout=0.25, details=False
+        ).fitted
+        == 750
+    )
     step = fl.Recording(0.02, np.ones(1000), y)
-    with pytest.raises(LogError) as caught:  # a step is fitted as a whole; a constant output is none
+    with pytest.raises(
+        LogError
+    ) as caught:  # a step is fitted as a whole; a constant output is none
         fl.identify_structure(replace(step, output=np.ones(1000)), LAG)
     assert (caught.value.field, caught.value.allowed) == ("output", "a motion")
     still = fl.Recording(0.02, np.zeros(1000), y)

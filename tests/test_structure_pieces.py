@@ -1,4 +1,6 @@
-"""The pieces of a structure's search against closed forms: coordinates, transforms, starts, descents."""
+"""The pieces of a structure's search against closed forms: coordinates, transforms,
+starts, descents.
+"""
 
 from __future__ import annotations
 
@@ -38,10 +40,14 @@ LIMITS = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e1
 LINK = "k*s**a/(s**a + w)*exp(-T*s)"
 
 
-def coordinates(text: str, fixed: dict[str, float] | None = None, **limits: Any) -> StructureCoordinates:
+def coordinates(
+    text: str, fixed: dict[str, float] | None = None, **limits: Any
+) -> StructureCoordinates:
     structure = parse_expression(text)
     return StructureCoordinates(
-        structure, {n: limits.get(n, LIMITS[r]) for n, r in structure.roles.items()}, fixed or {}
+        structure,
+        {n: limits.get(n, LIMITS[r]) for n, r in structure.roles.items()},
+        fixed or {},
     )
 
 
@@ -58,8 +64,16 @@ def coordinates(text: str, fixed: dict[str, float] | None = None, **limits: Any)
             "+".join(f"p{i}*s" for i in range(13)),
             "too many parameters",
         ),
-        ("k*(s + 1)**8", "k*(s + 1)**9", "a power of a sum that is not a whole number up to 8"),
-        ("k*(s + 1)**-8", "k*(s + 1)**-9", "a power of a sum that is not a whole number up to 8"),
+        (
+            "k*(s + 1)**8",
+            "k*(s + 1)**9",
+            "a power of a sum that is not a whole number up to 8",
+        ),
+        (
+            "k*(s + 1)**-8",
+            "k*(s + 1)**-9",
+            "a power of a sum that is not a whole number up to 8",
+        ),
         ("s*k" + " " * 997, "s*k" + " " * 998, "too long"),
         ("s*k*9e299", "s*k*1e300", "not a number"),
     ],
@@ -90,7 +104,11 @@ def test_names_stand_in_the_order_of_the_text() -> None:
     made = parse_expression("  k * s**a /\t(w + s**b) * exp(-T*s)")
     assert made.text == "k * s**a / (w + s**b) * exp(-T*s)"
     assert made.names == ("k", "a", "w", "b", "T")
-    assert [made.of_role(r) for r in ("order", "delay", "coefficient")] == [("a", "b"), ("T",), ("k", "w")]
+    assert [made.of_role(r) for r in ("order", "delay", "coefficient")] == [
+        ("a", "b"),
+        ("T",),
+        ("k", "w"),
+    ]
 
 
 def test_the_exact_function_of_values() -> None:
@@ -130,14 +148,22 @@ def test_coordinates_are_logarithms_where_the_range_is_positive() -> None:
 
 @pytest.mark.parametrize(
     ("text", "gain"),
-    [(LINK, "k"), ("1/(s**a + w)", None), ("k/(k*s + k)", None), ("s + k", None), ("b*c/(s + 1)", "b")],
+    [
+        (LINK, "k"),
+        ("1/(s**a + w)", None),
+        ("k/(k*s + k)", None),
+        ("s + k", None),
+        ("b*c/(s + 1)", "b"),
+    ],
 )
 def test_the_gain_is_what_multiplies_the_whole(text: str, gain: str | None) -> None:
     assert coordinates(text).gain == gain
 
 
 def test_the_shear_takes_the_unit_of_time_out_of_coefficients() -> None:
-    """In c·s^n the valley is ln c + n ln ω = constant; a term below the bar has the other sign."""
+    """In c·s^n the valley is ln c + n ln ω = constant; a term below the bar has the
+    other sign.
+    """
     own = coordinates("1/(c*s**n + b*s**m + w)")
     shear = own.shear(7.0)
     at = {name: k for k, name in enumerate(own.moving)}
@@ -160,14 +186,22 @@ def test_transforms_of_held_signals() -> None:
     for hold in ("zero", "first"):
         wanted = np.zeros(3, complex)
         for k in range(count - 1):
-            part = x[k] + (x[k + 1] - x[k]) * fine / period if hold == "first" else np.full(fine.size, x[k])
+            part = (
+                x[k] + (x[k + 1] - x[k]) * fine / period
+                if hold == "first"
+                else np.full(fine.size, x[k])
+            )
             for i, z in enumerate(s):
                 wanted[i] += np.trapezoid(part * np.exp(-z * (k * period + fine)), fine)
-        assert held_transform(samples, s, period, hold, x[0]) == pytest.approx(wanted, rel=1e-5)
+        assert held_transform(samples, s, period, hold, x[0]) == pytest.approx(
+            wanted, rel=1e-5
+        )
 
 
 def test_the_transform_of_a_record_is_that_of_its_response() -> None:
-    """Y(s)/U(s) = G(s) on the line Re s = σ, whatever the offset that the weight's constant takes up."""
+    """Y(s)/U(s) = G(s) on the line Re s = σ, whatever the offset that the weight's
+    constant takes up.
+    """
     time = 0.02 * np.arange(4000)
     u = np.where(time > 0.5, 1.0, 0.0)
     G = 2.0 / (fl.s**1.3 + 3.0)
@@ -176,13 +210,18 @@ def test_the_transform_of_a_record_is_that_of_its_response() -> None:
     assert data.hold == "zero"
     spectrum = data.spectrum
     low = np.abs(spectrum.points) < 5.0
-    assert spectrum.output[low] / spectrum.input[low] == pytest.approx(G(spectrum.points[low]), rel=2e-2)
+    assert spectrum.output[low] / spectrum.input[low] == pytest.approx(
+        G(spectrum.points[low]), rel=2e-2
+    )
     assert spectrum.points[0] == pytest.approx(5.0 / 80.0)
     assert spectrum.points.imag.max() <= 1.0 / 0.02 * (1 + 1e-9)
     assert np.all(np.diff(spectrum.points.imag) > 0)
     assert spectrum.of_constant == pytest.approx(1.0 / spectrum.points)
     assert float(np.sum(spectrum.measured**2)) == pytest.approx(1.0, rel=0.01)
-    assert spectrum.band == (pytest.approx(5.0 / 80.0), pytest.approx(np.abs(spectrum.points).max()))
+    assert spectrum.band == (
+        pytest.approx(5.0 / 80.0),
+        pytest.approx(np.abs(spectrum.points).max()),
+    )
 
 
 def test_a_record_knows_its_band_and_its_rest() -> None:
@@ -193,7 +232,10 @@ def test_a_record_knows_its_band_and_its_rest() -> None:
     assert data.input == pytest.approx(u[:1500] - 3.0)
     assert data.measured == pytest.approx(u[:1500])
     assert data.offset == pytest.approx(np.ones(1500))
-    assert data.band == (pytest.approx(4 * np.pi), pytest.approx(4 * np.pi))  # 30 Hz is a 150 000th of it
+    assert data.band == (
+        pytest.approx(4 * np.pi),
+        pytest.approx(4 * np.pi),
+    )  # 30 Hz is a 150 000th of it
     constant = RecordStart.of(fl.Recording(period, np.ones(50), u[:50]), "auto", 50)
     assert constant.hold == "zero"
 
@@ -217,7 +259,9 @@ def test_a_candidate_without_a_response_is_not_finite() -> None:
     assert made[0] == pytest.approx(
         np.where(time > 0.2, 1 - np.exp(-np.maximum(time - 0.2, 0)), 0.0), abs=1e-9
     )
-    improper = data.simulated(parse_expression("k*s**2/(s + 1)"), {"k": np.ones((1, 1))}, 1)
+    improper = data.simulated(
+        parse_expression("k*s**2/(s + 1)"), {"k": np.ones((1, 1))}, 1
+    )
     assert np.isnan(improper).all()
 
 
@@ -230,7 +274,20 @@ def test_points_of_halton() -> None:
     assert found[:, 0] == pytest.approx([1 / 2, 1 / 4, 3 / 4, 1 / 8, 5 / 8, 3 / 8])
     assert found[:, 1] == pytest.approx([1 / 3, 2 / 3, 1 / 9, 4 / 9, 7 / 9, 2 / 9])
     assert found[:, 2] == pytest.approx([1 / 5, 2 / 5, 3 / 5, 4 / 5, 1 / 25, 6 / 25])
-    primes = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37]  # for as many parameters as a text may have
+    primes = [
+        2,
+        3,
+        5,
+        7,
+        11,
+        13,
+        17,
+        19,
+        23,
+        29,
+        31,
+        37,
+    ]  # for as many parameters as a text may have
     assert _halton(1, 12)[0] == pytest.approx([1 / p for p in primes])
 
 
@@ -243,7 +300,9 @@ def test_real_solutions_of_complex_systems() -> None:
     assert _least_squares(matrix, right) == pytest.approx(truth, rel=1e-9, abs=1e-12)
     matrix[0, 1] = 0.0  # a column that is not there takes nothing
     right = np.einsum("mnk,mn->mk", matrix, truth)
-    assert _least_squares(matrix, right)[0, [0, 2]] == pytest.approx(truth[0, [0, 2]], rel=1e-9)
+    assert _least_squares(matrix, right)[0, [0, 2]] == pytest.approx(
+        truth[0, [0, 2]], rel=1e-9
+    )
 
 
 def spectrum_of(text: str, truth: dict[str, float]) -> Spectrum:
@@ -253,7 +312,9 @@ def spectrum_of(text: str, truth: dict[str, float]) -> Spectrum:
 
 
 def test_coefficients_follow_from_the_orders() -> None:
-    """With the orders of the truth among the limits, linear least squares give the truth."""
+    """With the orders of the truth among the limits, linear least squares give the
+    truth.
+    """
     text, truth = (
         "(b*s**m + 1)/(a2*s**2 + a1*s**n + a0)",
         {"b": 0.3, "m": 0.7, "a2": 0.2, "a1": 1.0, "n": 0.8, "a0": 2.0},
@@ -280,11 +341,15 @@ def test_draws_lie_in_their_ranges() -> None:
     assert np.mean(delays == 0.0) == pytest.approx(0.25, abs=0.01)
     assert delays.max() == pytest.approx(2.0, rel=5e-3) and delays.min() == 0.0
     # Evenly in the logarithm over the band, a thousand to one, and down to none at all.
-    assert delays[300:] == pytest.approx(2.0 * (1000.0 ** (uniform[300:] - 1.0) - 1e-3), rel=1e-9)
+    assert delays[300:] == pytest.approx(
+        2.0 * (1000.0 ** (uniform[300:] - 1.0) - 1e-3), rel=1e-9
+    )
     sizes = starts._drawn("w", uniform)
     assert sizes.min() >= 50.0**-2 and sizes.max() <= 50.0**2 / 1.0 * 1e3
     assert np.any(starts._drawn("w", uniform) > 100.0) and np.any(sizes < 0.01)
-    signed = Starts(coordinates("k/(s + w)", w=(-10.0, 10.0)), spectrum_of("1/(s + 1)", {}), False)
+    signed = Starts(
+        coordinates("k/(s + w)", w=(-10.0, 10.0)), spectrum_of("1/(s + 1)", {}), False
+    )
     drawn = signed._drawn("w", uniform)
     assert 0.3 < np.mean(drawn < 0) < 0.7
     assert np.abs(drawn).max() <= 10.0
@@ -304,12 +369,16 @@ def test_blocks_keep_the_variance_of_white_noise() -> None:
 
 def line(x: Array) -> Array:
     """Residuals with the least cost 3 at (1, 2), bent a little."""
-    return np.array([x[0] - 1.0, 2.0 * (x[1] - 2.0), 0.1 * (x[0] - 1.0) ** 2, math.sqrt(3.0)])
+    return np.array(
+        [x[0] - 1.0, 2.0 * (x[1] - 2.0), 0.1 * (x[0] - 1.0) ** 2, math.sqrt(3.0)]
+    )
 
 
 def slopes(x: Array) -> Blocks:
     """−∂(residual)/∂x: rows are those of what is simulated."""
-    return Blocks(-np.array([[1.0, 0.0, 0.2 * (x[0] - 1.0), 0.0], [0.0, 2.0, 0.0, 0.0]]), 1)
+    return Blocks(
+        -np.array([[1.0, 0.0, 0.2 * (x[0] - 1.0), 0.0], [0.0, 2.0, 0.0, 0.0]]), 1
+    )
 
 
 def test_steps_end_at_the_optimum() -> None:
@@ -320,24 +389,40 @@ def test_steps_end_at_the_optimum() -> None:
     assert found.ended and found.converged
     assert 3 <= found.evaluations <= 10
     blunt = stepped(
-        line, lambda x: replace(slopes(x), sharp=False), np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=True
+        line,
+        lambda x: replace(slopes(x), sharp=False),
+        np.array([4.0, -3.0]),
+        box,
+        [0, 1],
+        0.0,
+        damped=True,
     )
     assert blunt.ended and not blunt.converged
 
 
 def test_steps_stop_at_a_limit_and_without_rows() -> None:
     box = np.full(2, -10.0), np.array([10.0, 1.0])
-    at_limit = stepped(line, slopes, np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=False)
+    at_limit = stepped(
+        line, slopes, np.array([4.0, -3.0]), box, [0, 1], 0.0, damped=False
+    )
     assert at_limit.place[1] == 1.0
     assert not at_limit.ended
     begin = np.array([4.0, -3.0])
     none = stepped(line, lambda x: None, begin, box, [0, 1], 0.0, damped=True)
-    assert (none.place.tolist(), none.ended, none.evaluations) == ([4.0, -3.0], False, 1)
+    assert (none.place.tolist(), none.ended, none.evaluations) == (
+        [4.0, -3.0],
+        False,
+        1,
+    )
     assert none.cost == pytest.approx(float(line(begin) @ line(begin)))
-    lost = stepped(lambda x: np.full(4, np.inf), slopes, begin, box, [0, 1], 0.0, damped=True)
+    lost = stepped(
+        lambda x: np.full(4, np.inf), slopes, begin, box, [0, 1], 0.0, damped=True
+    )
     assert (lost.cost, lost.ended, lost.evaluations) == (math.inf, False, 1)
     twins = Blocks(np.array([[1.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]), 1)
-    assert not stepped(line, lambda x: twins, begin, box, [0, 1], 0.0, damped=True).ended
+    assert not stepped(
+        line, lambda x: twins, begin, box, [0, 1], 0.0, damped=True
+    ).ended
 
 
 def test_damped_steps_descend_where_plain_ones_do_not() -> None:
@@ -358,12 +443,17 @@ def test_damped_steps_descend_where_plain_ones_do_not() -> None:
 
 
 def test_what_a_last_step_would_gain() -> None:
-    jacobian, rest = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]), np.array([3.0, 4.0, 5.0])
+    jacobian, rest = (
+        np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 0.0]]),
+        np.array([3.0, 4.0, 5.0]),
+    )
     free = OptimizeResult(jac=jacobian, fun=rest, active_mask=np.array([0, 0]))
     assert decrement(free) == pytest.approx(25.0)
     held = OptimizeResult(jac=jacobian, fun=rest, active_mask=np.array([0, 1]))
     assert decrement(held) == pytest.approx(9.0)
-    blind = OptimizeResult(jac=jacobian * [1.0, 0.0], fun=rest, active_mask=np.array([0, 0]))
+    blind = OptimizeResult(
+        jac=jacobian * [1.0, 0.0], fun=rest, active_mask=np.array([0, 0])
+    )
     assert decrement(blind) == pytest.approx(9.0)  # nothing depends on the second one
 
 
@@ -371,15 +461,28 @@ def test_places_are_told_apart_by_their_costs() -> None:
     places = np.array([[1.0, 2.0], [2.0, 1.0], [5.0, 5.0], [7.0, 7.0], [8.0, 8.0]])
     costs = np.array([1.0, 1.0 + 5e-7, 3.0, math.inf, 1.0 + 3e-6])
     found = Descent(places, costs, np.ones(5, bool), 0)
-    # The first two are one function: that whose orders fall in the order of the text stays.
-    assert [row.tolist() for row in _distinct(found, [0, 1])] == [[2.0, 1.0], [8.0, 8.0], [5.0, 5.0]]
-    assert [row.tolist() for row in _distinct(found, [])] == [[1.0, 2.0], [8.0, 8.0], [5.0, 5.0]]
+    # The first two are one function: that whose orders fall in the order of the text
+    # stays.
+    assert [row.tolist() for row in _distinct(found, [0, 1])] == [
+        [2.0, 1.0],
+        [8.0, 8.0],
+        [5.0, 5.0],
+    ]
+    assert [row.tolist() for row in _distinct(found, [])] == [
+        [1.0, 2.0],
+        [8.0, 8.0],
+        [5.0, 5.0],
+    ]
 
 
 def test_a_given_start_is_tried_on_the_samples() -> None:
-    """A jump between two samples: only a start beside the truth leads into its valley at once."""
+    """A jump between two samples: only a start beside the truth leads into its valley
+    at once.
+    """
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
-    y = fl.time_response(parse_expression("2/(s + 1)*exp(-0.31*s)").function({}), u, 0.02, hold="zero").output
+    y = fl.time_response(
+        parse_expression("2/(s + 1)*exp(-0.31*s)").function({}), u, 0.02, hold="zero"
+    ).output
     data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates("k/(s + w)*exp(-T*s)"), None)
     compared: list[list[float]] = []
@@ -406,7 +509,13 @@ def test_evaluations_are_the_candidates_that_were_simulated(
     counted = []
     for kind in (RecordStart, Spectrum, Coarse):
 
-        def simulated(self: Any, structure: Any, values: Any, count: int, own: Any = kind.simulated) -> Any:
+        def simulated(
+            self: Any,
+            structure: Any,
+            values: Any,
+            count: int,
+            own: Any = kind.simulated,
+        ) -> Any:
             counted.append(count)
             return own(self, structure, values, count)
 
@@ -415,9 +524,12 @@ def test_evaluations_are_the_candidates_that_were_simulated(
     data: Any = fl.FrequencyResponse(w, (2 / (fl.s**1.5 + 3))(1j * w))
     if timed:
         u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
-        data = fl.Recording(0.02, u, fl.time_response(2 / (fl.s**1.5 + 3), u, 0.02, hold="zero").output)
+        data = fl.Recording(
+            0.02, u, fl.time_response(2 / (fl.s**1.5 + 3), u, 0.02, hold="zero").output
+        )
     fit = fl.identify_structure(data, "k/(s**a + w)", details=False)
-    # Less those of the results: predictions, gain and offset at the ends, the held-out lines.
+    # Less those of the results: predictions, gain and offset at the ends, the held-out
+    # lines.
     assert 0.9 * sum(counted) <= fit.evaluations <= sum(counted)
 
 
@@ -427,7 +539,9 @@ def test_evaluations_are_the_candidates_that_were_simulated(
 def slow_record(count: int = 8000, period: float = 0.02) -> RecordStart:
     time = period * np.arange(count)
     u = np.sin(0.5 * time) + 0.5 * np.sin(1.3 * time)
-    y = fl.time_response(2 / (fl.s**1.3 + 0.4 * fl.s + 1), u, period, hold="first").output
+    y = fl.time_response(
+        2 / (fl.s**1.3 + 0.4 * fl.s + 1), u, period, hold="first"
+    ).output
     return RecordStart.of(fl.Recording(period, u, y), "first", count)
 
 
@@ -441,7 +555,8 @@ def test_lines_are_turned_back_into_samples(decay: float) -> None:
     assert slopes_.back(lines, 1) == pytest.approx(data.output, abs=1e-10)
     assert slopes_._points[0] == pytest.approx(decay / 20.0)
     assert slopes_._points[1].imag == pytest.approx(2 * np.pi / (slopes_._size * 0.02))
-    # In blocks: the mean of each times the root of its width, from the lines that hold the signal.
+    # In blocks: the mean of each times the root of its width, from the lines that hold
+    # the signal.
     few = lines[: slopes_._size // 32]
     blocks = slopes_.back(few, 4)
     assert blocks.shape == (250,)
@@ -471,38 +586,61 @@ def test_a_coarse_record_is_near_the_exact_one() -> None:
     coarse = Rows(data).coarse(own, truth)
     assert coarse is not None and coarse.sharp
     assert coarse.measured == pytest.approx(blocks_of(data.output, coarse.width))
-    assert coarse.offset == pytest.approx(np.full(coarse.measured.size, math.sqrt(coarse.width)))
+    assert coarse.offset == pytest.approx(
+        np.full(coarse.measured.size, math.sqrt(coarse.width))
+    )
     assert coarse.band == data.band
     values = {name: np.array([[value]]) for name, value in truth.items()}
     made = coarse.simulated(own.structure, values, 1)[0]
-    assert np.linalg.norm(made - coarse.measured) < 4e-3 * np.linalg.norm(coarse.measured)
+    assert np.linalg.norm(made - coarse.measured) < 4e-3 * np.linalg.norm(
+        coarse.measured
+    )
     two = coarse.simulated(own.structure, {**values, "k": np.array([[2.0], [4.0]])}, 2)
     assert two[1] == pytest.approx(2 * two[0])
     rows = coarse.rows(own, truth)
     assert rows is not None
-    assert rows[0] == pytest.approx(made, rel=1e-6, abs=1e-9)  # k ∂/∂k of what is straight in k
+    assert rows[0] == pytest.approx(
+        made, rel=1e-6, abs=1e-9
+    )  # k ∂/∂k of what is straight in k
     crude = Rows(data).coarse(own, truth, crude=True)
     assert crude is not None and crude.count <= coarse.count
 
 
-def test_of_a_long_history_what_a_search_can_afford_counts_from_its_own_beginning() -> None:
+def test_of_a_long_history_what_a_search_can_afford_counts_from_its_own_beginning() -> (
+    None
+):
     u = 2.0 + np.sin(0.3 * np.arange(80_000))
-    data = RecordStart.of(fl.Recording(0.02, u[70_000:70_500], u[:500]), "first", 300, u[:70_000])
-    # Not from the rest before it: that would be a jump to where the angle was then, which nothing made.
+    data = RecordStart.of(
+        fl.Recording(0.02, u[70_000:70_500], u[:500]), "first", 300, u[:70_000]
+    )
+    # Not from the rest before it: that would be a jump to where the angle was then,
+    # which nothing made.
     assert data.whole_input == pytest.approx(u[20_000:70_300] - u[20_000])
-    y = fl.time_response(2 / (fl.s**1.3 + 0.4 * fl.s + 1), u - u[0], 0.02, hold="first").output
-    made = data.simulated(parse_expression("2/(s**a + 0.4*s + 1)"), {"a": np.array([[1.3]])}, 1)[0]
-    constant = 2 * (u[20_000] - u[0])  # as every output of a record, from where its input begins
+    y = fl.time_response(
+        2 / (fl.s**1.3 + 0.4 * fl.s + 1), u - u[0], 0.02, hold="first"
+    ).output
+    made = data.simulated(
+        parse_expression("2/(s**a + 0.4*s + 1)"), {"a": np.array([[1.3]])}, 1
+    )[0]
+    constant = 2 * (
+        u[20_000] - u[0]
+    )  # as every output of a record, from where its input begins
     assert made == pytest.approx(y[70_000:70_300] - constant, abs=1e-3 * np.ptp(y))
-    long = RecordStart.of(fl.Recording(0.02, u[60_000:], u[60_000:]), "first", 300, u[:60_000])
+    long = RecordStart.of(
+        fl.Recording(0.02, u[60_000:], u[60_000:]), "first", 300, u[:60_000]
+    )
     assert long.earlier.size == 60_000  # three lengths of the record are more
 
 
 @pytest.mark.parametrize("seed", [0, 2, 3])
 def test_a_structure_still_swings_by_what_was_long_before_the_cut(seed: int) -> None:
-    """By three lengths of 2 s alone ζ of 0.02 is found 2 to 50 % off and ω₀² 100 by up to 4."""
+    """By three lengths of 2 s alone ζ of 0.02 is found 2 to 50 % off and ω₀² 100 by up
+    to 4.
+    """
     text = "k*s**2/(s**2 + d*s + w)"
-    fit = fl.identify_structure(late_cut(seed), text, hold="first", heldout=0.0, details=False)
+    fit = fl.identify_structure(
+        late_cut(seed), text, hold="first", heldout=0.0, details=False
+    )
     for name, value in {"k": 1.56, "d": 0.4, "w": 100.0}.items():
         assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name], name
     assert fit.parameters["d"] == pytest.approx(0.4, rel=0.01)
@@ -516,24 +654,34 @@ def test_of_a_cut_record_the_rows_are_the_end_of_the_whole_ones(cut: int) -> Non
     assert np.array_equal(data.whole_input, whole.input + 5.0 - 5.0)
     truth = {"k": 2.0, "a": 1.3, "c": 0.4, "w": 1.0}
     values = {name: np.array([[value]]) for name, value in truth.items()}
-    assert data.simulated(own.structure, values, 1)[0] == pytest.approx(whole.output[cut:], abs=1e-12)
+    assert data.simulated(own.structure, values, 1)[0] == pytest.approx(
+        whole.output[cut:], abs=1e-12
+    )
     coarse = Rows(data).coarse(own, truth)
     assert coarse is not None and coarse.sharp
     rows = coarse.rows(own, truth)
     assert rows is not None
-    # By differences of the exact response to the whole input: another way than the transform.
+    # By differences of the exact response to the whole input: another way than the
+    # transform.
     at = np.array([[float(own.place(name, truth[name])) for name in own.names]])
     for k, row in enumerate(rows):
-        ends = (own.values(at + sign * 1e-5 * np.eye(4)[k], projected=False) for sign in (1, -1))
+        ends = (
+            own.values(at + sign * 1e-5 * np.eye(4)[k], projected=False)
+            for sign in (1, -1)
+        )
         above, below = (whole.simulated(own.structure, end, 1)[0] for end in ends)
         wanted = blocks_of((above - below)[cut:] / 2e-5, coarse.width)
         assert np.linalg.norm(row - wanted) < 5e-3 * np.linalg.norm(wanted)
 
 
 def test_the_band_of_a_cut_record_is_that_of_all_its_input() -> None:
-    u = np.sin(2 * np.pi * 2.5 * 0.01 * np.arange(2000))  # 50 periods, cut at a crest: no step there
+    u = np.sin(
+        2 * np.pi * 2.5 * 0.01 * np.arange(2000)
+    )  # 50 periods, cut at a crest: no step there
     late = fl.Recording(0.01, u[1010:], u[1010:])
-    assert RecordStart.of(late, "first", 990, u[:1010]).band == pytest.approx((5 * np.pi, 5 * np.pi))
+    assert RecordStart.of(late, "first", 990, u[:1010]).band == pytest.approx(
+        (5 * np.pi, 5 * np.pi)
+    )
 
 
 def test_an_input_that_jumps_and_a_free_delay_have_no_rows() -> None:
@@ -541,16 +689,23 @@ def test_an_input_that_jumps_and_a_free_delay_have_no_rows() -> None:
     data = RecordStart.of(fl.Recording(0.02, u, u), "zero", 2000)
     held = {"k": 1.0, "w": 2.0, "T": 0.1}
     assert Rows(data).coarse(coordinates("k/(s**2 + w)*exp(-T*s)"), held) is None
-    assert Rows(data).coarse(coordinates("k/(s**2 + s + w)*exp(-T*s)", {"T": 0.1}), held) is not None
+    assert (
+        Rows(data).coarse(coordinates("k/(s**2 + s + w)*exp(-T*s)", {"T": 0.1}), held)
+        is not None
+    )
 
 
 # --- descents of a whole search -----------------------------------------------------------------------------
 
 
 def test_a_coefficient_that_vanished_is_brought_back() -> None:
-    """From c = 1e-11 the cost is flat; larger values are tried, and the best descends again."""
+    """From c = 1e-11 the cost is flat; larger values are tried, and the best descends
+    again.
+    """
     w = np.geomspace(0.05, 50.0, 60)
-    data = Lines.of(w, (2 / ((1j * w) ** 1.4 + 0.7 * 1j * w + 3)).astype(complex), np.ones(60))
+    data = Lines.of(
+        w, (2 / ((1j * w) ** 1.4 + 0.7 * 1j * w + 3)).astype(complex), np.ones(60)
+    )
     search = StructureSearch(coordinates("k/(s**a + c*s + w)"), 0.0)
     own = search.coordinates
     low, high = own.box(own.moving)
@@ -558,14 +713,22 @@ def test_a_coefficient_that_vanished_is_brought_back() -> None:
     found = Descent(lost, np.array([1e3]), np.array([True]), 0)
     back = search._back_from_zero(data, data, found, low, high)
     assert back.costs[0] < 1e-6
-    assert back.places[0] == pytest.approx([1.4, math.log(0.7), math.log(3.0)], abs=1e-3)
-    kept = Descent(np.add(lost, [[0.0, 15.0, 0.0]]), np.array([1e3]), np.array([True]), 0)
-    assert search._back_from_zero(data, data, kept, low, high).costs[0] == 1e3  # it has not vanished
+    assert back.places[0] == pytest.approx(
+        [1.4, math.log(0.7), math.log(3.0)], abs=1e-3
+    )
+    kept = Descent(
+        np.add(lost, [[0.0, 15.0, 0.0]]), np.array([1e3]), np.array([True]), 0
+    )
+    assert (
+        search._back_from_zero(data, data, kept, low, high).costs[0] == 1e3
+    )  # it has not vanished
 
 
 def test_a_lower_end_is_taken_over() -> None:
     found = Descent(np.zeros((2, 1)), np.array([3.0, 2.0]), np.array([True, True]), 0)
-    again = Descent(np.array([[1.0], [2.0]]), np.array([2.5, 1.0]), np.array([True, False]), 0)
+    again = Descent(
+        np.array([[1.0], [2.0]]), np.array([2.5, 1.0]), np.array([True, False]), 0
+    )
     _take_over(found, 1, again)
     assert (found.places.tolist(), found.costs.tolist()) == ([[0.0], [2.0]], [3.0, 1.0])
     assert found.converged.tolist() == [True, False]
@@ -596,7 +759,10 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
     left: Array = target
     best: Array = np.zeros(0)
     if columns:
-        best = np.asarray(np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0], np.float64)
+        best = np.asarray(
+            np.linalg.lstsq(np.stack(columns, axis=1), target, rcond=None)[0],
+            np.float64,
+        )
         left = target - np.stack(columns, axis=1) @ best
     assert search.residuals(data, np.zeros((1, 1)))[0] == pytest.approx(left, abs=1e-8)
     place = search.place(data, np.zeros(1), 7.0, converged=True)
@@ -619,21 +785,33 @@ def test_standard_errors_of_a_structure_written_out() -> None:
     values = dict(fit.parameters)
 
     def scaled(values: dict[str, float]) -> Array:
-        h = (values["k"] / (fl.s ** values["a"] + values["w"]))(1j * w) / np.abs(data.response)
+        h = (values["k"] / (fl.s ** values["a"] + values["w"]))(1j * w) / np.abs(
+            data.response
+        )
         return np.concatenate([h.real, h.imag])
 
     J = np.stack(
         [
-            (scaled({**values, n: v * (1 + 1e-5)}) - scaled({**values, n: v * (1 - 1e-5)})) / (2e-5 * v)
+            (
+                scaled({**values, n: v * (1 + 1e-5)})
+                - scaled({**values, n: v * (1 - 1e-5)})
+            )
+            / (2e-5 * v)
             for n, v in values.items()
         ]
     )
-    measured = np.concatenate([data.response.real, data.response.imag]) / np.tile(np.abs(data.response), 2)
+    measured = np.concatenate([data.response.real, data.response.imag]) / np.tile(
+        np.abs(data.response), 2
+    )
     rest = measured - scaled(values)
     errors = np.sqrt(np.diag(np.linalg.inv(J @ J.T)) * (rest @ rest) / (160 - 3))
     for k, name in enumerate(values):
-        assert fit.standard_errors[name] == pytest.approx(errors[k], rel=0.35)  # colour may widen them
+        assert fit.standard_errors[name] == pytest.approx(
+            errors[k], rel=0.35
+        )  # colour may widen them
         assert fit.standard_errors[name] >= 0.999 * errors[k]
         interval = fit.intervals[name]
-        assert interval.high - interval.low == pytest.approx(2 * 1.96 * fit.standard_errors[name], rel=0.1)
+        assert interval.high - interval.low == pytest.approx(
+            2 * 1.96 * fit.standard_errors[name], rel=0.1
+        )
     assert fit.undetermined == () and fit.at_bound == ()

@@ -1,4 +1,6 @@
-"""Any fractional structure: expressions, recovery without a start, intervals, and what must be refused."""
+"""Any fractional structure: expressions, recovery without a start, intervals, and what
+must be refused.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ def recording(
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], samples // 40 + 1), 40)[:samples]
     y = fl.time_response(parse_expression(expression).function(truth), u, period).output
-    return fl.Recording(period, u, y + 0.3 + noise * y.std() * rng.standard_normal(samples))
+    return fl.Recording(
+        period, u, y + 0.3 + noise * y.std() * rng.standard_normal(samples)
+    )
 
 
 def lines(
@@ -48,16 +52,23 @@ def lines(
 # --- recovery -----------------------------------------------------------------------------------------------
 
 
-# From the second pair no start leads there that is ranked as if the cut were a rest, from the third none that
-# is drawn so.
+# From the second pair no start leads there that is ranked as if the cut were a rest,
+# from the third none that is drawn so.
 @pytest.mark.parametrize(("seed", "late"), [(3, 700), (3, 1300), (7, 1300)])
-def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(seed: int, late: int) -> None:
+def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
+    seed: int, late: int
+) -> None:
     truth = {"k": 1.56, "a": 1.92, "w": 100.0, "T": 0.004}
     text, period = "k*s**a/(s**a + w)*exp(-T*s)", 0.004
     levels = np.random.default_rng(seed).uniform(-0.5, 0.5, 26)
     levels[0] = 0.0
     # 12 ms of a servo: smooth enough for straight lines between the samples.
-    angle = fl.time_response(1 / (0.012 * fl.s + 1) ** 2, np.repeat(levels, 100), period).output + 0.7
+    angle = (
+        fl.time_response(
+            1 / (0.012 * fl.s + 1) ** 2, np.repeat(levels, 100), period
+        ).output
+        + 0.7
+    )
     torque = fl.time_response(
         parse_expression(text).function(truth), angle - 0.7, period, hold="first"
     ).output
@@ -78,11 +89,18 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(see
 def test_a_ring_down_that_was_cut_from_a_move_is_driven_by_the_move() -> None:
     time = 0.004 * np.arange(1500)
     angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1)
-    torque = fl.time_response(1.5 * fl.s**1.9 / (fl.s**1.9 + 80), angle, 0.004, hold="first").output
+    torque = fl.time_response(
+        1.5 * fl.s**1.9 / (fl.s**1.9 + 80), angle, 0.004, hold="first"
+    ).output
     still = fl.Experiment(
-        period=0.004, motor_angle=angle[100:], output=torque[100:], earlier_angle=angle[:100]
+        period=0.004,
+        motor_angle=angle[100:],
+        output=torque[100:],
+        earlier_angle=angle[:100],
     )
-    fit = fl.identify_structure(still, "k*s**a/(s**a + w)", hold="first", heldout=0.0, details=False)
+    fit = fl.identify_structure(
+        still, "k*s**a/(s**a + w)", hold="first", heldout=0.0, details=False
+    )
     assert fit.parameters == pytest.approx({"k": 1.5, "a": 1.9, "w": 80.0}, rel=1e-4)
 
 
@@ -104,27 +122,38 @@ def test_recording_without_a_start(expression: str, truth: dict[str, float]) -> 
     assert fit.offset == pytest.approx(0.3, abs=0.01)
     assert fit.heldout_nmse is not None
     assert fit.heldout_nmse < 1e-3
-    assert fit.transfer_function == parse_expression(expression).function(fit.parameters)
+    assert fit.transfer_function == parse_expression(expression).function(
+        fit.parameters
+    )
 
 
 @pytest.mark.slow
 def test_the_link_structure_is_that_of_identify() -> None:
-    """Two engines, one answer: the compiled link kernel and exact responses of an expression."""
+    """Two engines, one answer: the compiled link kernel and exact responses of an
+    expression.
+    """
     log = fl.read_log(fl.bundled_log("prbs_30g"))
     link = fl.identify(log, "UD-FOM")
     fit = fl.identify_structure(log, "k*s**a/(s**a + w)*exp(-T*s)", details=False)
     assert fit.parameters["a"] == pytest.approx(link.model.order, abs=1e-5)
-    assert fit.parameters["w"] ** 0.5 == pytest.approx(link.model.natural_frequency, rel=1e-5)
+    assert fit.parameters["w"] ** 0.5 == pytest.approx(
+        link.model.natural_frequency, rel=1e-5
+    )
     assert fit.parameters["k"] == pytest.approx(link.gain, rel=1e-5)
     assert fit.parameters["T"] == pytest.approx(link.delay, abs=1e-6)
     assert fit.nmse == pytest.approx(link.nmse, rel=1e-6)
-    assert fit.standard_errors["a"] == pytest.approx(link.standard_errors["order"], rel=0.05)
+    assert fit.standard_errors["a"] == pytest.approx(
+        link.standard_errors["order"], rel=0.05
+    )
 
 
 @pytest.mark.parametrize(
     ("expression", "values"),
     [
-        ("(b*s**n + 1)/(a2*s**2 + s + a0)*exp(-T*s)", {"b": 0.3, "n": 0.7, "a2": 0.2, "a0": 2.0, "T": 0.1}),
+        (
+            "(b*s**n + 1)/(a2*s**2 + s + a0)*exp(-T*s)",
+            {"b": 0.3, "n": 0.7, "a2": 0.2, "a0": 2.0, "T": 0.1},
+        ),
         ("k/((T*s)**a + 1)**2 - k**0.5", {"k": 2.0, "T": 1.5, "a": 0.8}),
         ("1 - 2**a/(s + w)**2", {"a": 0.6, "w": 3.0}),
     ],
@@ -139,16 +168,23 @@ def test_derivatives_of_an_expression_are_those_of_differences(
     assert set(slopes) == set(values)
     for name in values:
         above, below = (
-            structure.response({**values, name: values[name] * (1 + sign * 1e-5)}, points) for sign in (1, -1)
+            structure.response(
+                {**values, name: values[name] * (1 + sign * 1e-5)}, points
+            )
+            for sign in (1, -1)
         )
         wanted = (above - below) / (2e-5 * values[name])
-        np.testing.assert_allclose(slopes[name], wanted, atol=1e-8 * np.abs(value).max())
+        np.testing.assert_allclose(
+            slopes[name], wanted, atol=1e-8 * np.abs(value).max()
+        )
 
 
 def coordinates_of(expression: str) -> StructureCoordinates:
     structure = parse_expression(expression)
     limits = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
-    return StructureCoordinates(structure, {n: limits[r] for n, r in structure.roles.items()}, {})
+    return StructureCoordinates(
+        structure, {n: limits[r] for n, r in structure.roles.items()}, {}
+    )
 
 
 def test_rows_of_a_jacobian_by_a_transform_back_are_those_of_exact_responses() -> None:
@@ -161,14 +197,20 @@ def test_rows_of_a_jacobian_by_a_transform_back_are_those_of_exact_responses() -
     low, high = own.box(own.names)
 
     def simulated(places: np.ndarray) -> np.ndarray:
-        return data.simulated(own.structure, own.values(places, projected=False), len(places))
+        return data.simulated(
+            own.structure, own.values(places, projected=False), len(places)
+        )
 
     exact = differences(simulated, at, simulated(at), low, high)[0]
     whole = exact.shape[1] // coarse.width * coarse.width
-    wanted = exact[:, :whole].reshape(len(exact), -1, coarse.width).mean(axis=2) * np.sqrt(coarse.width)
+    wanted = exact[:, :whole].reshape(len(exact), -1, coarse.width).mean(
+        axis=2
+    ) * np.sqrt(coarse.width)
     rows = coarse.rows(own, TRUTH)
     assert rows is not None
-    assert np.all(np.linalg.norm(rows - wanted, axis=1) < 5e-3 * np.linalg.norm(wanted, axis=1))
+    assert np.all(
+        np.linalg.norm(rows - wanted, axis=1) < 5e-3 * np.linalg.norm(wanted, axis=1)
+    )
 
 
 @pytest.mark.parametrize(
@@ -176,7 +218,10 @@ def test_rows_of_a_jacobian_by_a_transform_back_are_those_of_exact_responses() -
     [
         ("k/(s - w)", {"k": 1.0, "w": 2.0}),  # grows: it would wrap around
         ("k*s**a/(s**a + w)", {"k": 1.0, "a": 1.5, "w": 2.0}),  # jumps with its input
-        ("k/(s**a + w)*exp(-T*s)", {"k": 1.0, "a": 1.5, "w": 2.0, "T": 0.13}),  # a jump between samples
+        (
+            "k/(s**a + w)*exp(-T*s)",
+            {"k": 1.0, "a": 1.5, "w": 2.0, "T": 0.13},
+        ),  # a jump between samples
     ],
 )
 def test_what_no_transform_back_knows_is_left_to_exact_responses(
@@ -189,7 +234,9 @@ def test_what_no_transform_back_knows_is_left_to_exact_responses(
 
 @pytest.mark.slow
 def test_the_steps_end_where_the_exact_jacobian_leads() -> None:
-    """From a place far off, by damped steps on blocks of samples: the end is that of a trust region."""
+    """From a place far off, by damped steps on blocks of samples: the end is that of a
+    trust region.
+    """
     data = RecordStart.of(recording(TWO_TERMS, TRUTH), "auto", 2500)
     search = StructureSearch(coordinates_of(TWO_TERMS), None)
     own = search.coordinates
@@ -204,7 +251,11 @@ def test_the_steps_end_where_the_exact_jacobian_leads() -> None:
 
 
 def test_frequency_response_without_a_start() -> None:
-    truth = {"K": 20.5, "D": 3.7343, "m": 1.15}  # improper: a recording could not show it
+    truth = {
+        "K": 20.5,
+        "D": 3.7343,
+        "m": 1.15,
+    }  # improper: a recording could not show it
     fit = fl.identify_structure(lines("K + D*s**m", truth), "K + D*s**m")
     assert fit.domain == "frequency"
     for name, value in truth.items():
@@ -217,23 +268,31 @@ def test_weighting_by_coherence() -> None:
     truth = {"k": 2.0, "a": 0.8, "b": 3.0}
     clean = lines("k/(s**a + b)", truth, noise=0.001)
     bad = clean.frequency > 5.0
-    spoilt = clean.response * np.where(bad, 1 + np.random.default_rng(0).normal(size=bad.size), 1.0)
+    spoilt = clean.response * np.where(
+        bad, 1 + np.random.default_rng(0).normal(size=bad.size), 1.0
+    )
     coherence = np.where(bad, 0.05, 0.99999)
     data = fl.FrequencyResponse(clean.frequency, spoilt, coherence=coherence)
     weighed = fl.identify_structure(data, "k/(s**a + b)", details=False)
-    equal = fl.identify_structure(data, "k/(s**a + b)", weighting="relative", details=False)
+    equal = fl.identify_structure(
+        data, "k/(s**a + b)", weighting="relative", details=False
+    )
     assert abs(weighed.parameters["a"] - 0.8) < 0.01 < abs(equal.parameters["a"] - 0.8)
 
 
 @pytest.mark.slow
 def test_intervals_cover() -> None:
-    """95 % intervals of three parameters in 40 noises: 114 of 120 expected, hardly ever fewer than 104."""
+    """95 % intervals of three parameters in 40 noises: 114 of 120 expected, hardly ever
+    fewer than 104.
+    """
     truth = {"k": 2.0, "T": 3.0, "a": 0.7}
     inside = 0
     for seed in range(40):
         data = recording("k/((T*s)**a + 1)", truth, samples=1500, noise=0.1, seed=seed)
         fit = fl.identify_structure(data, "k/((T*s)**a + 1)", heldout=0.0)
-        inside += sum(fit.intervals[name].contains(value) for name, value in truth.items())
+        inside += sum(
+            fit.intervals[name].contains(value) for name, value in truth.items()
+        )
     assert inside >= 104
 
 
@@ -248,16 +307,24 @@ def test_fixed_values_bounds_and_start() -> None:
     free = fl.identify_structure(data, LAG, bounds={"k": (-10, 10)}, details=False)
     assert free.parameters["k"] == pytest.approx(-2.0, rel=0.01)
     known = fl.identify_structure(
-        data, LAG, bounds={"k": (-10, 10)}, fixed={"a": 1.5, "offset": 0.3}, details=False
+        data,
+        LAG,
+        bounds={"k": (-10, 10)},
+        fixed={"a": 1.5, "offset": 0.3},
+        details=False,
     )
     assert (known.parameters["a"], known.offset, known.fixed) == (1.5, 0.3, ("a",))
     assert known.standard_errors["w"] < free.standard_errors["w"]
-    again = fl.identify_structure(data, LAG, bounds={"k": (-10, 10)}, start=free.parameters, details=False)
+    again = fl.identify_structure(
+        data, LAG, bounds={"k": (-10, 10)}, start=free.parameters, details=False
+    )
     assert again.parameters["a"] == pytest.approx(free.parameters["a"], abs=1e-4)
 
 
 def test_orders_of_exchangeable_terms_fall() -> None:
-    """In a2*s**n2 + a1*s**n1 the terms may change names; the text's order says which is which."""
+    """In a2*s**n2 + a1*s**n1 the terms may change names; the text's order says which is
+    which.
+    """
     data = lines(TWO_TERMS, TRUTH)
     for text in (TWO_TERMS, "1/(a1*s**n1 + a2*s**n2 + a0)"):
         fit = fl.identify_structure(data, text, details=False)
@@ -296,12 +363,20 @@ SWEPT, RECORDED = "given beside a frequency response", "given beside a recording
         ({"hold": "zero"}, "hold", SWEPT),
         ({"fixed": {"offset": 0.0}}, "fixed['offset']", SWEPT),
         ({"weighting": "relative"}, "weighting", RECORDED),
-        ({"fixed": {"k": 1.0}, "bounds": {"k": (0.0, 2.0)}}, "bounds['k']", "given beside fixed['k']"),
+        (
+            {"fixed": {"k": 1.0}, "bounds": {"k": (0.0, 2.0)}},
+            "bounds['k']",
+            "given beside fixed['k']",
+        ),
     ],
 )
-def test_an_option_that_would_be_ignored(options: dict[str, object], field: str, problem: str) -> None:
+def test_an_option_that_would_be_ignored(
+    options: dict[str, object], field: str, problem: str
+) -> None:
     truth = {"k": 1, "a": 1, "w": 1}
-    data = recording(LAG, truth, samples=200) if problem == RECORDED else lines(LAG, truth)
+    data = (
+        recording(LAG, truth, samples=200) if problem == RECORDED else lines(LAG, truth)
+    )
     with pytest.raises(FieldError) as caught:
         fl.identify_structure(data, LAG, **options)  # type: ignore[arg-type]
     assert (caught.value.field, caught.value.problem) == (field, problem)
@@ -327,7 +402,9 @@ def codes(fit: fl.StructureFit) -> set[str]:
 
 
 def test_a_product_of_two_parameters_is_not_two_parameters() -> None:
-    fit = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k*c/(s**a + w)")
+    fit = fl.identify_structure(
+        lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k*c/(s**a + w)"
+    )
     assert "W352" in codes(fit)
     assert {"k", "c"} <= set(fit.undetermined)
     assert not {"k", "c"} & set(fit.intervals)
@@ -337,7 +414,9 @@ def test_a_product_of_two_parameters_is_not_two_parameters() -> None:
 
 @pytest.mark.slow
 def test_a_superfluous_scale_is_seen() -> None:
-    fit = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k/(c*s**a + w)")
+    fit = fl.identify_structure(
+        lines(LAG, {"k": 2, "a": 1.5, "w": 1}), "k/(c*s**a + w)"
+    )
     assert {"k", "c", "w"} <= set(fit.undetermined) | set(fit.at_bound)
     assert not fit.passed
 
@@ -360,10 +439,16 @@ def test_a_band_that_misses_a_corner() -> None:
 def test_every_parameter_at_a_bound(
     text: str, truth: str, bounds: dict[str, tuple[float, float]] | None
 ) -> None:
-    """Nothing is inside its range: no interval, no error, and W351 instead of an end in the algebra."""
+    """Nothing is inside its range: no interval, no error, and W351 instead of an end in
+    the algebra.
+    """
     fit = fl.identify_structure(lines(truth, {}), text, bounds=bounds)
     assert fit.at_bound == tuple(fit.limits)
-    assert (dict(fit.intervals), dict(fit.standard_errors), fit.undetermined) == ({}, {}, ())
+    assert (dict(fit.intervals), dict(fit.standard_errors), fit.undetermined) == (
+        {},
+        {},
+        (),
+    )
     assert "W351" in [finding.code for finding in fit.findings]
     repr(fit)
 
@@ -390,11 +475,19 @@ def test_a_term_that_is_not_there_is_at_its_bound_or_unknown() -> None:
 @pytest.mark.slow
 def test_a_fit_is_saved_shown_and_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    timed = fl.identify_structure(recording(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False)
-    swept = fl.identify_structure(lines(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False)
+    timed = fl.identify_structure(
+        recording(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False
+    )
+    swept = fl.identify_structure(
+        lines(LAG, {"k": 2, "a": 1.5, "w": 1}), LAG, details=False
+    )
     for fit in (timed, swept):
         fit.save(tmp_path / "fit.json")
-        assert fl.load(tmp_path / "fit.json") == fit == fl.StructureFit.load(tmp_path / "fit.json")
+        assert (
+            fl.load(tmp_path / "fit.json")
+            == fit
+            == fl.StructureFit.load(tmp_path / "fit.json")
+        )
         assert hash(fit) == hash(fl.load(tmp_path / "fit.json"))
         assert repr(fit).startswith("StructureFit(k/(s**a + w): k = ")
         page = fit._repr_html_()  # type: ignore[attr-defined]
@@ -417,7 +510,10 @@ def test_two_channels_of_a_log() -> None:
     log = fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1], voltage=[1.0, 2.0])
     assert fl.Recording.of(log).input_at_rest == 0.5
     voltage = fl.Recording.of(log, "voltage", "motor_angle")
-    assert (voltage.input.tolist(), voltage.output.tolist()) == ([1.0, 2.0], [0.0, 0.09999999999999998])
+    assert (voltage.input.tolist(), voltage.output.tolist()) == (
+        [1.0, 2.0],
+        [0.0, 0.09999999999999998],
+    )
     with pytest.raises(LogError, match="voltage"):
         fl.Recording.of(fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1]), "voltage")
     with pytest.raises(LogError, match="output"):

@@ -38,7 +38,14 @@ from fraclink._studio.messages import NAMES, Reply, checked_request, parsed, ref
 from fraclink._studio.outputs import OUTPUT_VERBS
 from fraclink._studio.played import PLAY_VERBS
 from fraclink._studio.preview import Subject, described, nearest, preview
-from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, round_regions, violated
+from fraclink._studio.regions import (
+    Region,
+    checked_regions,
+    fan_of,
+    map_of,
+    round_regions,
+    violated,
+)
 from fraclink._studio.server import POLICY, Studio, application
 from fraclink._studio.serving import serve
 from fraclink._studio.session import Session, SupersededError, opened
@@ -53,12 +60,16 @@ ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.
 @pytest.fixture(scope="module")
 def subject() -> Subject:
     rig = fl.Rig.named("paper-2023")
-    made = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    made = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
+    )
     return Subject(rig, rig.model, made.law())
 
 
 def unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
-    """Head and curves of an answer, as the page reads them; NaN and infinity are no JSON."""
+    """Head and curves of an answer, as the page reads them; NaN and infinity are no
+    JSON.
+    """
 
     def none(name: str) -> float:
         raise AssertionError(f"{name} was sent")
@@ -80,11 +91,20 @@ def unpacked(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
 @pytest.mark.slow
 def test_a_preview_has_the_figures_of_design(subject):
     head, curves = unpacked(preview(subject, ASKED).packed(3, "preview"))
-    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50))
+    made = fl.design(
+        subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50)
+    )
     assert head["controller"]["k_d"] == made.controller.gain
     assert head["controller"]["beta"] == made.controller.order
-    assert (head["ok"], head["seq"], head["verb"], head["preview"]) == (True, 3, "preview", True)
-    assert sum(phase for _, phase in head["budget"]) + 180 == pytest.approx(50.0, abs=1e-6)
+    assert (head["ok"], head["seq"], head["verb"], head["preview"]) == (
+        True,
+        3,
+        "preview",
+        True,
+    )
+    assert sum(phase for _, phase in head["budget"]) + 180 == pytest.approx(
+        50.0, abs=1e-6
+    )
     at_20g = np.interp(0.02, subject.payloads, curves["margin"][0])
     assert at_20g == pytest.approx(50.0, abs=0.05)
     assert "50.0° at 20 g" in head["said"]
@@ -127,11 +147,19 @@ def test_every_state_is_answered_in_numbers_or_refused_in_words(subject, state):
         ("filter_order", 3, ["--filter-order", "3"]),
         ("max_sensitivity", 0.5, ["--max-sensitivity", "0.5"]),
         ("payloads", [0.04, 0.02], ["--payloads", "0.04", "0.02"]),
-        ("phase_margin_deg", 99.0, ["--phase-margin-deg", "99", "--gain-crossover", "40"]),
+        (
+            "phase_margin_deg",
+            99.0,
+            ["--phase-margin-deg", "99", "--gain-crossover", "40"],
+        ),
     ],
 )
-def test_the_command_line_refuses_the_same_in_the_same_words(subject, option, state, words, tmp_path, capsys):
-    asked = {option: state} | ({"gain_crossover": 40.0} if len(words) == 4 and option != "payloads" else {})
+def test_the_command_line_refuses_the_same_in_the_same_words(
+    subject, option, state, words, tmp_path, capsys
+):
+    asked = {option: state} | (
+        {"gain_crossover": 40.0} if len(words) == 4 and option != "payloads" else {}
+    )
     head, _ = unpacked(preview(subject, asked).packed(0, "preview"))
     out = str(tmp_path / "design.json")
     assert main(["design", "--rig", "paper-2023", *words, "--out", out]) in (1, 2)
@@ -147,7 +175,9 @@ def test_the_options_are_those_of_the_command_line():
 
 @pytest.mark.slow
 def test_a_refusal_names_the_nearest_that_is_feasible(subject):
-    head, _ = unpacked(preview(subject, {**ASKED, "gain_crossover": 9.0}).packed(0, "preview"))
+    head, _ = unpacked(
+        preview(subject, {**ASKED, "gain_crossover": 9.0}).packed(0, "preview")
+    )
     assert head["condition"].startswith("gain crossover right of the peak")
     assert head["nearest"]["gain_crossover"] > 10
     found = nearest(subject, {**ASKED, "gain_crossover": 9.0}).head["state"]
@@ -163,19 +193,35 @@ def test_a_region_is_entered_by_a_curve_that_crosses_it_between_two_points(subje
         (np.array([20.0, -20.0]), np.array([-159.0, -150.0])),
         (np.array([6.0, 6.0]), np.array([-300.0, -60.0])),  # on the edge is not inside
     )
-    entered = [box.entered(w, gain[None], phase[None]) for gain, phase in (through, beside, along)]
+    entered = [
+        box.entered(w, gain[None], phase[None])
+        for gain, phase in (through, beside, along)
+    ]
     assert entered == [True, False, False]
-    between = np.array([[-20.0, -20.0], [20.0, 20.0]])  # of two payloads, one on each side
+    between = np.array(
+        [[-20.0, -20.0], [20.0, 20.0]]
+    )  # of two payloads, one on each side
     assert box.entered(w, between, np.full((2, 2), -180.0))
-    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    made = fl.design(
+        subject.model,
+        subject.rig,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        law=False,
+    )
     dense = np.geomspace(subject.frequencies[0], subject.frequencies[-1], 5000)
-    for region in (Region("gain", 15.0, 18.0, -3.0, 30.0), Region("gain", 40.0, 50.0, -10.0, 30.0)):
+    for region in (
+        Region("gain", 15.0, 18.0, -3.0, 30.0),
+        Region("gain", 40.0, 50.0, -10.0, 30.0),
+    ):
         db = [
             20 * np.log10(np.abs(made.loop(dense, made.natural_frequency(m))))
             for m in np.linspace(0.02, 0.04, 9)
         ]
         inside = (dense > region.left) & (dense < region.right)
-        truth = any(np.any((g[inside] > region.low) & (g[inside] < region.high)) for g in db)
+        truth = any(
+            np.any((g[inside] > region.low) & (g[inside] < region.high)) for g in db
+        )
         assert violated(made, [region], subject.frequencies) == [truth]
 
 
@@ -186,7 +232,9 @@ def test_a_way_round_the_regions_is_found_or_refused(subject):
     assert shown["entered"] == [True]
     found = round_regions(subject, ASKED, checked_regions(wall))
     assert preview(subject, {**found, "regions": wall}).head["entered"] == [False]
-    everywhere = [{"plot": "gain", "left": 1.0, "right": 500.0, "low": -3.0, "high": 3.0}]
+    everywhere = [
+        {"plot": "gain", "left": 1.0, "right": 500.0, "low": -3.0, "high": 3.0}
+    ]
     with pytest.raises(FieldError, match="entered by every design"):
         round_regions(subject, ASKED, checked_regions(everywhere))
 
@@ -205,19 +253,38 @@ def test_a_way_round_the_regions_is_found_or_refused(subject):
     ],
 )
 def test_what_is_no_region_is_refused(subject, regions):
-    assert preview(subject, {**ASKED, "regions": regions}).head["error"].startswith("regions: no regions")
+    assert (
+        preview(subject, {**ASKED, "regions": regions})
+        .head["error"]
+        .startswith("regions: no regions")
+    )
 
 
 def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject):
     found = map_of(subject, ASKED)
     row, column = np.argwhere(found["noise"] > 0)[7]
-    asked = {"gain_crossover": found["crossovers"][column], "phase_margin_deg": found["margins"][row]}
+    asked = {
+        "gain_crossover": found["crossovers"][column],
+        "phase_margin_deg": found["margins"][row],
+    }
     assert preview(subject, {**ASKED, **asked}).head["ok"]
     head, curves = unpacked(preview(subject, ASKED, fan=True).packed(0, "preview"))
-    assert head["ok"] and len(curves["fan_gain"]) > 8 and np.ptp(curves["fan_gain"], axis=0).max() > 3.0
+    assert (
+        head["ok"]
+        and len(curves["fan_gain"]) > 8
+        and np.ptp(curves["fan_gain"], axis=0).max() > 3.0
+    )
     # of a box that is one point there is one arm, the model's, at both payloads
-    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
-    point = fan_of(replace(made, box=fl.ParameterBox.at(subject.model)), subject.frequencies)
+    made = fl.design(
+        subject.model,
+        subject.rig,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        law=False,
+    )
+    point = fan_of(
+        replace(made, box=fl.ParameterBox.at(subject.model)), subject.frequencies
+    )
     assert np.allclose(point["fan_gain"], curves["gain"][[0, 2], ::4], atol=1e-3)
     assert np.allclose(point["fan_phase"], curves["phase"][[0, 2], ::4], atol=1e-3)
 
@@ -235,7 +302,13 @@ def test_what_was_kept_is_remembered(tmp_path):
 
 
 def test_a_law_refitted_to_its_own_controller_is_that_law(subject):
-    made = fl.design(subject.model, subject.rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    made = fl.design(
+        subject.model,
+        subject.rig,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        law=False,
+    )
     quick, error = refitted(subject.law, made.controller)
     w = np.geomspace(1.0, 300.0, 50)
     both = [1.0 + law.frequency_response(w) for law in (quick, subject.law)]
@@ -288,7 +361,11 @@ MOVED = {"payload": 0.03, "move": 1.0, "time": 0.5, "half": 2.0, "duration": 4.0
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Session:
-    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=tmp_path_factory.mktemp("made") / "r")
+    session = opened(
+        None,
+        rig=fl.Rig.named("paper-2023-geared"),
+        out=tmp_path_factory.mktemp("made") / "r",
+    )
     session.exact(ASKED)
     return session
 
@@ -298,13 +375,33 @@ def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
     _, free = unpacked(PLAY_VERBS["play"](made, MOVED).packed(1, "play"))
     design = made.study.design
     path = fl.smooth_step(1.0, 0.5).then(fl.smooth_step(-1.0, 0.5, start=1.5))
-    arm = fl.Twin.from_rig(design.rig, model=design.model, link_mass=design.rig.link.mass)
-    own = fl.simulate(made.study.law, path, arm=arm, duration=4.0, noise=0.0, payload=0.03, delay_samples=1)
+    arm = fl.Twin.from_rig(
+        design.rig, model=design.model, link_mass=design.rig.link.mass
+    )
+    own = fl.simulate(
+        made.study.law,
+        path,
+        arm=arm,
+        duration=4.0,
+        noise=0.0,
+        payload=0.03,
+        delay_samples=1,
+    )
     assert np.array_equal(free["tip"][0], own.tip_angle.astype("<f4"))
-    hold = {"begin": 0.2, "until": 0.6, "angle": float(np.interp(0.2, own.time, own.tip_angle))}
-    head, held = unpacked(PLAY_VERBS["play"](made, MOVED | {"hold": hold}).packed(1, "play"))
+    hold = {
+        "begin": 0.2,
+        "until": 0.6,
+        "angle": float(np.interp(0.2, own.time, own.tip_angle)),
+    }
+    head, held = unpacked(
+        PLAY_VERBS["play"](made, MOVED | {"hold": hold}).packed(1, "play")
+    )
     inside = (own.time > 0.25) & (own.time < 0.6)
-    assert held["tip"][0][inside].max() < hold["angle"] + 0.05 < free["tip"][0][inside].max() - 0.3
+    assert (
+        held["tip"][0][inside].max()
+        < hold["angle"] + 0.05
+        < free["tip"][0][inside].max() - 0.3
+    )
     assert "held at" in head["said"]
     lost = {"throw": {"time": 0.3, "payload": 0.008}}
     head, thrown = unpacked(PLAY_VERBS["play"](made, MOVED | lost).packed(1, "play"))
@@ -320,9 +417,13 @@ def test_a_red_cell_shows_the_run_that_was_judged(made):
     head, curves = unpacked(PLAY_VERBS["fault"](made, case).packed(1, "fault"))
     bench = fl.Bench.of(made.study.design)
     outcome = fl.run_case(bench, fl.Case("F09", 1, 0.03, "mid", 1), single=False)
-    assert np.abs(curves["tip"] - curves["reference"]).max() == pytest.approx(outcome.peak, rel=1e-5)
+    assert np.abs(curves["tip"] - curves["reference"]).max() == pytest.approx(
+        outcome.peak, rel=1e-5
+    )
     assert head["said"].startswith("F09, severity 1, 30 g: gauge open circuit")
-    table = FaultTable((outcome, fl.run_case(bench, fl.Case("F07", 3, 0.03, "mid", 1), single=False)))
+    table = FaultTable(
+        (outcome, fl.run_case(bench, fl.Case("F07", 3, 0.03, "mid", 1), single=False))
+    )
     cells = proof_of(replace(made.study, faults=table))["cells"]
     assert [(cell["fault"], cell["phase"], cell["passed"]) for cell in cells] == [
         (o.case.fault, "mid", o.passed) for o in table.outcomes
@@ -348,7 +449,8 @@ def test_the_map_about_minus_one_is_the_true_sampled_loops(made):
     assert near.shape == (delays.size, len(head["payloads"])) and delays[0] == 0.0
     late = [swept_module._distance(design, law, mass, 0.0) for mass in design.payloads]
     margins = [
-        -margins_of(law.frequency_response, _plant_of(design, m)).modulus_margin for m in design.payloads
+        -margins_of(law.frequency_response, _plant_of(design, m)).modulus_margin
+        for m in design.payloads
     ]
     assert late == pytest.approx(margins)
     assert near[-1, 0] > near[0, 0]  # later is nearer, or unstable
@@ -371,7 +473,9 @@ def _plant_of(design: fl.Design, payload: float):
 
 @pytest.fixture
 def studio(tmp_path) -> Studio:
-    return Studio(lambda: opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"])
+    return Studio(
+        lambda: opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"]
+    )
 
 
 @pytest.fixture
@@ -384,21 +488,45 @@ def test_every_file_carries_the_policy_and_nothing_else_is_served(client):
     assert page.status_code == 200
     found = page.headers
     assert found["content-security-policy"] == POLICY
-    assert (found["cache-control"], found["x-content-type-options"]) == ("no-store", "nosniff")
+    assert (found["cache-control"], found["x-content-type-options"]) == (
+        "no-store",
+        "nosniff",
+    )
     assert "unsafe-inline" not in POLICY and "http" not in POLICY
-    assert "<script>" not in page.text and " style=" not in page.text and " onclick" not in page.text
-    for path in ("studio.js", "plot.js", "arm_box.js", "studio.css", "arm_box.css", "icon.svg"):
+    assert (
+        "<script>" not in page.text
+        and " style=" not in page.text
+        and " onclick" not in page.text
+    )
+    for path in (
+        "studio.js",
+        "plot.js",
+        "arm_box.js",
+        "studio.css",
+        "arm_box.css",
+        "icon.svg",
+    ):
         assert client.get(f"/{path}").headers["content-security-policy"] == POLICY
-    for path in ("/index.html", "/arm_before.txt", "/../pyproject.toml", "/%2e%2e/session.py", "/x"):
+    for path in (
+        "/index.html",
+        "/arm_before.txt",
+        "/../pyproject.toml",
+        "/%2e%2e/session.py",
+        "/x",
+    ):
         assert client.get(path).status_code == 404
 
 
 def test_no_colour_is_used_that_the_palette_does_not_have(client):
-    assert squeezed("palette.css").startswith(":root {")  # no rest of a comment, which takes a rule along
+    assert squeezed("palette.css").startswith(
+        ":root {"
+    )  # no rest of a comment, which takes a rule along
     style = client.get("/arm_box.css").text + client.get("/studio.css").text
     style = re.sub(r"/\*.*?\*/", "", style, flags=re.DOTALL)
     assert "*/" not in style
-    assert set(re.findall(r"var\(--([\w-]+)", style)) <= set(re.findall(r"--([\w-]+):", style))
+    assert set(re.findall(r"var\(--([\w-]+)", style)) <= set(
+        re.findall(r"--([\w-]+):", style)
+    )
 
 
 def test_another_host_or_origin_is_refused(client, studio):
@@ -407,14 +535,19 @@ def test_another_host_or_origin_is_refused(client, studio):
     assert client.get("/", headers={"origin": "http://evil.example"}).status_code == 403
     for origin in ({"origin": "http://evil.example"}, {"origin": "null"}, {}):
         refused = pytest.raises(Exception)  # the client's own class for a denial
-        with refused as why, client.websocket_connect("ws://127.0.0.1:8000/talk", headers=origin):
+        with (
+            refused as why,
+            client.websocket_connect("ws://127.0.0.1:8000/talk", headers=origin),
+        ):
             pass
         assert getattr(why.value, "status_code", 403) == 403
 
 
 def test_a_wrong_token_closes_the_socket(client):
     for token in ("", "wrong", "x" * 1000):
-        with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+        with client.websocket_connect(
+            "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
+        ) as socket:
             socket.send_text(token)
             with pytest.raises(WebSocketDisconnect) as why:
                 socket.receive_bytes()
@@ -423,17 +556,32 @@ def test_a_wrong_token_closes_the_socket(client):
 
 def test_a_defect_of_an_answer_ends_nothing(client, studio, monkeypatch, capsys):
     """Neither the page nor the task that answers the next request of the same kind."""
-    broken = iter((Reply({"ok": True}, {"gain": np.array([np.nan])}), Reply({"ok": True, "x": math.inf})))
+    broken = iter(
+        (
+            Reply({"ok": True}, {"gain": np.array([np.nan])}),
+            Reply({"ok": True, "x": math.inf}),
+        )
+    )
     own = conversation.preview
     monkeypatch.setattr(
-        conversation, "preview", lambda *given, **more: next(broken, None) or own(*given, **more)
+        conversation,
+        "preview",
+        lambda *given, **more: next(broken, None) or own(*given, **more),
     )
-    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+    with client.websocket_connect(
+        "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
+    ) as socket:
         socket.send_text(studio.token)
         for seq, defect in ((1, True), (2, None)):
-            socket.send_text(json.dumps({"seq": seq, "verb": "preview", "state": ASKED}))
+            socket.send_text(
+                json.dumps({"seq": seq, "verb": "preview", "state": ASKED})
+            )
             head, _ = unpacked(socket.receive_bytes())
-            assert (head["seq"], head["ok"], head.get("defect")) == (seq, not defect, defect)
+            assert (head["seq"], head["ok"], head.get("defect")) == (
+                seq,
+                not defect,
+                defect,
+            )
     assert "curve gain is not finite" in capsys.readouterr().err
 
 
@@ -449,16 +597,28 @@ def talked(socket, **message) -> tuple[dict, dict]:
 
 @pytest.mark.slow
 def test_a_page_says_hello_drags_notes_and_keeps(client, studio, tmp_path):
-    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+    with client.websocket_connect(
+        "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
+    ) as socket:
         socket.send_text(studio.token)
         hello, curves = talked(socket, seq=1, verb="hello")
         assert hello["name"] == "paper-2023" and len(hello["frequencies"]) == 280
-        answer, curves = talked(socket, seq=2, verb="preview", state={**ASKED, "gain_crossover": 12.5})
+        answer, curves = talked(
+            socket, seq=2, verb="preview", state={**ASKED, "gain_crossover": 12.5}
+        )
         assert answer["ok"] and curves["gain"].shape == (3, 280)
-        exact, _ = talked(socket, seq=3, verb="exact", state={**ASKED, "gain_crossover": 12.5})
-        assert [scope["state"] for scope in exact["verdict"]] == ["passed", "passed", "not run"]
+        exact, _ = talked(
+            socket, seq=3, verb="exact", state={**ASKED, "gain_crossover": 12.5}
+        )
+        assert [scope["state"] for scope in exact["verdict"]] == [
+            "passed",
+            "passed",
+            "not run",
+        ]
         assert "--gain-crossover 12.5" in exact["copies"]["design"]["command"]
-        noted, _ = talked(socket, seq=4, verb="note", state={**ASKED, "gain_crossover": 12.5})
+        noted, _ = talked(
+            socket, seq=4, verb="note", state={**ASKED, "gain_crossover": 12.5}
+        )
         assert noted["at"] == 0
         kept, _ = talked(socket, seq=5, verb="keep")
         assert "design.json" in kept["kept"]
@@ -478,12 +638,30 @@ def test_hostile_messages_end_nothing(client, studio):
     junk = (None, -1, 1e308, "..", "../../x", [], {}, [[1]], {"a": 1}, True, "\u202e")
     for k in range(150):
         verb = verbs[k % len(verbs)]
-        fields = ("state", "at", "force", "name", "columns", "structure", "target", "payload")
+        fields = (
+            "state",
+            "at",
+            "force",
+            "name",
+            "columns",
+            "structure",
+            "target",
+            "payload",
+        )
         given = {field: junk[int(rng.integers(len(junk)))] for field in fields}
-        if verb in ("exact", "keep"):  # half a second each; their states are those of preview
+        if verb in (
+            "exact",
+            "keep",
+        ):  # half a second each; their states are those of preview
             given = {"state": junk[int(rng.integers(len(junk)))], "force": None}
-        texts.append(json.dumps({"seq": 10 + k, "verb": verb if verb != "keep" else "go", **given}))
-    with client.websocket_connect("ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}) as socket:
+        texts.append(
+            json.dumps(
+                {"seq": 10 + k, "verb": verb if verb != "keep" else "go", **given}
+            )
+        )
+    with client.websocket_connect(
+        "ws://127.0.0.1:8000/talk", headers={"origin": ADDRESS}
+    ) as socket:
         socket.send_text(studio.token)
         for number, text in enumerate(texts):
             socket.send_text(text)
@@ -499,11 +677,21 @@ def test_a_file_is_taken_with_the_token_and_a_plain_name_only(client, studio):
     token = {"x-studio-token": studio.token}
     assert client.post("/upload?name=a.csv", content=b"x").status_code == 403
     for name in ("../a.csv", "a/b.csv", ".csv", "a", "", "a.csv/.."):
-        assert client.post("/upload", params={"name": name}, content=b"x", headers=token).status_code == 400
+        assert (
+            client.post(
+                "/upload", params={"name": name}, content=b"x", headers=token
+            ).status_code
+            == 400
+        )
     log = fl.bundled_log("prbs_30g")
-    answer = client.post("/upload?name=my log.csv", content=Path(log).read_bytes(), headers=token)
+    answer = client.post(
+        "/upload?name=my log.csv", content=Path(log).read_bytes(), headers=token
+    )
     assert answer.status_code == 204
-    assert studio.session.upload is not None and studio.session.upload.parent.name == "upload"
+    assert (
+        studio.session.upload is not None
+        and studio.session.upload.parent.name == "upload"
+    )
     assert client.get("/studio.zip").status_code == 403
     assert client.get("/studio.zip", headers=token).status_code == 404
 
@@ -522,7 +710,14 @@ def test_an_address_for_others_needs_the_word(tmp_path):
 def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     session = opened(None, out=Path("kept"))
-    answer = session.exact({**ASKED, "gain_crossover": 13.0, "phase_margin_deg": 47.5, "filter_time": 0.004})
+    answer = session.exact(
+        {
+            **ASKED,
+            "gain_crossover": 13.0,
+            "phase_margin_deg": 47.5,
+            "filter_time": 0.004,
+        }
+    )
     session.keep()
     words = answer.head["copies"]["design"]["command"].split()
     words[words.index("--out") + 1] = "made.json"
@@ -548,14 +743,28 @@ def test_what_is_copied_in_a_step_does_what_the_step_did(tmp_path, monkeypatch):
     session.keep()
     copied = session.overview()["copies"]
     for step in ("log", "channels", "model", "move"):
-        assert main(shlex.split(copied[step]["command"].replace("ours/model", "theirs"))[1:]) == 0, step
+        assert (
+            main(
+                shlex.split(copied[step]["command"].replace("ours/model", "theirs"))[1:]
+            )
+            == 0
+        ), step
         space: dict = {}
         exec(compile(copied[step]["python"], "copied", "exec"), space)  # noqa: S102
         if step == "model":
-            assert "--heldout 0.25" in copied[step]["command"] and "heldout=0.25" in copied[step]["python"]
+            assert (
+                "--heldout 0.25" in copied[step]["command"]
+                and "heldout=0.25" in copied[step]["python"]
+            )
             fits = (fl.load("ours/model.json"), fl.load("theirs.json"), space["fit"])
-            assert {(fit.model, fit.heldout_nmse, fit.fitted_samples) for fit in fits} == {
-                (session.study.fit.model, session.study.fit.heldout_nmse, session.study.fit.fitted_samples)
+            assert {
+                (fit.model, fit.heldout_nmse, fit.fitted_samples) for fit in fits
+            } == {
+                (
+                    session.study.fit.model,
+                    session.study.fit.heldout_nmse,
+                    session.study.fit.fitted_samples,
+                )
             }
     assert Path("ours/model.json").read_bytes() == Path("theirs.json").read_bytes()
 
@@ -563,13 +772,25 @@ def test_what_is_copied_in_a_step_does_what_the_step_did(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    made = ["run", "--rig", "paper-2023-geared", "--log", "demo", "--arms", "200", "--out", "theirs"]
+    made = [
+        "run",
+        "--rig",
+        "paper-2023-geared",
+        "--log",
+        "demo",
+        "--arms",
+        "200",
+        "--out",
+        "theirs",
+    ]
     assert main(made) in (0, 1)
     session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
     assert LOG_VERBS["log"](session, {"name": "prbs_30g"}).head["log"]["channels"]
     assert LOG_VERBS["columns"](session, {"columns": []}).head["ok"]
     said: list = []
-    fits, curves = unpacked(Job(session, "identify", {}).done(said.append).packed(1, "identify"))
+    fits, curves = unpacked(
+        Job(session, "identify", {}).done(said.append).packed(1, "identify")
+    )
     assert len(fits["fits"]) == 4 and "Hz" in fits["fits"][0]["words"] and said
     assert curves["predicted"].shape == curves["measured"].shape
     session.exact({"gain_crossover": None})
@@ -577,7 +798,11 @@ def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     session.keep()
     names = {path.name for path in Path("theirs").glob("*.*")} - {"report.html"}
     assert {path.name for path in Path("ours").glob("*.*")} == names
-    differ = [n for n in sorted(names) if Path("ours", n).read_bytes() != Path("theirs", n).read_bytes()]
+    differ = [
+        n
+        for n in sorted(names)
+        if Path("ours", n).read_bytes() != Path("theirs", n).read_bytes()
+    ]
     assert differ == []
     parts = {p.name: p.read_bytes() for p in Path("theirs/arms").iterdir()}
     assert {p.name: p.read_bytes() for p in Path("ours/arms").iterdir()} == parts
@@ -592,7 +817,9 @@ def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     # an opened folder shows what it was closed with
     again = opened(Path("ours"))
     assert again.study.verdict == session.study.verdict
-    assert again.state["gain_crossover"] == pytest.approx(session.study.design.gain_crossover)
+    assert again.state["gain_crossover"] == pytest.approx(
+        session.study.design.gain_crossover
+    )
 
 
 @pytest.mark.slow
@@ -606,7 +833,9 @@ def test_a_file_that_changed_outside_is_not_replaced_unasked(tmp_path):
     with pytest.raises(FieldError, match=r"design\.json"):
         session.keep()
     session.keep(force=True)
-    other = opened(None, out=tmp_path / "results")  # not opened from there: what lies there is another's
+    other = opened(
+        None, out=tmp_path / "results"
+    )  # not opened from there: what lies there is another's
     other.exact({**ASKED, "gain_crossover": 12.2})
     with pytest.raises(FieldError, match="already there"):
         other.keep()
@@ -666,22 +895,35 @@ def test_a_history_survives_a_torn_line(tmp_path):
         file.write('{"at": 2, "sta')
     again = History.of(tmp_path)
     assert (again.at, again.state) == (1, {"phase_margin_deg": 50.0})
-    assert Session(fl.Study(rig=fl.Rig.named("paper-2023")), tmp_path).state["phase_margin_deg"] == 50.0
+    assert (
+        Session(fl.Study(rig=fl.Rig.named("paper-2023")), tmp_path).state[
+            "phase_margin_deg"
+        ]
+        == 50.0
+    )
 
 
 def test_options_and_lines_of_python_agree():
     request = checked_request({**ASKED, "max_sensitivity": 1.8, "box": True})
     text = as_python(request, "results/rig.toml", Path("results/model.json"))
-    assert "max_sensitivity=1.8" in text and "box=True" in text and "fl.Rig.load('results/rig.toml')" in text
+    assert (
+        "max_sensitivity=1.8" in text
+        and "box=True" in text
+        and "fl.Rig.load('results/rig.toml')" in text
+    )
 
 
 def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> None:
     rig = fl.Rig.named("paper-2023")
-    design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False)
+    design = fl.design(
+        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
+    )
     payloads = np.linspace(*design.payloads, 7)[1:-1]
     rising = np.radians(np.linspace(52.0, 64.0, 5))
     assert "between" not in described(design, payloads, rising)
-    assert "least 40.0° between" in described(design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0]))
+    assert "least 40.0° between" in described(
+        design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0])
+    )
 
 
 @pytest.mark.slow
@@ -693,7 +935,10 @@ def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
     with pytest.raises(fl.errors.FieldError, match="log"):
         choose(session, {"name": "upload"})  # nothing was sent yet
     assert choose(session, {}).head["log"] is None
-    assert choose(session, {"name": "prbs_30g"}).head["log"]["name"] == Path(fl.bundled_log("prbs_30g")).name
+    assert (
+        choose(session, {"name": "prbs_30g"}).head["log"]["name"]
+        == Path(fl.bundled_log("prbs_30g")).name
+    )
     session.upload = tmp_path / "mine.csv"
     session.upload.write_bytes(Path(fl.bundled_log("prbs_30g")).read_bytes())
     reply = choose(session, {"name": "upload"})
@@ -703,7 +948,11 @@ def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
         choose(session, {"name": "../mine.csv"})
 
 
-COLUMNS = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
+COLUMNS = [
+    "time=time_s [s]",
+    "motor_angle=motor_angle_rad [rad]",
+    "torque=torque_Nm [Nm]",
+]
 
 
 @pytest.mark.slow
@@ -713,7 +962,11 @@ def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monke
     LOG_VERBS["log"](session, {"name": "prbs_30g"})
     answer = LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": [2.0, 12.5]})
     shown, log = answer.head["experiment"], session.study.experiment
-    assert (shown["keep"], shown["duration"], shown["whole"]) == ((2.0, 12.5), 20.0, True)
+    assert (shown["keep"], shown["duration"], shown["whole"]) == (
+        (2.0, 12.5),
+        20.0,
+        True,
+    )
     assert np.asarray(answer.curves["motor_angle"]).size > 2000  # all of it is drawn
     assert (log.start_time, log.duration) == (pytest.approx(2.0), pytest.approx(10.5))
     assert "W237" in [finding.code for finding in shown["findings"]]
@@ -752,7 +1005,10 @@ def test_a_board_is_told_what_the_law_needs(made):
     assert {row[0]: row[1] for row in board["board"]}["memory of each arm (RAM)"] == (
         f"{exact_sizes(law)[1]} bytes"
     )
-    assert board["board"][-1][1] == f"hash {expected(law).hash:08X}" and len(board["power_on"]) == 6
+    assert (
+        board["board"][-1][1] == f"hash {expected(law).hash:08X}"
+        and len(board["power_on"]) == 6
+    )
     double = OUTPUT_VERBS["board"](made, {"precision": "double"}).head["board"]
     assert double[-1] != board["board"][-1] and "not counted" in double[2][1]
     assert OUTPUT_VERBS["board"](made, {"precision": []}).head["board"] == []
@@ -760,19 +1016,28 @@ def test_a_board_is_told_what_the_law_needs(made):
 
 @pytest.mark.slow
 def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
-    campaign = Campaign.of(made.study.rig, made.study.design.model, made.study.law, runs=40)
+    campaign = Campaign.of(
+        made.study.rig, made.study.design.model, made.study.law, runs=40
+    )
     curves = moves_of_arms(campaign, (3, 5))
-    assert curves["fan_passed"].shape == (24, curves["fan_t"].size) and curves["fan_failed"].shape[0] == 2
+    assert (
+        curves["fan_passed"].shape == (24, curves["fan_t"].size)
+        and curves["fan_failed"].shape[0] == 2
+    )
     run = replay_run(campaign, 3)
     assert curves["fan_failed"][0][-1] == pytest.approx(
-        100.0 * np.interp(curves["fan_t"][-1], run.time, run.tip_angle) / run.reference[-1]
+        100.0
+        * np.interp(curves["fan_t"][-1], run.time, run.tip_angle)
+        / run.reference[-1]
     )
     assert set(moves_of_arms(campaign, ())) == {"fan_t", "fan_passed"}
 
 
 def test_the_page_s_own_script_stays_small() -> None:
     page = files("fraclink._studio") / "page"
-    scripts = [path.read_text("utf-8") for path in page.iterdir() if path.name.endswith(".js")]
+    scripts = [
+        path.read_text("utf-8") for path in page.iterdir() if path.name.endswith(".js")
+    ]
     assert sum(len(tightened(script).encode()) for script in scripts) <= 60_000
 
 
@@ -780,7 +1045,16 @@ def test_a_gap_is_closed_by_the_value_before_it():
     from fraclink._studio.logs import _finite
 
     nan, inf = np.nan, np.inf
-    assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [1, 1, 3, 3, 3, 3, 0, 0]
+    assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [
+        1,
+        1,
+        3,
+        3,
+        3,
+        3,
+        0,
+        0,
+    ]
     assert _finite(np.array([nan, nan, 2.0])).tolist() == [0, 0, 2]
     assert _finite(np.array([nan, inf])).tolist() == [0, 0]
 
@@ -789,10 +1063,14 @@ def test_a_gap_is_closed_by_the_value_before_it():
 def test_a_thinned_signal_keeps_every_stretchs_extremes_in_order(count):
     values = np.cumsum(np.random.default_rng(count).normal(size=count))
     kept = thinned(values)
-    assert kept.size <= 2400 and kept.min() == values.min() and kept.max() == values.max()
+    assert (
+        kept.size <= 2400 and kept.min() == values.min() and kept.max() == values.max()
+    )
     if count == 2400:
         assert kept is values
-    places = np.array([int(np.flatnonzero(values == v)[0]) for v in kept[:: kept.size // 50]])
+    places = np.array(
+        [int(np.flatnonzero(values == v)[0]) for v in kept[:: kept.size // 50]]
+    )
     assert (np.diff(places) > 0).all()
 
 
@@ -800,7 +1078,12 @@ def test_the_last_stretch_of_a_thinned_signal_has_its_own_extremes():
     values = np.zeros(4801)
     values[:2], values[-1] = (-7.0, 9.0), 0.5
     kept = thinned(values)
-    assert kept[0] == -7.0 and kept[1] == 9.0 and set(kept[2:].tolist()) <= {0.0, 0.5} and 0.5 in kept
+    assert (
+        kept[0] == -7.0
+        and kept[1] == 9.0
+        and set(kept[2:].tolist()) <= {0.0, 0.5}
+        and 0.5 in kept
+    )
 
 
 def test_a_sparkline_fills_its_height():
@@ -810,17 +1093,27 @@ def test_a_sparkline_fills_its_height():
 
 @pytest.mark.slow
 def test_the_spectrum_of_a_log_has_its_lines_where_they_are():
-    """Two sines of 5 and 20 Hz, the second a tenth as large; the rest a hundredth of the first."""
+    """Two sines of 5 and 20 Hz, the second a tenth as large; the rest a hundredth of
+    the first.
+    """
     period, time = 0.004, 0.004 * np.arange(5000)
-    output = np.sin(2 * math.pi * 5.0 * time) + 0.1 * np.sin(2 * math.pi * 20.0 * time) + 3.0
+    output = (
+        np.sin(2 * math.pi * 5.0 * time) + 0.1 * np.sin(2 * math.pi * 20.0 * time) + 3.0
+    )
     found = _spectrum(output, 0.01 * np.sin(2 * math.pi * 5.0 * time), period)
-    hertz, log, rest = (found[name] for name in ("spectrum_hz", "spectrum_log", "spectrum_rest"))
+    hertz, log, rest = (
+        found[name] for name in ("spectrum_hz", "spectrum_log", "spectrum_rest")
+    )
     assert hertz.size == log.size == rest.size == 160
-    assert hertz[0] == pytest.approx(0.05, rel=0.1) and hertz[-1] == pytest.approx(125.0, rel=0.1)
-    assert hertz[np.argmax(log)] == pytest.approx(5.0, rel=0.05) and log.max() == pytest.approx(0.0, abs=1e-9)
+    assert hertz[0] == pytest.approx(0.05, rel=0.1) and hertz[-1] == pytest.approx(
+        125.0, rel=0.1
+    )
+    assert hertz[np.argmax(log)] == pytest.approx(
+        5.0, rel=0.05
+    ) and log.max() == pytest.approx(0.0, abs=1e-9)
     near = np.abs(np.log(hertz / 20.0)) < 0.06
     assert log[near].max() == pytest.approx(-20.0, abs=0.1)
-    assert rest.max() == pytest.approx(-40.0, abs=0.1) and hertz[np.argmax(rest)] == pytest.approx(
-        5.0, rel=0.05
-    )
+    assert rest.max() == pytest.approx(-40.0, abs=0.1) and hertz[
+        np.argmax(rest)
+    ] == pytest.approx(5.0, rel=0.05)
     assert log.min() >= -120.0

@@ -1,4 +1,6 @@
-"""The studio's answers read number by number: requests, states, messages, pictures, files, and refusals."""
+"""The studio's answers read number by number: requests, states, messages, pictures,
+files, and refusals.
+"""
 
 from __future__ import annotations
 
@@ -22,21 +24,53 @@ import fraclink as fl
 from fraclink._campaign.fault_trial import Bench
 from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases
 from fraclink._show.text import number
-from fraclink._studio import logs, outputs, played, server, serving, session, work, worker
+from fraclink._studio import (
+    logs,
+    outputs,
+    played,
+    server,
+    serving,
+    session,
+    work,
+    worker,
+)
 from fraclink._studio import work as swept_module
 from fraclink._studio.copied import as_command, as_python, copies
 from fraclink._studio.history import History
-from fraclink._studio.messages import LONGEST, Reply, checked_request, parsed, refusal, wanted_of
+from fraclink._studio.messages import (
+    LONGEST,
+    Reply,
+    checked_request,
+    parsed,
+    refusal,
+    wanted_of,
+)
 from fraclink._studio.preview import Subject, nearest, preview
-from fraclink._studio.regions import Region, checked_regions, fan_of, map_of, parted, round_regions
+from fraclink._studio.regions import (
+    Region,
+    checked_regions,
+    fan_of,
+    map_of,
+    parted,
+    round_regions,
+)
 from fraclink._studio.session import Session, bare, opened
 from fraclink._studio.work import swept
-from fraclink.errors import FieldError, FraclinkError, InfeasibleError, MissingExtraError
+from fraclink.errors import (
+    FieldError,
+    FraclinkError,
+    InfeasibleError,
+    MissingExtraError,
+)
 from fraclink.findings import Finding
 
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
 RIG = fl.Rig.named("paper-2023")
-COLUMNS = ["time=time_s [s]", "motor_angle=motor_angle_rad [rad]", "torque=torque_Nm [Nm]"]
+COLUMNS = [
+    "time=time_s [s]",
+    "motor_angle=motor_angle_rad [rad]",
+    "torque=torque_Nm [Nm]",
+]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +84,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """A session with a design."""
     found = opened(None, rig=RIG, out=tmp_path_factory.mktemp("made") / "results")
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(Session, "arm", lambda self, known="": {})  # its engine takes a second to pack
+        patched.setattr(
+            Session, "arm", lambda self, known="": {}
+        )  # its engine takes a second to pack
         found.exact(ASKED)
     return found
 
@@ -63,7 +99,9 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Session:
     logs.LOG_VERBS["columns"](found, {"columns": []})
     log = found.study.experiment
     comparison = fl.compare_structures(log, details=False)
-    found.become(replace(found.study, comparison=comparison, fit=comparison.fits["UD-FOM"]))
+    found.become(
+        replace(found.study, comparison=comparison, fit=comparison.fits["UD-FOM"])
+    )
     return found
 
 
@@ -71,8 +109,12 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 def test_a_request_is_written_as_the_command_and_as_python() -> None:
-    request = checked_request({**ASKED, "filter_time": 0.005, "box": True, "margins": "ideal"})
-    assert as_command(request, "paper-2023", Path("m.json"), Path("d.json")).split() == [
+    request = checked_request(
+        {**ASKED, "filter_time": 0.005, "box": True, "margins": "ideal"}
+    )
+    assert as_command(
+        request, "paper-2023", Path("m.json"), Path("d.json")
+    ).split() == [
         "fraclink",
         "design",
         "--rig",
@@ -95,13 +137,22 @@ def test_a_request_is_written_as_the_command_and_as_python() -> None:
         "design = fl.design(",
         "    rig.model, rig,",
     ]
-    assert lines[-3:] == ["    law=False,", ").with_law()", "law = fl.discretize(design)"]
-    assert {"    phase_margin=fl.deg(50.0),", "    payloads=(0.02, 0.04),", "    margins='ideal',"} <= set(
-        lines
-    )
+    assert lines[-3:] == [
+        "    law=False,",
+        ").with_law()",
+        "law = fl.discretize(design)",
+    ]
+    assert {
+        "    phase_margin=fl.deg(50.0),",
+        "    payloads=(0.02, 0.04),",
+        "    margins='ideal',",
+    } <= set(lines)
     assert "    filter_time=0.005," in lines and "    box=True," in lines
     from_file = as_python(request, "r/rig.toml", Path("m.json")).splitlines()
-    assert from_file[2:4] == ["rig = fl.Rig.load('r/rig.toml')", "fit = fl.load('m.json')"]
+    assert from_file[2:4] == [
+        "rig = fl.Rig.load('r/rig.toml')",
+        "fit = fl.load('m.json')",
+    ]
     assert "    fit, rig," in from_file
     usual = checked_request({})
     assert as_command(usual, "r", None, Path("d")).split() == [
@@ -112,7 +163,11 @@ def test_a_request_is_written_as_the_command_and_as_python() -> None:
         "--out",
         "d",
     ]
-    assert (usual["margins"], usual["box"], usual["gain_crossover"]) == ("loop", False, None)
+    assert (usual["margins"], usual["box"], usual["gain_crossover"]) == (
+        "loop",
+        False,
+        None,
+    )
 
 
 def _words(request: dict[str, Any]) -> list[str]:
@@ -130,10 +185,17 @@ def _words(request: dict[str, Any]) -> list[str]:
 
 def test_a_request_is_asked_of_the_design_in_radians() -> None:
     wanted = wanted_of(checked_request(ASKED))
-    assert wanted["phase_margin"] == pytest.approx(math.radians(50.0)) and "phase_margin_deg" not in wanted
+    assert (
+        wanted["phase_margin"] == pytest.approx(math.radians(50.0))
+        and "phase_margin_deg" not in wanted
+    )
     assert wanted["box"] is False and wanted["payloads"] == (0.02, 0.04)
     assert wanted_of(checked_request({}))["phase_margin"] is None
-    for given, field in (([], "state"), ({"gain": 1}, "state"), ({"gain_crossover": -1}, "gain_crossover")):
+    for given, field in (
+        ([], "state"),
+        ({"gain": 1}, "state"),
+        ({"gain_crossover": -1}, "gain_crossover"),
+    ):
         with pytest.raises(FieldError) as why:
             checked_request(given)
         assert why.value.field == field
@@ -146,7 +208,12 @@ def test_an_answer_is_its_head_padded_to_four_and_its_curves_behind() -> None:
     data = Reply({"ok": True}, {"a": [1.0, 2.0], "b": [[3.0], [4.0]]}).packed(7, "x")
     size = int.from_bytes(data[:4], "little")
     head = json.loads(data[4 : 4 + size])
-    assert head == {"ok": True, "seq": 7, "verb": "x", "curves": {"a": [1, 2], "b": [2, 1]}}
+    assert head == {
+        "ok": True,
+        "seq": 7,
+        "verb": "x",
+        "curves": {"a": [1, 2], "b": [2, 1]},
+    }
     assert size % 4 == 0 and len(json.dumps(head, separators=(",", ":"))) + 3 >= size
     assert np.frombuffer(data[4 + size :], "<f4").tolist() == [1.0, 2.0, 3.0, 4.0]
 
@@ -155,7 +222,11 @@ def test_a_request_is_its_number_its_verb_and_the_rest() -> None:
     found = parsed('{"seq": 0, "verb": "go", "at": 3}')
     assert (found.seq, found.verb, found.given) == (0, "go", {"at": 3})
     assert parsed(json.dumps({"seq": 2**53 - 1, "verb": 40 * "v"})).seq == 2**53 - 1
-    for wrong in ({"seq": 2**53, "verb": "go"}, {"seq": 0, "verb": 41 * "v"}, {"seq": 0.0, "verb": "go"}):
+    for wrong in (
+        {"seq": 2**53, "verb": "go"},
+        {"seq": 0, "verb": 41 * "v"},
+        {"seq": 0.0, "verb": "go"},
+    ):
         with pytest.raises(FieldError, match="not a request"):
             parsed(json.dumps(wrong))
     frame = '{"seq": 0, "verb": "go", "x": ""}'
@@ -180,7 +251,10 @@ def test_a_refusal_has_the_parts_that_stand_beside_a_field() -> None:
     with pytest.raises(InfeasibleError) as why:
         fl.design(RIG.model, RIG, gain_crossover=9.0, phase_margin=fl.deg(50))
     head = refusal(why.value).head
-    assert (head["condition"], head["nearest"]) == (why.value.condition, why.value.nearest)
+    assert (head["condition"], head["nearest"]) == (
+        why.value.condition,
+        why.value.nearest,
+    )
     assert head["explanation"] == why.value.explanation
 
 
@@ -189,7 +263,11 @@ def test_a_refusal_has_the_parts_that_stand_beside_a_field() -> None:
 
 def test_a_history_is_a_line_for_every_state(tmp_path: Path) -> None:
     history = History.of(tmp_path)
-    assert (history.state, history.at, history.path) == (None, -1, tmp_path / "studio.jsonl")
+    assert (history.state, history.at, history.path) == (
+        None,
+        -1,
+        tmp_path / "studio.jsonl",
+    )
     history.keep()  # nothing to keep yet
     assert not history.path.exists()
     for k in range(3):
@@ -211,7 +289,11 @@ def test_a_history_is_a_line_for_every_state(tmp_path: Path) -> None:
             history.go(wrong)
     assert (history.at, history.kept) == (1, {1})
     history.add({"k": 9})
-    assert (history.states, history.at, history.kept) == ([{"k": 0}, {"k": 1}, {"k": 9}], 2, {1})
+    assert (history.states, history.at, history.kept) == (
+        [{"k": 0}, {"k": 1}, {"k": 9}],
+        2,
+        {1},
+    )
 
 
 @pytest.mark.parametrize(
@@ -227,15 +309,21 @@ def test_a_history_is_a_line_for_every_state(tmp_path: Path) -> None:
         ('{"at": 1, "state": {"k": 1}, "x": "' + 16_384 * "y" + '"}', False),
     ],
 )
-def test_what_is_no_line_of_a_history_ends_it(tmp_path: Path, line: str, taken: bool) -> None:
+def test_what_is_no_line_of_a_history_ends_it(
+    tmp_path: Path, line: str, taken: bool
+) -> None:
     behind = '{"at": 2, "state": {"k": 2}}'
-    (tmp_path / "studio.jsonl").write_text(f'{{"at": 0, "state": {{"k": 0}}}}\n{line}\n{behind}\n')
+    (tmp_path / "studio.jsonl").write_text(
+        f'{{"at": 0, "state": {{"k": 0}}}}\n{line}\n{behind}\n'
+    )
     found = History.of(tmp_path)
     assert found.states == ([{"k": 0}, {"k": 1}, {"k": 2}] if taken else [{"k": 0}])
     assert found.at == (2 if taken else 0)
 
 
-def test_a_history_from_elsewhere_is_read_up_to_ten_thousand_lines(tmp_path: Path) -> None:
+def test_a_history_from_elsewhere_is_read_up_to_ten_thousand_lines(
+    tmp_path: Path,
+) -> None:
     lines = (json.dumps({"at": 0, "state": {"k": k}}) for k in range(10_005))
     (tmp_path / "studio.jsonl").write_text("\n".join(lines) + "\n")
     assert History.of(tmp_path).state == {"k": 9999}
@@ -248,7 +336,13 @@ def test_regions_are_taken_up_to_eight_of_finite_edges() -> None:
     one = {"plot": "nichols", "left": -200, "right": -160.5, "low": -6, "high": 6}
     assert checked_regions([one]) == (Region("nichols", -200.0, -160.5, -6.0, 6.0),)
     assert len(checked_regions(8 * [one])) == 8
-    for wrong in (9 * [one], [{**one, "right": 1e6}], [{**one, "low": 6}], [{**one, "right": -200}], None):
+    for wrong in (
+        9 * [one],
+        [{**one, "right": 1e6}],
+        [{**one, "low": 6}],
+        [{**one, "right": -200}],
+        None,
+    ):
         with pytest.raises(FieldError, match="no regions"):
             checked_regions(wrong)
     assert checked_regions([{**one, "right": 999_999}])[0].right == 999_999.0
@@ -258,16 +352,23 @@ def test_regions_are_taken_up_to_eight_of_finite_edges() -> None:
 
 def test_a_region_is_told_with_its_unit() -> None:
     assert (
-        Region("nichols", -200.0, -160.0, -6.0, 6.5).said(True) == "✗ entered: −200 to −160 °, −6 to 6.5 dB"
+        Region("nichols", -200.0, -160.0, -6.0, 6.5).said(True)
+        == "✗ entered: −200 to −160 °, −6 to 6.5 dB"
     )
 
 
 def test_a_region_is_entered_only_by_what_lies_inside() -> None:
-    box, w = Region("gain", 10.0, 100.0, 0.0, 20.0), np.array([1.0, 10.0, 100.0, 1000.0])
+    box, w = (
+        Region("gain", 10.0, 100.0, 0.0, 20.0),
+        np.array([1.0, 10.0, 100.0, 1000.0]),
+    )
     none = np.zeros((1, 4))
     for gain, inside in (
         ([30.0, 30.0, -10.0, -10.0], True),  # through
-        ([30.0, 20.0, 20.0, -10.0], False),  # along the upper edge and down the right one
+        (
+            [30.0, 20.0, 20.0, -10.0],
+            False,
+        ),  # along the upper edge and down the right one
         ([10.0, 30.0, 30.0, 10.0], False),  # beside it
         ([-10.0, -10.0, -10.0, 50.0], False),
         ([5.0, 5.0, 5.0, 5.0], True),
@@ -277,15 +378,26 @@ def test_a_region_is_entered_only_by_what_lies_inside() -> None:
 
 
 @pytest.mark.slow
-def test_the_map_spans_from_half_the_slowest_to_four_times_the_fastest_mode(subject: Subject) -> None:
+def test_the_map_spans_from_half_the_slowest_to_four_times_the_fastest_mode(
+    subject: Subject,
+) -> None:
     found = map_of(subject, {})
     power = 2.0 / subject.model.order
     crossovers, margins = np.asarray(found["crossovers"]), np.asarray(found["margins"])
-    slow, fast = subject.link_frequencies.min() ** power, subject.link_frequencies.max() ** power
-    assert (crossovers[0], crossovers[-1], crossovers.size) == pytest.approx((0.5 * slow, 4.0 * fast, 33))
+    slow, fast = (
+        subject.link_frequencies.min() ** power,
+        subject.link_frequencies.max() ** power,
+    )
+    assert (crossovers[0], crossovers[-1], crossovers.size) == pytest.approx(
+        (0.5 * slow, 4.0 * fast, 33)
+    )
     assert (margins[0], margins[-1], margins.size) == (10.0, 100.0, 25)
     noise = np.asarray(found["noise"])
-    assert noise.shape == (25, 33) and (noise == -1.0).any() and (noise[noise > -1.0] > 0.0).all()
+    assert (
+        noise.shape == (25, 33)
+        and (noise == -1.0).any()
+        and (noise[noise > -1.0] > 0.0).all()
+    )
     row, column = np.argwhere(noise > 0)[3]
     direct = fl.design(
         subject.model,
@@ -297,7 +409,9 @@ def test_the_map_spans_from_half_the_slowest_to_four_times_the_fastest_mode(subj
         law=False,
     )
     assert noise[row, column] == pytest.approx(_noise_gain(direct), rel=1e-6)
-    narrow = np.asarray(map_of(subject, {"payloads": [0.03, 0.03], "filter_order": 2})["noise"])
+    narrow = np.asarray(
+        map_of(subject, {"payloads": [0.03, 0.03], "filter_order": 2})["noise"]
+    )
     assert (narrow > 0).sum() > (noise > 0).sum()  # one payload is easier than a range
 
 
@@ -318,12 +432,21 @@ def _noise_gain(made: fl.Design) -> float:
 
 @pytest.mark.slow
 def test_the_way_round_is_the_nearest_cell_in_round_figures(subject: Subject) -> None:
-    wall = checked_regions([{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}])
+    wall = checked_regions(
+        [{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}]
+    )
     found = round_regions(subject, ASKED, wall)
     chart = map_of(subject, ASKED)
     near = np.abs(np.asarray(chart["crossovers"]) / found["gain_crossover"] - 1).min()
-    assert near < 0.005 and np.abs(np.asarray(chart["margins"]) - found["phase_margin_deg"]).min() < 0.05
-    far = math.hypot(math.log2(found["gain_crossover"] / 12.0), (found["phase_margin_deg"] - 50.0) / 30.0)
+    assert (
+        near < 0.005
+        and np.abs(np.asarray(chart["margins"]) - found["phase_margin_deg"]).min()
+        < 0.05
+    )
+    far = math.hypot(
+        math.log2(found["gain_crossover"] / 12.0),
+        (found["phase_margin_deg"] - 50.0) / 30.0,
+    )
     assert far < 0.6 and found["payloads"] == (0.02, 0.04)
     assert found["gain_crossover"] == float(f"{found['gain_crossover']:.3g}")
 
@@ -339,7 +462,10 @@ def test_the_fan_has_every_corner_of_the_box_up_to_sixteen(made: Session) -> Non
     rows = 2 * min(16, len(arms))
     assert found["fan_gain"].shape == found["fan_phase"].shape == (rows, 10)
     first = arms[0].loop(design.controller, design.rig)
-    value = first.log(w[::4], np.array([[design.natural_frequency(0.02)], [design.natural_frequency(0.04)]]))
+    value = first.log(
+        w[::4],
+        np.array([[design.natural_frequency(0.02)], [design.natural_frequency(0.04)]]),
+    )
     assert found["fan_gain"][:2] == pytest.approx(20.0 / math.log(10.0) * value.real)
     assert found["fan_phase"][:2] == pytest.approx(np.degrees(value.imag))
 
@@ -351,30 +477,48 @@ def test_what_stands_still_while_a_hand_drags(subject: Subject) -> None:
     axes = subject.axes()
     assert axes["rated"] == [0.02, 0.03, 0.04]
     payloads, w = np.asarray(axes["payloads"]), np.asarray(axes["frequencies"])
-    assert (payloads[0], payloads[-1], payloads.size) == pytest.approx((0.008, 0.08, 49))
+    assert (payloads[0], payloads[-1], payloads.size) == pytest.approx(
+        (0.008, 0.08, 49)
+    )
     assert (w[-1], w.size) == pytest.approx((math.pi / 0.004, 280))
-    links = [subject.model.at_payload(float(mass)).natural_frequency for mass in payloads]
+    links = [
+        subject.model.at_payload(float(mass)).natural_frequency for mass in payloads
+    ]
     assert subject.link_frequencies.tolist() == links
     slowest = min(links) ** (2 / 1.92)
     assert w[0] == pytest.approx(min(0.1 * slowest, 0.01 * math.pi / 0.004))
 
 
 @pytest.mark.slow
-def test_a_preview_has_the_loop_of_its_design_at_three_payloads(subject: Subject, made: Session) -> None:
+def test_a_preview_has_the_loop_of_its_design_at_three_payloads(
+    subject: Subject, made: Session
+) -> None:
     answer = preview(subject, ASKED)
     design = made.study.design
-    assert answer.head["three"] == (0.02, 0.03, 0.04) and answer.head["names"] == ["20 g", "30 g", "40 g"]
+    assert answer.head["three"] == (0.02, 0.03, 0.04) and answer.head["names"] == [
+        "20 g",
+        "30 g",
+        "40 g",
+    ]
     for row, payload in enumerate((0.02, 0.03, 0.04)):
         value = design.loop(subject.frequencies, design.natural_frequency(payload))
-        assert answer.curves["gain"][row] == pytest.approx(20 * np.log10(np.abs(value)), abs=1e-6)  # type: ignore[index]
+        assert answer.curves["gain"][row] == pytest.approx(
+            20 * np.log10(np.abs(value)), abs=1e-6
+        )  # type: ignore[index]
         turned = np.exp(1j * np.radians(answer.curves["phase"][row]))  # type: ignore[index]
         assert turned == pytest.approx(value / np.abs(value), abs=1e-6)
     at = design.at(float(subject.payloads[20]))
     assert answer.curves["crossover"][20] == pytest.approx(at.gain_crossover)  # type: ignore[index]
     assert answer.curves["margin"][20] == pytest.approx(math.degrees(at.phase_margin))  # type: ignore[index]
-    assert answer.head["asked"] == {"gain_crossover": 12.0, "phase_margin_deg": pytest.approx(50.0)}
+    assert answer.head["asked"] == {
+        "gain_crossover": 12.0,
+        "phase_margin_deg": pytest.approx(50.0),
+    }
     c = design.controller
-    assert answer.head["controller"]["k_d"] == c.gain and answer.head["controller"]["formula"] == c.formula
+    assert (
+        answer.head["controller"]["k_d"] == c.gain
+        and answer.head["controller"]["formula"] == c.formula
+    )
     assert answer.head["controller"]["upper"] == design.gain_crossover_upper
     assert answer.head["facts"] == [
         ("ω_c", "12 rad/s"),
@@ -389,7 +533,11 @@ def test_a_preview_has_the_loop_of_its_design_at_three_payloads(subject: Subject
     with_law = preview(replace(subject, law=made.study.law), ASKED).head
     assert len(with_law["blocks"]) == 2 and with_law["law_error"] < 0.05
     edge = preview(subject, {**ASKED, "payloads": [0.03, 0.05]}).head
-    assert edge["three"] == (0.03, 0.04, 0.05)  # the nominal one lies on the edge: the middle instead
+    assert edge["three"] == (
+        0.03,
+        0.04,
+        0.05,
+    )  # the nominal one lies on the edge: the middle instead
     unfiltered = dict(preview(subject, {**ASKED, "filter_time": 0.0}).head["facts"])
     assert unfiltered["δ"] == "none"
     filtered = dict(preview(subject, {**ASKED, "filter_time": 0.012345}).head["facts"])
@@ -402,12 +550,21 @@ def test_the_nearest_request_is_the_same_where_it_is_feasible(subject: Subject) 
     far = {**ASKED, "gain_crossover": 9.0}
     assert RIG.model is not None
     with pytest.raises(InfeasibleError) as why:
-        fl.design(RIG.model, RIG, payloads=(0.02, 0.04), gain_crossover=9.0, phase_margin=fl.deg(50))
+        fl.design(
+            RIG.model,
+            RIG,
+            payloads=(0.02, 0.04),
+            gain_crossover=9.0,
+            phase_margin=fl.deg(50),
+        )
     found = nearest(subject, far).head["state"]
     for name, value in why.value.nearest.items():
         shown = math.degrees(value) if name == "phase_margin" else value
         name = "phase_margin_deg" if name == "phase_margin" else name
-        assert abs(found[name] - shown) <= 0.01 + 1e-9 and round(found[name], 2) == found[name]
+        assert (
+            abs(found[name] - shown) <= 0.01 + 1e-9
+            and round(found[name], 2) == found[name]
+        )
 
 
 # --- the session ----------------------------------------------------------------------------------------
@@ -419,11 +576,17 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
     fl.save(design, tmp_path / "design.json")
     of_design = opened(tmp_path / "design.json", out=tmp_path / "r")
     assert of_design.study.design == design and of_design.study.rig == design.rig
-    assert of_design.study.law.digest == design.law().digest and of_design.folder == tmp_path / "r"
+    assert (
+        of_design.study.law.digest == design.law().digest
+        and of_design.folder == tmp_path / "r"
+    )
     other = fl.Rig.named("paper-2023-geared")
     assert opened(tmp_path / "design.json", rig=other).study.rig is other
     fl.save(design.law(), tmp_path / "law.json")
-    assert opened(tmp_path / "law.json", out=tmp_path / "r").source == tmp_path / "law.json"  # no design
+    assert (
+        opened(tmp_path / "law.json", out=tmp_path / "r").source
+        == tmp_path / "law.json"
+    )  # no design
     of_log = opened(Path(fl.bundled_log("prbs_30g")), out=tmp_path / "r")
     assert of_log.source == Path(fl.bundled_log("prbs_30g")) and of_log.study.rig == RIG
     assert opened(None).study.rig == RIG and opened(None).folder == Path("results")
@@ -434,22 +597,39 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_session_begins_with_what_its_design_or_its_rig_asks(made: Session, tmp_path: Path) -> None:
+def test_a_session_begins_with_what_its_design_or_its_rig_asks(
+    made: Session, tmp_path: Path
+) -> None:
     of_rig = Session(fl.Study(rig=RIG), tmp_path).state
-    assert (of_rig["payloads"], of_rig["gain_crossover"]) == ((0.02, 0.04), RIG.design.gain_crossover)
+    assert (of_rig["payloads"], of_rig["gain_crossover"]) == (
+        (0.02, 0.04),
+        RIG.design.gain_crossover,
+    )
     assert of_rig["phase_margin_deg"] == RIG.design.phase_margin_deg
-    assert Session(fl.Study(rig=replace(RIG, design=None)), tmp_path).state["gain_crossover"] is None
+    assert (
+        Session(fl.Study(rig=replace(RIG, design=None)), tmp_path).state[
+            "gain_crossover"
+        ]
+        is None
+    )
     assert Session(fl.Study(), tmp_path).state["payloads"] is None
     of_design = Session(fl.Study(rig=RIG, design=made.study.design), tmp_path).state
     assert (of_design["gain_crossover"], of_design["phase_margin_deg"]) == (12.0, 50.0)
     assert (of_design["box"], of_design["margins"]) == (False, "loop")
-    (tmp_path / "studio.jsonl").write_text('{"at": 0, "state": {"gain_crossover": -5}}\n')
+    (tmp_path / "studio.jsonl").write_text(
+        '{"at": 0, "state": {"gain_crossover": -5}}\n'
+    )
     edited = Session(fl.Study(rig=RIG), tmp_path)
-    assert edited.state["gain_crossover"] == RIG.design.gain_crossover and edited.history.states == []
+    assert (
+        edited.state["gain_crossover"] == RIG.design.gain_crossover
+        and edited.history.states == []
+    )
 
 
 @pytest.mark.slow
-def test_the_steps_are_marked_by_what_was_done(made: Session, fitted: Session, tmp_path: Path) -> None:
+def test_the_steps_are_marked_by_what_was_done(
+    made: Session, fitted: Session, tmp_path: Path
+) -> None:
     fresh = Session(fl.Study(rig=RIG), tmp_path)
     assert fresh.marks() == {
         "log": "not run",
@@ -467,25 +647,41 @@ def test_the_steps_are_marked_by_what_was_done(made: Session, fitted: Session, t
     }
     assert made.marks()["design"] == "passed" and made.marks()["proof"] == "not run"
     other = Session(replace(made.study, uncertified="no"), tmp_path)
-    assert other.marks()["proof"] == "failed" and other.overview()["proof_said"] == "Not proved: no"
+    assert (
+        other.marks()["proof"] == "failed"
+        and other.overview()["proof_said"] == "Not proved: no"
+    )
     other.written = {"a": 1}
     assert other.marks()["board"] == "passed"
-    wrong = Session(replace(fitted.study, findings=(Finding("W299", "error", "bad"),)), tmp_path)
+    wrong = Session(
+        replace(fitted.study, findings=(Finding("W299", "error", "bad"),)), tmp_path
+    )
     assert wrong.marks()["log"] == "failed"
 
 
 @pytest.mark.slow
-def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(made: Session, tmp_path: Path) -> None:
+def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(
+    made: Session, tmp_path: Path
+) -> None:
     told = made.overview()
     design = made.study.design
-    assert told["name"] == "paper-2023" and told["title"] == f"paper-2023 · {made.folder}"
-    assert told["folder"] == str(made.folder) and told["spoken"].startswith("promise passed, model ")
+    assert (
+        told["name"] == "paper-2023" and told["title"] == f"paper-2023 · {made.folder}"
+    )
+    assert told["folder"] == str(made.folder) and told["spoken"].startswith(
+        "promise passed, model "
+    )
     assert told["design"]["requirements"]["header"] == (
         "requirement",
         "required",
         "achieved",
         "verdict",
-    ) or told["design"]["requirements"]["header"] == ["requirement", "required", "achieved", "verdict"]
+    ) or told["design"]["requirements"]["header"] == [
+        "requirement",
+        "required",
+        "achieved",
+        "verdict",
+    ]
     assert list(told["design"]["requirements"]["rows"][0]) == [
         "gain crossover",
         "≥ 12 rad/s",
@@ -508,16 +704,22 @@ def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(made: Session
     empty = Session(fl.Study(), tmp_path).overview()
     assert (empty["name"], empty["title"], empty["design"]) == ("", str(tmp_path), None)
     assert empty["board_said"] == "Make a design first (step 4)."
-    spoken = Session(replace(made.study, certificate=SimpleNamespace(verdict="proved")), tmp_path)  # type: ignore[arg-type]
+    spoken = Session(
+        replace(made.study, certificate=SimpleNamespace(verdict="proved")), tmp_path
+    )  # type: ignore[arg-type]
     assert spoken._proof_said() == "proved"
 
 
 @pytest.mark.slow
-def test_the_arm_is_sent_once_and_then_only_its_law(made: Session, tmp_path: Path) -> None:
+def test_the_arm_is_sent_once_and_then_only_its_law(
+    made: Session, tmp_path: Path
+) -> None:
     first = made.arm()
     assert len(first["arm_key"]) == 16 and json.loads(first["arm"])["period"] == 0.004
     again = made.arm(first["arm_key"])
-    assert sorted(again) == ["arm_key", "blocks"] and again["arm_key"] == first["arm_key"]
+    assert (
+        sorted(again) == ["arm_key", "blocks"] and again["arm_key"] == first["arm_key"]
+    )
     assert again["blocks"] == json.loads(first["arm"])["blocks"]
     assert Session(fl.Study(rig=RIG), tmp_path).arm("x") == {"arm_key": "", "arm": None}
 
@@ -533,8 +735,16 @@ def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
     own.exact({**ASKED, "phase_margin_deg": 49.0})
     assert own.study.uncertified is None
     stripped = bare(made.study)
-    assert (stripped.design, stripped.law, stripped.runs, stripped.rig) == (None, None, (), made.study.rig)
-    assert stripped.assumptions == made.study.rig.assumptions and bare(fl.Study()).assumptions == ()
+    assert (stripped.design, stripped.law, stripped.runs, stripped.rig) == (
+        None,
+        None,
+        (),
+        made.study.rig,
+    )
+    assert (
+        stripped.assumptions == made.study.rig.assumptions
+        and bare(fl.Study()).assumptions == ()
+    )
 
 
 @pytest.mark.slow
@@ -551,11 +761,24 @@ def test_a_longer_filter_of_the_second_mode_is_remembered(made: Session) -> None
 
 
 @pytest.mark.slow
-def test_what_a_step_copies_names_the_files_of_the_folder(made: Session, fitted: Session) -> None:
+def test_what_a_step_copies_names_the_files_of_the_folder(
+    made: Session, fitted: Session
+) -> None:
     told = copies(made)
-    assert list(told) == ["log", "channels", "model", "design", "move", "proof", "board"]
+    assert list(told) == [
+        "log",
+        "channels",
+        "model",
+        "design",
+        "move",
+        "proof",
+        "board",
+    ]
     folder = made.folder
-    assert told["move"]["command"] == f"fraclink simulate {folder / 'design.json'} --payload 0.04"
+    assert (
+        told["move"]["command"]
+        == f"fraclink simulate {folder / 'design.json'} --payload 0.04"
+    )
     assert "payload=0.04, duration=4.0" in told["move"]["python"]
     assert told["proof"]["command"] == f"fraclink certify {folder / 'design.json'}"
     assert told["board"]["command"].endswith(f"--out {folder / 'firmware'}")
@@ -563,13 +786,22 @@ def test_what_a_step_copies_names_the_files_of_the_folder(made: Session, fitted:
     assert told["log"]["python"] == (
         'import fraclink as fl\n\nprint(fl.inspect_log(fl.bundled_log("prbs_30g")))'
     )
-    assert told["channels"]["python"].splitlines()[2] == "rig = fl.Rig.named('paper-2023')"
+    assert (
+        told["channels"]["python"].splitlines()[2] == "rig = fl.Rig.named('paper-2023')"
+    )
     assert told["design"]["command"].startswith("fraclink design --rig paper-2023 ")
-    assert "--payload 0.04" in copies(fitted)["move"]["command"]  # no design yet: the rig's heaviest
+    assert (
+        "--payload 0.04" in copies(fitted)["move"]["command"]
+    )  # no design yet: the rig's heaviest
     broad = replace(RIG, payloads=replace(RIG.payloads, high=0.05))
-    assert "--payload 0.05" in copies(Session(fl.Study(rig=broad), folder))["move"]["command"]
+    assert (
+        "--payload 0.05"
+        in copies(Session(fl.Study(rig=broad), folder))["move"]["command"]
+    )
     of_fit = copies(fitted)
-    assert of_fit["model"]["command"].endswith(f"--structure UD-FOM --out {fitted.folder / 'model.json'}")
+    assert of_fit["model"]["command"].endswith(
+        f"--structure UD-FOM --out {fitted.folder / 'model.json'}"
+    )
     assert "fit = fl.identify(log, 'UD-FOM')" in of_fit["model"]["python"]
     assert f"--rig {fitted.folder / 'rig.toml'}" in of_fit["channels"]["command"]
     assert str(fl.bundled_log("pulse_30g")) in of_fit["log"]["command"]
@@ -578,18 +810,26 @@ def test_what_a_step_copies_names_the_files_of_the_folder(made: Session, fitted:
 
 def test_a_copied_log_repeats_what_was_said_of_it(tmp_path: Path) -> None:
     own = Session(fl.Study(rig=RIG), tmp_path / "r", source=tmp_path / "mine.csv")
-    own.columns = ("time=t [s]", "motor_angle=-th [deg]", "deflection=d [rad]", "voltage=u [V]")
+    own.columns = (
+        "time=t [s]",
+        "motor_angle=-th [deg]",
+        "deflection=d [rad]",
+        "voltage=u [V]",
+    )
     own.payload, own.stretch, own.heldout = 0.025, (1.0, 9.5), 0.2
     own.become(
         replace(
             own.study,
-            experiment=fl.Experiment(period=0.1, motor_angle=[0, 1], output=[0, 1], output_kind="deflection"),
+            experiment=fl.Experiment(
+                period=0.1, motor_angle=[0, 1], output=[0, 1], output_kind="deflection"
+            ),
         )
     )
     told = copies(own)
     words = told["model"]["command"]
     assert (
-        f"identify {tmp_path / 'mine.csv'} --rig {tmp_path / 'r' / 'rig.toml'} --column 'time=t [s]'" in words
+        f"identify {tmp_path / 'mine.csv'} --rig {tmp_path / 'r' / 'rig.toml'} --column 'time=t [s]'"
+        in words
     )
     assert "--payload 0.025 --keep 1 9.5" in words and "--heldout 0.2" in words
     python = told["model"]["python"]
@@ -638,18 +878,22 @@ def test_a_job_that_is_cancelled_or_fails_leaves_the_study(
     job.cancel()
     with pytest.raises(FieldError, match="stopped as you asked"):
         job.done(lambda progress: None)
-    codes = (
-        "import sys; print('{\"said\": \"half\"}'); sys.stderr.write('first\\nthe reason\\n'); sys.exit(2)"
-    )
+    codes = "import sys; print('{\"said\": \"half\"}'); sys.stderr.write('first\\nthe reason\\n'); sys.exit(2)"
     original = work.subprocess.Popen
     monkeypatch.setattr(
-        work.subprocess, "Popen", lambda command, **more: original([sys.executable, "-c", codes], **more)
+        work.subprocess,
+        "Popen",
+        lambda command, **more: original([sys.executable, "-c", codes], **more),
     )
     said: list[Any] = []
     before = made.study
     with pytest.raises(FieldError, match="failed: the reason") as why:
         work.Job(made, "prove", {}).done(said.append)
-    assert said == [{"said": "half"}] and made.study is before and why.value.field == "prove"
+    assert (
+        said == [{"said": "half"}]
+        and made.study is before
+        and why.value.field == "prove"
+    )
     codes = "import sys; sys.exit(3)"
     with pytest.raises(FieldError, match="ended with code 3"):
         work.Job(made, "prove", {}).done(said.append)
@@ -665,23 +909,37 @@ def test_a_jobs_result_is_taken_by_the_study_that_it_began_with(
     proved = replace(made.study, uncertified="because of 8 g")
     monkeypatch.setattr(work, "load_study", lambda place: proved)
     answer = work.Job(own, "prove", {}).done(lambda progress: None)
-    assert own.study.uncertified == "because of 8 g" and own.study.design is made.study.design
-    assert answer.head["ok"] and answer.head["proof_said"] == "Not proved: because of 8 g"
-    monkeypatch.setattr(work, "load_study", lambda place: replace(made.study, faults=table()))
+    assert (
+        own.study.uncertified == "because of 8 g"
+        and own.study.design is made.study.design
+    )
+    assert (
+        answer.head["ok"] and answer.head["proof_said"] == "Not proved: because of 8 g"
+    )
+    monkeypatch.setattr(
+        work, "load_study", lambda place: replace(made.study, faults=table())
+    )
     answer = work.Job(own, "faults", {}).done(lambda progress: None)
     assert own.study.faults == table() and own.study.uncertified == "because of 8 g"
     assert answer.head["faults_said"].startswith("1 of 2 faults")
     job = work.Job(own, "faults", {})
-    own.become(replace(own.study, design=replace(made.study.design, gain_crossover=12.5)))
+    own.become(
+        replace(own.study, design=replace(made.study.design, gain_crossover=12.5))
+    )
     with pytest.raises(FieldError, match="changed meanwhile"):
         job.done(lambda progress: None)
 
 
 def table() -> FaultTable:
-    good, bad = Check("peak", 1.0, 1.1, passed=True), Check("peak over clean", 1.3, 1.1, passed=False)
+    good, bad = (
+        Check("peak", 1.0, 1.1, passed=True),
+        Check("peak over clean", 1.3, 1.1, passed=False),
+    )
 
     def outcome(fault: str, phase: Any, *checks: Check) -> Outcome:
-        return Outcome(Case(fault, 1, 0.02, phase, 1), checks, 0.1, 0.1, 0.0, "run", "none", 0)
+        return Outcome(
+            Case(fault, 1, 0.02, phase, 1), checks, 0.1, 0.1, 0.0, "run", "none", 0
+        )
 
     return FaultTable(
         (
@@ -697,14 +955,22 @@ def table() -> FaultTable:
 @pytest.mark.slow
 def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
     statement = SimpleNamespace(
-        modulus=0.35, payload_low=0.02, payload_high=0.04, delay_low=0.002, delay_high=0.008
+        modulus=0.35,
+        payload_low=0.02,
+        payload_high=0.04,
+        delay_low=0.002,
+        delay_high=0.008,
     )
     failure = SimpleNamespace(count=14, runs=100)
     quantile = SimpleNamespace(probability=0.5, value=0.6)
-    metric = SimpleNamespace(name="settling_time", quantiles=(quantile,), drivers=(("payload", 0.5),))
+    metric = SimpleNamespace(
+        name="settling_time", quantiles=(quantile,), drivers=(("payload", 0.5),)
+    )
     arms = SimpleNamespace(failure=failure, failed=tuple(range(20)), metrics=(metric,))
     study: Any = SimpleNamespace(
-        certificate=SimpleNamespace(statement=statement, verdict="proved"), arms=arms, faults=table()
+        certificate=SimpleNamespace(statement=statement, verdict="proved"),
+        arms=arms,
+        faults=table(),
     )
     told = work.proof_of(study)
     assert told["proved"] == {
@@ -718,7 +984,13 @@ def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
     assert told["faults"]["header"] == ("fault", "runs", "failed", "verdict")
     assert told["faults"]["rows"][0][1:] == ("3", "2", "✗ failed")
     assert told["cells"] == [
-        {"fault": "F09", "severity": 1, "payload": 0.02, "phase": "mid", "passed": True},
+        {
+            "fault": "F09",
+            "severity": 1,
+            "payload": 0.02,
+            "phase": "mid",
+            "passed": True,
+        },
         {
             "fault": "F11",
             "severity": 1,
@@ -727,25 +999,36 @@ def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
             "passed": False,
         },  # the first that failed
     ]
-    assert work.proof_of(SimpleNamespace(certificate=None, arms=None, faults=None)) == {}  # type: ignore[arg-type]
+    assert (
+        work.proof_of(SimpleNamespace(certificate=None, arms=None, faults=None)) == {}
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
 def test_the_worker_does_one_job_in_its_folder(
-    made: Session, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Session,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     kept: list[Any] = []
     asked: list[Any] = []
     monkeypatch.setattr(worker, "load_study", lambda place: made.study)
-    monkeypatch.setattr(worker, "save_study", lambda study, place: kept.append((study, place)))
+    monkeypatch.setattr(
+        worker, "save_study", lambda study, place: kept.append((study, place))
+    )
 
     def noted(result: str, *of: Any) -> str:
         asked.append(of)
         return result
 
-    monkeypatch.setattr(worker, "identified", lambda study, heldout: noted("identified", heldout))
+    monkeypatch.setattr(
+        worker, "identified", lambda study, heldout: noted("identified", heldout)
+    )
     monkeypatch.setattr(worker, "proved", lambda study: noted("proved", study))
-    monkeypatch.setattr(worker, "tried", lambda study, runs, folder: noted("tried", runs, folder))
+    monkeypatch.setattr(
+        worker, "tried", lambda study, runs, folder: noted("tried", runs, folder)
+    )
     for verb, options, said in (
         ("identify", {"heldout": 0.2}, "fitting four structures"),
         ("prove", {}, "proving every payload and delay"),
@@ -787,7 +1070,10 @@ def test_the_worker_tells_every_fault_that_it_has_run(
         "all": count,
         "payloads": list(Bench.of(made.study.design, made.study.rig).payloads),
     }
-    assert [entry["said"] for entry in told] == [f"1 of {count} runs, F09", f"2 of {count} runs, F11"]
+    assert [entry["said"] for entry in told] == [
+        f"1 of {count} runs, F09",
+        f"2 of {count} runs, F11",
+    ]
     assert told[1] == {
         "said": f"2 of {count} runs, F11",
         "done": 2,
@@ -816,17 +1102,25 @@ def test_the_map_about_minus_one_has_its_payloads_and_delays(
     own = design.sampled_plant(design.natural_frequency(0.02)).delay
     payloads, delays = np.asarray(head["payloads"]), np.asarray(head["delays"])
     assert (payloads[0], payloads[-1], payloads.size) == pytest.approx((10.0, 60.0, 11))
-    assert (delays[0], delays[-1], delays.size) == pytest.approx((0.0, 1e3 * (own + 6 * 0.004), 8))
-    assert head["names"] == ["20 g", "30 g", "40 g"] and np.asarray(head["near"]).tolist() == 8 * [
-        11 * [-0.5]
-    ]
-    assert seen[0] == pytest.approx((0.01, -own)) and seen[-1] == pytest.approx((0.06, 0.024))
+    assert (delays[0], delays[-1], delays.size) == pytest.approx(
+        (0.0, 1e3 * (own + 6 * 0.004), 8)
+    )
+    assert head["names"] == ["20 g", "30 g", "40 g"] and np.asarray(
+        head["near"]
+    ).tolist() == 8 * [11 * [-0.5]]
+    assert seen[0] == pytest.approx((0.01, -own)) and seen[-1] == pytest.approx(
+        (0.06, 0.024)
+    )
     w = np.geomspace(2e-3 * math.pi / 0.004, 0.999 * math.pi / 0.004, 400)
-    for row, (mass, late) in enumerate([(m, d) for m in (0.02, 0.03, 0.04) for d in (0.0, 0.012)]):
+    for row, (mass, late) in enumerate(
+        [(m, d) for m in (0.02, 0.03, 0.04) for d in (0.0, 0.012)]
+    ):
         plant = design.sampled_plant(design.natural_frequency(mass))
         value = law.frequency_response(w) * replace(plant, delay=plant.delay + late)(w)
         value = np.where(np.abs(value) > 10.0, 10.0 * value / np.abs(value), value)
-        assert curves["sweep_x"][row] + 1j * curves["sweep_y"][row] == pytest.approx(value)
+        assert curves["sweep_x"][row] + 1j * curves["sweep_y"][row] == pytest.approx(
+            value
+        )
 
 
 # --- logs and fits --------------------------------------------------------------------------------------
@@ -834,7 +1128,10 @@ def test_the_map_about_minus_one_has_its_payloads_and_delays(
 
 def test_a_channel_is_told_in_a_line() -> None:
     channel: Any = SimpleNamespace(minimum=-1.0, maximum=2.5, period=0.004, missing=3)
-    assert logs._facts(channel, "motor angle") == "motor angle · −1 … 2.5 · every 0.004 · 3 missing"
+    assert (
+        logs._facts(channel, "motor angle")
+        == "motor angle · −1 … 2.5 · every 0.004 · 3 missing"
+    )
     channel.period, channel.missing = None, 0
     assert logs._facts(channel, None) == "−1 … 2.5"
 
@@ -849,7 +1146,9 @@ def test_a_listing_has_every_channel_and_what_it_is_taken_for(fitted: Session) -
         told["said"]
         == f"{listing.path}: {listing.kind}, {len(listing.channels)} channels, {samples} samples."
     )
-    assert [channel["name"] for channel in told["channels"]] == [c.name for c in listing.channels]
+    assert [channel["name"] for channel in told["channels"]] == [
+        c.name for c in listing.channels
+    ]
     assert told["channels"][0]["facts"].startswith("time · 0 … ")
     assert set(answer.head["roles"]) >= {"time", "motor_angle", "torque"}
     assert (
@@ -862,7 +1161,9 @@ def test_a_listing_has_every_channel_and_what_it_is_taken_for(fitted: Session) -
     assert spark.size <= 240 and (spark.min(), spark.max()) == (0.0, 1.0)
     assert answer.head["experiment"]["kind"] == "torque"
     degrees_ = np.asarray(answer.curves["motor_angle"])
-    assert degrees_.max() == pytest.approx(math.degrees(fitted.study.experiment.motor_angle.max()))
+    assert degrees_.max() == pytest.approx(
+        math.degrees(fitted.study.experiment.motor_angle.max())
+    )
 
 
 @pytest.mark.slow
@@ -877,27 +1178,43 @@ def test_columns_that_leave_a_question_are_refused_with_it(tmp_path: Path) -> No
             columns(own, {"columns": wrong})
     answer = columns(own, {"columns": COLUMNS, "payload": 0.025})
     assert (own.payload, own.columns, own.heldout) == (0.025, tuple(COLUMNS), None)
-    assert answer.head["experiment"]["payload"] == 0.025 and "motor_angle_rad" in answer.head["toml"]
+    assert (
+        answer.head["experiment"]["payload"] == 0.025
+        and "motor_angle_rad" in answer.head["toml"]
+    )
     assert "toml" not in columns(own, {"columns": []}).head
     assert logs._stretch(None) is None and logs._stretch([1, 2.5]) == (1.0, 2.5)
 
 
-def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(tmp_path: Path) -> None:
+def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(
+    tmp_path: Path,
+) -> None:
     rng = np.random.default_rng(0)
     rows = zip(
-        0.004 * np.arange(1000), 0.01 * rng.normal(size=1000).cumsum(), rng.normal(size=1000), strict=True
+        0.004 * np.arange(1000),
+        0.01 * rng.normal(size=1000).cumsum(),
+        rng.normal(size=1000),
+        strict=True,
     )
     lines = (f"{t:.3f},{a:.5f},{b:.5f}" for t, a, b in rows)
     own = opened(None, out=tmp_path / "r")
     own.source = tmp_path / "x.csv"
     own.source.write_text("t,a,b\n" + "\n".join(lines))
     columns = logs.LOG_VERBS["columns"]
-    with pytest.raises(FieldError, match="Which column is the output of the link") as why:
+    with pytest.raises(
+        FieldError, match="Which column is the output of the link"
+    ) as why:
         columns(own, {"columns": ["motor_angle=a [rad]"]})
     assert why.value.value == "motor_angle=a [rad]"
     sign_left_open = ["motor_angle=a [rad]", "torque=b [Nm]"]
-    assert columns(own, {"columns": sign_left_open}).head["experiment"]["kind"] == "torque"
-    assert own.columns == ("time=t [s]", "motor_angle=a [rad]", "torque=b [Nm]")  # what is copied states all
+    assert (
+        columns(own, {"columns": sign_left_open}).head["experiment"]["kind"] == "torque"
+    )
+    assert own.columns == (
+        "time=t [s]",
+        "motor_angle=a [rad]",
+        "torque=b [Nm]",
+    )  # what is copied states all
 
 
 @pytest.mark.slow
@@ -914,7 +1231,11 @@ def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(tmp_
     ],
 )
 def test_python_states_what_the_command_completes_from_the_rig(
-    made: Session, tmp_path: Path, asked: dict[str, Any], margin: float | None, filter_time: float | None
+    made: Session,
+    tmp_path: Path,
+    asked: dict[str, Any],
+    margin: float | None,
+    filter_time: float | None,
 ) -> None:
     assert RIG.design is not None
     rig = replace(RIG, design=replace(RIG.design, filter_time=0.02))
@@ -938,8 +1259,16 @@ def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
     own.history.add({"gain_crossover": 30.0})
     answer = logs.LOG_VERBS["rig"](own, {"name": "paper-2023-geared"})
     assert answer.head["rig"] == "paper-2023-geared" == own.study.rig.name
-    assert own.history.states == [] and own.study.fit is None and own.study.experiment is not None
-    assert answer.head["state"] == own.state and answer.head["rated"] == [0.02, 0.03, 0.04]
+    assert (
+        own.history.states == []
+        and own.study.fit is None
+        and own.study.experiment is not None
+    )
+    assert answer.head["state"] == own.state and answer.head["rated"] == [
+        0.02,
+        0.03,
+        0.04,
+    ]
     with pytest.raises(FraclinkError):
         logs.LOG_VERBS["rig"](own, {"name": "no such rig"})
     bare_ = Session(fl.Study(rig=RIG), tmp_path / "b")
@@ -954,19 +1283,38 @@ def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
 def test_every_fit_is_a_card_with_its_curves(fitted: Session, tmp_path: Path) -> None:
     answer = logs.LOG_VERBS["model"](fitted, {})
     study, log = fitted.study, fitted.study.experiment
-    assert [card["name"] for card in answer.head["fits"]] == list(study.fits) and len(study.fits) == 4
+    assert [card["name"] for card in answer.head["fits"]] == list(study.fits) and len(
+        study.fits
+    ) == 4
     assert [card["name"] for card in answer.head["fits"] if card["used"]] == ["UD-FOM"]
     card = next(card for card in answer.head["fits"] if card["used"])
     fit = study.fits["UD-FOM"]
-    assert card["at"] == [abs(fit.model.pole), fit.model.order] and card["passed"] == fit.passed
-    assert card["words"] == logs.words_of(fit) and card["heldout_nmse"] == fit.heldout_nmse
+    assert (
+        card["at"] == [abs(fit.model.pole), fit.model.order]
+        and card["passed"] == fit.passed
+    )
+    assert (
+        card["words"] == logs.words_of(fit) and card["heldout_nmse"] == fit.heldout_nmse
+    )
     assert answer.head["said"] == f"The arm {logs.words_of(fit)}."
     assert answer.head["conclusion"] == study.comparison.verdict
-    assert answer.head["heldout"] == pytest.approx(1.0 - fit.fitted_samples / log.output.size)
-    assert answer.head["duration"] == log.duration and answer.head["table"]["header"][0] == "structure"
-    for name, signal in (("measured", log.output), ("predicted", fit.predicted), ("residual", fit.residual)):
+    assert answer.head["heldout"] == pytest.approx(
+        1.0 - fit.fitted_samples / log.output.size
+    )
+    assert (
+        answer.head["duration"] == log.duration
+        and answer.head["table"]["header"][0] == "structure"
+    )
+    for name, signal in (
+        ("measured", log.output),
+        ("predicted", fit.predicted),
+        ("residual", fit.residual),
+    ):
         kept = np.asarray(answer.curves[name])
-        assert kept.size <= 2400 and (kept.min(), kept.max()) == (np.min(signal), np.max(signal))
+        assert kept.size <= 2400 and (kept.min(), kept.max()) == (
+            np.min(signal),
+            np.max(signal),
+        )
     axes = answer.head["axes"]
     high = 1.08 * np.abs(log.output).max()
     assert (
@@ -978,18 +1326,30 @@ def test_every_fit_is_a_card_with_its_curves(fitted: Session, tmp_path: Path) ->
         ]
     )
     w = np.asarray(answer.curves["response_w"])
-    both = [np.asarray(answer.curves[name]) for name in ("response_log", "response_model")]
+    both = [
+        np.asarray(answer.curves[name]) for name in ("response_log", "response_model")
+    ]
     top = 5.0 + max(float(each.max()) for each in both)
     assert axes["bode"] == [
         {"low": w[0], "high": w[-1]},
         {"low": pytest.approx(top - 70.0), "high": pytest.approx(top)},
     ]
     assert min(each.min() for each in both) >= max(both[0].max(), both[1].max()) - 140.0
-    assert both[0].min() >= both[0].max() - 80.0 - 1e-9  # nothing more than 80 dB below the log's largest
+    assert (
+        both[0].min() >= both[0].max() - 80.0 - 1e-9
+    )  # nothing more than 80 dB below the log's largest
     hertz = np.asarray(answer.curves["spectrum_hz"])
     assert axes["spectrum"][0] == {"low": max(hertz[0], 0.05), "high": hertz[-1]}
-    assert axes["valley"][0]["low"] == pytest.approx(answer.curves["error_resonance"][0])  # type: ignore[index]
-    assert {entry[0] for entry in answer.head["drawn"]} == {"overlay", "rest", "bode", "trust", "spectrum"}
+    assert axes["valley"][0]["low"] == pytest.approx(
+        answer.curves["error_resonance"][0]
+    )  # type: ignore[index]
+    assert {entry[0] for entry in answer.head["drawn"]} == {
+        "overlay",
+        "rest",
+        "bode",
+        "trust",
+        "spectrum",
+    }
     own = Session(study, tmp_path)
     logs.LOG_VERBS["model"](own, {"structure": "D-IOM"})
     assert own.study.fit is study.fits["D-IOM"] and own.study.design is None
@@ -999,23 +1359,44 @@ def test_every_fit_is_a_card_with_its_curves(fitted: Session, tmp_path: Path) ->
 
 def test_before_a_fit_the_step_says_what_is_missing(tmp_path: Path) -> None:
     own = opened(None, out=tmp_path)
-    assert logs.LOG_VERBS["model"](own, {}).head["said"] == "Read a log first (steps 1 and 2)."
-    own.become(replace(own.study, experiment=fl.Experiment(period=0.1, motor_angle=[0, 1], output=[0, 1])))
+    assert (
+        logs.LOG_VERBS["model"](own, {}).head["said"]
+        == "Read a log first (steps 1 and 2)."
+    )
+    own.become(
+        replace(
+            own.study,
+            experiment=fl.Experiment(period=0.1, motor_angle=[0, 1], output=[0, 1]),
+        )
+    )
     answer = logs.LOG_VERBS["model"](own, {})
-    assert (answer.head["said"], answer.head["fits"], answer.curves) == ("Not fitted yet.", [], {})
+    assert (answer.head["said"], answer.head["fits"], answer.curves) == (
+        "Not fitted yet.",
+        [],
+        {},
+    )
 
 
 def test_a_fit_is_said_in_the_words_of_a_workshop() -> None:
     def said(delay: float, **more: float) -> str:
-        link = fl.LinkModel(**({"stiffness": 1.5, "natural_frequency": 10.0, "order": 2.0} | more))  # type: ignore[arg-type]
+        link = fl.LinkModel(
+            **({"stiffness": 1.5, "natural_frequency": 10.0, "order": 2.0} | more)
+        )  # type: ignore[arg-type]
         return logs.words_of(SimpleNamespace(model=link, delay=delay))  # type: ignore[arg-type]
 
     damped = 2 * 0.05 * 10.0
     hertz = 10.0 * math.sqrt(1 - 0.05**2) / (2 * math.pi)
-    assert said(0.0021, damping=damped) == f"swings at {hertz:.3g} Hz with 5 % damping, gauge 2.1 ms late"
+    assert (
+        said(0.0021, damping=damped)
+        == f"swings at {hertz:.3g} Hz with 5 % damping, gauge 2.1 ms late"
+    )
     assert said(-0.0021, damping=damped).endswith("gauge 2.1 ms early")
-    assert said(0.0, damping=50.0) == "does not oscillate, gauge 0.0 ms late"  # overdamped
-    assert said(0.0, natural_frequency=0.0, damping=50.0).startswith("does not oscillate")
+    assert (
+        said(0.0, damping=50.0) == "does not oscillate, gauge 0.0 ms late"
+    )  # overdamped
+    assert said(0.0, natural_frequency=0.0, damping=50.0).startswith(
+        "does not oscillate"
+    )
 
 
 # --- runs for the page ----------------------------------------------------------------------------------
@@ -1029,16 +1410,26 @@ def test_a_hand_holds_on_the_side_to_which_the_tip_goes() -> None:
     assert (event.time, event.until) == (0.2, pytest.approx(0.201))
     assert played._events(hold, falling)[0][0].side == -1
     level = {"hold": {"begin": 0.2, "until": 0.7, "angle": 1.0}}
-    assert played._events(level, rising)[0][0].side == 1  # at the place where it wants to be 0.3 s later
+    assert (
+        played._events(level, rising)[0][0].side == 1
+    )  # at the place where it wants to be 0.3 s later
     thrown, said = played._events({"throw": {"time": 0.5, "payload": 0.01}}, rising)
-    assert said == "the payload falls to 10 g at 0.50 s, and nobody tells the law" and len(thrown) == 1
+    assert (
+        said == "the payload falls to 10 g at 0.50 s, and nobody tells the law"
+        and len(thrown) == 1
+    )
     assert played._events({}, rising) == ([], "the move as it is")
-    both, said = played._events({**hold, "throw": {"time": 0.5, "payload": 0.01}}, rising)
+    both, said = played._events(
+        {**hold, "throw": {"time": 0.5, "payload": 0.01}}, rising
+    )
     assert len(both) == 2 and "; the payload" in said
 
 
 def test_what_a_fault_made_of_a_reading_is_replaced_by_the_value_before() -> None:
-    curves = {"gauge": [1.0, math.nan, 2.0, math.inf, 1e6, -5.0], "tip": [math.nan, 1.0, 1e5, 0, 0, 0]}
+    curves = {
+        "gauge": [1.0, math.nan, 2.0, math.inf, 1e6, -5.0],
+        "tip": [math.nan, 1.0, 1e5, 0, 0, 0],
+    }
     answer = played._reply("said", 0.03, 57.3, curves)
     assert answer.curves["gauge"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, -5.0]  # type: ignore[union-attr]
     assert answer.curves["tip"].tolist() == [0.0, 1.0, 1e5, 0.0, 0.0, 0.0]  # type: ignore[union-attr]
@@ -1046,7 +1437,9 @@ def test_what_a_fault_made_of_a_reading_is_replaced_by_the_value_before() -> Non
 
 
 @pytest.mark.slow
-def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(made: Session, tmp_path: Path) -> None:
+def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(
+    made: Session, tmp_path: Path
+) -> None:
     asked = {
         "payload": 0.03,
         "move": 1.0,
@@ -1065,8 +1458,13 @@ def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(made: Session, tm
     for verb in ("play", "fault"):
         with pytest.raises(FieldError, match="design is required"):
             played.PLAY_VERBS[verb](fresh, asked)
-    answer = played.PLAY_VERBS["play"](made, {**asked, "duration": 1.0, "half": 0.5, "time": 0.4})
-    assert answer.head["move"] == pytest.approx(math.degrees(1.0)) and answer.head["payload"] == 0.03
+    answer = played.PLAY_VERBS["play"](
+        made, {**asked, "duration": 1.0, "half": 0.5, "time": 0.4}
+    )
+    assert (
+        answer.head["move"] == pytest.approx(math.degrees(1.0))
+        and answer.head["payload"] == 0.03
+    )
     assert answer.head["said"].startswith("On the twin: the move as it is.")
     assert len(answer.curves["tip"]) == 251  # type: ignore[arg-type]  # both ends of a second
 
@@ -1075,14 +1473,22 @@ def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(made: Session, tm
 
 
 @pytest.mark.slow
-def test_every_output_names_its_file_and_its_command(made: Session, tmp_path: Path, monkeypatch: Any) -> None:
+def test_every_output_names_its_file_and_its_command(
+    made: Session, tmp_path: Path, monkeypatch: Any
+) -> None:
     own = Session(made.study, tmp_path / "out")
     monkeypatch.setattr(outputs, "write_arm_page", lambda study, path: _written(path))
     monkeypatch.setattr(outputs, "write_report", lambda study, path: _written(path))
     out = own.folder
     wanted = {
-        "c": (f"fraclink export c design.json --precision double --out {out / 'firmware'}", "firmware/law.c"),
-        "matlab": (f"fraclink export matlab design.json --out {out / 'arm_law.m'}", "arm_law.m"),
+        "c": (
+            f"fraclink export c design.json --precision double --out {out / 'firmware'}",
+            "firmware/law.c",
+        ),
+        "matlab": (
+            f"fraclink export matlab design.json --out {out / 'arm_law.m'}",
+            "arm_law.m",
+        ),
         "fmu": (
             f"fraclink export fmu design.json --source --precision double --out {out / 'arm_law.fmu'}",
             "arm_law.fmu",
@@ -1091,9 +1497,17 @@ def test_every_output_names_its_file_and_its_command(made: Session, tmp_path: Pa
         "report": (f"fraclink report {out} --out {out / 'report.html'}", "report.html"),
     }
     for target, (command, name) in wanted.items():
-        answer = outputs.OUTPUT_VERBS["export"](own, {"target": target, "precision": "double"}).head
-        assert (answer["export_command"], answer["target"], answer["ok"]) == (command, target, True)
-        assert answer["written"][name] == (out / name).stat().st_size == own.written[name]
+        answer = outputs.OUTPUT_VERBS["export"](
+            own, {"target": target, "precision": "double"}
+        ).head
+        assert (answer["export_command"], answer["target"], answer["ok"]) == (
+            command,
+            target,
+            True,
+        )
+        assert (
+            answer["written"][name] == (out / name).stat().st_size == own.written[name]
+        )
         assert answer["board_said"] == f"Written into {out}."
         with pytest.raises(FraclinkError):
             outputs.OUTPUT_VERBS["export"](own, {"target": target})
@@ -1128,7 +1542,9 @@ def _written(path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_law_with_more_modes_takes_eight_instructions_more_for_each(made: Session) -> None:
+def test_a_law_with_more_modes_takes_eight_instructions_more_for_each(
+    made: Session,
+) -> None:
     rows = outputs.OUTPUT_VERBS["board"](made, {"precision": "single"}).head["board"]
     law = made.study.law
     modes = law.order + len(law.feedforward.poles)
@@ -1169,7 +1585,9 @@ def test_a_port_that_is_taken_is_named() -> None:
         assert why.value.allowed == "a free port of this machine"
     listener = serving._listening("127.0.0.1", 0, False)
     assert listener.getsockname()[1] > 0
-    with socket.create_connection(listener.getsockname(), timeout=5):  # it listens already
+    with socket.create_connection(
+        listener.getsockname(), timeout=5
+    ):  # it listens already
         listener.close()
 
 
@@ -1186,14 +1604,21 @@ def test_the_socket_is_spoken_by_what_is_there(monkeypatch: pytest.MonkeyPatch) 
 
 @pytest.mark.parametrize(
     ("pages", "alone", "failed", "ends"),
-    [(0, 601.0, False, True), (0, 590.0, False, False), (1, 9999.0, False, False), (1, 0.0, True, True)],
+    [
+        (0, 601.0, False, True),
+        (0, 590.0, False, False),
+        (1, 9999.0, False, False),
+        (1, 0.0, True, True),
+    ],
 )
 def test_the_studio_ends_ten_minutes_after_the_last_page(
     monkeypatch: pytest.MonkeyPatch, pages: int, alone: float, failed: bool, ends: bool
 ) -> None:
     monkeypatch.setattr(serving, "_LOOK", 0.0)
     watched = SimpleNamespace(should_exit=False)
-    studio = SimpleNamespace(pages=pages, alone_since=time.monotonic() - alone, failed=failed)
+    studio = SimpleNamespace(
+        pages=pages, alone_since=time.monotonic() - alone, failed=failed
+    )
 
     async def look() -> None:
         task = asyncio.create_task(serving._watch(watched, studio))  # type: ignore[arg-type]
@@ -1213,7 +1638,9 @@ def test_serve_tells_its_address_and_closes_the_session(
     kept: dict[str, Any] = {}
 
     async def served(uvicorn_server: Any, listener: socket.socket, studio: Any) -> None:
-        kept.update(studio=studio, config=uvicorn_server.config, port=listener.getsockname()[1])
+        kept.update(
+            studio=studio, config=uvicorn_server.config, port=listener.getsockname()[1]
+        )
         listener.close()
 
     monkeypatch.setattr(serving, "_served", served)
@@ -1221,10 +1648,16 @@ def test_serve_tells_its_address_and_closes_the_session(
     done = serving.serve(lambda: opened(None, out=tmp_path), say=told.append)
     address = f"http://127.0.0.1:{kept['port']}/#{kept['studio'].token}"
     assert told == shown == [address] and not done.draft.exists()
-    assert kept["studio"].hosts == {f"127.0.0.1:{kept['port']}", f"localhost:{kept['port']}"}
+    assert kept["studio"].hosts == {
+        f"127.0.0.1:{kept['port']}",
+        f"localhost:{kept['port']}",
+    }
     assert len(kept["studio"].token) == 32  # 24 bytes in base64
     config = kept["config"]
-    assert (config.ws_max_size, config.h11_max_incomplete_event_size) == (4 * LONGEST, LONGEST)
+    assert (config.ws_max_size, config.h11_max_incomplete_event_size) == (
+        4 * LONGEST,
+        LONGEST,
+    )
     assert config.access_log is False and config.server_header is False
     serving.serve(lambda: opened(None, out=tmp_path), say=told.append, open_page=False)
     assert len(shown) == 1
@@ -1232,7 +1665,9 @@ def test_serve_tells_its_address_and_closes_the_session(
 
 @pytest.fixture
 def studio(tmp_path: Path) -> server.Studio:
-    return server.Studio(lambda: opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"])
+    return server.Studio(
+        lambda: opened(None, out=tmp_path / "results"), hosts=["127.0.0.1:8000"]
+    )
 
 
 @pytest.fixture
@@ -1250,14 +1685,22 @@ def test_files_are_served_with_their_kind(client: TestClient) -> None:
         ("/arm_box.css", "text/css"),
     ):
         answer = client.get(path)
-        assert answer.headers["content-type"].startswith(kind) and answer.status_code == 200
+        assert (
+            answer.headers["content-type"].startswith(kind)
+            and answer.status_code == 200
+        )
         assert answer.headers["referrer-policy"] == "no-referrer"
-    assert "<!-- arm_box.html -->" not in client.get("/").text and "{#" not in client.get("/").text
+    assert (
+        "<!-- arm_box.html -->" not in client.get("/").text
+        and "{#" not in client.get("/").text
+    )
     script = client.get("/arm_box.js").text
     page = Path(server.__file__).parent / "page"
     assert script.startswith((page / "arm_before.txt").read_text("utf-8"))
     assert script.endswith((page / "arm_after.txt").read_text("utf-8"))
-    assert client.post("/").status_code == 405 and client.post("/").text == "nothing here"
+    assert (
+        client.post("/").status_code == 405 and client.post("/").text == "nothing here"
+    )
 
 
 def test_an_upload_of_more_than_the_readers_take_is_refused(
@@ -1265,14 +1708,23 @@ def test_an_upload_of_more_than_the_readers_take_is_refused(
 ) -> None:
     monkeypatch.setattr(server, "UPLOAD_LIMIT", 10)
     token = {"x-studio-token": studio.token}
-    assert client.post("/upload?name=a.csv", content=10 * b"x", headers=token).status_code == 204
-    assert studio.session.upload is not None and studio.session.upload.read_bytes() == 10 * b"x"
+    assert (
+        client.post("/upload?name=a.csv", content=10 * b"x", headers=token).status_code
+        == 204
+    )
+    assert (
+        studio.session.upload is not None
+        and studio.session.upload.read_bytes() == 10 * b"x"
+    )
     refused = client.post("/upload?name=b.csv", content=11 * b"x", headers=token)
     assert (refused.status_code, refused.text) == (413, "at most 10 bytes")
     assert not (studio.session.draft / "upload" / "b.csv").exists()
     (studio.session.draft / "studio.zip").write_bytes(b"PK")
     answer = client.get("/studio.zip", headers=token)
-    assert (answer.content, answer.headers["content-type"]) == (b"PK", "application/zip")
+    assert (answer.content, answer.headers["content-type"]) == (
+        b"PK",
+        "application/zip",
+    )
 
 
 def test_pages_are_counted_while_they_are_open(studio: server.Studio) -> None:
@@ -1285,7 +1737,11 @@ def test_pages_are_counted_while_they_are_open(studio: server.Studio) -> None:
     studio.alone_since = 0.0
     assert asyncio.run(opened_twice()) == (2, 1) and studio.pages == 0
     assert time.monotonic() - studio.alone_since < 60.0
-    assert studio.knows(studio.token) and not studio.knows(studio.token + "x") and not studio.knows(None)
+    assert (
+        studio.knows(studio.token)
+        and not studio.knows(studio.token + "x")
+        and not studio.knows(None)
+    )
 
 
 @pytest.mark.slow

@@ -1,4 +1,6 @@
-"""The studio in Chromium: every handle, undo, keys, a killed server, and not one request to elsewhere."""
+"""The studio in Chromium: every handle, undo, keys, a killed server, and not one
+request to elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,16 @@ HANDLES = {
 @contextmanager
 def studio(place: Path, *words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """A studio that keeps to `place`/results: its address, and its process."""
-    command = [sys.executable, "-m", "fraclink", "studio", "--no-open", "--out", "results", *words]
+    command = [
+        sys.executable,
+        "-m",
+        "fraclink",
+        "studio",
+        "--no-open",
+        "--out",
+        "results",
+        *words,
+    ]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True)  # noqa: S603
     try:
         assert process.stdout is not None
@@ -57,7 +68,9 @@ _SETTLED = """import('/studio.js').then(
 
 
 def settled(page: Page) -> None:
-    """Wait until the exact design stands: before it, tables grow and handles move under the hand."""
+    """Wait until the exact design stands: before it, tables grow and handles move under
+    the hand.
+    """
     page.until(lambda: bool(page.run(_SETTLED)), "an exact design")
 
 
@@ -67,13 +80,19 @@ def states(place: Path) -> list[dict]:
 
 
 def noted(page: Page, place: Path) -> dict:
-    """Wait until what the page asks for is the last state of its history, and return it."""
+    """Wait until what the page asks for is the last state of its history, and return
+    it.
+    """
     shown = "import('/studio.js').then(({app}) => app.state)"
-    page.until(lambda: states(place)[-1].get("state") == page.run(shown), "the state in the history")
+    page.until(
+        lambda: states(place)[-1].get("state") == page.run(shown),
+        "the state in the history",
+    )
     return states(place)[-1]["state"]
 
 
-# A busy machine may answer long after the next request: here when the test says so (`window.late`).
+# A busy machine may answer long after the next request: here when the test says so
+# (`window.late`).
 _LATE = """((verb, changed) => {
   const hears = Object.getOwnPropertyDescriptor(WebSocket.prototype, 'onmessage');
   const {send} = WebSocket.prototype;
@@ -90,7 +109,8 @@ _LATE = """((verb, changed) => {
     });
   }});
 })"""
-# With a filter that it borrows from the last design, a refused preview may know of no nearest request.
+# With a filter that it borrows from the last design, a refused preview may know of no
+# nearest request.
 _KNOWS_LESS = """(head, event) => {
   if (head.ok) return event;
   window.refusals += 1;
@@ -106,7 +126,9 @@ _KNOWS_LESS = """(head, event) => {
 def held_back(
     page: Page, verb: str, changed: str = "(head, event) => event"
 ) -> Iterator[Callable[[], object]]:
-    """Hold back the answers to `verb` in pages that are opened; what this yields hands them on."""
+    """Hold back the answers to `verb` in pages that are opened; what this yields hands
+    them on.
+    """
     source = f"{_LATE}('{verb}', {changed})"
     kept = page.do("Page.addScriptToEvaluateOnNewDocument", source=source)["identifier"]
     try:
@@ -124,7 +146,10 @@ def ask_for(page: Page, crossover: str) -> None:
 
 
 def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path):
-    with held_back(page, "preview", _KNOWS_LESS) as hand_on, studio(tmp_path) as (address, _process):
+    with (
+        held_back(page, "preview", _KNOWS_LESS) as hand_on,
+        studio(tmp_path) as (address, _process),
+    ):
         page.open(address)
         page.key("4")
 
@@ -132,27 +157,40 @@ def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path)
             hand_on()
             return bool(page.run(f"Boolean({condition})"))
 
-        page.until(lambda: handed_on("!document.querySelector('#controller').classList.contains('preview')"))
+        page.until(
+            lambda: handed_on(
+                "!document.querySelector('#controller').classList.contains('preview')"
+            )
+        )
         ask_for(page, "9")
         page.until("document.querySelector('#refused button')", "the nearest")
         page.until(lambda: handed_on("window.refusals"), "the preview")
         refused = "document.querySelector('#refused')"
-        assert page.run(f"!{refused}.hidden && Boolean({refused}.querySelector('button'))")
+        assert page.run(
+            f"!{refused}.hidden && Boolean({refused}.querySelector('button'))"
+        )
 
 
 def test_the_picture_of_a_state_is_asked_for_once(page, tmp_path):
-    """Each time that the strip is drawn, 64 requests were soon waiting, and the studio hung up."""
+    """Each time that the strip is drawn, 64 requests were soon waiting, and the studio
+    hung up.
+    """
     with held_back(page, "look") as hand_on, studio(tmp_path) as (address, _process):
         page.open(address)
         page.key("4")
         for number, value in enumerate(("12.5", "13", "13.5"), 2):
             ask_for(page, value)
             page.until(f"document.querySelectorAll('.thumb').length === {number}")
-        page.until("new Set(window.asked).size === 4", "every state's picture asked for")
+        page.until(
+            "new Set(window.asked).size === 4", "every state's picture asked for"
+        )
         assert page.run("window.asked.length") == 4
         page.until("window.late.length === 4", "every picture answered")
         hand_on()
-        page.until("document.querySelectorAll('.thumb path[d]').length === 4", "every picture drawn")
+        page.until(
+            "document.querySelectorAll('.thumb path[d]').length === 4",
+            "every picture drawn",
+        )
 
 
 def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
@@ -164,14 +202,23 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         first = states(tmp_path)[-1]["state"]
         for number, (handle, (by, option)) in enumerate(HANDLES.items(), 1):
             settled(page)
-            was = page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')")
-            page.drag(handle, by, moves=6)
-            assert page.run(f"document.querySelector('{handle}').getAttribute('aria-valuenow')") != was, (
-                handle
+            was = page.run(
+                f"document.querySelector('{handle}').getAttribute('aria-valuenow')"
             )
-            page.until(lambda n=number: len(states(tmp_path)) > n, f"{handle} in the history")
+            page.drag(handle, by, moves=6)
+            assert (
+                page.run(
+                    f"document.querySelector('{handle}').getAttribute('aria-valuenow')"
+                )
+                != was
+            ), handle
+            page.until(
+                lambda n=number: len(states(tmp_path)) > n, f"{handle} in the history"
+            )
             before, after = (entry["state"] for entry in states(tmp_path)[-2:])
-            assert [name for name in after if after[name] != before[name]] == [option], handle
+            assert [name for name in after if after[name] != before[name]] == [
+                option
+            ], handle
         for _ in HANDLES:  # one undo for each drag
             page.key("z", control=True)
         page.until(lambda: states(tmp_path)[-1]["at"] == 0, "undone to the first")
@@ -188,7 +235,9 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
             page.mouse(kind, x + dx, y)
         page.key("Escape")
         page.mouse("mouseReleased", x + 40, y, 0)
-        shown = page.run("Number(document.querySelector('#h-crossover').getAttribute('aria-valuenow'))")
+        shown = page.run(
+            "Number(document.querySelector('#h-crossover').getAttribute('aria-valuenow'))"
+        )
         assert shown == first["gain_crossover"]
         time.sleep(0.3)
         assert len(states(tmp_path)) == lines
@@ -196,16 +245,23 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.run("document.querySelector('#h-margin-phase').focus()")
         for name in ("ArrowUp", "PageUp"):
             page.key(name)
-        page.until("document.querySelector('#h-margin-phase').getAttribute('aria-valuenow') === '55.5'")
-        page.until("document.querySelector('#command').textContent.includes('--phase-margin-deg 55.5')")
+        page.until(
+            "document.querySelector('#h-margin-phase').getAttribute('aria-valuenow') === '55.5'"
+        )
+        page.until(
+            "document.querySelector('#command').textContent.includes('--phase-margin-deg 55.5')"
+        )
         settled(page)
         page.key("s", control=True)
         kept = tmp_path / "results" / "design.json"
         page.until(kept.is_file, "kept")
-        for number, step in enumerate(("log", "channels", "model", "design", "move", "proof", "board"), 1):
+        for number, step in enumerate(
+            ("log", "channels", "model", "design", "move", "proof", "board"), 1
+        ):
             page.key(str(number))
             assert page.run(f"!document.querySelector('#step-{step}').hidden"), step
-        # A region that the curves may not enter: drawn, found to be entered, gone round, removed by a key.
+        # A region that the curves may not enter: drawn, found to be entered, gone
+        # round, removed by a key.
         page.key("4")
         page.click("#keepout-gain")
         x, y = page.middle("#h-crossover")
@@ -213,51 +269,73 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         for k in range(1, 6):
             page.mouse("mouseMoved", x - 16 + 5 * k, y - 16 + 5 * k)
         page.mouse("mouseReleased", x + 9, y + 9, 0)
-        page.until("document.querySelector('#regions').textContent.startsWith('✗ entered')")
         page.until(
-            lambda: bool(states(tmp_path)[-1].get("state", {}).get("regions")), "the region in the history"
+            "document.querySelector('#regions').textContent.startsWith('✗ entered')"
+        )
+        page.until(
+            lambda: bool(states(tmp_path)[-1].get("state", {}).get("regions")),
+            "the region in the history",
         )
         page.until("!document.querySelector('#around').hidden")
         page.run("document.querySelector('#around').click()")
-        page.until("document.querySelector('#regions').textContent.startsWith('✓ kept out of')")
+        page.until(
+            "document.querySelector('#regions').textContent.startsWith('✓ kept out of')"
+        )
         page.run("document.querySelector('#h-region-0-low').focus()")
         page.key("ArrowUp")
         page.key("Delete")
         page.until("!document.querySelector('.keepout')")
-        page.run("document.querySelector('#keepout-nichols').click()")  # as Enter does: one in the middle
+        page.run(
+            "document.querySelector('#keepout-nichols').click()"
+        )  # as Enter does: one in the middle
         page.until("document.activeElement.id === 'h-region-0-left'")
         page.key("ArrowLeft")
         page.key("Delete")
         page.until("!document.querySelector('.keepout')")
-        # The map takes both at once; a state lies over another; a name finds what has no key.
-        page.until("document.querySelector('#p-map .cells')?.getAttribute('d')", "the map")
+        # The map takes both at once; a state lies over another; a name finds what has
+        # no key.
+        page.until(
+            "document.querySelector('#p-map .cells')?.getAttribute('d')", "the map"
+        )
         settled(page)
         before = noted(page, tmp_path)
         page.drag("#h-map-crossover", (6, 0), moves=3)
         after = noted(page, tmp_path)
         assert after == {**before, "gain_crossover": after["gain_crossover"]} != before
         page.run("document.querySelector('.thumb .chip').click()")
-        page.until("document.querySelectorAll('.curve.other').length === 4", "a state over this one")
+        page.until(
+            "document.querySelectorAll('.curve.other').length === 4",
+            "a state over this one",
+        )
         assert "B" in page.run("document.querySelector('#compared thead').textContent")
         page.run("document.querySelector('#fan').click()")
-        page.until("document.querySelector('#p-nichols .fan')?.getAttribute('d')", "the arms of the box")
+        page.until(
+            "document.querySelector('#p-nichols .fan')?.getAttribute('d')",
+            "the arms of the box",
+        )
         page.run("document.querySelector('#fan').click()")
         page.key("k", control=True)
         page.do("Input.insertText", text="lightest payload designed")
         page.key("Enter")
-        page.until("document.activeElement.id === 'h-payload-0'", "the handle of that name")
+        page.until(
+            "document.activeElement.id === 'h-payload-0'", "the handle of that name"
+        )
         page.run("document.activeElement.blur()")
-        # A request that cannot be met: pale curves, a sentence, and the nearest that can.
+        # A request that cannot be met: pale curves, a sentence, and the nearest that
+        # can.
         page.key("4")
         for value in ("9", ""):
             ask_for(page, value)
             if value:
                 page.until("!document.querySelector('#refused').hidden")
-                assert "lies left of the peak" in page.run("document.querySelector('#refused').textContent")
+                assert "lies left of the peak" in page.run(
+                    "document.querySelector('#refused').textContent"
+                )
                 page.until("document.querySelector('#refused button')")
                 page.run("document.querySelector('#refused button').click()")
                 page.until("document.querySelector('#refused').hidden")
-        # Killed in the middle of a drag: what was kept is there, and the history is back.
+        # Killed in the middle of a drag: what was kept is there, and the history is
+        # back.
         settled(page)
         bytes_kept, lines = kept.read_bytes(), len(states(tmp_path))
         x, y = page.middle("#h-crossover")
@@ -268,33 +346,47 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.until(f"{value} !== '{was}'", "the drag")
         process.kill()
         page.mouse("mouseReleased", x + 15, y, 0)
-        page.until("!document.querySelector('#banner').hidden", "the page says that the studio is gone")
+        page.until(
+            "!document.querySelector('#banner').hidden",
+            "the page says that the studio is gone",
+        )
     assert kept.read_bytes() == bytes_kept
     port = address.split(":")[2].split("/")[0]
     with studio(tmp_path, "--port", port) as (address, _):
-        page.until("document.querySelector('#banner').textContent.includes('key')", "another token")
+        page.until(
+            "document.querySelector('#banner').textContent.includes('key')",
+            "another token",
+        )
         page.open(address)
         assert page.run("document.querySelector('#undo').disabled") is False
         assert len(states(tmp_path)) >= lines
     ours = [r for r in page.requests if not r.startswith(("about:", "data:"))]
     assert ours and all(r.split("/")[2].startswith("127.0.0.1:") for r in ours)
-    complaints = [c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c]
+    complaints = [
+        c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c
+    ]
     assert complaints == []
 
 
 def _loses_the_payload(page: Page) -> bool:
-    """Click the payload, which moves: on a busy machine a click may miss it, or last long enough to hold."""
+    """Click the payload, which moves: on a busy machine a click may miss it, or last
+    long enough to hold.
+    """
     page.click("#load")
     end = time.monotonic() + 5.0
     while time.monotonic() < end:
-        if page.run("document.querySelector('#outcome').textContent.includes('the payload falls to')"):
+        if page.run(
+            "document.querySelector('#outcome').textContent.includes('the payload falls to')"
+        ):
             return True
         time.sleep(0.1)
     return False
 
 
 def replayed_and_cut(page: Page) -> None:
-    """The drawn arm stands as the log says; a stretch is marked by keys, kept, and taken back."""
+    """The drawn arm stands as the log says; a stretch is marked by keys, kept, and
+    taken back.
+    """
     page.key("2")
     page.until("!document.querySelector('#replayed').hidden", "an arm that can replay")
     log = fl.read_log(fl.bundled_log("prbs_30g"))
@@ -310,15 +402,20 @@ def replayed_and_cut(page: Page) -> None:
             -np.degrees(log.motor_angle[round(part * (log.output.size - 1))]), abs=0.3
         )
     page.run("document.querySelector('#replay').click()")
-    page.until("Math.abs(document.querySelector('#replay-at').value - 900) > 5", "it moves")
+    page.until(
+        "Math.abs(document.querySelector('#replay-at').value - 900) > 5", "it moves"
+    )
     page.run("document.querySelector('#replay').click()")
     page.run("document.querySelector('#h-cut-1').focus()")
     for _ in range(2):
         page.key("PageDown")
-    page.until("document.querySelector('#cut-said').textContent === 'Marked: 0 to 18 s'")
+    page.until(
+        "document.querySelector('#cut-said').textContent === 'Marked: 0 to 18 s'"
+    )
     page.run("document.querySelector('#cut-keep').click()")
     page.until(
-        "document.querySelector('#command').textContent.includes('--keep 0 18')", "the stretch in the command"
+        "document.querySelector('#command').textContent.includes('--keep 0 18')",
+        "the stretch in the command",
     )
     assert "W237" in page.run("document.querySelector('#log-findings').textContent")
     page.click("#p-output")  # a click marks nothing
@@ -326,9 +423,15 @@ def replayed_and_cut(page: Page) -> None:
     page.run("document.querySelector('#cut-all').click()")
     page.until("!document.querySelector('#command').textContent.includes('--keep')")
     # the numbers of a plot, and its sentence
-    page.run("document.querySelector('#p-angle').closest('figure').querySelector('.numbers').click()")
-    page.until("document.querySelectorAll('#p-angle + .tablebox tbody tr').length === 14")
-    page.until("/^log from .* at 0 to /.test(document.querySelector('#p-angle desc').textContent)")
+    page.run(
+        "document.querySelector('#p-angle').closest('figure').querySelector('.numbers').click()"
+    )
+    page.until(
+        "document.querySelectorAll('#p-angle + .tablebox tbody tr').length === 14"
+    )
+    page.until(
+        "/^log from .* at 0 to /.test(document.querySelector('#p-angle desc').textContent)"
+    )
 
 
 def test_from_a_dropped_log_to_the_board(page, tmp_path):
@@ -348,38 +451,69 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
             " document.querySelector('#drop').dispatchEvent(new DragEvent('drop', {dataTransfer: d,"
             " bubbles: true, cancelable: true})); })(new DataTransfer())"
         )
-        page.until("document.querySelector('#log-said').textContent.startsWith('swept.csv')")
+        page.until(
+            "document.querySelector('#log-said').textContent.startsWith('swept.csv')"
+        )
         page.run("document.querySelector('#bundled [data-name=prbs_30g]').click()")
-        page.until("document.querySelector('#log-said').textContent.startsWith('prbs_30g')")
-        page.until("document.querySelector('#log-payload').placeholder === '30'", "the log is read")
+        page.until(
+            "document.querySelector('#log-said').textContent.startsWith('prbs_30g')"
+        )
+        page.until(
+            "document.querySelector('#log-payload').placeholder === '30'",
+            "the log is read",
+        )
         replayed_and_cut(page)
         page.key("3")
         page.run("document.querySelector('#fit').click()")
         page.until("document.querySelectorAll('.model').length === 4", "four fits")
         assert "Hz" in page.run("document.querySelector('#model-words').textContent")
         page.key("4")
-        page.until("document.querySelector('#go-design').dataset.mark !== 'not run'", "a design")
+        page.until(
+            "document.querySelector('#go-design').dataset.mark !== 'not run'",
+            "a design",
+        )
         page.key("5")
         page.until(
-            "document.querySelector('#outcome')?.textContent.startsWith('Settled after')", "the arm moves"
+            "document.querySelector('#outcome')?.textContent.startsWith('Settled after')",
+            "the arm moves",
         )
         page.click("#fault-nan")
-        page.until("document.querySelector('#outcome').textContent.startsWith('Degraded')")
+        page.until(
+            "document.querySelector('#outcome').textContent.startsWith('Degraded')"
+        )
         # A hand at the tip and a payload that is lost on the way, on the twin.
         page.run("document.querySelector('#hold').click()")
-        page.until("document.querySelector('#outcome').textContent.startsWith('On the twin: held at')")
-        assert page.run("document.querySelector('#hold').getAttribute('aria-pressed')") == "true"
+        page.until(
+            "document.querySelector('#outcome').textContent.startsWith('On the twin: held at')"
+        )
+        assert (
+            page.run("document.querySelector('#hold').getAttribute('aria-pressed')")
+            == "true"
+        )
         page.run("document.querySelector('#hold').click()")
-        page.until("document.querySelector('#hold').getAttribute('aria-pressed') === 'false'")
+        page.until(
+            "document.querySelector('#hold').getAttribute('aria-pressed') === 'false'"
+        )
         page.until(lambda: _loses_the_payload(page), "the payload falls")
         page.key("6")
-        page.until("document.querySelector('#p-swept .cells')?.getAttribute('d')", "the map about -1")
+        page.until(
+            "document.querySelector('#p-swept .cells')?.getAttribute('d')",
+            "the map about -1",
+        )
         page.key("f")
-        page.until("document.querySelector('button.cell')", "faults stream, and one fails")
+        page.until(
+            "document.querySelector('button.cell')", "faults stream, and one fails"
+        )
         page.run("document.querySelector('#cancel').click()")
-        page.until("document.querySelector('#proof-said').textContent.includes('stopped as you asked')")
-        page.run("document.querySelector('button.cell').click()")  # a red cell shows its run
-        page.until("/^F\\d\\d, severity/.test(document.querySelector('#outcome').textContent)")
+        page.until(
+            "document.querySelector('#proof-said').textContent.includes('stopped as you asked')"
+        )
+        page.run(
+            "document.querySelector('button.cell').click()"
+        )  # a red cell shows its run
+        page.until(
+            "/^F\\d\\d, severity/.test(document.querySelector('#outcome').textContent)"
+        )
         page.key("7")
         page.run("document.querySelector('#write-c').click()")
         page.until("document.querySelector('#files td')", "files")
@@ -394,8 +528,13 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
                 assert page.run(over) <= 0, (number, width)
         page.look(media="print")
         page.key("4")
-        assert page.run("getComputedStyle(document.querySelector('.tools')).display") == "none"
+        assert (
+            page.run("getComputedStyle(document.querySelector('.tools')).display")
+            == "none"
+        )
         page.look()
         time.sleep(0.1)
-    complaints = [c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c]
+    complaints = [
+        c for c in page.complaints if "WebSocket" not in c and "ERR_CONNECTION" not in c
+    ]
     assert [c for c in complaints if "403" not in c] == []

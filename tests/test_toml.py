@@ -1,4 +1,6 @@
-"""TOML that people write: every fault found with its place and remedy, limits, and text that reads back."""
+"""TOML that people write: every fault found with its place and remedy, limits, and text
+that reads back.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,11 @@ class Made:
     def __post_init__(self) -> None:
         if self.name == "heavy" and self.motor.inertia < 1:
             raise FieldError(
-                "motor.inertia", self.motor.inertia, "too light", allowed=">= 1", remedy="add mass"
+                "motor.inertia",
+                self.motor.inertia,
+                "too light",
+                allowed=">= 1",
+                remedy="add mass",
             )
 
 
@@ -67,39 +73,71 @@ GOOD = {"name": "arm", "motor": {"inertia_kg_m2": 2.0}}
 def faults_of(data: object) -> list[FieldError]:
     with pytest.raises(FieldError) as caught:
         read_table(Made, data)  # type: ignore[arg-type]
-    return list(caught.value.faults) if isinstance(caught.value, FileFaults) else [caught.value]
+    return (
+        list(caught.value.faults)
+        if isinstance(caught.value, FileFaults)
+        else [caught.value]
+    )
 
 
 def test_a_table_becomes_the_object_and_comes_back() -> None:
     made = read_table(Made, GOOD)
     assert made == Made("arm", Motor(2.0))
-    assert table_of(made) == GOOD | {"loads": ()}  # no limit and no switch at its default
-    whole = Made("arm", Motor(2.0, 24.0, quick=True), Column("enc", "deg"), (0.02, 0.04))
+    assert table_of(made) == GOOD | {
+        "loads": ()
+    }  # no limit and no switch at its default
+    whole = Made(
+        "arm", Motor(2.0, 24.0, quick=True), Column("enc", "deg"), (0.02, 0.04)
+    )
     table = table_of(whole)
     assert table["motor"] == {"inertia_kg_m2": 2.0, "limit_V": 24.0, "quick": True}
     assert table["angle"] == {"column": "enc", "unit": "deg"}
     assert read_table(Made, tomllib.loads(toml_text(table))) == whole
     assert list(keys_of(Motor)) == ["inertia_kg_m2", "limit_V", "quick"]
-    assert [key.required for key in keys_of(Made).values()] == [True, True, False, False]
+    assert [key.required for key in keys_of(Made).values()] == [
+        True,
+        True,
+        False,
+        False,
+    ]
 
 
 def test_every_fault_is_found_with_its_place() -> None:
-    data = {"motor": {"inertia_kg_m2": -1.0, "limt_V": 24.0}, "angle": {"column": "enc"}, "loads": 3}
+    data = {
+        "motor": {"inertia_kg_m2": -1.0, "limt_V": 24.0},
+        "angle": {"column": "enc"},
+        "loads": 3,
+    }
     found = {fault.field: fault for fault in faults_of(data)}
-    assert set(found) == {"name", "motor.inertia_kg_m2", "motor.limt_V", "angle.unit", "loads"}
+    assert set(found) == {
+        "name",
+        "motor.inertia_kg_m2",
+        "motor.limt_V",
+        "angle.unit",
+        "loads",
+    }
     assert (
-        found["name"].problem == "missing" and found["name"].remedy == "add name = … to the top of the file"
+        found["name"].problem == "missing"
+        and found["name"].remedy == "add name = … to the top of the file"
     )
-    assert found["motor.inertia_kg_m2"].value == -1.0 and "10 kg·m²" in found["motor.inertia_kg_m2"].allowed
+    assert (
+        found["motor.inertia_kg_m2"].value == -1.0
+        and "10 kg·m²" in found["motor.inertia_kg_m2"].allowed
+    )
     assert found["motor.limt_V"].remedy == "did you mean 'limit_V'?"
     assert found["motor.limt_V"].allowed == "inertia_kg_m2, limit_V, quick"
-    assert found["angle.unit"].remedy == "state the unit in [angle]: units are never guessed"
+    assert (
+        found["angle.unit"].remedy
+        == "state the unit in [angle]: units are never guessed"
+    )
     with pytest.raises(FileFaults) as caught:
         read_table(Made, data)
     # As text it is all of them, one a line; its own attributes are those of the first.
-    assert str(caught.value).splitlines() == [str(fault) for fault in caught.value.faults]
+    assert str(caught.value).splitlines() == [
+        str(fault) for fault in caught.value.faults
+    ]
     assert caught.value.field == caught.value.faults[0].field
-    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - between processes of our own
+    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301
     assert str(again) == str(caught.value)
 
 
@@ -108,12 +146,22 @@ def test_every_fault_is_found_with_its_place() -> None:
     [
         ({"name": "arm"}, "motor", "add [motor]"),
         (GOOD | {"motor": 3}, "motor", "write it as [motor]"),
-        (GOOD | {"motor": {}}, "motor.inertia_kg_m2", "add inertia_kg_m2 = … to [motor]"),
+        (
+            GOOD | {"motor": {}},
+            "motor.inertia_kg_m2",
+            "add inertia_kg_m2 = … to [motor]",
+        ),
         (GOOD | {"zzzzzz": 1}, "zzzzzz", "remove it"),
-        (GOOD | {"name": "heavy", "motor": {"inertia_kg_m2": 0.5}}, "motor.inertia", "add mass"),
+        (
+            GOOD | {"name": "heavy", "motor": {"inertia_kg_m2": 0.5}},
+            "motor.inertia",
+            "add mass",
+        ),
     ],
 )
-def test_one_fault_is_told_by_itself(data: dict[str, object], place: str, words: str) -> None:
+def test_one_fault_is_told_by_itself(
+    data: dict[str, object], place: str, words: str
+) -> None:
     (fault,) = faults_of(data)
     assert (fault.field, fault.remedy) == (place, words)
     assert not isinstance(fault, FileFaults)
@@ -164,10 +212,21 @@ def test_a_mark_and_line_ends_of_other_editors(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_values_read_back_whatever_they_hold() -> None:
     texts = ['a "b" \\ c', "tab\t line\n return\r", "\x1b[31m \u2028 \U000e0001", "°µ"]
-    values = {"t": texts[0], "flag": False, "n": 3, "x": 0.1, "list": [1, 0.5, True], "words": texts}
+    values = {
+        "t": texts[0],
+        "flag": False,
+        "n": 3,
+        "x": 0.1,
+        "list": [1, 0.5, True],
+        "words": texts,
+    }
     table = {"top": 1, "a": {"b": {"c": 2}}, "odd name.": {"k": values}}
     text = toml_text(table)
-    assert tomllib.loads(text) == {"top": 1, "a": {"b": {"c": 2}}, "odd name.": {"k": values}}
+    assert tomllib.loads(text) == {
+        "top": 1,
+        "a": {"b": {"c": 2}},
+        "odd name.": {"k": values},
+    }
     # A table of tables needs no header of its own; sentences stand one to a line.
     assert "[a.b]" in text.splitlines() and "[a]" not in text.splitlines()
     assert toml_value(["one", "two"]) == '[\n  "one",\n  "two",\n]'

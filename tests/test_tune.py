@@ -1,6 +1,8 @@
-"""Tuning an unknown arm: the wiring is found before a loop is closed, limits are kept, and a law comes out.
+"""Tuning an unknown arm: the wiring is found before a loop is closed, limits are kept,
+and a law comes out.
 
-The arm is a twin in this process; each exchange of voltage and reading is one period of its life.
+The arm is a twin in this process; each exchange of voltage and reading is one period of
+its life.
 """
 
 from __future__ import annotations
@@ -41,7 +43,9 @@ if not _kernels.REALTIME:
 PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=PERIOD)
 
 
-def wired(made: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1) -> Callback:
+def wired(
+    made: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1
+) -> Callback:
     """The arm with factors on its wires."""
 
     def read() -> tuple[float, float]:
@@ -93,7 +97,9 @@ def test_right_wiring_has_evidence() -> None:
 
 @pytest.mark.parametrize("coulomb", [0.5, 1.0, 2.0])
 def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> None:
-    """Seen through friction, a K/J of half made a gauge of 0.7 times the torque one of 0.39 times."""
+    """Seen through friction, a K/J of half made a gauge of 0.7 times the torque one of
+    0.39 times.
+    """
     twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
     motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
     made = fl.SimulatedArm(replace(twin, motor=motor), PERIOD)
@@ -104,7 +110,12 @@ def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> No
 
 @pytest.mark.parametrize(
     ("times", "decided"),
-    [((0.50, 0.54), True), ((0.50, 0.60), False), ((0.60, 0.90), True), ((0.30, 0.70), False)],
+    [
+        ((0.50, 0.54), True),
+        ((0.50, 0.60), False),
+        ((0.60, 0.90), True),
+        ((0.30, 0.70), False),
+    ],
 )
 def test_a_third_move_decides_where_two_do_not_say_the_same(
     times: tuple[float, float], decided: bool
@@ -152,7 +163,9 @@ def test_a_lost_link_ends_with_a_stop() -> None:
 
 
 def test_samples_that_came_while_the_process_slept_are_counted() -> None:
-    """A busy machine must not look like a fast arm: the way between two samples took all their periods."""
+    """A busy machine must not look like a fast arm: the way between two samples took
+    all their periods.
+    """
     way = fl.SharedMemory(f"late-{os.getpid()}")
     clock = VirtualClock(2)
     served: list[fl.ServedArm] = []
@@ -160,7 +173,9 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     def serve() -> None:
         try:
             twin = fl.Twin.from_rig(RIG)
-            served.append(fl.serve_arm(twin, way, PERIOD, duration=1.0, priority=0, clock=clock))
+            served.append(
+                fl.serve_arm(twin, way, PERIOD, duration=1.0, priority=0, clock=clock)
+            )
         finally:
             clock.leave()
 
@@ -173,7 +188,9 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
         before = guard.count
         clock.sleep(4.5 * PERIOD)
         guard.step(0.5)
-        assert guard.reading.periods in (4, 5) and guard.lost == guard.reading.periods - 1
+        assert (
+            guard.reading.periods in (4, 5) and guard.lost == guard.reading.periods - 1
+        )
         assert guard.count == before + guard.reading.periods
         record = guard.record()
         between = np.diff(record.angle[-guard.reading.periods :])
@@ -191,7 +208,9 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
 
 
 @pytest.fixture(scope="module")
-def tuned(tmp_path_factory: pytest.TempPathFactory) -> tuple[fl.Tuning, fl.SimulatedArm, Path]:
+def tuned(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[fl.Tuning, fl.SimulatedArm, Path]:
     place, made = tmp_path_factory.mktemp("tune") / "arm", arm(seed=1)
     return fl.tune(made.callback, PLAN, out=place, clock="none"), made, place
 
@@ -218,7 +237,10 @@ def test_an_unknown_arm_ends_with_a_law_that_it_follows(
     assert np.max(np.abs(true[:, 4])) <= LIMITS.voltage
     again = fl.load(place / "tuning.json")
     assert again.link.fit.model == found.link.fit.model and again.moves == found.moves
-    assert fl.load(place / "law.json").digest == fl.load(place / "design.json").law().digest
+    assert (
+        fl.load(place / "law.json").digest
+        == fl.load(place / "design.json").law().digest
+    )
 
 
 @pytest.mark.slow
@@ -230,9 +252,18 @@ def test_it_goes_on_behind_the_last_stage_that_is_whole(
     begun: list[str] = []
     going = arm(seed=2)
     again = fl.tune(
-        going.callback, PLAN, out=tmp_path, resume=True, moves=False, begin=begun.append, clock="none"
+        going.callback,
+        PLAN,
+        out=tmp_path,
+        resume=True,
+        moves=False,
+        begin=begun.append,
+        clock="none",
     )
-    assert [line for line in begun if not line.startswith(" ")] == ["wiring", "design, proof and law"]
+    assert [line for line in begun if not line.startswith(" ")] == [
+        "wiring",
+        "design, proof and law",
+    ]
     assert again.has_law and again.link is not None and found.link is not None
     assert again.link.fit.model == found.link.fit.model
     other = arm(payload=0.120)
@@ -248,26 +279,43 @@ def test_the_law_is_moved_with_another_payload_of_the_range(
     for name in ("tuning.json", "design.json", "law.json"):
         (tmp_path / name).write_bytes((place / name).read_bytes())
     heavy = replace(PLAN, payload=0.038)
-    again = fl.tune(arm(seed=3, payload=0.038).callback, heavy, out=tmp_path, resume=True, clock="none")
+    again = fl.tune(
+        arm(seed=3, payload=0.038).callback,
+        heavy,
+        out=tmp_path,
+        resume=True,
+        clock="none",
+    )
     assert [move.payload for move in again.moves] == [0.030, 0.030, 0.038, 0.038]
-    assert again.has_law and again.verdict.reality.state == "passed" and again.payload == 0.030
+    assert (
+        again.has_law
+        and again.verdict.reality.state == "passed"
+        and again.payload == 0.030
+    )
     assert again.link is not None and found.link is not None
     assert again.link.fit.model == found.link.fit.model
     with pytest.raises(FieldError, match=r"0.0225 to 0.04 kg to move the law"):
         fl.tune(
-            arm().callback, replace(PLAN, payload=0.060, payloads=(0.05, 0.07)), out=tmp_path, resume=True
+            arm().callback,
+            replace(PLAN, payload=0.060, payloads=(0.05, 0.07)),
+            out=tmp_path,
+            resume=True,
         )
 
 
 @pytest.mark.slow
 def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     _, _, place = tuned
     (tmp_path / "tuning.json").write_bytes((place / "tuning.json").read_bytes())
     tried: list[str] = []
 
-    def moved(guard: Guard, design: fl.Design, law: fl.Law, *_: object) -> tuple[fl.FirstMove, ...]:
+    def moved(
+        guard: Guard, design: fl.Design, law: fl.Law, *_: object
+    ) -> tuple[fl.FirstMove, ...]:
         tried.append(law.digest)
         return (fl.FirstMove(0.3, 0.5, 0.6, 2.4, *(0.001,) * 7, payload=0.030),)
 
@@ -276,8 +324,14 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
     found = fl.tune(arm().callback, PLAN, out=tmp_path, resume=True, clock="none")
     assert len(set(tried)) == len(tried) == found.refused == 2
     assert not found.has_law and found.verdict.promise.state == "failed"
-    assert "the arm's own moves fail" in found.reasons[0] and "measured 2.40 s" in found.reasons[0]
-    assert not any((tmp_path / name).exists() for name in ("design.json", "law.json", "certificate.json"))
+    assert (
+        "the arm's own moves fail" in found.reasons[0]
+        and "measured 2.40 s" in found.reasons[0]
+    )
+    assert not any(
+        (tmp_path / name).exists()
+        for name in ("design.json", "law.json", "certificate.json")
+    )
 
 
 @pytest.mark.slow
@@ -287,7 +341,9 @@ def test_the_second_mode_and_what_still_rings_do_not_bend_the_link() -> None:
     shaken = np.repeat(random.choice([-1.0, 1.0], 170), 3)
     angle = np.concatenate([moves, 2e-3 * np.cumsum(shaken - shaken.mean())])
     link = fl.LinkModel(1.3, 10.0, 1.95)
-    mode = fl.LinkModel(1.3 * 1.4, 140.0, 2.0, damping=2 * 0.03 * 140.0, damping_order=1.0)
+    mode = fl.LinkModel(
+        1.3 * 1.4, 140.0, 2.0, damping=2 * 0.03 * 140.0, damping_order=1.0
+    )
     time = period * np.arange(angle.size)
     rings = np.exp(link.pole * time).real * 0.03
     torque = rings + 0.01 * random.standard_normal(angle.size)
@@ -311,14 +367,21 @@ def test_the_command_resumes_with_what_was_asked_for_before(
     plan = fl.TuningPlan(LIMITS, 0.030, payloads=(0.021, 0.044), period=PERIOD, rig=RIG)
     stopped = fl.tune(wired(arm(), torque=-1), plan, out=tmp_path, clock="none")
     assert stopped.stopped and fl.load(tmp_path / "tuning.json").rig == RIG
-    assert main(["tune", "--io", "shm:fraclink-nobody", "--out", str(tmp_path), "--resume"]) == 2
+    assert (
+        main(
+            ["tune", "--io", "shm:fraclink-nobody", "--out", str(tmp_path), "--resume"]
+        )
+        == 2
+    )
     told = capsys.readouterr().err
     assert "design for 21 to 44 g" in told and "not confirmed" in told
 
 
 def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> None:
     limits, place = LIMITS, tmp_path / "tuned"
-    proved = fl.Tuning(limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True)
+    proved = fl.Tuning(
+        limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True
+    )
     assert "run-realtime" in _following(proved, "udp:a:1", place)
     slow = fl.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
@@ -330,16 +393,26 @@ def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def none(design: fl.Design) -> None:
-        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+        raise FieldError(
+            "order",
+            "3 pairs",
+            "more than law.c holds",
+            allowed="2 pairs",
+            remedy="lower it",
+        )
 
     monkeypatch.setattr("fraclink._law.design.law_margins", none)
     assert RIG.design is not None and RIG.model is not None
-    found = SimpleNamespace(fit=SimpleNamespace(passed=True, model=RIG.model, findings=()))
+    found = SimpleNamespace(
+        fit=SimpleNamespace(passed=True, model=RIG.model, findings=())
+    )
     # With its mass the whole box keeps no more than 13°.
     massless = replace(RIG, link=replace(RIG.link, mass=0.0))
     built = build_law(massless, found)  # type: ignore[arg-type]
     assert built.design is not None and built.law is None and built.certificate is None
-    assert not built.passed and any("no law follows this controller" in why for why in built.reasons)
+    assert not built.passed and any(
+        "no law follows this controller" in why for why in built.reasons
+    )
 
 
 @pytest.mark.slow
@@ -356,11 +429,17 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
     assert "70° is too much" in words[0] and "phase margin 32°" in words[1]
 
 
-def test_a_margin_between_ringing_and_a_loud_second_mode_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Up to 44° moves ring, from 48° on the second mode is too loud: halving meets what lies between."""
+def test_a_margin_between_ringing_and_a_loud_second_mode_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Up to 44° moves ring, from 48° on the second mode is too loud: halving meets what
+    lies between.
+    """
     asked: list[float] = []
 
-    def made(_: object, __: object, crossover: float, degrees: float, ___: float) -> SimpleNamespace | None:
+    def made(
+        _: object, __: object, crossover: float, degrees: float, ___: float
+    ) -> SimpleNamespace | None:
         asked.append(degrees)
         rings, loud = degrees <= 44.0, degrees >= 48.0
         return SimpleNamespace(
@@ -370,13 +449,18 @@ def test_a_margin_between_ringing_and_a_loud_second_mode_is_found(monkeypatch: p
         )
 
     monkeypatch.setattr("fraclink._realtime.tune_build._asked", made)
-    tried = [(34.0, made(None, None, 1.0, 34.0, 0.1)), (60.0, made(None, None, 1.0, 60.0, 0.1))]
+    tried = [
+        (34.0, made(None, None, 1.0, 34.0, 0.1)),
+        (60.0, made(None, None, 1.0, 60.0, 0.1)),
+    ]
     asked.clear()
     ((degrees, found),) = _between(RIG.model, RIG, 1.0, 0.1, tried)  # type: ignore[arg-type]
     assert found.passed and 44.0 < degrees < 48.0
     assert asked == [40.0, 46.0] and degrees == 46.0
     both = SimpleNamespace(
-        passed=False, findings=[SimpleNamespace(code="W409")], requirements=[SimpleNamespace(passed=False)]
+        passed=False,
+        findings=[SimpleNamespace(code="W409")],
+        requirements=[SimpleNamespace(passed=False)],
     )
     assert not list(_between(RIG.model, RIG, 1.0, 0.1, [(34.0, both)]))  # type: ignore[arg-type, list-item]
 
@@ -394,7 +478,9 @@ def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:
 def test_a_plan_says_what_will_move() -> None:
     lines = PLAN.text.splitlines()
     assert len(lines) == 7 and "34.4°" in lines[1] and "10 V" in lines[1]
-    with pytest.raises(FieldError, match=r"payloads: without the payload of the tuning"):
+    with pytest.raises(
+        FieldError, match=r"payloads: without the payload of the tuning"
+    ):
         replace(PLAN, payloads=(0.040, 0.050))
 
 
@@ -421,13 +507,17 @@ CHANGED = {
     "natural_frequency": TWIN.with_payload(0.030 / 1.1**2),
     "gauge_gain": replace(TWIN, sensors=replace(TWIN.sensors, gauge_gain=0.9)),
     "gauge_delay": replace(TWIN, sensors=replace(TWIN.sensors, gauge_delay=0.005)),
-    "friction": replace(TWIN, motor=replace(TWIN.motor, coulomb_torque=2 * TWIN.motor.coulomb_torque)),
+    "friction": replace(
+        TWIN, motor=replace(TWIN.motor, coulomb_torque=2 * TWIN.motor.coulomb_torque)
+    ),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGED)
-def test_watch_names_what_has_changed(tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], name: str) -> None:
+def test_watch_names_what_has_changed(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], name: str
+) -> None:
     found, _, place = tuned
     seen = fl.watch(running(place, CHANGED[name]), found)
     assert seen.due == ((name,) if name else ())
@@ -435,11 +525,16 @@ def test_watch_names_what_has_changed(tuned: tuple[fl.Tuning, fl.SimulatedArm, P
 
 
 @pytest.mark.slow
-def test_watch_refuses_what_shows_nothing(tuned: tuple[fl.Tuning, fl.SimulatedArm, Path]) -> None:
+def test_watch_refuses_what_shows_nothing(
+    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+) -> None:
     found, _, place = tuned
     log = running(place, TWIN)
     short = replace(
-        log, motor_angle=log.motor_angle[:300], output=log.output[:300], voltage=log.voltage[:300]
+        log,
+        motor_angle=log.motor_angle[:300],
+        output=log.output[:300],
+        voltage=log.voltage[:300],
     )
     with pytest.raises(FieldError, match="too little to tell"):
         fl.watch(short, found)

@@ -15,7 +15,13 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink._realtime.connections import Callback
 from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_build import _about, _mass_ratio, _with_link, late_free, link_twins
+from fraclink._realtime.tune_build import (
+    _about,
+    _mass_ratio,
+    _with_link,
+    late_free,
+    link_twins,
+)
 from fraclink._realtime.tune_doublets import motor_of_doublets
 from fraclink._realtime.tune_guard import Guard, Record
 from fraclink._realtime.tune_link import _ringing, _torque_of, shortfall
@@ -50,7 +56,9 @@ HALF = round(_PULSE / PERIOD)
 
 
 def doublet(gain: float, friction: float) -> Real:
-    """Angle under 2 V and then −2 V from rest: θ'' = gain (V − friction · sign θ') − ν/J θ'."""
+    """Angle under 2 V and then −2 V from rest: θ'' = gain (V − friction · sign θ') −
+    ν/J θ'.
+    """
     step, angle, speed, path = PERIOD / FINE, 0.0, 0.0, [0.0]
     for k in range(2 * HALF * FINE):
         voltage = 2.0 if k < HALF * FINE else -2.0
@@ -67,13 +75,22 @@ def doublets(gain: float, friction: float, delay: float, noise: float = 0.0) -> 
     pause, parts = round(_PAUSE / PERIOD), [np.zeros(25)]
     for k in range(8):
         sign = 1.0 if k % 2 == 0 else -1.0
-        parts += [np.full(HALF, 2.0 * sign), np.full(HALF, -2.0 * sign), np.zeros(pause + 5 * (k % 4))]
+        parts += [
+            np.full(HALF, 2.0 * sign),
+            np.full(HALF, -2.0 * sign),
+            np.zeros(pause + 5 * (k % 4)),
+        ]
     voltage = np.concatenate(parts)
-    way, time = np.sign(gain) * doublet(abs(gain), friction), PERIOD * np.arange(voltage.size)
+    way, time = (
+        np.sign(gain) * doublet(abs(gain), friction),
+        PERIOD * np.arange(voltage.size),
+    )
     angle = np.zeros(voltage.size)
     for begin in np.flatnonzero((voltage[1:] != 0) & (voltage[:-1] == 0)) + 1:
         since = time - time[begin] - delay
-        angle += np.sign(voltage[begin]) * np.interp(since, PERIOD / FINE * np.arange(way.size), way)
+        angle += np.sign(voltage[begin]) * np.interp(
+            since, PERIOD / FINE * np.arange(way.size), way
+        )
     measured = angle + noise * np.random.default_rng(3).normal(size=voltage.size)
     return Record(PERIOD, voltage, measured, np.zeros(voltage.size))
 
@@ -82,8 +99,12 @@ def doublets(gain: float, friction: float, delay: float, noise: float = 0.0) -> 
     ("gain", "friction", "delay"),
     [(150.0, 0.0, 0.0), (60.0, 0.3, 0.008), (-80.0, 0.2, 0.004), (60.0, 0.9, 0.006)],
 )
-def test_the_motor_is_found_from_its_doublets(gain: float, friction: float, delay: float) -> None:
-    """With the friction of a motor that stops within the doublet, too, and with its wires reversed."""
+def test_the_motor_is_found_from_its_doublets(
+    gain: float, friction: float, delay: float
+) -> None:
+    """With the friction of a motor that stops within the doublet, too, and with its
+    wires reversed.
+    """
     found, error, lost, late = motor_of_doublets(doublets(gain, friction, delay), HALF)
     assert found == pytest.approx(gain, rel=0.02)
     assert lost == pytest.approx(friction, abs=0.03)
@@ -92,7 +113,10 @@ def test_the_motor_is_found_from_its_doublets(gain: float, friction: float, dela
 
 
 def test_the_motors_error_is_that_of_its_gain() -> None:
-    quiet, loud = (motor_of_doublets(doublets(150.0, 0.3, 0.004, noise), HALF) for noise in (1e-3, 1e-2))
+    quiet, loud = (
+        motor_of_doublets(doublets(150.0, 0.3, 0.004, noise), HALF)
+        for noise in (1e-3, 1e-2)
+    )
     assert loud[1] == pytest.approx(10.0 * quiet[1], rel=0.5)
     assert abs(loud[0] - 150.0) < 4.0 * loud[1]
 
@@ -146,7 +170,10 @@ def test_scales_are_wrong_beyond_what_friction_and_payload_explain(
     gain, stiffness = times * RIG.motor.gain, bend / times * RIG.link.stiffness
     said, found = _scales(gain, stiffness, RIG)
     assert found.startswith(fault) and bool(found) == bool(fault)
-    assert f"K/J is {times:.2g} of" in said[0] and f"{bend / times:.2g} of the rig's" in said[1]
+    assert (
+        f"K/J is {times:.2g} of" in said[0]
+        and f"{bend / times:.2g} of the rig's" in said[1]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +194,9 @@ def test_doublets_are_rest_to_rest_and_of_both_signs(train: Record) -> None:
     half = round(_PULSE / PERIOD)
     assert all(train.voltage[b + half - 1] == -train.voltage[b + half] for b in begins)
     gaps = np.diff(begins) * PERIOD
-    assert len(np.unique(np.round(gaps, 6))) >= 4  # pauses differ, so that no vibration builds up
+    assert (
+        len(np.unique(np.round(gaps, 6))) >= 4
+    )  # pauses differ, so that no vibration builds up
     assert abs(train.voltage.sum()) < 1e-9
 
 
@@ -177,7 +206,9 @@ def test_an_encoder_that_shows_fewer_than_three_counts_is_dead(
 ) -> None:
     shown = np.round(counts * (train.angle - train.angle.min()) / np.ptp(train.angle))
     found = _concluded(replace(train, angle=1e-3 * shown), 1e-5, 1e-3, 0.8, None)
-    assert (isinstance(found, WiringFault) and str(found).startswith("encoder dead")) == dead
+    assert (
+        isinstance(found, WiringFault) and str(found).startswith("encoder dead")
+    ) == dead
     if dead:
         assert "(0.8 V)" in str(found)
 
@@ -186,7 +217,9 @@ def test_what_is_concluded_of_a_right_arm(train: Record) -> None:
     found = _concluded(train, 1e-5, 2e-3, 0.8, RIG)
     assert isinstance(found, Wiring)
     assert found.stiffness == pytest.approx(RIG.link.stiffness, rel=0.15)
-    assert found.natural_frequency == pytest.approx(RIG.model.natural_frequency, rel=0.2)
+    assert found.natural_frequency == pytest.approx(
+        RIG.model.natural_frequency, rel=0.2
+    )
     assert (found.encoder_noise, found.gauge_noise, found.pulse) == (1e-5, 2e-3, 0.8)
     assert found.motion == pytest.approx(np.abs(train.angle).max())
     assert found.encoder_step == _step(train.angle)
@@ -217,7 +250,11 @@ def test_random_moves_keep_reach_and_speed_and_end_at_rest(seed: int) -> None:
     assert np.abs(angle).max() <= 0.4 + 1e-12
     speed = np.diff(angle) / 0.002
     assert 0.9 < np.abs(speed).max() <= 2.0 + 1e-9
-    assert angle[0] == angle[-1] == 0.0 and not angle[-150:].any() and not acceleration[-150:].any()
+    assert (
+        angle[0] == angle[-1] == 0.0
+        and not angle[-150:].any()
+        and not acceleration[-150:].any()
+    )
     assert angle.min() < -0.12 and angle.max() > 0.12  # both sides
     second = np.diff(angle, 2) / 0.002**2
     inside = np.abs(second - acceleration[1:-1]) < 0.05 * np.abs(acceleration).max()
@@ -229,7 +266,11 @@ def test_random_moves_keep_reach_and_speed_and_end_at_rest(seed: int) -> None:
 
 def test_random_steps_hold_two_levels_behind_smooth_edges() -> None:
     angle, acceleration = random_steps(0.3, 0.2, 0.05, 16, 0.002)
-    assert not angle[:100].any() and not angle[-150:].any() and not acceleration[-150:].any()
+    assert (
+        not angle[:100].any()
+        and not angle[-150:].any()
+        and not acceleration[-150:].any()
+    )
     held = angle[100:-150].reshape(-1, 100)
     assert (
         len(held) == 17
@@ -257,13 +298,18 @@ def test_a_burst_changes_sign_at_random_and_ends_with_a_rest() -> None:
 
 def test_a_moves_settling_and_ringing_are_those_of_its_tip() -> None:
     """A tip that is the motor's angle less a bend of known size and decay."""
-    design = SimpleNamespace(model=RIG.model, rig=replace(RIG, gauge=replace(RIG.gauge, noise=0.0)))
+    design = SimpleNamespace(
+        model=RIG.model, rig=replace(RIG, gauge=replace(RIG.gauge, noise=0.0))
+    )
     w, rate, size = abs(RIG.model.pole), 1.5, 0.05
     time = PERIOD * np.arange(round(6.0 / PERIOD))
     angle = fl.smooth_step(1.0, 0.5).angle(time)
-    bend = np.where(time > 0.5, size * np.exp(-rate * (time - 0.5)) * np.sin(w * (time - 0.5)), 0.0)
+    bend = np.where(
+        time > 0.5, size * np.exp(-rate * (time - 0.5)) * np.sin(w * (time - 0.5)), 0.0
+    )
     settled, ringing = _judged(angle, RIG.model.stiffness * bend, 1.0, 0.5, design)  # type: ignore[arg-type]
-    # A mean over a quarter of a vibration keeps 2√2/π of it; below 2 % of the move it is settled.
+    # A mean over a quarter of a vibration keeps 2√2/π of it; below 2 % of the move it
+    # is settled.
     seen = size * 2 * math.sqrt(2) / math.pi
     assert settled == pytest.approx(0.5 + math.log(seen / 0.02) / rate, abs=0.4)
     first, second = (seen * math.exp(-rate * (k + 0.5) * math.pi / w) for k in (0, 1))
@@ -285,7 +331,9 @@ def test_a_second_modes_torque_is_that_of_a_resonator() -> None:
     """c₂ s²/(s² + 2ζω s + ω²) on a sine: gain and phase of the response."""
     mode = fl.SecondMode(frequency=60.0, damping_ratio=0.02, gain=0.3)
     time = 0.001 * np.arange(8000)
-    log = fl.Experiment(period=0.001, motor_angle=np.sin(40.0 * time), output=np.zeros(8000))
+    log = fl.Experiment(
+        period=0.001, motor_angle=np.sin(40.0 * time), output=np.zeros(8000)
+    )
     torque = _torque_of(mode, replace(RIG.model, gauge_delay=0.0), log)
     z = 40j
     h = 0.3 * RIG.model.stiffness * z**2 / (z**2 + 2 * 0.02 * 60.0 * z + 60.0**2)
@@ -307,7 +355,12 @@ def test_the_shortfall_is_the_worst_error_over_what_suffices() -> None:
     fit = SimpleNamespace(
         model=replace(RIG.model, natural_frequency=10.0),
         gain=-2.0,
-        standard_errors={"order": 0.0, "delay": 0.0, "natural_frequency": 0.5, "gain": 0.0},
+        standard_errors={
+            "order": 0.0,
+            "delay": 0.0,
+            "natural_frequency": 0.5,
+            "gain": 0.0,
+        },
     )
     only = shortfall(fit)  # type: ignore[arg-type]
     fit.standard_errors = {"natural_frequency": 1.0}

@@ -1,4 +1,6 @@
-"""The stages of a tuning one by one: wiring, motor, link, each against its own expectation."""
+"""The stages of a tuning one by one: wiring, motor, link, each against its own
+expectation.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,20 @@ from fraclink._realtime import tune_link as linking
 from fraclink._realtime.connections import Callback, Command
 from fraclink._realtime.line import open_line
 from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_link import experiment_of, loaded_motor, shortfall, tune_link
-from fraclink._realtime.tune_motion import Follower, LawTripped, calm, fastest_loop, follow, motor_law
+from fraclink._realtime.tune_link import (
+    experiment_of,
+    loaded_motor,
+    shortfall,
+    tune_link,
+)
+from fraclink._realtime.tune_motion import (
+    Follower,
+    LawTripped,
+    calm,
+    fastest_loop,
+    follow,
+    motor_law,
+)
 from fraclink._realtime.tune_wiring import WiringFault, _grown, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError, LogError
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
@@ -44,45 +58,73 @@ def stages() -> Stages:
 def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     made, guard, wiring, motor, link = stages
     assert wiring.gain == pytest.approx(RIG.motor.gain, rel=0.12)
-    assert wiring.encoder_noise < 1e-3 and wiring.gauge_noise == pytest.approx(RIG.gauge.noise, rel=0.2)
+    assert wiring.encoder_noise < 1e-3 and wiring.gauge_noise == pytest.approx(
+        RIG.gauge.noise, rel=0.2
+    )
     assert motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.02)
     assert motor.fit.decay == pytest.approx(RIG.motor.decay, rel=0.1)
     assert motor.fit.standard_errors["gain"] < 0.02 * motor.fit.gain
     assert (motor.gain.gain, motor.gain.decay) == (motor.fit.gain, motor.fit.decay)
     assert motor.friction == motor.fit.coulomb_voltage + motor.fit.dead_zone
-    assert motor.loop.pole == 60.0 and motor.rounds >= 2  # one round alone is never believed
+    assert (
+        motor.loop.pole == 60.0 and motor.rounds >= 2
+    )  # one round alone is never believed
     assert link.fit.model.order == pytest.approx(1.92, abs=0.003)
     assert link.fit.passed and shortfall(link.fit) <= 1.0
-    # In the gauge's units: it reads curvature, and the twin's moment on the hub is D = (jω)^(2−λ) times that.
+    # In the gauge's units: it reads curvature, and the twin's moment on the hub is D =
+    # (jω)^(2−λ) times that.
     stiffened = 11.9 ** (2 - 1.92)  # at the vibration of 11.9 rad/s
     hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
     assert abs(link.fit.model.pole) == pytest.approx(11.9, rel=0.01)
     assert link.motor.fit.inertia == pytest.approx(hub / stiffened, rel=0.02)
     ((reach, duration, error),) = link.rounds
-    assert (reach, error) == (0.1, link.fit.standard_errors["order"]) and 7.0 < duration < 10.0
+    assert (reach, error) == (
+        0.1,
+        link.fit.standard_errors["order"],
+    ) and 7.0 < duration < 10.0
     record = made.record
-    for column, most in ((1, LIMITS.angle), (2, LIMITS.speed), (3, LIMITS.torque), (4, LIMITS.voltage)):
+    for column, most in (
+        (1, LIMITS.angle),
+        (2, LIMITS.speed),
+        (3, LIMITS.torque),
+        (4, LIMITS.voltage),
+    ):
         assert np.abs(record[:, column]).max() <= 0.8 * most
     assert guard.count * PERIOD < 45.0
 
 
 @pytest.mark.slow
-def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(stages: Stages) -> None:
-    """Under D(s) times the gauge's reading, as the twin's equations have it, the motor's fit finds n²J."""
+def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(
+    stages: Stages,
+) -> None:
+    """Under D(s) times the gauge's reading, as the twin's equations have it, the
+    motor's fit finds n²J.
+    """
     _, guard, _, _, link = stages
     # The moves of the link's stage with the burst of 2 s behind them.
     record = guard.record(guard.count - round((link.rounds[0][1] + 2.0) / PERIOD))
-    model = link.fit.model  # that of a link with mass, whose ω₀ is below the lumped one of the rig
+    model = (
+        link.fit.model
+    )  # that of a link with mass, whose ω₀ is below the lumped one of the rig
     reading = simulated_torque(model, record.angle, PERIOD, hold="first")
-    size = 4 * reading.size  # the material forgets: what wraps around is below a thousandth
+    size = (
+        4 * reading.size
+    )  # the material forgets: what wraps around is below a thousandth
     w = 2 * np.pi * np.fft.rfftfreq(size, PERIOD)
-    moment = np.fft.irfft((1j * w) ** (2 - model.order) * np.fft.rfft(reading, size), size)[: reading.size]
+    moment = np.fft.irfft(
+        (1j * w) ** (2 - model.order) * np.fft.rfft(reading, size), size
+    )[: reading.size]
     hub = RIG.motor.inertia * RIG.motor.gear_ratio**2
     found = identify_motor(record.voltage, record.angle, period=PERIOD, torque=moment)
     assert found.inertia == pytest.approx(hub, rel=0.005)
-    # The reading alone is not that moment at all frequencies: it explains a hundred times less.
+    # The reading alone is not that moment at all frequencies: it explains a hundred
+    # times less.
     assert (
-        found.nmse < 0.02 * identify_motor(record.voltage, record.angle, period=PERIOD, torque=reading).nmse
+        found.nmse
+        < 0.02
+        * identify_motor(
+            record.voltage, record.angle, period=PERIOD, torque=reading
+        ).nmse
     )
 
 
@@ -90,24 +132,42 @@ def test_the_hubs_inertia_is_its_own_under_the_moment_that_loads_the_hub(stages:
 
 
 def distance(loop: MotorLoop, ratio: float) -> float:
-    """From −1 to the loop gain, on a grid of its own, of a motor with `ratio` times the gain."""
+    """From −1 to the loop gain, on a grid of its own, of a motor with `ratio` times the
+    gain.
+    """
     pid = loop.pid(MOTOR, PERIOD)
-    true = SampledMotorLoop(pid, MotorGain(ratio * MOTOR.gain, MOTOR.decay), loop.delay_samples)
+    true = SampledMotorLoop(
+        pid, MotorGain(ratio * MOTOR.gain, MOTOR.decay), loop.delay_samples
+    )
     assert np.abs(true.poles()).max() < 1.0
     w = np.linspace(0.05, math.pi / PERIOD, 4000)
     return float(np.abs(1.0 + true.loop_gain(w)).min())
 
 
-@pytest.mark.parametrize(("delay", "samples"), [(0.0, 1), (0.0055, 1), (0.0065, 2), (0.012, 3), (0.030, 8)])
-def test_the_fastest_loop_keeps_its_distance_and_the_next_one_does_not(delay: float, samples: int) -> None:
+@pytest.mark.parametrize(
+    ("delay", "samples"), [(0.0, 1), (0.0055, 1), (0.0065, 2), (0.012, 3), (0.030, 8)]
+)
+def test_the_fastest_loop_keeps_its_distance_and_the_next_one_does_not(
+    delay: float, samples: int
+) -> None:
     ratios = (0.85, 1.0, 1.15)
     loop = fastest_loop(MOTOR, delay, PERIOD, ratios=ratios, margin=0.45, most=80.0)
-    assert (loop.delay_samples, loop.kind, loop.placement) == (samples, "sampled", "direct")
+    assert (loop.delay_samples, loop.kind, loop.placement) == (
+        samples,
+        "sampled",
+        "direct",
+    )
     assert min(distance(loop, ratio) for ratio in ratios) >= 0.449
     if loop.pole < 80.0:
-        faster = min(pole for pole in (20, 25, 30, 35, 40, 45, 50, 55, 60, 70, 80) if pole > loop.pole)
+        faster = min(
+            pole
+            for pole in (20, 25, 30, 35, 40, 45, 50, 55, 60, 70, 80)
+            if pole > loop.pole
+        )
         try:
-            near = min(distance(replace(loop, pole=float(faster)), ratio) for ratio in ratios)
+            near = min(
+                distance(replace(loop, pole=float(faster)), ratio) for ratio in ratios
+            )
         except FieldError:  # no placement of poles with that delay
             near = 0.0
         assert near < 0.45
@@ -116,36 +176,56 @@ def test_the_fastest_loop_keeps_its_distance_and_the_next_one_does_not(delay: fl
 
 
 def test_a_delay_that_no_loop_bears_is_named() -> None:
-    with pytest.raises(FraclinkError, match=r"a distance of 0\.99 from -1 with a delay of 12 ms .* 4 ms"):
+    with pytest.raises(
+        FraclinkError,
+        match=r"a distance of 0\.99 from -1 with a delay of 12 ms .* 4 ms",
+    ):
         fastest_loop(MOTOR, 0.012, PERIOD, ratios=(1.0,), margin=0.99, most=80.0)
 
 
 def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
     law = motor_law(
-        MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback), friction=0.2
+        MOTOR,
+        MotorLoop(40.0, 1, "sampled", "direct"),
+        guarded(arm(seed=1).callback),
+        friction=0.2,
     )
     assert law.drive is not None
-    assert (law.drive.voltage_limit, law.drive.coulomb_voltage, law.drive.torque_voltage) == (10.0, 0.2, 0.0)
+    assert (
+        law.drive.voltage_limit,
+        law.drive.coulomb_voltage,
+        law.drive.torque_voltage,
+    ) == (10.0, 0.2, 0.0)
     assert law.drive.loop == MotorLoop(40.0, 1, "sampled", "direct").pid(MOTOR, PERIOD)
     assert (law.period, law.precision, law.inner_pole) == (PERIOD, "double", 40.0)
-    # A gauge that shows anything at all changes nothing: the user's own limits are the guard's.
+    # A gauge that shows anything at all changes nothing: the user's own limits are the
+    # guard's.
     voltages = []
     for torque in (0.0, 1e5):
         runs = Follower(law)
-        voltages.append([runs.step(0.05, 0.0, 0.0, torque * (-1) ** k) for k in range(60)])
+        voltages.append(
+            [runs.step(0.05, 0.0, 0.0, torque * (-1) ** k) for k in range(60)]
+        )
     assert voltages[0] == voltages[1] and max(voltages[0]) > 0.3
-    # What it does watch is the reference: the planned speed passes, and three times that does not.
+    # What it does watch is the reference: the planned speed passes, and three times
+    # that does not.
     step = 3.9 * PERIOD
     runs = Follower(law)
     for k in range(20):
         runs.step(step * k, 0.0, step * k, 0.0)
-    with pytest.raises(LawTripped, match=r"the law went to mode \w+: .*; the drive is off"):
+    with pytest.raises(
+        LawTripped, match=r"the law went to mode \w+: .*; the drive is off"
+    ):
         for k in range(20):
             runs.step(3 * step * k + 1.0, 0.0, 3 * step * k + 1.0, 0.0)
 
 
-def test_an_encoder_that_jumps_ends_the_law_and_a_period_that_was_missed_does_not() -> None:
-    law = motor_law(MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback))
+def test_an_encoder_that_jumps_ends_the_law_and_a_period_that_was_missed_does_not() -> (
+    None
+):
+    law = motor_law(
+        MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback)
+    )
     runs = Follower(law)
     for periods in (1, 1, 3, 5, 1):
         assert abs(runs.step(0.0, 0.0, 0.0, 0.0, periods)) < 1e-9
@@ -162,9 +242,16 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
     made = arm(seed=1)
     guard = guarded(made.callback)
     loop = fastest_loop(
-        MotorGain(RIG.motor.gain, RIG.motor.decay), 0.004, PERIOD, ratios=(1.0,), margin=0.45, most=60.0
+        MotorGain(RIG.motor.gain, RIG.motor.decay),
+        0.004,
+        PERIOD,
+        ratios=(1.0,),
+        margin=0.45,
+        most=60.0,
     )
-    law = motor_law(MotorGain(RIG.motor.gain, RIG.motor.decay), loop, guard, friction=0.08)
+    law = motor_law(
+        MotorGain(RIG.motor.gain, RIG.motor.decay), loop, guard, friction=0.08
+    )
     move = fl.smooth_step(0.2, 0.5)
     grid = PERIOD * np.arange(300)
     path = np.array([move.angle(grid), move.acceleration(grid)])
@@ -181,22 +268,37 @@ def test_a_reference_is_followed_from_where_the_arm_stands_or_from_an_origin() -
     shaken = np.where(np.arange(50) % 2, 1.5, -1.5)
     follow(guard, law, np.zeros((2, 50)), shaken=shaken)
     added = np.diff(made.record[before:, 4])
-    assert np.median(np.abs(added)) == pytest.approx(3.0, abs=0.6)  # the law's own voltage hardly changes
+    assert np.median(np.abs(added)) == pytest.approx(
+        3.0, abs=0.6
+    )  # the law's own voltage hardly changes
 
 
 def ringing(calmed: bool) -> tuple[float, float]:
-    """Largest torque in the last half second, and the seconds it took, of a link that was struck."""
+    """Largest torque in the last half second, and the seconds it took, of a link that
+    was struck.
+    """
     made = arm(seed=1)
     guard = guarded(made.callback)
     gain = MotorGain(RIG.motor.gain, RIG.motor.decay)
-    law = motor_law(gain, fastest_loop(gain, 0.004, PERIOD, ratios=(1.0,), margin=0.45, most=60.0), guard)
+    law = motor_law(
+        gain,
+        fastest_loop(gain, 0.004, PERIOD, ratios=(1.0,), margin=0.45, most=60.0),
+        guard,
+    )
     grid = PERIOD * np.arange(40)
     move = fl.smooth_step(0.15, 0.12)
     follow(guard, law, np.array([move.angle(grid), move.acceleration(grid)]))
     start = guard.count
     if calmed:
         w = abs(RIG.model.pole)  # type: ignore[union-attr]
-        calm(guard, law, stiffness=RIG.link.stiffness, resonance=w, noise=RIG.gauge.noise, longest=3.0)
+        calm(
+            guard,
+            law,
+            stiffness=RIG.link.stiffness,
+            resonance=w,
+            noise=RIG.gauge.noise,
+            longest=3.0,
+        )
     else:
         follow(guard, law, np.zeros((2, round(1.2 / PERIOD))))
     torque = made.record[-round(0.4 / PERIOD) :, 3]
@@ -215,7 +317,9 @@ def test_calming_ends_after_as_long_as_was_said() -> None:
     calm(guard, law, stiffness=1.5, resonance=12.0, noise=1e-9, longest=1.0)
     assert guard.count * PERIOD == pytest.approx(1.0, abs=25 * PERIOD)
     before = guard.count
-    calm(guard, law, stiffness=1.5, resonance=12.0, noise=1.0, longest=1.0)  # quiet from the beginning
+    calm(
+        guard, law, stiffness=1.5, resonance=12.0, noise=1.0, longest=1.0
+    )  # quiet from the beginning
     assert (guard.count - before) * PERIOD == pytest.approx(0.5, abs=25 * PERIOD)
 
 
@@ -224,8 +328,15 @@ def test_calming_ends_after_as_long_as_was_said() -> None:
 
 def test_what_suffices_is_a_figure_for_each_parameter() -> None:
     model = replace(RIG.model, natural_frequency=10.0)  # type: ignore[type-var]
-    for name, enough in (("order", 0.006), ("natural_frequency", 0.04), ("gain", 0.03), ("delay", 0.5e-3)):
-        fit: Any = SimpleNamespace(model=model, gain=-2.0, standard_errors={name: enough})
+    for name, enough in (
+        ("order", 0.006),
+        ("natural_frequency", 0.04),
+        ("gain", 0.03),
+        ("delay", 0.5e-3),
+    ):
+        fit: Any = SimpleNamespace(
+            model=model, gain=-2.0, standard_errors={name: enough}
+        )
         assert shortfall(fit) == pytest.approx(1.0), name
 
 
@@ -247,7 +358,10 @@ def test_the_first_excitation_is_planned_within_the_limits(
         return plan
 
     monkeypatch.setattr(linking, "design_experiment", planned)
-    assert linking._planned(link.fit, wiring, motor, guard) == (pytest.approx(0.15), 0.31)
+    assert linking._planned(link.fit, wiring, motor, guard) == (
+        pytest.approx(0.15),
+        0.31,
+    )
     given = asked[0]
     assert given["standard_error"] == pytest.approx(0.004) and given["duration"] == 8.0
     assert given["noise"] == wiring.gauge_noise and given["period"] == PERIOD
@@ -257,12 +371,20 @@ def test_the_first_excitation_is_planned_within_the_limits(
     assert made.voltage_limit == 6.0 and made.gain == pytest.approx(motor.fit.gain)
     assert made.decay == pytest.approx(motor.fit.decay)
     plan.amplitude = plan.peak_deflection = 0.01
-    assert linking._planned(link.fit, wiring, motor, guard)[0] == 0.1  # less would show less than friction
+    assert (
+        linking._planned(link.fit, wiring, motor, guard)[0] == 0.1
+    )  # less would show less than friction
     plan.amplitude = plan.peak_deflection = 0.9
-    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(0.6 * 0.6)
-    plan.peak_deflection = 9.0  # ten times the deflection: the gauge's limit is the nearer one
+    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(
+        0.6 * 0.6
+    )
+    plan.peak_deflection = (
+        9.0  # ten times the deflection: the gauge's limit is the nearer one
+    )
     bent = abs(link.fit.gain) * 10.0
-    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(0.6 * 2.0 / bent)
+    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(
+        0.6 * 2.0 / bent
+    )
 
     def none(*_: object, **__: object) -> None:
         raise InfeasibleError("motor", "too weak", {})
@@ -276,7 +398,9 @@ def test_the_first_excitation_is_planned_within_the_limits(
 def test_an_excitation_grows_until_its_errors_suffice(
     stages: Stages, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first record is taken for one whose λ is known five times too badly; the second suffices."""
+    """The first record is taken for one whose λ is known five times too badly; the
+    second suffices.
+    """
     _, _, wiring, motor, link = stages
     paths: list[Real] = []
     shorts = iter([5.0, 0.9])
@@ -288,22 +412,30 @@ def test_an_excitation_grows_until_its_errors_suffice(
 
     monkeypatch.setattr(linking, "follow", followed)
     monkeypatch.setattr(linking, "calm", lambda *_, **__: None)
-    monkeypatch.setattr(linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9))))
+    monkeypatch.setattr(
+        linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9)))
+    )
     monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
     monkeypatch.setattr(linking, "shortfall", lambda _: next(shorts))
     monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
     found, record = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030)
-    assert [round(reach, 9) for reach, _, _ in found.rounds] == [0.05, 0.15]  # three times, at most
-    assert np.abs(paths[0][0]).max() == pytest.approx(0.05) and np.abs(paths[1][0]).max() == pytest.approx(
-        0.15
-    )
-    # Five times the errors: three of them by the amplitude, and the length is what a limit of it allows.
-    assert found.rounds[0][1] == pytest.approx(8.5, abs=1.0) and found.rounds[1][1] == pytest.approx(
-        16.5, abs=1.0
-    )
+    assert [round(reach, 9) for reach, _, _ in found.rounds] == [
+        0.05,
+        0.15,
+    ]  # three times, at most
+    assert np.abs(paths[0][0]).max() == pytest.approx(0.05) and np.abs(
+        paths[1][0]
+    ).max() == pytest.approx(0.15)
+    # Five times the errors: three of them by the amplitude, and the length is what a
+    # limit of it allows.
+    assert found.rounds[0][1] == pytest.approx(8.5, abs=1.0) and found.rounds[1][
+        1
+    ] == pytest.approx(16.5, abs=1.0)
     assert record.angle.size == paths[1].shape[1]
     shorts = iter([0.9])
-    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=1.5)
+    found, _ = tune_link(
+        guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=1.5
+    )
     assert len(found.rounds) == 1 and found.rounds[0][1] == pytest.approx(12.5, abs=1.0)
 
 
@@ -320,7 +452,9 @@ def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
 
     monkeypatch.setattr(linking, "follow", followed)
     monkeypatch.setattr(linking, "calm", lambda *_, **__: None)
-    monkeypatch.setattr(linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9))))
+    monkeypatch.setattr(
+        linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9)))
+    )
     monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
     monkeypatch.setattr(linking, "shortfall", lambda _: 1.3)
     monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
@@ -328,7 +462,9 @@ def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
     assert found.rounds[1][0] == pytest.approx(0.05 * 1.2 / 1.15)
     wanted = 8.0 * (1.2 * 1.3 / (1.2 / 1.15)) ** 2
     assert found.rounds[1][1] == pytest.approx(min(wanted, 16.0) + 0.5, abs=1.2)
-    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=2.0)
+    found, _ = tune_link(
+        guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=2.0
+    )
     assert len(found.rounds) == 1  # neither larger nor longer
 
 
@@ -344,13 +480,17 @@ def test_the_motor_is_loaded_by_the_links_torque_where_that_shows_an_inertia(
     def identified(voltage: Real, angle: Real, **given: Any) -> Any:
         asked.append(given)
         if shown.inertia == 99.0:
-            raise LogError("log", "it", "too short", allowed="more", remedy="record more")
+            raise LogError(
+                "log", "it", "too short", allowed="more", remedy="record more"
+            )
         return shown
 
     monkeypatch.setattr(linking, "identify_motor", identified)
     loaded = loaded_motor(motor, record, link.fit)
     assert loaded.fit.inertia == 0.02 and loaded.fit.standard_errors["inertia"] == 1e-4
-    assert loaded.fit.coulomb_torque == pytest.approx(motor.fit.coulomb_voltage * motor.fit.gain * 0.02)
+    assert loaded.fit.coulomb_torque == pytest.approx(
+        motor.fit.coulomb_voltage * motor.fit.gain * 0.02
+    )
     assert loaded.fit.standard_errors["gain"] == motor.fit.standard_errors["gain"]
     assert asked[0]["period"] == PERIOD and not asked[0]["torque"].any()
     for shown.inertia in (None, 0.0, -0.1, 99.0):
@@ -376,7 +516,9 @@ def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
         angle, torque = made.read()
         return angle + at[0], torque
 
-    guard = Guard(partial(open_line, Callback(read, made.write), PERIOD, clock="none"), LIMITS)
+    guard = Guard(
+        partial(open_line, Callback(read, made.write), PERIOD, clock="none"), LIMITS
+    )
     with pytest.raises(WiringFault, match=r"the motor turns by 2\.2° at 0 V"):
         check_wiring(guard, None)
     assert guard.count == 8 * round(0.4 / PERIOD) and not made.record[:, 4].any()
@@ -392,7 +534,9 @@ def test_doublets_grow_by_a_quarter_until_something_answers() -> None:
 
     def read() -> tuple[float, float]:
         on = bool(sent) and abs(sent[-1]) >= shown["from"]
-        at[0] += 0.3 * (on * shown["angle"] - at[0])  # in small steps: eight counts of an encoder are needed
+        at[0] += 0.3 * (
+            on * shown["angle"] - at[0]
+        )  # in small steps: eight counts of an encoder are needed
         return at[0], on * shown["torque"]
 
     def grown(**change: float) -> float:
@@ -408,9 +552,13 @@ def test_doublets_grow_by_a_quarter_until_something_answers() -> None:
 
     assert 3.0 <= grown(angle=0.02) < 1.25 * 3.0
     levels = [abs(a) for a, b in zip(sent, [0.0, *sent], strict=False) if a and not b]
-    assert levels[0] == pytest.approx(0.04) and np.allclose(np.diff(np.log(levels)), math.log(1.25))
+    assert levels[0] == pytest.approx(0.04) and np.allclose(
+        np.diff(np.log(levels)), math.log(1.25)
+    )
     firsts = [a for a, b in zip(sent, [0.0, *sent], strict=False) if a and not b]
-    assert firsts[0] > 0 > firsts[1]  # of alternating signs, so that the arm does not wander
+    assert (
+        firsts[0] > 0 > firsts[1]
+    )  # of alternating signs, so that the arm does not wander
     halves = (
         np.flatnonzero(np.array(sent) == firsts[0]).size,
         np.flatnonzero(np.array(sent) == -firsts[0]).size,

@@ -1,4 +1,6 @@
-"""The twin's beam: finite elements against the transcendental equation and its known limits."""
+"""The twin's beam: finite elements against the transcendental equation and its known
+limits.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ def test_massless_limit_is_equation_5(payload):
 
 
 def test_light_link_tends_to_the_massless_one():
-    heavy, light = (Beam(0.65, 0.26, mass, 0.030).modes(1).frequencies[0] for mass in (1e-5, 1e-8))
+    heavy, light = (
+        Beam(0.65, 0.26, mass, 0.030).modes(1).frequencies[0] for mass in (1e-5, 1e-8)
+    )
     limit = Beam(0.65, 0.26, 0.0, 0.030).modes(1).frequencies[0]
     assert abs(light / limit - 1) < 1e-6 < abs(heavy / limit - 1) < 1e-3
 
@@ -65,25 +69,34 @@ def test_massless_link_with_tip_inertia_has_two_modes():
     # Flexibility of a cantilever under tip force and tip moment: a 2 × 2 eigenproblem.
     flexibility = np.array([[0.65**3 / 3, 0.65**2 / 2], [0.65**2 / 2, 0.65]]) / 0.26
     values = np.linalg.eigvals(flexibility @ np.diag([0.030, 1e-4]))
-    assert modes.frequencies == pytest.approx(np.sort(1 / np.sqrt(values.real)), rel=1e-9)
+    assert modes.frequencies == pytest.approx(
+        np.sort(1 / np.sqrt(values.real)), rel=1e-9
+    )
 
 
 def test_free_cantilever_known_roots():
     beam = Beam(1.0, 1.0, 1.0, 0.0)
     roots = [
-        mpmath.findroot(lambda b: 1 + mpmath.cos(b) * mpmath.cosh(b), guess) for guess in (1.87, 4.69, 7.85)
+        mpmath.findroot(lambda b: 1 + mpmath.cos(b) * mpmath.cosh(b), guess)
+        for guess in (1.87, 4.69, 7.85)
     ]
-    assert beam.modes(3).frequencies == pytest.approx([float(r) ** 2 for r in roots], rel=1e-6)
+    assert beam.modes(3).frequencies == pytest.approx(
+        [float(r) ** 2 for r in roots], rel=1e-6
+    )
 
 
 def test_modes_against_scikit_fem():
-    skfem = pytest.importorskip("skfem", reason="scikit-fem is the independent beam solver of this test")
+    skfem = pytest.importorskip(
+        "skfem", reason="scikit-fem is the independent beam solver of this test"
+    )
     from scipy.linalg import eigh
     from skfem.helpers import dd, ddot
 
     mesh = skfem.MeshLine(np.linspace(0, ROD.length, 41))
     basis = skfem.Basis(mesh, skfem.ElementLineHermite(), intorder=8)
-    stiffness = skfem.BilinearForm(lambda u, v, _: ROD.flexural_rigidity * ddot(dd(u), dd(v)))
+    stiffness = skfem.BilinearForm(
+        lambda u, v, _: ROD.flexural_rigidity * ddot(dd(u), dd(v))
+    )
     density = ROD.link_mass / ROD.length
     mass = skfem.BilinearForm(lambda u, v, _: density * u * v)
     k, m = stiffness.assemble(basis).toarray(), mass.assemble(basis).toarray()
@@ -103,15 +116,23 @@ def test_participation_sums_to_the_rigid_inertia():
 
 
 def test_curvature_is_the_second_derivative_at_the_clamp():
-    """The gauge's gain from equilibrium against the curvature of the exact shape, sin and sinh of kx."""
+    """The gauge's gain from equilibrium against the curvature of the exact shape, sin
+    and sinh of kx.
+    """
     modes = ROD.modes(2)
-    k = (modes.frequencies**2 * ROD.link_mass / ROD.length / ROD.flexural_rigidity) ** 0.25
+    k = (
+        modes.frequencies**2 * ROD.link_mass / ROD.length / ROD.flexural_rigidity
+    ) ** 0.25
     for i in range(2):
         kl = k[i] * ROD.length
         ratio = (math.cos(kl) + math.cosh(kl)) / (math.sin(kl) + math.sinh(kl))
         tip = math.cosh(kl) - math.cos(kl) - ratio * (math.sinh(kl) - math.sin(kl))
-        per_tip = ROD.flexural_rigidity * 2 * k[i] ** 2 / tip  # EI φ''(0)/φ(L), with w''(L) = 0
-        assert modes.curvature[i] / (modes.tip[i] * ROD.length) == pytest.approx(per_tip, rel=1e-4)
+        per_tip = (
+            ROD.flexural_rigidity * 2 * k[i] ** 2 / tip
+        )  # EI φ''(0)/φ(L), with w''(L) = 0
+        assert modes.curvature[i] / (modes.tip[i] * ROD.length) == pytest.approx(
+            per_tip, rel=1e-4
+        )
 
 
 @pytest.mark.slow
@@ -123,10 +144,14 @@ def test_curvature_is_the_second_derivative_at_the_clamp():
     payload=st.floats(1e-4, 10.0),
     scale=st.floats(0.1, 10.0),
 )
-def test_frequencies_scale_like_root_of_rigidity(length, rigidity, link_mass, payload, scale):
+def test_frequencies_scale_like_root_of_rigidity(
+    length, rigidity, link_mass, payload, scale
+):
     one = Beam(length, rigidity, link_mass, payload).modes(1)
     other = Beam(length, rigidity * scale, link_mass, payload).modes(1)
-    assert other.frequencies[0] == pytest.approx(one.frequencies[0] * math.sqrt(scale), rel=1e-6)
+    assert other.frequencies[0] == pytest.approx(
+        one.frequencies[0] * math.sqrt(scale), rel=1e-6
+    )
     assert other.participation[0] == pytest.approx(one.participation[0], rel=1e-6)
 
 
@@ -146,7 +171,12 @@ def test_frequencies_scale_like_root_of_rigidity(length, rigidity, link_mass, pa
     ],
 )
 def test_bad_fields_are_named(field, value):
-    good = {"length": 0.65, "flexural_rigidity": 0.26, "link_mass": 0.00735, "payload": 0.03}
+    good = {
+        "length": 0.65,
+        "flexural_rigidity": 0.26,
+        "link_mass": 0.00735,
+        "payload": 0.03,
+    }
     with pytest.raises(FieldError) as caught:
         Beam(**(good | {field: value}))
     assert caught.value.field == field and caught.value.remedy

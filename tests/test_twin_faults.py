@@ -1,4 +1,6 @@
-"""Faults of sensors and of the control task, injected between the twin and the shipped law."""
+"""Faults of sensors and of the control task, injected between the twin and the shipped
+law.
+"""
 
 from __future__ import annotations
 
@@ -21,18 +23,32 @@ ROW = round(AT / RIG.period)
 
 @pytest.fixture(scope="module")
 def law():
-    design = fl.design(RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     return discretize_controller(design.controller, RIG.period, rig=RIG)
 
 
 @pytest.fixture(scope="module")
 def clean(law):
-    return fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0)
+    return fl.simulate(
+        law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0
+    )
 
 
 def _run(law, kind, until=AT + RIG.period, value=None):
     fault = SensorFault(AT, until, kind, value)
-    return fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, link_mass=0.00735), duration=4.0, events=[fault])
+    return fl.simulate(
+        law,
+        MOVE,
+        arm=Twin.from_rig(RIG, link_mass=0.00735),
+        duration=4.0,
+        events=[fault],
+    )
 
 
 @pytest.mark.slow
@@ -55,8 +71,12 @@ def test_one_nan_encoder_sample_is_ridden_through(law, clean):
 def test_frozen_encoder_in_motion_switches_off(law):
     run = _run(law, "encoder frozen", until=AT + 0.5)
     off = np.flatnonzero(run.mode == 4)
-    assert off.size and off[0] - ROW <= 60  # the motor is away from its model, or the samples do not move
-    assert np.all(run.motor_angle_measured[ROW : off[0]] == run.motor_angle_measured[ROW])
+    assert (
+        off.size and off[0] - ROW <= 60
+    )  # the motor is away from its model, or the samples do not move
+    assert np.all(
+        run.motor_angle_measured[ROW : off[0]] == run.motor_angle_measured[ROW]
+    )
     assert np.all(run.voltage[off[0] + 2 :] == 0.0)
 
 
@@ -73,7 +93,9 @@ def test_gains_and_offsets_reach_the_reading(law):
     apart = run.torque_measured[late] - 1.1 * run.torque[late]
     assert np.std(apart) == pytest.approx(RIG.gauge.noise, rel=0.1)
     run = _run(law, "gauge offset", until=10.0, value=0.05)
-    assert np.mean(run.torque_measured[late] - run.torque[late]) == pytest.approx(0.05, abs=2e-3)
+    assert np.mean(run.torque_measured[late] - run.torque[late]) == pytest.approx(
+        0.05, abs=2e-3
+    )
     run = _run(law, "encoder gain", until=10.0, value=57.3)
     assert run.mode[-1] == 4  # degrees for radians: switched off
 
@@ -81,7 +103,9 @@ def test_gains_and_offsets_reach_the_reading(law):
 @pytest.mark.slow
 def test_swapped_channels(law):
     run = _run(law, "channels swapped", until=10.0)
-    assert run.motor_angle_measured[ROW] != pytest.approx(run.motor_angle[ROW], abs=0.01)
+    assert run.motor_angle_measured[ROW] != pytest.approx(
+        run.motor_angle[ROW], abs=0.01
+    )
     assert run.mode[-1] == 4
 
 
@@ -94,7 +118,9 @@ def test_missed_and_repeated_ticks(law, clean):
     assert np.all(held == held[0])  # the timer goes on with the last voltage
     assert np.abs(missed.error).max() < 0.1 and missed.mode[-1] == 1
     twice = _run(law, "tick repeated", until=AT + 5 * RIG.period)
-    assert np.all(twice.flags[ROW : ROW + 5] & 16)  # the second call of a period does nothing
+    assert np.all(
+        twice.flags[ROW : ROW + 5] & 16
+    )  # the second call of a period does nothing
     assert np.abs(twice.error).max() <= 1.1 * np.abs(clean.error).max()
 
 

@@ -1,4 +1,6 @@
-"""Identification names the material of the twin; what mode 2 does to that is shown, not hidden."""
+"""Identification names the material of the twin; what mode 2 does to that is shown, not
+hidden.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,13 @@ import pytest
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs
 from fraclink._identify import compare_structures
-from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, simulate_log
+from fraclink._simulate import (
+    Beam,
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    PowerLaw,
+    simulate_log,
+)
 
 PERIOD, RATIO, SEEDS = 0.004, 0.0654, 8
 MASSLESS = Beam(0.65, 0.338, 0.0, 0.030)
@@ -23,14 +31,24 @@ def _material(name: str, omega: float):
     return FractionalKelvinVoigt(2 * RATIO / (omega**0.5 * np.sin(np.pi / 4)), 0.5)
 
 
-def _chosen(beam: Beam, material: str, pole: float, samples: int, score: str = "bic") -> dict[str, int]:
+def _chosen(
+    beam: Beam, material: str, pole: float, samples: int, score: str = "bic"
+) -> dict[str, int]:
     damping = _material(material, float(beam.modes(1).frequencies[0]))
     bits = prbs(0.1, 0.24, bits=int(samples * PERIOD / 0.24) + 1, register=9, start=0.5)
-    clean = simulate_log(beam, damping, bits.angle(PERIOD * np.arange(samples)), servo_pole=pole)
+    clean = simulate_log(
+        beam, damping, bits.angle(PERIOD * np.arange(samples)), servo_pole=pole
+    )
     counts: dict[str, int] = {}
     for seed in range(SEEDS):
-        noise = 0.1 * clean.torque.std() * np.random.default_rng(seed).standard_normal(samples)
-        log = Experiment(period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise)
+        noise = (
+            0.1
+            * clean.torque.std()
+            * np.random.default_rng(seed).standard_normal(samples)
+        )
+        log = Experiment(
+            period=PERIOD, motor_angle=clean.motor_angle, output=clean.torque + noise
+        )
         fits = compare_structures(log, details=False, heldout=0.0).fits
         best = min(fits, key=lambda name: getattr(fits[name], score))
         counts[best] = counts.get(best, 0) + 1
@@ -44,14 +62,18 @@ def test_massless_link(material):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("material", "samples"), [("UD-FOM", 5001), ("D-IOM", 5001), ("D-FOM", 10001)])
+@pytest.mark.parametrize(
+    ("material", "samples"), [("UD-FOM", 5001), ("D-IOM", 5001), ("D-FOM", 10001)]
+)
 def test_link_with_mass_and_a_hub_slower_than_mode_two(material, samples):
     assert _chosen(ROD, material, 10.0, samples).get(material, 0) >= SEEDS - 1
 
 
 @pytest.mark.slow
 def test_a_fast_hub_lets_mode_two_fake_a_fractional_order():
-    """The finding of docs/explanation/twin.md: a viscous link is taken for a fractional one."""
+    """The finding of docs/explanation/twin.md: a viscous link is taken for a fractional
+    one.
+    """
     assert _chosen(ROD, "D-IOM", 80.0, 5001).get("D-FOM", 0) > SEEDS / 2
 
 
@@ -66,6 +88,8 @@ def test_the_bundled_log_gives_back_its_order():
     fit = fl.identify(log, "UD-FOM")
     assert fit.model.order == pytest.approx(1.92, abs=0.003)
     # The first mode of the twin, not eq. (5): 10.79 against 11.09.
-    assert fit.model.natural_frequency == pytest.approx(ROD.modes(1).frequencies[0], rel=0.003)
+    assert fit.model.natural_frequency == pytest.approx(
+        ROD.modes(1).frequencies[0], rel=0.003
+    )
     assert fit.delay == pytest.approx(0.002, abs=3e-4)
     assert 0.009 < fit.nmse < 0.015

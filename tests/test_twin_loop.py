@@ -34,7 +34,12 @@ LINK_MASS = 0.00735
 @pytest.fixture(scope="module")
 def law():
     design = fl.design(
-        RIG.model, RIG, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+        RIG.model,
+        RIG,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        filter_time=0.0,
     )
     return discretize_controller(design.controller, RIG.period, rig=RIG)
 
@@ -57,7 +62,12 @@ MOVE = smooth_step(1.0, duration=1.0)
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.008, 0.016, 0.020, 0.030, 0.040])
 def test_the_design_holds_on_the_twin(law, payload):
-    run = fl.simulate(law, MOVE, arm=Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS), duration=6.0)
+    run = fl.simulate(
+        law,
+        MOVE,
+        arm=Twin.from_rig(RIG, payload=payload, link_mass=LINK_MASS),
+        duration=6.0,
+    )
     assert run.finished and set(run.mode.tolist()) == {1}
     late = run.time > 2.5
     assert np.abs(run.error[late]).max() < 0.02  # 2 % of the move
@@ -68,7 +78,8 @@ def test_the_design_holds_on_the_twin(law, payload):
 def test_noise_free_error_vanishes(law):
     run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=10.0)
     assert abs(run.error[-1]) < 1e-3
-    # The gauge's strain and the link's bend tell the same tip angle but for the modes: θt = θm − Γ/c.
+    # The gauge's strain and the link's bend tell the same tip angle but for the modes:
+    # θt = θm − Γ/c.
     estimate = run.motor_angle - run.torque / RIG.link.stiffness
     assert np.abs(estimate - run.tip_angle).max() < 0.03 * np.abs(run.torque).max()
 
@@ -83,14 +94,24 @@ def test_gauge_offset_does_not_stay_in_the_tip(law):
 
 @pytest.mark.slow
 def test_coulomb_friction_holds_the_hub_and_never_pushes(law):
-    """At rest the hub sticks, whatever the link pulls below stiction: its speed is zero to the bit."""
+    """At rest the hub sticks, whatever the link pulls below stiction: its speed is zero
+    to the bit.
+    """
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     still = replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
     off = replace(still, drive=replace(still.drive, voltage_limit=1e-9))
-    run = fl.simulate(off, hold(0.0, duration=1.0), arm=twin, duration=2.0, events=[TipPulse(0.1, 0.2, 0.02)])
+    run = fl.simulate(
+        off,
+        hold(0.0, duration=1.0),
+        arm=twin,
+        duration=2.0,
+        events=[TipPulse(0.1, 0.2, 0.02)],
+    )
     assert np.abs(run.tip_angle).max() > 1e-3
     assert np.all(run.extras["motor_velocity"] == 0.0)
-    assert np.abs(run.motor_angle).max() < 1e-5  # within a step the held friction lets it breathe
+    assert (
+        np.abs(run.motor_angle).max() < 1e-5
+    )  # within a step the held friction lets it breathe
     assert np.abs(run.torque).max() < twin.breakaway
 
 
@@ -99,7 +120,13 @@ def test_stiction_breaks_above_its_level(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
     twin = replace(twin, motor=replace(twin.motor, coulomb_torque=1e-4))
     off = replace(law, drive=replace(law.drive, voltage_limit=1e-9))
-    run = fl.simulate(off, hold(0.0, duration=1.0), arm=twin, duration=2.0, events=[TipPulse(0.1, 0.5, 0.05)])
+    run = fl.simulate(
+        off,
+        hold(0.0, duration=1.0),
+        arm=twin,
+        duration=2.0,
+        events=[TipPulse(0.1, 0.5, 0.05)],
+    )
     assert np.abs(run.extras["motor_velocity"]).max() > 0.0
 
 
@@ -107,13 +134,18 @@ def test_stiction_breaks_above_its_level(law):
 def test_free_swing_loses_energy_with_friction(law):
     """A kick, then no voltage: hub and link come to rest, energy falls in every period."""
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    off = with_motor_loop(replace(law, drive=replace(law.drive, voltage_limit=1e-9)), twin=twin)[0]
+    off = with_motor_loop(
+        replace(law, drive=replace(law.drive, voltage_limit=1e-9)), twin=twin
+    )[0]
     vessel = ArmState(twin, law.period, off.initial_state())
     vessel.state[1], vessel.counters[0] = 3.0, 0
     energies = [vessel.plant.energy(vessel.state)]
     for _ in range(1500):
         vessel.run(
-            off.block, healthy_inputs(twin.sensors, hold(0.0), law.period, 1, np.random.default_rng(0))
+            off.block,
+            healthy_inputs(
+                twin.sensors, hold(0.0), law.period, 1, np.random.default_rng(0)
+            ),
         )
         energies.append(vessel.plant.energy(vessel.state))
     assert np.all(np.diff(energies) <= 1e-9 * energies[0])
@@ -121,12 +153,15 @@ def test_free_swing_loses_energy_with_friction(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damping", [KelvinVoigt(0.0118), PowerLaw(1.92)], ids=["viscous", "power law"])
+@pytest.mark.parametrize(
+    "damping", [KelvinVoigt(0.0118), PowerLaw(1.92)], ids=["viscous", "power law"]
+)
 def test_payload_exchange_conserves_shape_and_speed(law, damping):
     twin = quiet(payload=0.040, damping=damping)
     vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(
-        smooth(law).block, healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0))
+        smooth(law).block,
+        healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0)),
     )  # mid-move
     before, energy = (
         vessel.plant.outputs @ vessel.state[: vessel.plant.order],
@@ -134,9 +169,13 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
     )
     vessel.change_payload(0.008)
     after = vessel.plant.outputs @ vessel.state[: vessel.plant.order]
-    assert after[:3] == pytest.approx(before[:3], abs=1e-4)  # hub angle, hub velocity, tip angle
+    assert after[:3] == pytest.approx(
+        before[:3], abs=1e-4
+    )  # hub angle, hub velocity, tip angle
     assert after[4] == pytest.approx(before[4], rel=0.02)  # tip velocity
-    assert after[3] == pytest.approx(before[3], abs=0.05)  # the curvature's tail is in the modes left out
+    assert after[3] == pytest.approx(
+        before[3], abs=0.05
+    )  # the curvature's tail is in the modes left out
     lost = 0.5 * 0.032 * (before[4] * 0.65) ** 2
     assert vessel.plant.energy(vessel.state) == pytest.approx(energy - lost, rel=0.02)
 
@@ -145,17 +184,22 @@ def test_exchange_for_the_same_payload_changes_nothing(law):
     twin = quiet(payload=0.030)
     vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(
-        smooth(law).block, healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0))
+        smooth(law).block,
+        healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0)),
     )
     before = vessel.state.copy()
     vessel.change_payload(0.030)
-    assert vessel.state == pytest.approx(before, rel=1e-9, abs=1e-9 * np.abs(before).max())
+    assert vessel.state == pytest.approx(
+        before, rel=1e-9, abs=1e-9 * np.abs(before).max()
+    )
 
 
 @pytest.mark.slow
 def test_payload_lost_mid_move(law):
     twin = Twin.from_rig(RIG, payload=0.040, link_mass=LINK_MASS)
-    run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[PayloadChange(0.5, 0.008)])
+    run = fl.simulate(
+        law, MOVE, arm=twin, duration=6.0, events=[PayloadChange(0.5, 0.008)]
+    )
     assert run.finished and set(run.mode.tolist()) == {1}
     assert run.payload == 0.040 and run.extras["payload"][-1] == 0.008
     assert np.abs(run.error).max() < 0.25 and abs(run.error[-1]) < 0.02
@@ -171,7 +215,9 @@ def test_obstacle_stops_the_tip_and_pushes_one_way(law):
     # A spring of 500 N/m at 0.65 m: no deeper than the force says.
     assert run.tip_angle[inside].max() - 0.5 < force / 500.0 / 0.65 + 1e-3
     assert np.all(run.extras["contact_force"][run.time > 0.91] == 0.0)
-    assert abs(run.error[-1]) < 0.02 or run.mode[-1] != 1  # it arrives, or the law has tripped and says so
+    assert (
+        abs(run.error[-1]) < 0.02 or run.mode[-1] != 1
+    )  # it arrives, or the law has tripped and says so
 
 
 def test_restart_mid_motion_has_no_bump(law):
@@ -179,14 +225,19 @@ def test_restart_mid_motion_has_no_bump(law):
     run = fl.simulate(law, MOVE, arm=twin, duration=6.0, events=[Restart(0.5)])
     at = round(0.5 / law.period)
     assert run.flags[at] & 128  # started in this period
-    assert abs(run.motor_reference[at] - run.motor_angle_measured[at]) < 1.5 * law.limits.motor_step
+    assert (
+        abs(run.motor_reference[at] - run.motor_angle_measured[at])
+        < 1.5 * law.limits.motor_step
+    )
     assert abs(run.error[-1]) < 0.02
 
 
 @pytest.mark.slow
 def test_several_moves_in_a_row(law):
     moves = (
-        MOVE.then(hold(0.0, duration=1.0)).then(smooth_step(-1.5, duration=1.2)).then(hold(0.0, duration=1.0))
+        MOVE.then(hold(0.0, duration=1.0))
+        .then(smooth_step(-1.5, duration=1.2))
+        .then(hold(0.0, duration=1.0))
     )
     run = fl.simulate(law, moves, arm=Twin.from_rig(RIG, link_mass=LINK_MASS))
     assert run.reference[-1] == pytest.approx(-0.5)
@@ -195,7 +246,9 @@ def test_several_moves_in_a_row(law):
 
 @pytest.mark.slow
 def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
-    """Table 1's J at the gear's output is 0.5 % of the arm: W601, and the loop indeed diverges."""
+    """Table 1's J at the gear's output is 0.5 % of the arm: W601, and the loop indeed
+    diverges.
+    """
     rig = fl.Rig.named("paper-2023")
     twin = Twin.from_rig(rig, link_mass=LINK_MASS)
     assert [f.code for f in twin.findings] == ["W601"]
@@ -207,7 +260,9 @@ def test_the_printed_motor_is_unstable_and_the_twin_says_so(law):
 
 def test_same_seed_same_run_and_seeds_differ(law):
     twin = Twin.from_rig(RIG, link_mass=LINK_MASS)
-    one, two, other = (fl.simulate(law, MOVE, arm=twin, duration=1.0, seed=s) for s in (3, 3, 4))
+    one, two, other = (
+        fl.simulate(law, MOVE, arm=twin, duration=1.0, seed=s) for s in (3, 3, 4)
+    )
     assert np.array_equal(one.tip_angle, two.tip_angle)
     assert not np.array_equal(one.torque_measured, other.torque_measured)
 
@@ -217,7 +272,9 @@ def test_encoder_counts_and_gauge_steps(law):
     run = fl.simulate(law, MOVE, arm=twin, duration=1.0)
     counts = run.motor_angle_measured / (2 * np.pi / 100000)
     assert counts == pytest.approx(np.round(counts), abs=1e-6)
-    assert np.abs(run.motor_angle_measured - run.motor_angle).max() <= np.pi / 100000 * (1 + 1e-9)
+    assert np.abs(
+        run.motor_angle_measured - run.motor_angle
+    ).max() <= np.pi / 100000 * (1 + 1e-9)
     steps = run.torque_measured / RIG.gauge.quantum
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
@@ -241,12 +298,24 @@ def test_voltage_saturates(law):
 
 
 def test_a_run_saves_and_loads_equal(law, tmp_path):
-    run = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=1.0, events=[Restart(0.5)], seed=2)
+    run = fl.simulate(
+        smooth(law), MOVE, arm=quiet(), duration=1.0, events=[Restart(0.5)], seed=2
+    )
     run.save(tmp_path / "run.npz")
     back = Run.load(tmp_path / "run.npz")
-    assert np.array_equal(back.tip_angle, run.tip_angle) and back.mode.dtype == run.mode.dtype
-    assert back.metrics == run.metrics and back.verdict == run.verdict and back.about == run.about
-    assert back.about["law_sha256"] == smooth(law).digest and "Restart" in back.about["events"]
+    assert (
+        np.array_equal(back.tip_angle, run.tip_angle)
+        and back.mode.dtype == run.mode.dtype
+    )
+    assert (
+        back.metrics == run.metrics
+        and back.verdict == run.verdict
+        and back.about == run.about
+    )
+    assert (
+        back.about["law_sha256"] == smooth(law).digest
+        and "Restart" in back.about["events"]
+    )
     (tmp_path / "other.npz").write_bytes(b"PK\x03\x04nothing")
     with pytest.raises(FileFormatError):
         Run.load(tmp_path / "other.npz")
@@ -262,9 +331,13 @@ def test_a_rig_that_contradicts_its_model_is_refused():
 
 @pytest.mark.slow
 def test_single_precision_is_the_law_of_the_board(law):
-    """The float law runs as float: not the double's bits, but the same move to a float's digits."""
+    """The float law runs as float: not the double's bits, but the same move to a
+    float's digits.
+    """
     one = fl.simulate(smooth(law), MOVE, arm=quiet(), duration=2.0)
-    two = fl.simulate(smooth(law).in_precision("single"), MOVE, arm=quiet(), duration=2.0)
+    two = fl.simulate(
+        smooth(law).in_precision("single"), MOVE, arm=quiet(), duration=2.0
+    )
     apart = np.abs(one.tip_angle - two.tip_angle).max()
     assert 1e-9 < apart < 1e-4
     assert np.all(two.motor_reference == two.motor_reference.astype(np.float32))

@@ -9,18 +9,31 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._kernels import twin_exponential, twin_march
-from fraclink._simulate import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw, assemble
+from fraclink._simulate import (
+    Beam,
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    PowerLaw,
+    assemble,
+)
 from fraclink.errors import FieldError
 
 ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)
 MASSLESS = Beam(0.65, 1.56 * 0.65 / 3, 0.0, 0.030)
-DAMPINGS = [KelvinVoigt(0.0), KelvinVoigt(0.0118), FractionalKelvinVoigt(0.012, 0.7), PowerLaw(1.92)]
+DAMPINGS = [
+    KelvinVoigt(0.0),
+    KelvinVoigt(0.0118),
+    FractionalKelvinVoigt(0.012, 0.7),
+    PowerLaw(1.92),
+]
 STIFFNESS, OMEGA = MASSLESS.stiffness, MASSLESS.lumped_frequency
 
 
 @pytest.mark.parametrize("size", [1e-9, 0.3, 40.0, 3e3])
 def test_the_exponential_of_a_matrix_against_mpmath(size):
-    """Of a vibration with its squared frequency as norm, as an arm has it, and of a chain that only grows."""
+    """Of a vibration with its squared frequency as norm, as an arm has it, and of a
+    chain that only grows.
+    """
     vibration = [[0.0, 1e-3, 0.0], [-size, -1e-4, 1e-3], [0.0, 0.0, 0.0]]
     chain = [[0.0, size, 0.0], [0.0, 0.0, size], [0.0, 0.0, 0.0]]
     for matrix in (vibration, chain):
@@ -55,13 +68,15 @@ def test_massless_limit_is_the_lumped_model(damping, frequency):
 
 
 def test_power_law_step_response_against_mittag_leffler():
-    """θt of a hub step in the massless limit is 1 − E_λ(−(ω₀ t^(λ/2))²), here at 30 digits."""
+    """θt of a hub step in the massless limit is 1 − E_λ(−(ω₀ t^(λ/2))²), here at 30
+    digits.
+    """
     order, period = 1.92, 1e-3
     plant = assemble(MASSLESS, PowerLaw(order), drive="prescribed")
     step = plant.discretise(period)
     state = step.rest()
-    # A velocity of one step's length and height 1/step is the nearest thing to a jump of the hub: the
-    # response is the mean of the exact one over the last step.
+    # A velocity of one step's length and height 1/step is the nearest thing to a jump
+    # of the hub: the response is the mean of the exact one over the last step.
     twin_march(*step.arrays, np.array([1 / period]), 1, state)
     ours = twin_march(*step.arrays, np.zeros(2000), 1, state)[:, 2]
     mpmath.mp.dps = 60
@@ -76,7 +91,12 @@ def test_power_law_step_response_against_mittag_leffler():
                 return t * (1 - total)
             term_index += 1
 
-    for k in (10, 250, 1000, 1999):  # row k is the time of k + 2 steps after the ramp's start
+    for k in (
+        10,
+        250,
+        1000,
+        1999,
+    ):  # row k is the time of k + 2 steps after the ramp's start
         t = mpmath.mpf(period) * (k + 2)
         exact = (integral(t) - integral(t - mpmath.mpf(period))) / mpmath.mpf(period)
         assert ours[k] == pytest.approx(float(exact), abs=2e-6)
@@ -84,13 +104,20 @@ def test_power_law_step_response_against_mittag_leffler():
 
 
 @pytest.mark.parametrize("damping", DAMPINGS, ids=lambda d: d.label)
-@pytest.mark.parametrize("beam", [ROD, MASSLESS, ROD.with_payload(0.0)], ids=["rod", "massless", "bare"])
+@pytest.mark.parametrize(
+    "beam", [ROD, MASSLESS, ROD.with_payload(0.0)], ids=["rod", "massless", "bare"]
+)
 def test_energy_never_grows_on_the_discretised_twin(damping, beam):
-    """In the norm of the energy the step's matrix is a contraction: for every state, not for one move."""
-    plant = assemble(beam, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3)
+    """In the norm of the energy the step's matrix is a contraction: for every state,
+    not for one move.
+    """
+    plant = assemble(
+        beam, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3
+    )
     matrix = plant.discretise(1e-3).transition[:, : plant.order].T
     energy = plant.energy_matrix
-    # The hub's angle alone stores nothing; take it and what stores next to nothing out of the norm.
+    # The hub's angle alone stores nothing; take it and what stores next to nothing out
+    # of the norm.
     scale, vectors = np.linalg.eigh(energy)
     kept = scale > 1e-9 * scale.max()
     root = vectors[:, kept] * np.sqrt(scale[kept])
@@ -102,7 +129,9 @@ def test_energy_never_grows_on_the_discretised_twin(damping, beam):
 
 @pytest.mark.parametrize("damping", DAMPINGS, ids=lambda d: d.label)
 def test_energy_falls_along_a_free_decay(damping):
-    plant = assemble(ROD, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3)
+    plant = assemble(
+        ROD, damping, drive="motor", hub_inertia=6.87e-5, hub_friction=1.041e-3
+    )
     step = plant.discretise(1e-3)
     state = step.rest()
     state[1] = 1.0  # a kick of the hub
@@ -112,7 +141,8 @@ def test_energy_falls_along_a_free_decay(damping):
         twin_march(*step.arrays, np.zeros(1), 1, state)
         energies.append(plant.energy(state))
     assert np.all(np.diff(energies) <= 1e-12 * energies[0])
-    # What is left is the slow turning of the whole arm, which only the hub's friction brakes.
+    # What is left is the slow turning of the whole arm, which only the hub's friction
+    # brakes.
     if damping != KelvinVoigt(0.0):
         assert energies[-1] < 0.7 * energies[0]
 
@@ -128,17 +158,24 @@ def test_energy_falls_along_a_free_decay(damping):
 def test_energy_rate_is_never_positive(link_mass, payload, order, seed):
     """dE/dt = 2 xᵀ E A x <= 0 for random states of random twins."""
     beam = Beam(0.65, 0.338, link_mass, payload)
-    plant = assemble(beam, PowerLaw(order), drive="motor", hub_inertia=1e-4, hub_friction=1e-3)
+    plant = assemble(
+        beam, PowerLaw(order), drive="motor", hub_inertia=1e-4, hub_friction=1e-3
+    )
     x = np.random.default_rng(seed).standard_normal(plant.order)
     terms = 2 * x * (plant.energy_matrix @ (plant.dynamics @ x))
     assert (
-        terms.sum() <= 1e-9 * np.abs(plant.energy_matrix @ np.abs(plant.dynamics @ x)).sum() * np.abs(x).max()
+        terms.sum()
+        <= 1e-9
+        * np.abs(plant.energy_matrix @ np.abs(plant.dynamics @ x)).sum()
+        * np.abs(x).max()
     )
 
 
 @pytest.mark.slow
 def test_steps_compose():
-    """Four steps of 1 ms are one of 4 ms for a held input: the steps are exact, not a scheme."""
+    """Four steps of 1 ms are one of 4 ms for a held input: the steps are exact, not a
+    scheme.
+    """
     plant = assemble(ROD, PowerLaw(1.92), drive="servo")
     fine, coarse = plant.discretise(2.5e-4), plant.discretise(1e-3)
     a, b = fine.rest(), coarse.rest()
@@ -149,7 +186,9 @@ def test_steps_compose():
 
 
 def test_gauge_is_curvature_and_not_the_total_moment():
-    """With the total base moment the material's D multiplies the signal: another phase, another order."""
+    """With the total base moment the material's D multiplies the signal: another phase,
+    another order.
+    """
     plant = assemble(MASSLESS, PowerLaw(1.92), drive="prescribed")
     s = 12j
     gauge, total = plant.response(s)[[3, 5]]
@@ -158,14 +197,22 @@ def test_gauge_is_curvature_and_not_the_total_moment():
 
 def test_default_takes_the_modes_that_the_step_resolves():
     assert assemble(ROD, PowerLaw(1.92), drive="servo").modes.count == 3
-    assert assemble(Beam(0.65, 0.338, 1e-5, 0.03), PowerLaw(1.92), drive="servo").modes.count == 1
+    assert (
+        assemble(
+            Beam(0.65, 0.338, 1e-5, 0.03), PowerLaw(1.92), drive="servo"
+        ).modes.count
+        == 1
+    )
 
 
 def test_more_modes_than_the_step_resolves_are_refused():
     with pytest.raises(FieldError, match="more than the step resolves") as caught:
         assemble(ROD, PowerLaw(1.92), drive="servo", modes=6)
     assert caught.value.field == "modes"
-    assert assemble(ROD, PowerLaw(1.92), drive="servo", modes=5, step=5e-4).modes.count == 5
+    assert (
+        assemble(ROD, PowerLaw(1.92), drive="servo", modes=5, step=5e-4).modes.count
+        == 5
+    )
 
 
 @pytest.mark.parametrize("step", [0.0, -1e-3, 2e-3, float("nan"), True])
@@ -178,7 +225,9 @@ def test_bad_hubs():
     with pytest.raises(FieldError, match="hub_inertia"):
         assemble(MASSLESS, PowerLaw(1.92), drive="motor", hub_inertia=-1.0)
     with pytest.raises(FieldError, match="hub_friction"):
-        assemble(ROD, PowerLaw(1.92), drive="motor", hub_inertia=1e-4, hub_friction=-1.0)
+        assemble(
+            ROD, PowerLaw(1.92), drive="motor", hub_inertia=1e-4, hub_friction=-1.0
+        )
     with pytest.raises(FieldError, match="servo_pole"):
         assemble(ROD, PowerLaw(1.92), drive="servo", servo_pole=0.0)
 

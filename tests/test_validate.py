@@ -1,4 +1,6 @@
-"""Checks by annotation: what each kind of annotation admits, how it is normalised, and how it is refused."""
+"""Checks by annotation: what each kind of annotation admits, how it is normalised, and
+how it is refused.
+"""
 
 from __future__ import annotations
 
@@ -76,19 +78,25 @@ class Shape(Protocol):
 # --- numbers --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("value", [2, 2.0, np.float32(2), np.int64(2), np.float64(2), np.uint8(2)])
+@pytest.mark.parametrize(
+    "value", [2, 2.0, np.float32(2), np.int64(2), np.float64(2), np.uint8(2)]
+)
 def test_a_number_becomes_a_plain_float(value: object) -> None:
     plain = rule(float).check("x", value)
     assert type(plain) is float and plain == 2.0
 
 
-@pytest.mark.parametrize("value", [True, np.True_, "2", None, 2j, [2.0], np.array(2.0), object()])
+@pytest.mark.parametrize(
+    "value", [True, np.True_, "2", None, 2j, [2.0], np.array(2.0), object()]
+)
 def test_what_is_no_number_is_refused(value: object) -> None:
     assert refusal(float, value).problem == "not a number"
     assert refusal(Payload, value).problem == "not a number"
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float32("nan"), 10**400, -(10**400)])
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, -math.inf, np.float32("nan"), 10**400, -(10**400)]
+)
 def test_a_number_is_finite(value: object) -> None:
     assert refusal(float, value).problem == "not finite"
     assert refusal(Payload, value).field == "x"
@@ -100,7 +108,10 @@ def test_bounds_are_included_unless_open() -> None:
     half = Annotated[float, Between(-1.0, 1.0, low_open=True)]
     assert rule(half).check("x", 1.0) == 1.0
     assert refusal(half, -1.0).problem == "out of range"
-    assert refusal(Annotated[float, Between(-1.0, 1.0, high_open=True)], 1.0).problem == "out of range"
+    assert (
+        refusal(Annotated[float, Between(-1.0, 1.0, high_open=True)], 1.0).problem
+        == "out of range"
+    )
     assert refusal(closed, math.nextafter(1.0, 2.0)).allowed == "-1 to 1"
 
 
@@ -109,7 +120,9 @@ def test_infinity_is_admitted_only_where_the_range_says_so() -> None:
     assert rule(limit).check("x", math.inf) == math.inf
     refusal(limit, math.nan)
     refusal(limit, -math.inf)
-    assert math.isnan(rule(Annotated[float, Between(finite=False)]).check("x", math.nan))
+    assert math.isnan(
+        rule(Annotated[float, Between(finite=False)]).check("x", math.nan)
+    )
     refusal(Annotated[float, Between(0.0)], math.inf)
 
 
@@ -152,7 +165,10 @@ def test_literals_are_choices() -> None:
     hold = Literal["zero", "first"]
     assert rule(hold).check("hold", "first") == "first"
     error = refusal(hold, "second")
-    assert str(error) == "x: unknown (got second); expected zero or first. Choose one of these."
+    assert (
+        str(error)
+        == "x: unknown (got second); expected zero or first. Choose one of these."
+    )
     refusal(hold, ["zero"])
     refusal(hold, None)
     number = Literal[1, 2]
@@ -183,7 +199,10 @@ def test_an_instance_says_where_to_get_one() -> None:
     assert rule(Log).check("log", log) is log
     with pytest.raises(FieldError) as caught:
         rule(Log).check("log", "log.csv")
-    assert str(caught.value) == "log: not a Log (got 'log.csv'); expected a Log. Use read_log(path)."
+    assert (
+        str(caught.value)
+        == "log: not a Log (got 'log.csv'); expected a Log. Use read_log(path)."
+    )
     assert refusal(FieldError, 3).remedy == "give a FieldError"
     assert refusal(Log, object()).value == "object"
 
@@ -212,7 +231,9 @@ def test_a_union_reports_the_member_whose_kind_fits() -> None:
 
 
 def test_a_kind_that_is_tried_in_vain_keeps_no_caller_alive() -> None:
-    """A refusal that lives on in a cycle holds every frame up to the caller's, and the arrays in it."""
+    """A refusal that lives on in a cycle holds every frame up to the caller's, and the
+    arrays in it.
+    """
 
     def caller() -> weakref.ref[NDArray[np.float64]]:
         samples = np.zeros(3)
@@ -253,7 +274,9 @@ def test_an_ordered_pair_ascends() -> None:
     refusal(Annotated[tuple[float, float], Ordered(strict=True)], (1.0, 1.0))
 
 
-@pytest.mark.parametrize("kind", [tuple[Payload, ...], Sequence[Payload], Iterable[Payload]])
+@pytest.mark.parametrize(
+    "kind", [tuple[Payload, ...], Sequence[Payload], Iterable[Payload]]
+)
 def test_a_sequence_becomes_a_tuple(kind: Any) -> None:
     for value in ([1, 2], (1.0, 2), np.array([1.0, 2.0]), range(1, 3)):
         assert rule(kind).check("x", value) == (1.0, 2.0)
@@ -272,7 +295,10 @@ def test_lengths_are_bounded() -> None:
     assert rule(few).check("x", [1]) == (1.0,)
     assert refusal(few, []).problem == "empty"
     assert refusal(few, [1, 2, 3, 4]).problem == "of another length"
-    assert refusal(Annotated[str, Length(1, 2)], "abc").allowed == "a text; 1 to 2 characters"
+    assert (
+        refusal(Annotated[str, Length(1, 2)], "abc").allowed
+        == "a text; 1 to 2 characters"
+    )
 
 
 def test_mappings_are_checked_value_by_value() -> None:
@@ -283,7 +309,9 @@ def test_mappings_are_checked_value_by_value() -> None:
 
 
 def test_a_condition_of_its_own_has_words() -> None:
-    name = Annotated[str, Where(str.isidentifier, "a Python identifier", remedy="use letters and _")]
+    name = Annotated[
+        str, Where(str.isidentifier, "a Python identifier", remedy="use letters and _")
+    ]
     assert rule(name).check("x", "tip") == "tip"
     error = refusal(name, "2nd")
     assert (error.allowed, error.remedy) == ("a Python identifier", "use letters and _")
@@ -298,11 +326,23 @@ def test_a_series_is_one_column_of_finite_floats(annotation: Any) -> None:
     plain = rule(annotation).check("x", [0, 1, 2])
     assert plain.dtype == np.float64 and plain.shape == (3,)
     assert refusal(annotation, [[1.0], [2.0]]).problem == "of another shape"
-    for junk in (["a"], [None], [[1.0], [1.0, 2.0]], None, "12", [True], [1j], object()):
+    for junk in (
+        ["a"],
+        [None],
+        [[1.0], [1.0, 2.0]],
+        None,
+        "12",
+        [True],
+        [1j],
+        object(),
+    ):
         assert refusal(annotation, junk).problem == "not an array of numbers"
     error = refusal(annotation, [0.0, math.nan])
     assert (error.field, error.problem) == ("x", "not finite (entry 1)")
-    assert rule(annotation).check("x", [1e308, 1e308]).tolist() == [1e308, 1e308]  # only their sum is not
+    assert rule(annotation).check("x", [1e308, 1e308]).tolist() == [
+        1e308,
+        1e308,
+    ]  # only their sum is not
 
 
 def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
@@ -311,12 +351,19 @@ def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
     refusal(NDArray[np.int64], [1.5])
     table = Annotated[NDArray[np.float64], Array(2, finite=False)]
     assert math.isnan(rule(table).check("x", [[math.nan]])[0, 0])
-    assert refusal(Annotated[NDArray[np.float64], Array(1, min_size=2)], [1.0]).problem == "of another shape"
+    assert (
+        refusal(Annotated[NDArray[np.float64], Array(1, min_size=2)], [1.0]).problem
+        == "of another shape"
+    )
 
 
 def test_a_range_beside_an_array_is_for_every_entry() -> None:
-    masses = Annotated[NDArray[np.float64], Array(2), Between(0.0, 1.0, "kg", low_open=True)]
-    assert refusal(masses, [[0.5, 0.5], [0.5, 0.0]]).problem == "out of range (entry 1, 1)"
+    masses = Annotated[
+        NDArray[np.float64], Array(2), Between(0.0, 1.0, "kg", low_open=True)
+    ]
+    assert (
+        refusal(masses, [[0.5, 0.5], [0.5, 0.0]]).problem == "out of range (entry 1, 1)"
+    )
 
 
 def test_a_condition_is_a_signal_where_the_annotation_says_so() -> None:
@@ -402,15 +449,24 @@ def test_shapes_in_words(array: Array, words: str) -> None:
     [
         (Annotated[int, Between(high=3)], "whole number"),
         (Annotated[int, Between(2, 2 * 10**6)], "whole number 2 to 2e6"),
-        (Annotated[tuple[int, ...], Length(2)], "a list, each entry whole number; at least 2 entries"),
-        (Annotated[tuple[int, ...], Length(2, 4)], "a list, each entry whole number; 2 to 4 entries"),
+        (
+            Annotated[tuple[int, ...], Length(2)],
+            "a list, each entry whole number; at least 2 entries",
+        ),
+        (
+            Annotated[tuple[int, ...], Length(2, 4)],
+            "a list, each entry whole number; 2 to 4 entries",
+        ),
         (tuple[float, float, float], "3 values, each a finite number"),
         (tuple[Any, ...], "a list"),
         (Mapping[str, float], "a mapping, each value a finite number"),
         (complex, "a finite complex number"),
         (float | str, "a finite number or a text"),
         (Series | None, "finite numbers of shape (N,)"),
-        (Annotated[Series, Between(0.0, 1.0)], "finite numbers of shape (N,), each 0 to 1"),
+        (
+            Annotated[Series, Between(0.0, 1.0)],
+            "finite numbers of shape (N,), each 0 to 1",
+        ),
         (FieldError, "a FieldError"),
         (Exception, "an Exception"),
     ],
@@ -429,7 +485,11 @@ def test_a_rule_carries_its_bounds_and_unit() -> None:
         found = rule(annotation)
         assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
     pair = Annotated[tuple[Payload, Payload], Ordered(strict=True)]
-    several: tuple[Any, ...] = (pair, tuple[Payload, ...], Annotated[tuple[Payload, ...], Length(1, 3)])
+    several: tuple[Any, ...] = (
+        pair,
+        tuple[Payload, ...],
+        Annotated[tuple[Payload, ...], Length(1, 3)],
+    )
     for annotation in several:
         found = rule(annotation)
         assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
@@ -472,19 +532,32 @@ def test_a_number_out_of_an_array_is_shown_as_it_was_written() -> None:
 def test_what_to_do_fits_the_kind() -> None:
     assert refusal(float, "x").remedy == "check the value and its unit"
     assert refusal(int, 1.5).remedy == "give a whole number"
-    assert refusal(Annotated[int, Between(1, 3, remedy="count again")], 9).remedy == "count again"
+    assert (
+        refusal(Annotated[int, Between(1, 3, remedy="count again")], 9).remedy
+        == "count again"
+    )
     assert refusal(Series, "x").remedy == "give one column of numbers"
     assert refusal(NDArray[np.float64], "x").remedy == "give an array of numbers"
     assert refusal(tuple[float, float], 1.0).remedy == "give a pair"
     assert refusal(tuple[float, ...], 1.0).remedy == "put a single one in a list"
     assert refusal(Mapping[str, float], 1.0).remedy == "give a dict"
-    assert refusal(Annotated[tuple[float, ...], Length(1, 3)], []).remedy == "give 1 to 3"
-    assert refusal(Annotated[tuple[float, ...], Length(2)], [1.0]).remedy == "give at least 2"
+    assert (
+        refusal(Annotated[tuple[float, ...], Length(1, 3)], []).remedy == "give 1 to 3"
+    )
+    assert (
+        refusal(Annotated[tuple[float, ...], Length(2)], [1.0]).remedy
+        == "give at least 2"
+    )
     strict = Annotated[tuple[float, float], Ordered(strict=True)]
     assert refusal(strict, (2.0, 1.0)).remedy == "give the smaller one first"
-    assert refusal(strict, (2.0, 1.0)).allowed == "(low, high) with low < high, each a finite number"
+    assert (
+        refusal(strict, (2.0, 1.0)).allowed
+        == "(low, high) with low < high, each a finite number"
+    )
     assert rule(strict).check("x", (1.0, 2.0)) == (1.0, 2.0)
-    assert refusal(float | str, [1]).remedy == "check the value and its unit or give a str"
+    assert (
+        refusal(float | str, [1]).remedy == "check the value and its unit or give a str"
+    )
 
 
 # --- calls by name ------------------------------------------------------------------------------------------
@@ -495,19 +568,35 @@ def test_a_number_by_name_with_its_bounds() -> None:
     assert checked_between("x", 2, 1.0, 2.0) == 2.0
     with pytest.raises(FieldError) as caught:
         checked_between("x", 1.0, 1.0, 2.0, "s", open_low=True, remedy="wait")
-    assert (caught.value.field, caught.value.allowed, caught.value.remedy) == ("x", "> 1 and <= 2 s", "wait")
+    assert (caught.value.field, caught.value.allowed, caught.value.remedy) == (
+        "x",
+        "> 1 and <= 2 s",
+        "wait",
+    )
     with pytest.raises(FieldError) as caught:
-        checked_number("x", 3, allowed="an even number", holds=lambda n: n % 2 == 0, remedy="add one")
+        checked_number(
+            "x",
+            3,
+            allowed="an even number",
+            holds=lambda n: n % 2 == 0,
+            remedy="add one",
+        )
     assert (caught.value.value, caught.value.allowed, caught.value.remedy) == (
         3.0,
         "an even number",
         "add one",
     )
-    assert checked_number("x", 4, allowed="an even number", holds=lambda n: n % 2 == 0) == 4.0
+    assert (
+        checked_number("x", 4, allowed="an even number", holds=lambda n: n % 2 == 0)
+        == 4.0
+    )
     for junk, problem in (("4", "not a number"), (math.nan, "not finite")):
         with pytest.raises(FieldError) as caught:
             checked_number("x", junk, allowed="an even number", remedy="add one")
-        assert (caught.value.problem, caught.value.allowed) == (problem, "an even number")
+        assert (caught.value.problem, caught.value.allowed) == (
+            problem,
+            "an even number",
+        )
 
 
 def test_whole_numbers_and_choices_by_name() -> None:
@@ -522,7 +611,10 @@ def test_whole_numbers_and_choices_by_name() -> None:
     for junk in ("c", 3, None):
         with pytest.raises(FieldError) as caught:
             checked_choice("kind", junk, iter(["a", "b", "c d"]), remedy="look")
-        assert (caught.value.allowed, caught.value.problem) == ("a, b or c d", "unknown")
+        assert (caught.value.allowed, caught.value.problem) == (
+            "a, b or c d",
+            "unknown",
+        )
         assert (caught.value.value, caught.value.remedy) == (junk, "look")
 
 
@@ -571,12 +663,22 @@ def test_results_are_equal_where_all_their_fields_are() -> None:
     assert Result(math.nan) == Result(math.nan) and Result(1.0) != Result(math.nan)
     assert Result(np.array(["x"])) == Result(np.array(["x"]))
     assert Result({"k": np.ones(2)}) == Result({"k": np.ones(2)})
-    assert Result({"k": np.ones(2)}) != Result({"k": np.zeros(2)}) != Result({"j": np.zeros(2)})
+    assert (
+        Result({"k": np.ones(2)})
+        != Result({"k": np.zeros(2)})
+        != Result({"j": np.zeros(2)})
+    )
     assert Result((np.ones(2), 1)) == Result((np.ones(2), 1))
-    assert Result((np.ones(2), 1)) != Result((np.ones(2), 1, 2)) != Result((np.ones(2), 1))
+    assert (
+        Result((np.ones(2), 1)) != Result((np.ones(2), 1, 2)) != Result((np.ones(2), 1))
+    )
     assert Result(()) != Result((1,))
     assert Result((np.ones(2), 1)) != Result((np.ones(2), 2))
-    assert hash(a) == hash(Result(np.arange(3.0), "a", "another note")) != hash(Result(np.arange(3.0), "b"))
+    assert (
+        hash(a)
+        == hash(Result(np.arange(3.0), "a", "another note"))
+        != hash(Result(np.arange(3.0), "b"))
+    )
 
 
 def test_a_range_beside_the_wrong_type_is_a_mistake_of_ours() -> None:
@@ -602,7 +704,13 @@ def move(
 
 def test_arguments_are_normalised_by_position_and_by_name() -> None:
     assert move(1) == (1.0, 1.0, (), "step", {})
-    assert move(1, 2, 3, np.int64(4), kind="ramp", a=1) == (1.0, 2.0, (3, 4), "ramp", {"a": 1.0})
+    assert move(1, 2, 3, np.int64(4), kind="ramp", a=1) == (
+        1.0,
+        2.0,
+        (3, 4),
+        "ramp",
+        {"a": 1.0},
+    )
     assert move(np.float32(1), duration=2)[:2] == (1.0, 2.0)
 
 
@@ -632,7 +740,7 @@ def test_python_itself_refuses_wrong_calls() -> None:
 
 def test_the_function_keeps_its_name_and_signature() -> None:
     assert move.__name__ == "move" and move.__doc__ == "Return what it got."
-    assert pickle.loads(pickle.dumps(move)) is move  # noqa: S301 - workers of a pool get functions by name
+    assert pickle.loads(pickle.dumps(move)) is move  # noqa: S301
 
 
 def test_the_class_of_the_error_and_the_place_can_be_stated() -> None:
@@ -683,7 +791,9 @@ class Channel:
 
     def __post_init__(self) -> None:
         if self.values.size * self.period > 100.0:  # fields are plain values by now
-            raise FieldError("values", self.values.size, "too long", allowed="100 s", remedy="cut it")
+            raise FieldError(
+                "values", self.values.size, "too long", allowed="100 s", remedy="cut it"
+            )
 
 
 def test_fields_are_normalised_at_construction() -> None:
@@ -722,7 +832,11 @@ def test_a_class_made_by_a_function_says_so_in_the_fields_of_others() -> None:
 
 def test_rules_of_fields_carry_bounds_for_a_files_schema() -> None:
     found = rules(Channel)
-    assert (found["period"].low, found["period"].high, found["period"].unit) == (0.0, 10.0, "s")
+    assert (found["period"].low, found["period"].high, found["period"].unit) == (
+        0.0,
+        10.0,
+        "s",
+    )
     assert rules(move)["kind"].choices == ("step", "ramp")
     assert found["period"].check("file.period", 1) == 1.0
 
@@ -734,7 +848,11 @@ def test_every_annotation_of_the_package_has_a_rule() -> None:
     for module in pkgutil.walk_packages(fraclink.__path__, "fraclink."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
-    targets = [target for target in _validate._TARGETS if target.__module__.startswith("fraclink.")]
+    targets = [
+        target
+        for target in _validate._TARGETS
+        if target.__module__.startswith("fraclink.")
+    ]
     for target in targets:
         for name, hint in _validate._hints(target, strict=True).items():
             assert rule(hint).expected, f"{target.__qualname__}.{name}"
@@ -745,9 +863,14 @@ def test_defaults_are_admitted_by_their_own_annotations() -> None:
         found = rules(target)
         for name, parameter in inspect.signature(target).parameters.items():
             default = parameter.default
-            # default_factory, or None where __post_init__ puts what follows from the other fields
+            # default_factory, or None where __post_init__ puts what follows from the
+            # other fields
             made_later = default is None or type(default).__module__ == "dataclasses"
-            if name in found and default is not inspect.Parameter.empty and not made_later:
+            if (
+                name in found
+                and default is not inspect.Parameter.empty
+                and not made_later
+            ):
                 found[name].check(f"{target.__qualname__}.{name}", default)
 
 
@@ -767,7 +890,9 @@ def package_rules() -> list[tuple[str, str, Any]]:
 
 @pytest.mark.slow
 def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
-    """One table of values that scripts hand over by mistake, against the rule of every public argument."""
+    """One table of values that scripts hand over by mistake, against the rule of every
+    public argument.
+    """
     every = package_rules()
     assert len(every) > 200
     for place, name, checked_rule in every:
@@ -781,7 +906,11 @@ def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
             else:
                 # What passes a range lies in it, as a plain number.
                 if type(plain) in (int, float) and math.isfinite(checked_rule.low):
-                    assert checked_rule.low <= plain <= checked_rule.high, (place, name, value)
+                    assert checked_rule.low <= plain <= checked_rule.high, (
+                        place,
+                        name,
+                        value,
+                    )
 
 
 @pytest.mark.parametrize(

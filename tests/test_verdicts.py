@@ -1,4 +1,6 @@
-"""All verdicts about one closed loop agree: poles, stability, margins, disk margin, norm, response."""
+"""All verdicts about one closed loop agree: poles, stability, margins, disk margin,
+norm, response.
+"""
 
 from __future__ import annotations
 
@@ -25,18 +27,28 @@ from fraclink import (
 
 
 def random_loop(generator: np.random.Generator) -> FractionalTransferFunction:
-    """Lags of any order, some unstable; half of them delayed, some biproper (then the loop is neutral)."""
+    """Lags of any order, some unstable; half of them delayed, some biproper (then the
+    loop is neutral).
+    """
     loop = 10.0 ** generator.uniform(-1.5, 1.5) + 0 * s
     for _ in range(int(generator.integers(1, 4))):
         constant = 10.0 ** generator.uniform(-1, 1)
         sign = 1.0 if generator.random() < 0.85 else -1.0
-        loop = loop * constant / (s ** float(generator.uniform(0.1, 1.9)) + sign * constant)
+        loop = (
+            loop
+            * constant
+            / (s ** float(generator.uniform(0.1, 1.9)) + sign * constant)
+        )
     shape = generator.random()
     if shape < 0.3:
         loop = loop / s ** float(generator.uniform(0.1, 1.5))
     elif shape < 0.5:
         loop = loop * (1 + float(generator.uniform(0.01, 2)) * s**loop.relative_degree)
-    return loop.delayed(10.0 ** generator.uniform(-2, 0.5)) if generator.random() < 0.5 else loop
+    return (
+        loop.delayed(10.0 ** generator.uniform(-2, 0.5))
+        if generator.random() < 0.5
+        else loop
+    )
 
 
 def verdicts(loop: FractionalTransferFunction) -> dict[str, bool]:
@@ -83,7 +95,9 @@ def test_all_verdicts_about_a_random_loop_agree(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("gain", [0.5, 0.99, 1.01, 3.0])
 def test_all_verdicts_about_a_neutral_loop_agree(gain: float) -> None:
-    """Its chain of poles lies left of the axis where the delayed direct path has a gain below 1."""
+    """Its chain of poles lies left of the axis where the delayed direct path has a gain
+    below 1.
+    """
     loop = (gain * (s + 2) / (s + 10)).delayed(1.0)
     said = verdicts(loop)
     assert said["is_stable"] is said["margins with limit"] is (gain < 1.0)
@@ -93,9 +107,14 @@ def test_all_verdicts_about_a_neutral_loop_agree(gain: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows(seed: int) -> None:
+def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows(
+    seed: int,
+) -> None:
     closed = random_loop(np.random.default_rng(700 + seed)).feedback()
-    if any(t.delay for t in closed.denominator) or closed.denominator[-1].order > closed.numerator[-1].order:
+    if (
+        any(t.delay for t in closed.denominator)
+        or closed.denominator[-1].order > closed.numerator[-1].order
+    ):
         closed = (2.0 / (s ** (1.0 + 0.15 * seed) + 1.0)).feedback()
     dominant = poles(closed)
     slowest = float(np.abs(dominant.real).min()) if dominant.size else 1.0
@@ -107,7 +126,9 @@ def test_the_step_response_of_a_stable_loop_settles_and_of_an_unstable_one_grows
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
 def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
-    """L(z) with poles inside the unit circle, or one on it or outside: against the closed loop's poles."""
+    """L(z) with poles inside the unit circle, or one on it or outside: against the
+    closed loop's poles.
+    """
     generator = np.random.default_rng(seed)
     period, size = 10.0 ** generator.uniform(-3, 0), int(generator.integers(1, 5))
     open_poles = generator.uniform(-0.5, 0.97, size)
@@ -126,7 +147,8 @@ def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
 
     outside = int((np.abs(open_poles) > 1.0).sum())
     known: dict[str, Any] = {"limit": math.pi / period, "unstable_poles": outside}
-    # A pole on the circle is a pole of the callable at s = 0, which it does not tell of.
+    # A pole on the circle is a pole of the callable at s = 0, which it does not tell
+    # of.
     if seed % 4:
         assert margins(loop, **known).stable is stable
         try:
@@ -134,7 +156,12 @@ def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
         except errors.UnstableError:
             assert not stable
     sampled = RationalApproximation(
-        zeros=zeros, poles=closed, gain=gain, period=period, band=(1e-3 / period, 1.0 / period), method="made"
+        zeros=zeros,
+        poles=closed,
+        gain=gain,
+        period=period,
+        band=(1e-3 / period, 1.0 / period),
+        method="made",
     )
     for p in (2.0, math.inf):
         try:
@@ -144,18 +171,29 @@ def test_all_verdicts_about_a_sampled_loop_agree(seed: int) -> None:
             continue
         assert stable
         angle = np.linspace(-math.pi, math.pi, 400_001)
-        size_ = np.abs(np.polyval(top, np.exp(1j * angle)) / np.polyval(np.poly(closed), np.exp(1j * angle)))
-        on_grid = size_.max() if p == math.inf else math.sqrt(float(np.mean(size_[:-1] ** 2)))
+        size_ = np.abs(
+            np.polyval(top, np.exp(1j * angle))
+            / np.polyval(np.poly(closed), np.exp(1j * angle))
+        )
+        on_grid = (
+            size_.max() if p == math.inf else math.sqrt(float(np.mean(size_[:-1] ** 2)))
+        )
         assert found == pytest.approx(on_grid, rel=1e-4)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1, 3, 4, 6, 8, 9, 10, 11])  # 2, 5 and 7 agree, too, in 15 s
+@pytest.mark.parametrize(
+    "seed", [0, 1, 3, 4, 6, 8, 9, 10, 11]
+)  # 2, 5 and 7 agree, too, in 15 s
 def test_all_verdicts_about_a_loop_with_two_channels_agree(seed: int) -> None:
-    """Two scalar loops, some delayed, some unstable, seen through a rotation: stable where both are."""
+    """Two scalar loops, some delayed, some unstable, seen through a rotation: stable
+    where both are.
+    """
     generator = np.random.default_rng(300 + seed)
     loops: list[FractionalTransferFunction] = []
-    while len(loops) < 2:  # the determinant turns with the delay: up to 0.1 s it is followed in a second
+    while (
+        len(loops) < 2
+    ):  # the determinant turns with the delay: up to 0.1 s it is followed in a second
         drawn = random_loop(generator)
         loops += [drawn] if drawn.delay <= 0.1 else []
     alone = [verdicts(loop) for loop in loops]
@@ -171,7 +209,9 @@ def test_all_verdicts_about_a_loop_with_two_channels_agree(seed: int) -> None:
     )
     try:
         found = multivariable_margins(both)
-    except errors.FieldError:  # the sum of two delays may turn more often than can be followed
+    except (
+        errors.FieldError
+    ):  # the sum of two delays may turn more often than can be followed
         return
     wanted = all(all(said.values()) for said in alone)
     if found.stable is not None:

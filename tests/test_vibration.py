@@ -1,4 +1,6 @@
-"""The vibration that a design leaves, against mpmath and against the move; and what `design` says of it."""
+"""The vibration that a design leaves, against mpmath and against the move; and what
+`design` says of it.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +20,24 @@ LINK = RIG.model
 assert LINK is not None
 
 
-def made_for(model: fl.LinkModel, crossover: float, margin: float, rig: fl.Rig = RIG) -> fl.Design:
+def made_for(
+    model: fl.LinkModel, crossover: float, margin: float, rig: fl.Rig = RIG
+) -> fl.Design:
     """A design for 20 to 40 g, with nothing said of its law."""
-    asked = {"gain_crossover": crossover, "phase_margin": fl.deg(margin), "payloads": (0.02, 0.04)}
+    asked = {
+        "gain_crossover": crossover,
+        "phase_margin": fl.deg(margin),
+        "payloads": (0.02, 0.04),
+    }
     return fl.design(model, rig, **asked, law=False)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.02])
 @pytest.mark.parametrize("payload", [0.02, 0.04])
-def test_vibration_is_a_root_of_the_characteristic_equation(delay: float, payload: float) -> None:
+def test_vibration_is_a_root_of_the_characteristic_equation(
+    delay: float, payload: float
+) -> None:
     design = made_for(replace(LINK, gauge_delay=delay), 11.5, 45.0)
     found = vibration(design.full_loop, design.natural_frequency(payload))
     assert found is not None
@@ -35,28 +45,43 @@ def test_vibration_is_a_root_of_the_characteristic_equation(delay: float, payloa
 
     def characteristic(s: mpmath.mpc) -> mpmath.mpc:
         correction = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
-        motor = mpmath.exp(-1.5 * RIG.period * s) / (1 + s / design.motor_loop.pole) ** 2
+        motor = (
+            mpmath.exp(-1.5 * RIG.period * s) / (1 + s / design.motor_loop.pole) ** 2
+        )
         torque = s**model.order / (s**model.order + w0**2)
         return 1 + correction * motor * (1 - mpmath.exp(-delay * s) * torque)
 
-    start = found.frequency * mpmath.mpc(-found.damping_ratio, (1 - found.damping_ratio**2) ** 0.5)
+    start = found.frequency * mpmath.mpc(
+        -found.damping_ratio, (1 - found.damping_ratio**2) ** 0.5
+    )
     root = mpmath.findroot(characteristic, start * 1.01)
     assert found.frequency == pytest.approx(float(abs(root)), rel=1e-9)
     assert found.damping_ratio == pytest.approx(float(-root.real / abs(root)), rel=1e-7)
 
 
 def test_a_move_dies_as_fast_as_the_vibration_says() -> None:
-    model = replace(LINK, order=1.97, payload=0.03, natural_frequency=RIG.natural_frequency(0.03))
+    model = replace(
+        LINK, order=1.97, payload=0.03, natural_frequency=RIG.natural_frequency(0.03)
+    )
     design = made_for(model, 10.5, 35.0)
     found = vibration(design.full_loop, design.natural_frequency(0.04))
     assert found is not None
-    rig = replace(RIG, gauge=replace(RIG.gauge, noise=0.0), motor=replace(RIG.motor, coulomb_torque=0.0))
-    quiet = replace(design, rig=replace(rig, encoder=replace(rig.encoder, counts_per_revolution=None)))
+    rig = replace(
+        RIG,
+        gauge=replace(RIG.gauge, noise=0.0),
+        motor=replace(RIG.motor, coulomb_torque=0.0),
+    )
+    quiet = replace(
+        design,
+        rig=replace(rig, encoder=replace(rig.encoder, counts_per_revolution=None)),
+    )
     run = fl.simulate(quiet, fl.smooth_step(0.2, duration=0.5), payload=0.04)
     size, time = np.abs(run.tip_angle - 0.2), run.time
     early, late = (size[(time > t) & (time < t + 0.6)].max() for t in (0.8, 2.0))
     # The PID at its period stands for M(s): a few per cent of phase at this frequency.
-    assert np.log(early / late) / 1.2 == pytest.approx(found.damping_ratio * found.frequency, rel=0.25)
+    assert np.log(early / late) / 1.2 == pytest.approx(
+        found.damping_ratio * found.frequency, rel=0.25
+    )
 
 
 def test_periods_and_time_are_those_of_an_exponential() -> None:
@@ -73,18 +98,29 @@ def test_a_design_that_rings_does_not_pass() -> None:
     (finding,) = [one for one in design.findings if one.code == "W409"]
     assert all(item.passed for item in design.requirements)
     assert not design.passed and finding.severity == "error"
-    ends = [vibration(design.full_loop, design.natural_frequency(m)) for m in (0.02, 0.04)]
-    assert finding.evidence["damping_ratio"] == min(one.damping_ratio for one in ends if one is not None)
+    ends = [
+        vibration(design.full_loop, design.natural_frequency(m)) for m in (0.02, 0.04)
+    ]
+    assert finding.evidence["damping_ratio"] == min(
+        one.damping_ratio for one in ends if one is not None
+    )
     damped = made_for(model, 1.5 * LINK.at_payload(0.04).natural_frequency, 50.0)
     assert "W409" not in {one.code for one in damped.findings}
 
 
 def test_a_design_over_a_box_rings_where_an_arm_of_the_box_does() -> None:
     massless = replace(RIG, link=replace(RIG.link, mass=0.0))
-    asked = {"gain_crossover": 1.2 * LINK.at_payload(0.04).natural_frequency, "phase_margin": fl.deg(20.0)}
+    asked = {
+        "gain_crossover": 1.2 * LINK.at_payload(0.04).natural_frequency,
+        "phase_margin": fl.deg(20.0),
+    }
     box = replace(ParameterBox.at(LINK), order=(1.92, 1.97))
-    design = fl.design(LINK, massless, **asked, payloads=(0.02, 0.04), law=False, box=box)  # type: ignore[arg-type]
-    of_the_model = [vibration(design.full_loop, w0) for w0 in design.natural_frequencies]
+    design = fl.design(
+        LINK, massless, **asked, payloads=(0.02, 0.04), law=False, box=box
+    )  # type: ignore[arg-type]
+    of_the_model = [
+        vibration(design.full_loop, w0) for w0 in design.natural_frequencies
+    ]
     assert all(one is not None and one.periods < 10.0 for one in of_the_model)
     assert all(item.passed for item in design.requirements) and not design.passed
     (finding,) = [one for one in design.findings if one.code == "W409"]
@@ -96,16 +132,25 @@ def test_a_design_over_a_box_rings_where_an_arm_of_the_box_does() -> None:
 
 
 def test_the_papers_reading_says_nothing_of_moves() -> None:
-    asked = {"gain_crossover": 12.5, "phase_margin": fl.deg(65.0), "payloads": (0.02, 0.04)}
-    design = fl.design(replace(LINK, order=1.85), RIG, **asked, margins="ideal", law=False)  # type: ignore[arg-type]
+    asked = {
+        "gain_crossover": 12.5,
+        "phase_margin": fl.deg(65.0),
+        "payloads": (0.02, 0.04),
+    }
+    design = fl.design(
+        replace(LINK, order=1.85), RIG, **asked, margins="ideal", law=False
+    )  # type: ignore[arg-type]
     assert "W409" not in {one.code for one in design.findings}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("order", "crossover", "margin"), [(1.85, 8.0, 35.0), (1.9, 9.0, 40.0), (1.95, 7.0, 30.0)]
+    ("order", "crossover", "margin"),
+    [(1.85, 8.0, 35.0), (1.9, 9.0, 40.0), (1.95, 7.0, 30.0)],
 )
-def test_what_a_refusal_offers_does_not_ring(order: float, crossover: float, margin: float) -> None:
+def test_what_a_refusal_offers_does_not_ring(
+    order: float, crossover: float, margin: float
+) -> None:
     model = replace(LINK, order=order)
     with pytest.raises(InfeasibleError) as refused:
         made_for(model, crossover, margin)
@@ -117,8 +162,15 @@ def test_what_a_refusal_offers_does_not_ring(order: float, crossover: float, mar
 
 @pytest.mark.slow
 def test_the_law_is_looked_at_with_the_pid_that_runs() -> None:
-    # A gauge 76 ms late keeps |L| near one up to 140 rad/s, where the PID at 4 ms is not M(s).
-    soft = replace(RIG.link, length=0.615, stiffness=0.9035, flexural_rigidity=0.9035 * 0.615 / 3.0, mass=0.0)
+    # A gauge 76 ms late keeps |L| near one up to 140 rad/s, where the PID at 4 ms is
+    # not M(s).
+    soft = replace(
+        RIG.link,
+        length=0.615,
+        stiffness=0.9035,
+        flexural_rigidity=0.9035 * 0.615 / 3.0,
+        mass=0.0,
+    )
     payloads = replace(RIG.payloads, low=0.01914, high=0.02483, nominal=0.02199)
     rig = replace(RIG, link=soft, payloads=payloads, model=None)
     model = fl.LinkModel(0.9035, 10.42, 1.954, payload=0.02199, gauge_delay=0.0759)
@@ -131,12 +183,25 @@ def test_the_law_is_looked_at_with_the_pid_that_runs() -> None:
 
 
 @pytest.mark.slow
-def test_a_controller_that_no_law_follows_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_controller_that_no_law_follows_is_a_finding(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def none(design: fl.Design) -> None:
-        raise FieldError("order", "3 pairs", "more than law.c holds", allowed="2 pairs", remedy="lower it")
+        raise FieldError(
+            "order",
+            "3 pairs",
+            "more than law.c holds",
+            allowed="2 pairs",
+            remedy="lower it",
+        )
 
     monkeypatch.setattr("fraclink._law.design.law_margins", none)
-    for design in (made_for(LINK, 12.0, 45.0).warned_of_law(), made_for(LINK, 12.0, 45.0).with_law()):
-        assert [one.severity for one in design.with_law().findings if one.code == "W410"] == ["error"]
+    for design in (
+        made_for(LINK, 12.0, 45.0).warned_of_law(),
+        made_for(LINK, 12.0, 45.0).with_law(),
+    ):
+        assert [
+            one.severity for one in design.with_law().findings if one.code == "W410"
+        ] == ["error"]
         assert not design.has_law and not design.passed
         assert "no law follows this controller: it takes 3 pairs" in str(design)

@@ -1,4 +1,6 @@
-"""What people read of a result: every word and number of its headline, tables and notes."""
+"""What people read of a result: every word and number of its headline, tables and
+notes.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ from fraclink._show.views import faults_page, repeated, rival_sentences, view
 from fraclink.findings import Finding, Scope, Verdict
 
 RIG = fl.Rig.named("paper-2023")
-WARNED = Finding("W210", "warning", "the gauge has an offset", {"offset": 0.1}, "subtract it")
+WARNED = Finding(
+    "W210", "warning", "the gauge has an offset", {"offset": 0.1}, "subtract it"
+)
 TOLD = Finding("W305", "info", "the residual is not white", {"share": 0.5})
 WRONG = Finding("W399", "error", "the model predicts nothing", {}, "record again")
 
@@ -104,11 +108,19 @@ def test_a_quantity_is_written_as_people_read_it(shown: str, wanted: str) -> Non
 
 
 def test_a_view_is_its_verdict_its_tables_and_its_notes() -> None:
-    table = Table(("what", "value", "verdict"), (("gain", "1.5", "passed"), ("margin", "−20.0°", "missed")))
+    table = Table(
+        ("what", "value", "verdict"),
+        (("gain", "1.5", "passed"), ("margin", "−20.0°", "missed")),
+    )
     judged = replace(table, judged=True)
-    assert judged.shown == (("gain", "1.5", "✓ passed"), ("margin", "−20.0°", "✗ missed"))
+    assert judged.shown == (
+        ("gain", "1.5", "✓ passed"),
+        ("margin", "−20.0°", "✗ missed"),
+    )
     assert table.shown == table.rows
-    shown = View("two of two", (judged, Table(("a",), ())), ("a note", "another"), "failed")
+    shown = View(
+        "two of two", (judged, Table(("a",), ())), ("a note", "another"), "failed"
+    )
     assert str(shown) == (
         "✗ failed: two of two\n\n"
         "what     value  verdict\n"
@@ -126,8 +138,14 @@ def test_a_view_of_a_doubtful_input_shows_nothing() -> None:
     shown = View("done", notes=("kept",), state="passed")
     assert shown.doubted(()) is shown
     doubted = shown.doubted((WRONG,))
-    assert (doubted.headline, doubted.state) == ("the input is in doubt; done", "not shown")
-    assert doubted.notes == ("W399 error: the model predicts nothing; record again", "kept")
+    assert (doubted.headline, doubted.state) == (
+        "the input is in doubt; done",
+        "not shown",
+    )
+    assert doubted.notes == (
+        "W399 error: the model predicts nothing; record again",
+        "kept",
+    )
 
 
 def test_a_notebook_gets_the_same_escaped() -> None:
@@ -141,8 +159,14 @@ def test_a_notebook_gets_the_same_escaped() -> None:
 
 
 def test_lines_fold_between_words_and_are_indented_below_themselves() -> None:
-    assert folded("one two three\n  four five six", 11) == "one two\n  three\n  four five\n    six"
-    assert folded("a/very/long-path/that-stays x", 10) == "a/very/long-path/that-stays\n  x"
+    assert (
+        folded("one two three\n  four five six", 11)
+        == "one two\n  three\n  four five\n    six"
+    )
+    assert (
+        folded("a/very/long-path/that-stays x", 10)
+        == "a/very/long-path/that-stays\n  x"
+    )
 
 
 def test_a_table_that_is_too_wide_folds_its_sentences_and_then_its_columns() -> None:
@@ -155,12 +179,22 @@ def test_a_table_that_is_too_wide_folds_its_sentences_and_then_its_columns() -> 
         "b      12",
     ]
     wide = Table(tuple("abcd"), (tuple(12 * letter for letter in "wxyz"),))
-    parts = [part.splitlines()[1].split() for part in table_text(wide, 34).split("\n\n")]
-    assert parts == [[12 * "w", 12 * other] for other in "xyz"]  # behind the first column again
-    heads = [part.splitlines()[0].split() for part in table_text(wide, 34).split("\n\n")]
+    parts = [
+        part.splitlines()[1].split() for part in table_text(wide, 34).split("\n\n")
+    ]
+    assert parts == [
+        [12 * "w", 12 * other] for other in "xyz"
+    ]  # behind the first column again
+    heads = [
+        part.splitlines()[0].split() for part in table_text(wide, 34).split("\n\n")
+    ]
     assert heads == [["a", "b"], ["a", "c"], ["a", "d"]]
-    assert [line.split() for line in table_text(wide, 54).splitlines()][1] == [12 * each for each in "wxyz"]
-    parts = [part.splitlines()[1].split() for part in table_text(wide, 53).split("\n\n")]
+    assert [line.split() for line in table_text(wide, 54).splitlines()][1] == [
+        12 * each for each in "wxyz"
+    ]
+    parts = [
+        part.splitlines()[1].split() for part in table_text(wide, 53).split("\n\n")
+    ]
     assert parts == [[12 * each for each in "wxy"], [12 * "w", 12 * "z"]]
 
 
@@ -171,7 +205,9 @@ def test_heads_take_the_room_there_is_from_left_to_right() -> None:
         "a                1            2",
     ]
     narrow = table_text(table, 24).splitlines()
-    assert narrow[-1].startswith("a") and len(narrow) > 2 and max(map(len, narrow)) <= 24
+    assert (
+        narrow[-1].startswith("a") and len(narrow) > 2 and max(map(len, narrow)) <= 24
+    )
     assert " ".join(" ".join(line.split()) for line in narrow[:-1]).count("margin") == 2
 
 
@@ -225,7 +261,11 @@ def test_the_log_is_told_by_its_file_its_clock_and_its_notes() -> None:
         notes=(("title", "one"), ("simulated", "yes"), ("secret", "no")),
     )
     assert tables.source_name(log) == "mine.csv"
-    assert tables.source_name(None) == tables.source_name(replace(log, source="")) == "unnamed log"
+    assert (
+        tables.source_name(None)
+        == tables.source_name(replace(log, source=""))
+        == "unnamed log"
+    )
     assert tables.log_table(log).rows == (
         ("Samples", "501 in 2 s, one every 4 ms"),
         ("Output", "deflection angle [rad]"),
@@ -234,14 +274,21 @@ def test_the_log_is_told_by_its_file_its_clock_and_its_notes() -> None:
         ("Title", "one"),
         ("Simulated", "yes"),
     )
-    unknown = tables.log_table(replace(log, payload=None, sha256="", notes=(), output_kind="torque"))
-    assert unknown.rows[1:] == (("Output", "base torque [N·m]"), ("Payload", "not stated"))
+    unknown = tables.log_table(
+        replace(log, payload=None, sha256="", notes=(), output_kind="torque")
+    )
+    assert unknown.rows[1:] == (
+        ("Output", "base torque [N·m]"),
+        ("Payload", "not stated"),
+    )
     assert str(view(log)).startswith("mine.csv\n\nlog")
 
 
 def fit(name: str = "UD-FOM", **more: Any) -> Any:
     """A fit with round numbers."""
-    model = fl.LinkModel(stiffness=1.56, natural_frequency=10.02, order=1.92, payload=0.03)
+    model = fl.LinkModel(
+        stiffness=1.56, natural_frequency=10.02, order=1.92, payload=0.03
+    )
     usual: dict[str, Any] = {
         "structure": name,
         "model": model,
@@ -294,10 +341,20 @@ def test_structures_stand_beside_one_another() -> None:
         "AIC",
         "held-out NMSE",
     )
-    assert brief.header == ("structure", "ω₀ [s^(−λ/2)]", "λ", "delay [ms]", "AIC", "held-out NMSE")
+    assert brief.header == (
+        "structure",
+        "ω₀ [s^(−λ/2)]",
+        "λ",
+        "delay [ms]",
+        "AIC",
+        "held-out NMSE",
+    )
     assert [len(row) for row in (*whole.rows, *brief.rows)] == [9, 9, 6, 6]
     assert whole.rows[0][3:7] == ("–", "–", "2.12", "1.234×10⁻⁴")
-    assert (whole.rows[1][2], whole.rows[1][-1]) == ("1.92", "–")  # held fixed, and nothing held out
+    assert (whole.rows[1][2], whole.rows[1][-1]) == (
+        "1.92",
+        "–",
+    )  # held fixed, and nothing held out
     compared = view(made("Comparison", fits=both, verdict="UD-FOM is preferred"))
     assert compared.headline == "UD-FOM is preferred"
     assert compared.notes == (f"UD-FOM: {WARNED}", f"D-IOM: {WARNED}")
@@ -305,34 +362,58 @@ def test_structures_stand_beside_one_another() -> None:
 
 def test_a_model_by_two_names_is_told_by_both() -> None:
     at_bound = fl.LinkModel(
-        stiffness=1.0, natural_frequency=0.0, order=2.0, damping=110.25, damping_order=0.08
+        stiffness=1.0,
+        natural_frequency=0.0,
+        order=2.0,
+        damping=110.25,
+        damping_order=0.08,
     )
     assert tables.coincidence({"D-FOM": fit("D-FOM", model=at_bound)}) == [
         "– D-FOM ended at ω₀ = 0: it is UD-FOM with λ = 2 − α = 1.9200, ω₀ = √μ = 10.5000."
     ]
-    assert tables.coincidence({"D-FOM": fit("D-FOM")}) == tables.coincidence({"UD-FOM": fit()}) == []
+    assert (
+        tables.coincidence({"D-FOM": fit("D-FOM")})
+        == tables.coincidence({"UD-FOM": fit()})
+        == []
+    )
 
 
 def test_a_first_model_of_a_log_says_what_to_check() -> None:
-    guess = SimpleNamespace(part="time", value="t [s]", certainty="sure", evidence="it rises")
+    guess = SimpleNamespace(
+        part="time", value="t [s]", certainty="sure", evidence="it rises"
+    )
     start = made(
-        "Start", fit=fit(), guesses=(guess, guess), uncertain=(guess,), findings=(WRONG, WARNED), passed=False
+        "Start",
+        fit=fit(),
+        guesses=(guess, guess),
+        uncertain=(guess,),
+        findings=(WRONG, WARNED),
+        passed=False,
     )
     shown = view(start)
     assert shown.headline == "UD-FOM, held-out error 1.5 %; 1 of 2 guesses to check"
     assert shown.tables[0] == Table(
-        ("log", "taken as", "certainty", "evidence"), 2 * (("time", "t [s]", "sure", "it rises"),)
+        ("log", "taken as", "certainty", "evidence"),
+        2 * (("time", "t [s]", "sure", "it rises"),),
     )
     assert (shown.notes, shown.state) == ((str(WRONG), str(WARNED)), "not shown")
     start.uncertain, start.passed = (), True
-    assert (view(start).headline, view(start).state) == ("UD-FOM, held-out error 1.5 %", "passed")
+    assert (view(start).headline, view(start).state) == (
+        "UD-FOM, held-out error 1.5 %",
+        "passed",
+    )
 
 
 def test_findings_are_counted_by_their_severity() -> None:
     shown = view((WRONG, WARNED, WARNED, TOLD, TOLD))
     assert (shown.headline, shown.state) == ("1 error, 2 warnings, 2 info", "failed")
-    assert shown.notes[-1] == "W305 info: the residual is not white"  # its numbers are left to the JSON
-    assert shown.notes[1] == "W210 warning: the gauge has an offset (offset 0.1); subtract it"
+    assert (
+        shown.notes[-1] == "W305 info: the residual is not white"
+    )  # its numbers are left to the JSON
+    assert (
+        shown.notes[1]
+        == "W210 warning: the gauge has an offset (offset 0.1); subtract it"
+    )
     assert (view((TOLD,)).headline, view((TOLD,)).state) == ("1 info", "passed")
     assert (view(()).headline, view(()).state) == ("no findings", "passed")
     assert view((WARNED,)).state == "not shown"
@@ -341,7 +422,12 @@ def test_findings_are_counted_by_their_severity() -> None:
 def test_several_payloads_are_told_with_the_parameters_that_are_free() -> None:
     links = tuple(
         fl.LinkModel(
-            stiffness=1.5, natural_frequency=10.0 + m, order=1.9, damping=0.5, damping_order=0.9, payload=m
+            stiffness=1.5,
+            natural_frequency=10.0 + m,
+            order=1.9,
+            damping=0.5,
+            damping_order=0.9,
+            payload=m,
         )
         for m in (0.02, 0.04)
     )
@@ -355,7 +441,15 @@ def test_several_payloads_are_told_with_the_parameters_that_are_free() -> None:
     )
     shown = view(joint)
     assert shown.headline == "both"
-    assert shown.tables[0].header == ("payload", "ω₀ [s^(−λ/2)]", "λ", "μ", "α", "MSE together", "MSE alone")
+    assert shown.tables[0].header == (
+        "payload",
+        "ω₀ [s^(−λ/2)]",
+        "λ",
+        "μ",
+        "α",
+        "MSE together",
+        "MSE alone",
+    )
     assert shown.tables[0].rows == (
         ("20 g", "10.02", "1.9", "0.5", "0.9", "1×10⁻⁴", "9×10⁻⁵"),
         ("40 g", "10.04", "1.9", "0.5", "0.9", "2×10⁻⁴", "1×10⁻⁴"),
@@ -415,7 +509,10 @@ def test_modes_of_a_frequency_response_are_counted() -> None:
         ("gain", "0.5"),
         ("fit [%]", "97.12"),
     )
-    assert (shown.notes, shown.state) == (("3 frequencies set aside as outliers",), "not shown")
+    assert (shown.notes, shown.state) == (
+        ("3 frequencies set aside as outliers",),
+        "not shown",
+    )
     seen.outliers, seen.standard_errors, seen.passed = (), {}, True
     assert (view(seen).notes, view(seen).state) == ((), "")
     assert view(seen).tables[0].rows[4] == ("delay [ms]", "2")
@@ -438,7 +535,10 @@ def test_a_structure_of_ones_own_says_what_is_known_of_each_parameter() -> None:
         intervals={"a": span, "b": span, "c": span, "k": span},
     )
     shown = view(own)
-    assert (shown.headline, shown.state) == ("error 1.2 %, held-out error 4.5 %", "passed")
+    assert (shown.headline, shown.state) == (
+        "error 1.2 %, held-out error 4.5 %",
+        "passed",
+    )
     assert shown.tables[0].header == ("k/(T*s + 1)", "value", "95 % interval")
     assert shown.tables[0].rows == (
         ("a", "1", "given"),
@@ -449,18 +549,36 @@ def test_a_structure_of_ones_own_says_what_is_known_of_each_parameter() -> None:
     )
     assert shown.notes == ("G(s) = 2/(0.7 s + 1)", str(WARNED))
     own.heldout_nmse, own.passed = None, False
-    assert (view(own).headline, view(own).state) == ("error 1.2 %, nothing held out", "not shown")
+    assert (view(own).headline, view(own).state) == (
+        "error 1.2 %, nothing held out",
+        "not shown",
+    )
 
 
 def test_a_link_with_its_motor_names_what_its_output_shows() -> None:
     span = SimpleNamespace(low=1.9, high=1.94)
     inner = SimpleNamespace(
-        parameters={"l": 1.92, "z": 10.5, "m": 22.0, "B": 15.0, "A": 3000.0, "k": 66.0, "T": 0.004},
+        parameters={
+            "l": 1.92,
+            "z": 10.5,
+            "m": 22.0,
+            "B": 15.0,
+            "A": 3000.0,
+            "k": 66.0,
+            "T": 0.004,
+        },
         intervals={"l": span, "z": span},
         undetermined=("z",),
         nmse=0.02,
     )
-    found = made("DrivenLinkFit", fit=inner, output="motor_angle", peak=14.25, passed=True, findings=(TOLD,))
+    found = made(
+        "DrivenLinkFit",
+        fit=inner,
+        output="motor_angle",
+        peak=14.25,
+        passed=True,
+        findings=(TOLD,),
+    )
     shown = view(found)
     assert (shown.headline, shown.state, shown.notes) == ("error 2 %", "passed", ())
     assert shown.tables[0].rows == (
@@ -475,12 +593,19 @@ def test_a_link_with_its_motor_names_what_its_output_shows() -> None:
     found.output, found.peak, found.passed = "torque", None, False
     rows = view(found).tables[0].rows
     assert rows[1][0] == "link, motor held [rad/s]" and rows[2][1] == "–"
-    assert rows[5] == ("K c/J", "66", "not determined") and view(found).state == "not shown"
+    assert (
+        rows[5] == ("K c/J", "66", "not determined")
+        and view(found).state == "not shown"
+    )
 
 
 def test_data_are_told_by_their_size_and_range() -> None:
     record = made(
-        "Recording", input=np.array([-1.0, 2.0]), output=np.array([0.5, 4.0]), period=0.05, source="x/r.csv"
+        "Recording",
+        input=np.array([-1.0, 2.0]),
+        output=np.array([0.5, 4.0]),
+        period=0.05,
+        source="x/r.csv",
     )
     assert view(record).headline == "r.csv"
     assert view(record).tables[0].rows == (
@@ -531,16 +656,24 @@ def test_data_are_told_by_their_size_and_range() -> None:
 
 @pytest.fixture(scope="module")
 def design() -> fl.Design:
-    return fl.design(RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0)
+    return fl.design(
+        RIG.model, RIG, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
+    )
 
 
 def test_a_requirement_says_its_bound_its_payload_and_its_slack() -> None:
     rows = tables.requirements_table(
         [
-            Requirement.at_least("phase margin", math.radians(50), math.radians(48.5), "rad", 0.02),
+            Requirement.at_least(
+                "phase margin", math.radians(50), math.radians(48.5), "rad", 0.02
+            ),
             Requirement.at_most("noise gain", 2.0, 1.5, "", 0.04),
-            Requirement.at_least("gain crossover", 12.0, 12.0 * (1 + 1e-12), "rad/s", 0.04),
-            Requirement.at_least("gain crossover", 12.0, 12.0 * (1 + 1e-8), "rad/s", 0.04),
+            Requirement.at_least(
+                "gain crossover", 12.0, 12.0 * (1 + 1e-12), "rad/s", 0.04
+            ),
+            Requirement.at_least(
+                "gain crossover", 12.0, 12.0 * (1 + 1e-8), "rad/s", 0.04
+            ),
         ]
     ).rows
     assert rows[0] == ("phase margin", "≥ 50.0°", "48.5°", "20 g", "−1.5°", "missed")
@@ -548,7 +681,9 @@ def test_a_requirement_says_its_bound_its_payload_and_its_slack() -> None:
     assert rows[2][4] == "0 rad/s"  # rounding is no slack
     assert rows[3][4] == "1.2×10⁻⁷ rad/s"
     little = Requirement.at_most("mode gain", 0.5, 0.5 - 1.5e-9, "", 0.04)
-    assert tables.requirements_table([little]).rows[0][4] == "1.5×10⁻⁹"  # of a small one, 1e-9 at the most
+    assert (
+        tables.requirements_table([little]).rows[0][4] == "1.5×10⁻⁹"
+    )  # of a small one, 1e-9 at the most
 
 
 @pytest.mark.slow
@@ -556,7 +691,10 @@ def test_a_design_is_told_by_its_controller(design: fl.Design) -> None:
     shown = view(design)
     assert shown.headline == "controller k_d = 0.069876, β = 0.6122, no filter"
     assert (shown.state, len(shown.notes)) == ("passed", len(design.findings))
-    filtered = replace(design, controller=replace(design.controller, filter_time=0.0125, filter_order=2))
+    filtered = replace(
+        design,
+        controller=replace(design.controller, filter_time=0.0125, filter_order=2),
+    )
     assert view(filtered).headline.endswith(", filter δ = 0.0125 s, n = 2")
     missed = Requirement.at_least("gain crossover", 12.0, 11.0, "rad/s", 0.04)
     for findings, requirements, state in (
@@ -564,13 +702,19 @@ def test_a_design_is_told_by_its_controller(design: fl.Design) -> None:
         ((WRONG,), (missed,), "failed"),
         ((), (missed,), "failed"),
     ):
-        assert view(replace(design, findings=findings, requirements=requirements)).state == state
+        assert (
+            view(replace(design, findings=findings, requirements=requirements)).state
+            == state
+        )
     controller = {row[1]: row[2] for row in tables.controller_table(filtered).rows}
     assert controller["filter"] == "0.0125 s, 2" and len(controller) == 4
     rows = tables.controller_table(design, design.law()).rows
     assert rows[2] == ("δ", "filter", "none") and rows[4][2] == "6"
     decibel, degree = design.law().correction_error
-    assert rows[5][1:] == ("its error from 0.05 to 300 rad/s", f"{decibel:.2g} dB, {degree:.2g}°")
+    assert rows[5][1:] == (
+        "its error from 0.05 to 300 rad/s",
+        f"{decibel:.2g} dB, {degree:.2g}°",
+    )
 
 
 @pytest.mark.slow
@@ -586,7 +730,11 @@ def test_margins_are_told_of_both_loops(design: fl.Design) -> None:
         f"{sampled.modulus_margin:.3g}",
     )
     without = replace(design, findings=(Finding("W410", "error", "no law follows it"),))
-    assert tables.margins_table(without, [0.02]).rows[0][3:] == ("no law", "no law", "no law")
+    assert tables.margins_table(without, [0.02]).rows[0][3:] == (
+        "no law",
+        "no law",
+        "no law",
+    )
 
 
 def test_a_law_is_told_by_its_states_and_what_it_drives(design: fl.Design) -> None:
@@ -602,7 +750,10 @@ def test_a_law_is_told_by_its_states_and_what_it_drives(design: fl.Design) -> No
         has_gauge=True,
         digest="ab",
     )
-    assert view(fake).headline == "4 states, one step every 2 ms, for a robot with its own servo"
+    assert (
+        view(fake).headline
+        == "4 states, one step every 2 ms, for a robot with its own servo"
+    )
     fake.has_gauge = False
     assert view(fake).headline == "4 states, one step every 2 ms, a fractional PID"
 
@@ -612,7 +763,9 @@ def test_an_optimisation_shows_what_it_tried(design: fl.Design) -> None:
         SimpleNamespace(structure="n = 1", value=2.5, taken=True),
         SimpleNamespace(structure="n = 2", value=math.nan, taken=False),
     )
-    found = made("Optimised", goal="noise", steps=steps, design=design, pays=True, least=0.05)
+    found = made(
+        "Optimised", goal="noise", steps=steps, design=design, pays=True, least=0.05
+    )
     shown = view(found)
     assert shown.tables[0] == Table(
         ("structure", "worst noise gain", ""),
@@ -621,12 +774,17 @@ def test_an_optimisation_shows_what_it_tried(design: fl.Design) -> None:
     assert shown.tables[1:] == view(design).tables and shown.notes == view(design).notes
     found.goal, found.pays = "crossover", False
     assert view(found).tables[0].header[1] == "smallest crossover [rad/s]"
-    assert view(found).notes[0] == "no structure is better by 5 %: the closed-form design is kept"
+    assert (
+        view(found).notes[0]
+        == "no structure is better by 5 %: the closed-form design is kept"
+    )
 
 
 def rival(name: str, order: float, **more: Any) -> Any:
     usual = {"stable": True, "gain_crossover": 12.0, "noise_gain": 2.0}
-    return SimpleNamespace(name=name, controller=SimpleNamespace(order=order), **(usual | more))
+    return SimpleNamespace(
+        name=name, controller=SimpleNamespace(order=order), **(usual | more)
+    )
 
 
 def test_rivals_are_rated_against_the_designs_own_controller() -> None:
@@ -660,14 +818,22 @@ def test_an_assessment_tells_margins_budget_and_tolerances() -> None:
         passed=False,
         max_sensitivity=1.5449,
         rivals=(rival("C", 0.6), rival("printed", 1.3, stable=False)),
-        budget=(SimpleNamespace(element="link", phase=-math.pi), SimpleNamespace(element="lead", phase=1.0)),
-        curves=(SimpleNamespace(kind="loop", phase_margin=np.radians([64.7, 57.6, 50.0])),),
+        budget=(
+            SimpleNamespace(element="link", phase=-math.pi),
+            SimpleNamespace(element="lead", phase=1.0),
+        ),
+        curves=(
+            SimpleNamespace(kind="loop", phase_margin=np.radians([64.7, 57.6, 50.0])),
+        ),
     )
     shown = view(found)
     assert (shown.headline, shown.state) == ("stable with 49.1 ms more delay", "failed")
-    assert shown.tables[1] == Table(("phase at 20 g", "share"), (("link", "−180.00°"), ("lead", "57.30°")))
+    assert shown.tables[1] == Table(
+        ("phase at 20 g", "share"), (("link", "−180.00°"), ("lead", "57.30°"))
+    )
     assert shown.tables[2] == Table(
-        ("phase margin", "40 g", "28.3 g", "20 g"), (("loop", "64.70°", "57.60°", "50.00°"),)
+        ("phase margin", "40 g", "28.3 g", "20 g"),
+        (("loop", "64.70°", "57.60°", "50.00°"),),
     )
     assert shown.tables[3].rows == (
         ("delay", "49.1 ms more"),
@@ -682,18 +848,26 @@ def test_an_assessment_tells_margins_budget_and_tolerances() -> None:
         "printed: unstable for some payload of the range",
         "higher modes: none, as the link has no mass; give --link-mass [kg]",
     )
-    found.modes, found.passed = (Requirement.at_most("loop gain at mode 2", 0.5, 0.4, "", 0.04),), True
+    found.modes, found.passed = (
+        (Requirement.at_most("loop gain at mode 2", 0.5, 0.4, "", 0.04),),
+        True,
+    )
     assert len(view(found).notes) == 2 and view(found).state == "passed"
     assert view(found).tables[0].rows[0][0] == "loop gain at mode 2"
 
 
 def test_a_map_and_a_certificate_say_their_share_and_their_reason() -> None:
-    assert view(made("FeasibilityMap", feasible=np.array([[True, False], [False, False]]))).headline == (
-        "25 % of the map is feasible"
-    )
-    states = [view(made("FeasibilityMap", feasible=np.array([flag]))).state for flag in (True, False)]
+    assert view(
+        made("FeasibilityMap", feasible=np.array([[True, False], [False, False]]))
+    ).headline == ("25 % of the map is feasible")
+    states = [
+        view(made("FeasibilityMap", feasible=np.array([flag]))).state
+        for flag in (True, False)
+    ]
     assert states == ["passed", "failed"]
-    refused = view(made("Certificate", verdict="Not certified: because of 8 g", passed=False))
+    refused = view(
+        made("Certificate", verdict="Not certified: because of 8 g", passed=False)
+    )
     assert (refused.headline, refused.state) == ("because of 8 g", "failed")
 
 
@@ -740,8 +914,14 @@ def test_a_move_is_told_by_its_metrics_and_what_the_law_knew_of_the_payload() ->
         ("estimated", "30 g, estimated 32.1 g"),
         (0.0, "30 g"),
     ):
-        assert tables.moves_table([run(about={"payload_given": given})]).rows[0][0] == shown
-    unknown = run(about={"payload_given": "estimated"}, extras={"payload_estimate": np.array([0.5, 0.0])})
+        assert (
+            tables.moves_table([run(about={"payload_given": given})]).rows[0][0]
+            == shown
+        )
+    unknown = run(
+        about={"payload_given": "estimated"},
+        extras={"payload_estimate": np.array([0.5, 0.0])},
+    )
     assert tables.moves_table([unknown]).rows[0][0] == "30 g, estimated not yet"
     never = run(verdict=made("V", passed=False, reason="it swings"))
     never.metrics.settling_time = math.inf
@@ -769,7 +949,10 @@ def measured(name: str, **more: Any) -> Any:
 
 
 def test_a_shaped_move_stands_beside_its_rivals() -> None:
-    ours, rest = measured("fraclink"), measured("bang-bang", settling_time=math.inf, limited=1.0)
+    ours, rest = (
+        measured("fraclink"),
+        measured("bang-bang", settling_time=math.inf, limited=1.0),
+    )
     shaped = made(
         "ShapedMove",
         shaped=ours,
@@ -783,7 +966,10 @@ def test_a_shaped_move_stands_beside_its_rivals() -> None:
         findings=(TOLD,),
     )
     shown = view(shaped)
-    assert shown.headline == "0.5 rad with 20 g to 40 g, payload not given: settles in 0.512 s, 7.65 V of 8 V"
+    assert (
+        shown.headline
+        == "0.5 rad with 20 g to 40 g, payload not given: settles in 0.512 s, 7.65 V of 8 V"
+    )
     assert shown.tables[0].header == (
         "reference",
         "promised [s]",
@@ -796,15 +982,37 @@ def test_a_shaped_move_stands_beside_its_rivals() -> None:
         ("fraclink", "0.457", "0.512", "4.6", "7.65", "12"),
         ("bang-bang", "0.457", "never", "4.6", "7.65", "100"),
     )
-    assert (shown.notes, shown.state) == (("W305 info: the residual is not white",), "passed")
-    shaped.shaped, shaped.payloads, shaped.told, shaped.passed = rest, (0.03, 0.03), True, False
-    assert view(shaped).headline == "0.5 rad with 30 g, payload given: does not settle, 7.65 V of 8 V"
+    assert (shown.notes, shown.state) == (
+        ("W305 info: the residual is not white",),
+        "passed",
+    )
+    shaped.shaped, shaped.payloads, shaped.told, shaped.passed = (
+        rest,
+        (0.03, 0.03),
+        True,
+        False,
+    )
+    assert (
+        view(shaped).headline
+        == "0.5 rad with 30 g, payload given: does not settle, 7.65 V of 8 V"
+    )
     assert view(shaped).state == "failed"
     shaped.target = object()
     along = view(shaped)
     assert "the tip stays within 12.3 mrad of the path" in along.headline
-    assert along.tables[0].header[1:4] == ("promised [mrad]", "lasts [s]", "farthest [mrad]")
-    assert along.tables[0].rows[0] == ("fraclink", "456.7", "0.400", "12.3", "7.65", "12")
+    assert along.tables[0].header[1:4] == (
+        "promised [mrad]",
+        "lasts [s]",
+        "farthest [mrad]",
+    )
+    assert along.tables[0].rows[0] == (
+        "fraclink",
+        "456.7",
+        "0.400",
+        "12.3",
+        "7.65",
+        "12",
+    )
 
 
 def test_a_fractional_pid_shows_what_was_asked_for_and_reached() -> None:
@@ -847,13 +1055,23 @@ def test_a_fractional_pid_shows_what_was_asked_for_and_reached() -> None:
 
 def tuning(**more: Any) -> Any:
     errors = {"gain": 11.0, "decay": 0.4, "coulomb_voltage": 0.02}
-    motor = SimpleNamespace(gain=3057.0, decay=15.2, coulomb_voltage=0.31, dead_zone=0.02, delay=0.0041)
-    first = SimpleNamespace(
-        fit=SimpleNamespace(**vars(motor), standard_errors=errors), loop=SimpleNamespace(pole=80.0)
+    motor = SimpleNamespace(
+        gain=3057.0, decay=15.2, coulomb_voltage=0.31, dead_zone=0.02, delay=0.0041
     )
-    link = fl.LinkModel(stiffness=1.56, natural_frequency=10.5, order=1.92, payload=0.03, gauge_delay=0.0021)
+    first = SimpleNamespace(
+        fit=SimpleNamespace(**vars(motor), standard_errors=errors),
+        loop=SimpleNamespace(pole=80.0),
+    )
+    link = fl.LinkModel(
+        stiffness=1.56,
+        natural_frequency=10.5,
+        order=1.92,
+        payload=0.03,
+        gauge_delay=0.0021,
+    )
     fitted = SimpleNamespace(
-        model=link, standard_errors={"natural_frequency": 0.02, "order": 0.003, "gain": 0.01}
+        model=link,
+        standard_errors={"natural_frequency": 0.02, "order": 0.003, "gain": 0.01},
     )
     move = SimpleNamespace(
         amplitude=math.radians(30),
@@ -870,9 +1088,14 @@ def tuning(**more: Any) -> Any:
         "motor": first,
         "moves": (move,),
         "link": SimpleNamespace(
-            fit=fitted, motor=SimpleNamespace(fit=SimpleNamespace(**vars(motor) | {"gain": 3100.0}))
+            fit=fitted,
+            motor=SimpleNamespace(
+                fit=SimpleNamespace(**vars(motor) | {"gain": 3100.0})
+            ),
         ),
-        "verdict": Verdict(Scope("passed"), Scope("failed", ("a", "b")), Scope("not run")),
+        "verdict": Verdict(
+            Scope("passed"), Scope("failed", ("a", "b")), Scope("not run")
+        ),
         "stopped": "",
         "attempts": 3,
         "arm_time": 61.4,
@@ -883,7 +1106,10 @@ def tuning(**more: Any) -> Any:
 
 def test_a_tuning_shows_what_was_measured_and_the_moves_beside_their_promise() -> None:
     shown = view(tuning())
-    assert shown.headline == "3 experiments on the link, 61 s of the arm, 2.3 s of computing"
+    assert (
+        shown.headline
+        == "3 experiments on the link, 61 s of the arm, 2.3 s of computing"
+    )
     assert (shown.notes, shown.state) == (("the encoder counts up",), "failed")
     found, moves, scopes = shown.tables
     assert found.rows == (
@@ -897,7 +1123,9 @@ def test_a_tuning_shows_what_was_measured_and_the_moves_beside_their_promise() -
         ("torque over bend [N·m/rad]", "1.56", "0.01"),
         ("delay of the gauge [ms]", "2.1", "–"),
     )
-    assert moves.rows == (("30° in 0.5 s", "0.90 / 0.95", "10.1 / 12.3", "0.23", "3.21"),)
+    assert moves.rows == (
+        ("30° in 0.5 s", "0.90 / 0.95", "10.1 / 12.3", "0.23", "3.21"),
+    )
     assert moves.header[3:] == ("hand-over [mrad]", "peak [V]")
     assert scopes.rows == (
         ("promise", "passed", ""),
@@ -906,7 +1134,9 @@ def test_a_tuning_shows_what_was_measured_and_the_moves_beside_their_promise() -
     )
     early = view(tuning(link=None, moves=(), stopped="the gauge is dead"))
     assert early.headline == "stopped: the gauge is dead"
-    assert [row[0] for row in early.tables[0].rows][-1] == "motor loop [rad/s]" and len(early.tables) == 2
+    assert [row[0] for row in early.tables[0].rows][-1] == "motor loop [rad/s]" and len(
+        early.tables
+    ) == 2
     assert early.tables[0].rows[0] == ("K/J [rad/(s²·V)]", "3057", "11")
     assert len(view(tuning(wiring=None, moves=())).tables) == 1
     late = tuning()
@@ -917,14 +1147,26 @@ def test_a_tuning_shows_what_was_measured_and_the_moves_beside_their_promise() -
         second_mode=fl.SecondMode(frequency=90.0, damping_ratio=0.01, gain=0.1),
     )
     rows = view(late).tables[0].rows
-    assert ("delay of the gauge [ms]", "2.1", "0.4") in rows and ("μ", "0.7", "0.1") in rows
+    assert ("delay of the gauge [ms]", "2.1", "0.4") in rows and (
+        "μ",
+        "0.7",
+        "0.1",
+    ) in rows
     assert rows[-1] == ("second mode [rad/s]", "90", "")
 
 
 def test_a_watch_says_what_has_changed() -> None:
     changes = (
-        SimpleNamespace(name="natural_frequency", was=10.5, now=9.8, standard_error=0.05, changed=True),
-        SimpleNamespace(name="gain", was=1.0, now=1.01, standard_error=0.012, changed=False),
+        SimpleNamespace(
+            name="natural_frequency",
+            was=10.5,
+            now=9.8,
+            standard_error=0.05,
+            changed=True,
+        ),
+        SimpleNamespace(
+            name="gain", was=1.0, now=1.01, standard_error=0.012, changed=False
+        ),
     )
     seen = made(
         "Watch",
@@ -944,22 +1186,42 @@ def test_a_watch_says_what_has_changed() -> None:
     assert shown.notes == ("the fit leaves 0.012 N·m, the gauge's noise was 0.01 N·m",)
     assert shown.state == "failed"
     seen.due, seen.passed = (), True
-    assert (view(seen).headline, view(seen).state) == ("as it was tuned, by 32 s of motion", "passed")
+    assert (view(seen).headline, view(seen).state) == (
+        "as it was tuned, by 32 s of motion",
+        "passed",
+    )
 
 
 # --- many runs and real time ------------------------------------------------------------------------------
 
 
 def outcomes() -> tuple[Outcome, ...]:
-    good, bad = Check("peak", 1.0, 1.1, passed=True), Check("peak over clean", 1.3, 1.1, passed=False)
+    good, bad = (
+        Check("peak", 1.0, 1.1, passed=True),
+        Check("peak over clean", 1.3, 1.1, passed=False),
+    )
     return (
-        Outcome(Case("F09", 1, 0.02, "mid", 1), (good,), 0.1, 0.1, 0.0, "run", "none", 0),
-        Outcome(Case("F11", 2, 0.03, "start", 7), (good, bad), 0.1, 0.1, 0.0, "run", "none", 0, "bit 3"),
+        Outcome(
+            Case("F09", 1, 0.02, "mid", 1), (good,), 0.1, 0.1, 0.0, "run", "none", 0
+        ),
+        Outcome(
+            Case("F11", 2, 0.03, "start", 7),
+            (good, bad),
+            0.1,
+            0.1,
+            0.0,
+            "run",
+            "none",
+            0,
+            "bit 3",
+        ),
     )
 
 
 def test_a_fault_campaign_lists_what_misses_first_and_how_to_repeat_it() -> None:
-    table = FaultTable(outcomes(), {"command": "fraclink campaign faults", "law_sha256": 64 * "b"})
+    table = FaultTable(
+        outcomes(), {"command": "fraclink campaign faults", "law_sha256": 64 * "b"}
+    )
     shown = view(table)
     assert (
         shown.headline == "1 of 2 faults meet their requirement in every run, 2 runs"
@@ -977,15 +1239,24 @@ def test_a_fault_campaign_lists_what_misses_first_and_how_to_repeat_it() -> None
     )
     assert repeated(table, outcomes()[1]) == command
     page = faults_page(table)
-    assert page.startswith("# Fault campaign\n\nlaw bbbbbbbbbbbbbbbb, `fraclink campaign faults`\n\n| fault")
+    assert page.startswith(
+        "# Fault campaign\n\nlaw bbbbbbbbbbbbbbbb, `fraclink campaign faults`\n\n| fault"
+    )
     assert page.endswith(
         f"## Failed\n\n- F11-2-30g-start-7: bit 3: peak over clean: 1.3 (limit 1.1)\n  `{command}`\n"
     )
     fine = FaultTable(outcomes()[:1], {"command": "c", "law_sha256": 64 * "b"})
-    assert "Failed" not in faults_page(fine) and view(fine).state == "passed" and view(fine).notes == ()
+    assert (
+        "Failed" not in faults_page(fine)
+        and view(fine).state == "passed"
+        and view(fine).notes == ()
+    )
     told = to_json(table)
     assert (told["passed"], told["runs"]) == (False, 2)
-    assert told["faults"] == {"F09": {"runs": 1, "failed": 0}, "F11": {"runs": 1, "failed": 1}}
+    assert told["faults"] == {
+        "F09": {"runs": 1, "failed": 0},
+        "F11": {"runs": 1, "failed": 1},
+    }
     assert told["failures"] == [
         {
             "name": "F11-2-30g-start-7",
@@ -1004,11 +1275,17 @@ def summary(**more: Any) -> Any:
         )
         drivers = (("payload", -0.734), ("gauge_delay", 0.04))
         return SimpleNamespace(
-            name=name, quantiles=quantiles, drivers=drivers, worst=((7, math.inf), (3, 1.5))
+            name=name,
+            quantiles=quantiles,
+            drivers=drivers,
+            worst=((7, math.inf), (3, 1.5)),
         )
 
     usual = {
-        "metrics": (metric("settling_time", 0.6, math.inf), metric("overshoot", 0.0123, 0.1)),
+        "metrics": (
+            metric("settling_time", 0.6, math.inf),
+            metric("overshoot", 0.0123, 0.1),
+        ),
         "failure": SimpleNamespace(
             sentence="2 of 10 fail", runs=10, count=2, estimate=0.2, low=0.1, high=0.3
         ),
@@ -1023,7 +1300,9 @@ def summary(**more: Any) -> Any:
 
 
 def replace_drivers(metric: Any, correlation: float) -> Any:
-    return SimpleNamespace(**(vars(metric) | {"drivers": (("payload", correlation), ("noise", 0.0))}))
+    return SimpleNamespace(
+        **(vars(metric) | {"drivers": (("payload", correlation), ("noise", 0.0))})
+    )
 
 
 def test_a_campaign_tells_quantiles_in_their_units_and_what_drives_them() -> None:
@@ -1043,17 +1322,33 @@ def test_a_campaign_tells_quantiles_in_their_units_and_what_drives_them() -> Non
     rows = view(summary(metrics=(weak, strong))).tables[0].rows
     assert [row[-1] for row in rows] == ["–", "payload +0.15"]
     assert shown.notes == ("payload given", f"4 runs: {MODES[2]} ({REASONS[1]})")
-    assert view(summary(left_out="1 part", trips=(), passed=True)).notes == ("1 part", "payload given")
+    assert view(summary(left_out="1 part", trips=(), passed=True)).notes == (
+        "1 part",
+        "payload given",
+    )
     told = to_json(summary())
     assert told["metrics"]["settling_time"]["quantiles"] == [
         [0.5, 0.6, 0.6, 0.6],
         [0.95, "inf", "inf", "inf"],
     ]
     assert told["metrics"]["settling_time"]["worst"] == [[7, "inf"], [3, 1.5]]
-    assert told["metrics"]["overshoot"]["drivers"] == {"payload": -0.734, "gauge_delay": 0.04}
-    assert (told["runs"], told["failures"], told["probability"]) == (10, 2, [0.2, 0.1, 0.3])
-    assert told["trips"] == [{"mode": 2, "reason": 1, "runs": 4}] and told["failed"] == [3, 7]
-    assert (told["passed"], told["left_out"], told["given"]) == (False, "", "payload given")
+    assert told["metrics"]["overshoot"]["drivers"] == {
+        "payload": -0.734,
+        "gauge_delay": 0.04,
+    }
+    assert (told["runs"], told["failures"], told["probability"]) == (
+        10,
+        2,
+        [0.2, 0.1, 0.3],
+    )
+    assert told["trips"] == [{"mode": 2, "reason": 1, "runs": 4}] and told[
+        "failed"
+    ] == [3, 7]
+    assert (told["passed"], told["left_out"], told["given"]) == (
+        False,
+        "",
+        "payload given",
+    )
 
 
 def test_a_tournament_is_its_verdicts() -> None:
@@ -1063,7 +1358,10 @@ def test_a_tournament_is_its_verdicts() -> None:
         winners=lambda: {"noise": "a"},
         standings=(SimpleNamespace(passed=True), SimpleNamespace(passed=False)),
     )
-    assert str(view(result)) == "✓ passed: one\n  two" or view(result).headline == "one\ntwo"
+    assert (
+        str(view(result)) == "✓ passed: one\n  two"
+        or view(result).headline == "one\ntwo"
+    )
     assert view(result).state == "passed"
     assert to_json(result) == {"verdicts": ["one", "two"], "winners": {"noise": "a"}}
 
@@ -1111,8 +1409,18 @@ def test_a_run_in_real_time_tells_its_times_in_microseconds() -> None:
     ended = view(realtime(passed=False, problem="the link broke", first_difference=3))
     assert ended.notes[2:] == ("stopped: the link broke",) and ended.state == "failed"
     told = to_json(realtime())
-    assert told["latency_s"] == {"least": 1e-6, "mean": 2.25e-6, "most": 3e-6, "largest": 4e-6}
-    assert (told["periods"], told["last_mode"], told["replays"], told["lost_commands"]) == (250, 2, True, 4)
+    assert told["latency_s"] == {
+        "least": 1e-6,
+        "mean": 2.25e-6,
+        "most": 3e-6,
+        "largest": 4e-6,
+    }
+    assert (
+        told["periods"],
+        told["last_mode"],
+        told["replays"],
+        told["lost_commands"],
+    ) == (250, 2, True, 4)
     nothing = realtime(mode=np.array([]), first_difference=0)
     nothing.works = nothing.works._replace(mean=math.nan)
     told = to_json(nothing)
@@ -1144,8 +1452,17 @@ def test_an_arm_that_was_served_and_a_replay_tell_their_counts() -> None:
     }
     served.tip_angle = np.array([])
     assert to_json(served)["last_tip_angle"] is None
-    same = made("Replay", passed=True, mode=np.array([1, 3]), first_difference=None, largest_difference=0.0)
-    assert (view(same).headline, view(same).state) == ("2 periods agree to the last bit", "passed")
+    same = made(
+        "Replay",
+        passed=True,
+        mode=np.array([1, 3]),
+        first_difference=None,
+        largest_difference=0.0,
+    )
+    assert (view(same).headline, view(same).state) == (
+        "2 periods agree to the last bit",
+        "passed",
+    )
     assert to_json(same) == {
         "passed": True,
         "first_difference": None,
@@ -1153,7 +1470,13 @@ def test_an_arm_that_was_served_and_a_replay_tell_their_counts() -> None:
         "periods": 2,
         "last_mode": 3,
     }
-    other = made("Replay", passed=False, mode=np.array([1]), first_difference=5, largest_difference=1e-7)
+    other = made(
+        "Replay",
+        passed=False,
+        mode=np.array([1]),
+        first_difference=5,
+        largest_difference=1e-7,
+    )
     assert (
         view(other).headline == "first difference in period 5, largest 1e-07"
         and view(other).state == "failed"
@@ -1164,7 +1487,9 @@ def test_an_arm_that_was_served_and_a_replay_tell_their_counts() -> None:
 
 
 def test_a_record_has_plain_values_under_the_names_of_the_attributes() -> None:
-    assert plain({1: np.array([1.0, math.nan]), "a": np.int64(3), "b": (True, None)}) == {
+    assert plain(
+        {1: np.array([1.0, math.nan]), "a": np.int64(3), "b": (True, None)}
+    ) == {
         "1": [1.0, None],
         "a": 3,
         "b": [True, None],
@@ -1192,10 +1517,21 @@ def test_a_record_has_plain_values_under_the_names_of_the_attributes() -> None:
             verdict="v",
         )
     )
-    assert told["orders"] == [1.92, 1.5] and told["p_value"] == 0.25 and told["stiffness"] == 1.5
+    assert (
+        told["orders"] == [1.92, 1.5]
+        and told["p_value"] == 0.25
+        and told["stiffness"] == 1.5
+    )
     chart = made("FeasibilityMap", feasible=np.array([True, True, False, True]))
     assert to_json(chart) == {"feasible": 0.75}
-    certificate = made("Certificate", passed=True, verdict="v", payload=0.02, frequency=3.0, sha256="ab")
+    certificate = made(
+        "Certificate",
+        passed=True,
+        verdict="v",
+        payload=0.02,
+        frequency=3.0,
+        sha256="ab",
+    )
     assert to_json(certificate) == {
         "passed": True,
         "verdict": "v",
@@ -1209,12 +1545,20 @@ def test_a_record_has_plain_values_under_the_names_of_the_attributes() -> None:
 
 def test_a_run_and_a_study_are_recorded_with_their_verdicts() -> None:
     told = to_json(run(verdict=made("V", passed=False, reason="it swings")))
-    assert (told["payload"], told["passed"], told["reason"]) == (0.03, False, "it swings")
+    assert (told["payload"], told["passed"], told["reason"]) == (
+        0.03,
+        False,
+        "it swings",
+    )
     study = fl.Study(rig=RIG, findings=(WARNED,), assumptions=("one",))
     told = to_json(study)
     assert told["passed"] is False and told["verdict"]["state"] == study.verdict.state
     assert set(told["verdict"]) >= {"state", "promise", "model", "reality", "remarks"}
-    assert told["findings"][0]["code"] == "W210" and told["fits"] == [] and told["design"] is None
+    assert (
+        told["findings"][0]["code"] == "W210"
+        and told["fits"] == []
+        and told["design"] is None
+    )
     assert (
         told["assumptions"] == ["one"]
         and told["runs"] == []
@@ -1226,7 +1570,9 @@ def test_a_run_and_a_study_are_recorded_with_their_verdicts() -> None:
 
 
 def test_the_arm_is_told_as_a_person_would_say_it() -> None:
-    """Of an oscillator of 2 Hz with 5 % damping the amplitude falls to 5 % in −ln 0.05/(2π ζ/√(1 − ζ²))."""
+    """Of an oscillator of 2 Hz with 5 % damping the amplitude falls to 5 % in −ln
+    0.05/(2π ζ/√(1 − ζ²)).
+    """
     zeta, w = 0.05, 2 * math.pi * 2.0 / math.sqrt(1 - 0.05**2)
     damped = fl.LinkModel(
         stiffness=1.5,
@@ -1236,7 +1582,9 @@ def test_the_arm_is_told_as_a_person_would_say_it() -> None:
         damping_order=1.0,
         payload=0.025,
         gauge_delay=0.0031,
-        second_mode=fl.SecondMode(frequency=2 * math.pi * 14.5, damping_ratio=0.01, gain=0.1),
+        second_mode=fl.SecondMode(
+            frequency=2 * math.pi * 14.5, damping_ratio=0.01, gain=0.1
+        ),
     )
     swings = -math.log(0.05) / (2 * math.pi * zeta / math.sqrt(1 - zeta**2))
     said = words.arm_sentences(RIG, damped)
@@ -1249,7 +1597,9 @@ def test_the_arm_is_told_as_a_person_would_say_it() -> None:
         "The motor follows within 50 ms; the law runs every 4 ms.",
     ]
     early = replace(damped, gauge_delay=-0.002, second_mode=None, payload=None)
-    assert words.arm_sentences(RIG, early)[1].startswith("With the motor held, it swings at 2 Hz")
+    assert words.arm_sentences(RIG, early)[1].startswith(
+        "With the motor held, it swings at 2 Hz"
+    )
     assert words.arm_sentences(RIG, early)[2] == "The gauge is 2 ms early."
     prompt = replace(early, gauge_delay=1e-6)
     assert len(words.arm_sentences(RIG, prompt)) == 3  # a microsecond is none
@@ -1258,16 +1608,27 @@ def test_the_arm_is_told_as_a_person_would_say_it() -> None:
         "With the motor held, it swings at 2 Hz, undamped in this model."
     )
     creeping = replace(early, natural_frequency=5.0, damping=30.0)
-    assert words.arm_sentences(RIG, creeping)[1] == "The link does not oscillate: it creeps back."
+    assert (
+        words.arm_sentences(RIG, creeping)[1]
+        == "The link does not oscillate: it creeps back."
+    )
     assert len(words.arm_sentences(RIG, None)) == 2
-    assert words.sketch_notes(RIG, damped) == ("follows within 50 ms", "3.1 ms late", "20 to 40 g")
+    assert words.sketch_notes(RIG, damped) == (
+        "follows within 50 ms",
+        "3.1 ms late",
+        "20 to 40 g",
+    )
     assert words.sketch_notes(RIG, early)[1] == words.sketch_notes(RIG, None)[1] == ""
 
 
 def test_a_refusal_is_told_with_the_command_that_asks_for_less() -> None:
     refused = SimpleNamespace(
         asked={"gain_crossover": 9.0, "phase_margin": math.radians(50)},
-        nearest={"gain_crossover": 10.5, "phase_margin": math.radians(48.5), "noise_gain": 2.0},
+        nearest={
+            "gain_crossover": 10.5,
+            "phase_margin": math.radians(48.5),
+            "noise_gain": 2.0,
+        },
     )
     log = SimpleNamespace(source="C:\\logs\\my log.csv")
     study = SimpleNamespace(rig=RIG, refused=refused, experiment=log, design=None)
@@ -1292,8 +1653,14 @@ def test_a_refusal_is_told_with_the_command_that_asks_for_less() -> None:
 
 def test_what_to_do_next_follows_what_was_done(design: fl.Design) -> None:
     study = fl.Study(rig=RIG, design=design)
-    proof, faults = "fraclink certify design.json", "fraclink campaign faults --design design.json --out ."
-    always = ["fraclink export c design.json --out firmware", "fraclink share . --out arm.html"]
+    proof, faults = (
+        "fraclink certify design.json",
+        "fraclink campaign faults --design design.json --out .",
+    )
+    always = [
+        "fraclink export c design.json --out firmware",
+        "fraclink share . --out arm.html",
+    ]
     assert [command for _, command in words.steps(study)] == [proof, faults, *always]
     done = SimpleNamespace(
         design=design,
@@ -1310,12 +1677,18 @@ def test_what_to_do_next_follows_what_was_done(design: fl.Design) -> None:
     assert [command for _, command in words.steps(done)] == always  # type: ignore[arg-type]
 
 
-def test_the_first_power_on_goes_from_the_heaviest_to_the_lightest(design: fl.Design) -> None:
+def test_the_first_power_on_goes_from_the_heaviest_to_the_lightest(
+    design: fl.Design,
+) -> None:
     said = words.power_on(design)
     assert len(said) == 6
     assert "(2 V of 10 V)" in said[2]
-    assert said[3].startswith("Link on, 40 g, the heaviest") and said[4].startswith("The same with 20 g, the")
-    endless = replace(design, rig=replace(RIG, motor=replace(RIG.motor, voltage_limit=math.inf)))
+    assert said[3].startswith("Link on, 40 g, the heaviest") and said[4].startswith(
+        "The same with 20 g, the"
+    )
+    endless = replace(
+        design, rig=replace(RIG, motor=replace(RIG.motor, voltage_limit=math.inf))
+    )
     assert words.power_on(endless)[2].startswith("Voltage limited to a fifth, link off")
 
 
@@ -1325,7 +1698,9 @@ def test_a_study_in_short_has_a_row_for_all_that_was_done(design: fl.Design) -> 
     late.metrics.settling_time = 0.9162
     whole = SimpleNamespace(
         fit=fit(),
-        design=replace(design, controller=replace(design.controller, filter_time=0.0123)),
+        design=replace(
+            design, controller=replace(design.controller, filter_time=0.0123)
+        ),
         certificate=SimpleNamespace(statement=SimpleNamespace(modulus=0.35)),
         runs=(good, late),
         arms=summary(),
@@ -1337,11 +1712,17 @@ def test_a_study_in_short_has_a_row_for_all_that_was_done(design: fl.Design) -> 
     assert rows["Proved for every payload and delay"] == "|1 + L| > 0.35"
     assert rows["The tip settles to 2 %"] == "within 0.92 s"
     assert rows["Arms that differ"] == "8 of 10 passed"
-    assert rows["Faults on the twin"] == "1 of 2 faults meet their requirement in every run, 2 runs"
+    assert (
+        rows["Faults on the twin"]
+        == "1 of 2 faults meet their requirement in every run, 2 runs"
+    )
     margins = rows["Phase margin of the sampled loop"].split(" and ")
     assert [part.rpartition(" at ")[2] for part in margins] == ["20 g", "40 g"]
     late.metrics.settling_time = math.inf
-    assert dict(tables.summary_rows(whole))["The tip settles to 2 %"] == "not for every payload"  # type: ignore[arg-type]
+    assert (
+        dict(tables.summary_rows(whole))["The tip settles to 2 %"]
+        == "not for every payload"
+    )  # type: ignore[arg-type]
     assert tables.summary_rows(fl.Study()) == []
 
 
@@ -1354,9 +1735,15 @@ def test_the_scopes_of_a_verdict_are_told_with_their_reasons() -> None:
         ("reality", "arms that differ, on the twin", "–", "not run"),
     )
     assert tables.verdict_table(verdict).judged
-    assert tables.scopes(verdict)[1] == ("model", "simulated moves of the model", verdict.model)
+    assert tables.scopes(verdict)[1] == (
+        "model",
+        "simulated moves of the model",
+        verdict.model,
+    )
     study = fl.Study(rig=RIG, findings=(WARNED, TOLD))
     shown = view(study)
     assert shown.headline == tables.verdict_sentence(study.verdict)
-    assert f"W210: {WARNED.message}" in shown.notes and not any("W305" in note for note in shown.notes)
+    assert f"W210: {WARNED.message}" in shown.notes and not any(
+        "W305" in note for note in shown.notes
+    )
     assert (shown.state, len(shown.tables)) == (study.verdict.state, 1)

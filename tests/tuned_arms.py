@@ -1,4 +1,6 @@
-"""The paper's arm as a tuning meets it: simulated, guarded, and measured stage by stage."""
+"""The paper's arm as a tuning meets it: simulated, guarded, and measured stage by
+stage.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:
 
 
 def staged() -> Stages:
-    """Wiring, motor and link of the paper's arm, half a second of work; the arm and its guard, released."""
+    """Wiring, motor and link of the paper's arm, half a second of work; the arm and its
+    guard, released.
+    """
     made = arm(seed=1)
     guard = guarded(made.callback)
     wiring = check_wiring(guard, RIG)

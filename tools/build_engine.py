@@ -1,8 +1,9 @@
-"""Build the engine of the arm in a page: law.c, its loop and the twin as WebAssembly, without a library.
+"""Build the engine of the arm in a page: law.c, its loop and the twin as WebAssembly,
+without a library.
 
-python tools/build_engine.py [--check] needs clang and wasm-ld (Debian: clang, lld). The package holds the
-result beside its SHA-256 and the compiler that made it, so that nobody needs a compiler to share an arm; a
-test builds it again and compares.
+python tools/build_engine.py [--check] needs clang and wasm-ld (Debian: clang, lld). The
+package holds the result beside its SHA-256 and the compiler that made it, so that
+nobody needs a compiler to share an arm; a test builds it again and compares.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ _SOURCES = (
     "kernels/twin.c",
     "kernels/twin_law.c",
 )
-# No contraction, as for the board: a fused multiply-add would round once where the package rounds twice.
+# No contraction, as for the board: a fused multiply-add would round once where the
+# package rounds twice.
 _FLAGS = (
     "--target=wasm32",
     "-std=c11",
@@ -40,7 +42,8 @@ _FLAGS = (
     "-flto",  # a twentieth smaller: what is called once is inlined across files
     "-ffp-contract=off",
     "-ffreestanding",
-    "-DWITHOUT_ESTIMATOR",  # 7 kB of the payload estimator; the page tells the law its payload
+    # 7 kB of the payload estimator; the page tells the law its payload
+    "-DWITHOUT_ESTIMATOR",
     "-nostdlib",
     "-Wall",
     "-Wextra",
@@ -53,7 +56,9 @@ _FLAGS = (
 
 def compiler_version(clang: str) -> str:
     """Return "clang 14.0.6" of the compiler at `clang`."""
-    said = subprocess.run([clang, "--version"], capture_output=True, text=True, check=True).stdout  # noqa: S603
+    said = subprocess.run(  # noqa: S603
+        [clang, "--version"], capture_output=True, text=True, check=True
+    ).stdout
     found = re.search(r"clang version (\d+\.\d+\.\d+)", said)
     return f"clang {found[1] if found else 'unknown'}"
 
@@ -65,18 +70,29 @@ def built(clang: str) -> bytes:
         out = Path(folder) / "engine.wasm"
         includes = [f"-I{csrc / name}" for name in ("web", "kernels", "")]
         sources = [str(csrc / name) for name in _SOURCES]
-        subprocess.run([clang, *_FLAGS, *includes, "-o", str(out), *sources], check=True)  # noqa: S603
+        subprocess.run(  # noqa: S603
+            [clang, *_FLAGS, *includes, "-o", str(out), *sources], check=True
+        )
         return out.read_bytes()
 
 
 def main() -> int:
-    """Build and write the engine, or compare it with the committed one; return the exit code."""
+    """Build and write the engine, or compare it with the committed one; return the exit
+    code.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 where it differs")
+    parser.add_argument(
+        "--check",
+        action="store_true",
+        help="write nothing; exit code 1 where it differs",
+    )
     check = parser.parse_args().check
     clang = shutil.which("clang")
     if clang is None or shutil.which("wasm-ld") is None:
-        print("clang and wasm-ld are needed (Debian packages clang and lld)", file=sys.stderr)
+        print(
+            "clang and wasm-ld are needed (Debian packages clang and lld)",
+            file=sys.stderr,
+        )
         return 2
     engine = built(clang)
     line = f"{hashlib.sha256(engine).hexdigest()}  {ENGINE.name}  {compiler_version(clang)}\n"

@@ -1,8 +1,10 @@
-"""Fuzz law.c for as long as asked and print executions and coverage: tools/fuzz_law.py --seconds 60.
+"""Fuzz law.c for as long as asked and print executions and coverage: tools/fuzz_law.py
+--seconds 60.
 
-libFuzzer with the address, undefined-behaviour and float sanitizers of clang on tests/firmware/fuzz.c, whose
-invariants (finite, in limits, slew, trips latch) are the oracle. Exit code 1 where one is violated; the input
-is then in the folder that is printed.
+libFuzzer with the address, undefined-behaviour and float sanitizers of clang on
+tests/firmware/fuzz.c, whose invariants (finite, in limits, slew, trips latch) are the
+oracle. Exit code 1 where one is violated; the input is then in the folder that is
+printed.
 """
 
 from __future__ import annotations
@@ -23,10 +25,14 @@ ROOT = Path(__file__).resolve().parents[1]
 SANITIZERS = "fuzzer,address,undefined,float-divide-by-zero,float-cast-overflow"
 
 
-def run(*command: str | Path, folder: Path, check: bool = True) -> subprocess.CompletedProcess[str]:
+def run(
+    *command: str | Path, folder: Path, check: bool = True
+) -> subprocess.CompletedProcess[str]:
     """Run a program in `folder` and return what it printed."""
     words = [str(word) for word in command]
-    return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=check)  # noqa: S603
+    return subprocess.run(  # noqa: S603
+        words, cwd=folder, capture_output=True, text=True, check=check
+    )
 
 
 def build(folder: Path, *, precision: str, exact: bool) -> Path:
@@ -38,12 +44,21 @@ def build(folder: Path, *, precision: str, exact: bool) -> Path:
     defines = ["-DLAW_SINGLE"] if precision == "single" else []
     defines += exact_flags(law) if exact else ()
     coverage = ("-fprofile-instr-generate", "-fcoverage-mapping")
-    options = ("-g", "-O1", "-ffp-contract=off", f"-fsanitize={SANITIZERS}", *coverage, *defines)
+    options = (
+        "-g",
+        "-O1",
+        "-ffp-contract=off",
+        f"-fsanitize={SANITIZERS}",
+        *coverage,
+        *defines,
+    )
     source = ROOT / "tests" / "firmware" / "fuzz.c"
     command = ("clang", *options, "-I", folder, source, "law.c", "-lm", "-o", "fuzz")
     built = run(*command, folder=folder, check=False)
     if built.returncode and "libclang_rt" in built.stderr:
-        raise SystemExit("clang's fuzzer is not installed (Debian package libclang-rt-14-dev)")
+        raise SystemExit(
+            "clang's fuzzer is not installed (Debian package libclang-rt-14-dev)"
+        )
     built.check_returncode()
     return folder / "fuzz"
 
@@ -68,15 +83,39 @@ def fuzz(program: Path, seconds: int, seed: int) -> int:
 
 
 def show_coverage(program: Path) -> None:
-    """Print the lines and branches of law.c that the fuzzer reached, where llvm's tools are installed."""
+    """Print the lines and branches of law.c that the fuzzer reached, where llvm's tools
+    are installed.
+    """
     folder = program.parent
-    tools = [shutil.which(name) or shutil.which(f"{name}-14") for name in ("llvm-profdata", "llvm-cov")]
+    tools = [
+        shutil.which(name) or shutil.which(f"{name}-14")
+        for name in ("llvm-profdata", "llvm-cov")
+    ]
     if None in tools:
-        print("no coverage of law.c: llvm-profdata and llvm-cov are not installed (Debian package llvm)")
+        print(
+            "no coverage of law.c: llvm-profdata and llvm-cov are not installed (Debian package llvm)"
+        )
         return
     merge, show = map(str, tools)
-    run(merge, "merge", "-sparse", "default.profraw", "-o", "law.profdata", folder=folder)
-    print(run(show, "report", program, "-instr-profile=law.profdata", "law.c", folder=folder).stdout)
+    run(
+        merge,
+        "merge",
+        "-sparse",
+        "default.profraw",
+        "-o",
+        "law.profdata",
+        folder=folder,
+    )
+    print(
+        run(
+            show,
+            "report",
+            program,
+            "-instr-profile=law.profdata",
+            "law.c",
+            folder=folder,
+        ).stdout
+    )
 
 
 def main() -> int:
@@ -85,10 +124,14 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--precision", choices=("single", "double"), default="single")
-    parser.add_argument("--exact", action="store_true", help="the build for this design alone")
+    parser.add_argument(
+        "--exact", action="store_true", help="the build for this design alone"
+    )
     given = parser.parse_args()
     if shutil.which("clang") is None:
-        raise SystemExit("clang is not installed (Debian packages clang and libclang-rt-14-dev)")
+        raise SystemExit(
+            "clang is not installed (Debian packages clang and libclang-rt-14-dev)"
+        )
     folder = Path(tempfile.mkdtemp(prefix="fuzz_law_"))
     program = build(folder, precision=given.precision, exact=given.exact)
     code = fuzz(program, given.seconds, given.seed)

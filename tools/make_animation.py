@@ -1,9 +1,10 @@
 """Draw the README's animation: `python tools/make_animation.py`.
 
-docs/_static/arm.svg: the bundled arm with 30 g moves by 60° and back under the law that is shipped, on the
-twin with a link of 7.35 g; before the way back its strain gauge is lost. Every position is a sample of that
-run, drawn to scale; a viewer interpolates between samples 40 ms apart. One file without a script, for light
-and dark pages; who asks the system for less motion sees it stand still.
+docs/_static/arm.svg: the bundled arm with 30 g moves by 60° and back under the law that
+is shipped, on the twin with a link of 7.35 g; before the way back its strain gauge is
+lost. Every position is a sample of that run, drawn to scale; a viewer interpolates
+between samples 40 ms apart. One file without a script, for light and dark pages; who
+asks the system for less motion sees it stand still.
 """
 
 from __future__ import annotations
@@ -56,15 +57,21 @@ def recorded() -> fl.Run:
 
 
 def spot(angle: float, radius: float) -> tuple[float, float]:
-    """Where a point at `angle` [rad] and `radius` [pixels] lies; the middle of the move points upwards."""
+    """Where a point at `angle` [rad] and `radius` [pixels] lies; the middle of the move
+    points upwards.
+    """
     turn = angle - MOVE / 2
     return HUB[0] - radius * math.sin(turn), HUB[1] - radius * math.cos(turn)
 
 
 def bent(motor: float, tip: float) -> str:
-    """The link's line: clamped at the hub and loaded at its tip it bends as 3x²/2 − x³/2."""
+    """The link's line: clamped at the hub and loaded at its tip it bends as 3x²/2 −
+    x³/2.
+    """
     share = [i / 8 for i in range(9)]
-    places = [spot(motor + (tip - motor) * (1.5 * x - 0.5 * x * x), LENGTH * x) for x in share]
+    places = [
+        spot(motor + (tip - motor) * (1.5 * x - 0.5 * x * x), LENGTH * x) for x in share
+    ]
     return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
 
 
@@ -100,7 +107,12 @@ def arm(run: fl.Run, rows: list[int], tag: Callable[[str, list[str]], str]) -> s
 
     return "\n".join(
         [
-            drawn("line", "ghost", f'x1="{HUB[0]}" y1="{HUB[1]}"', {k: columns[k] for k in ("x2", "y2")}),
+            drawn(
+                "line",
+                "ghost",
+                f'x1="{HUB[0]}" y1="{HUB[1]}"',
+                {k: columns[k] for k in ("x2", "y2")},
+            ),
             drawn("circle", "ghost", 'r="17"', ghost),
             drawn("path", "link", "", {"d": link}),
             drawn("path", "shine", "", {"d": link}),
@@ -114,13 +126,20 @@ def says(run: fl.Run, rows: list[int]) -> str:
     modes = [MODES[int(run.mode[k])] for k in rows]
     lines = {
         "run": ("good", "The law runs on strain gauge and encoder."),
-        "degraded": ("warn", "The strain gauge reads NaN: the law continues without it."),
+        "degraded": (
+            "warn",
+            "The strain gauge reads NaN: the law continues without it.",
+        ),
     }
     assert set(modes) == set(lines), modes
     shown = []
     for mode, (kind, text) in lines.items():
-        seen = animated("opacity", ["1" if now == mode else "0" for now in modes], discrete=True)
-        shown.append(f'<text class="big {kind}" x="20" y="32" opacity="0">{text}{seen}</text>')
+        seen = animated(
+            "opacity", ["1" if now == mode else "0" for now in modes], discrete=True
+        )
+        shown.append(
+            f'<text class="big {kind}" x="20" y="32" opacity="0">{text}{seen}</text>'
+        )
     return "\n".join(shown)
 
 

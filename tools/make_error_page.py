@@ -1,7 +1,8 @@
 """Write docs/reference/errors.md from the source: `python tools/make_error_page.py`.
 
-Errors come from `fraclink.errors`, their exit codes from the command line's own guard, the codes of
-findings from the calls that make them. A test writes the page again and compares.
+Errors come from `fraclink.errors`, their exit codes from the command line's own guard,
+the codes of findings from the calls that make them. A test writes the page again and
+compares.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ FAMILIES = {
     "5": "law and simulation",
     "6": "the twin",
 }
-# One instance of every class: what it looks like is shown, and the guard is asked for its exit code.
+# One instance of every class: what it looks like is shown, and the guard is asked for
+# its exit code.
 EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
     (
-        errors.FieldError("payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg"),
+        errors.FieldError(
+            "payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg"
+        ),
         "`field`, `value`, `problem`, `allowed`, `remedy`: put the value into the allowed range",
     ),
     (
@@ -57,7 +61,9 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
         "make the file again, or give the file of the kind that is named",
     ),
     (
-        errors.SizeError("runs", 10**12, "too many", allowed="<= 1000000000", remedy="ask for less"),
+        errors.SizeError(
+            "runs", 10**12, "too many", allowed="<= 1000000000", remedy="ask for less"
+        ),
         "ask for less; nothing was computed and no memory was allocated",
     ),
     (
@@ -71,18 +77,29 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
         "look at `poles(G)`; stabilise it first",
     ),
     (
-        errors.InfeasibleError("gain_crossover", "too fast for this phase margin", {"gain_crossover": 11.25}),
+        errors.InfeasibleError(
+            "gain_crossover",
+            "too fast for this phase margin",
+            {"gain_crossover": 11.25},
+        ),
         "`condition`, `explanation`, `nearest`: call again with `**error.nearest`, or give up a requirement",
     ),
     (
-        errors.NotCertifiedError("|1 + L| = 0.31 at 20 g", payload=0.020, frequency=14.2),
+        errors.NotCertifiedError(
+            "|1 + L| = 0.31 at 20 g", payload=0.020, frequency=14.2
+        ),
         "`payload`, `frequency`: look there; ask for a smaller `modulus_margin` or a narrower range",
     ),
     (
-        errors.NotConvergedError("norm", reached=1e-3, wanted=1e-6, remedy="widen the tolerance"),
+        errors.NotConvergedError(
+            "norm", reached=1e-3, wanted=1e-6, remedy="widen the tolerance"
+        ),
         "`reached`, `wanted`, `remedy`: the value reached may suffice",
     ),
-    (errors.MissingExtraError("python-control", "control"), "install the extra that the message names"),
+    (
+        errors.MissingExtraError("python-control", "control"),
+        "install the extra that the message names",
+    ),
 )
 # One call makes both and takes their words from a loop.
 NAMED = {
@@ -112,7 +129,8 @@ class Code:
 def words(node: ast.expr | None, handed: Mapping[str, ast.expr] = NONE) -> str:
     """The text of an expression with … for what is known at run time only.
 
-    `handed` are the arguments of the function that makes the text, by the names of its parameters.
+    `handed` are the arguments of the function that makes the text, by the names of its
+    parameters.
     """
     if isinstance(node, ast.Constant):
         return node.value if isinstance(node.value, str) else ""
@@ -129,16 +147,26 @@ def words(node: ast.expr | None, handed: Mapping[str, ast.expr] = NONE) -> str:
 
 def severity(node: ast.expr | None) -> str:
     """The severities that an expression can have, mildest first."""
-    found = {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)} if node else set()
+    found = (
+        {n.value for n in ast.walk(node) if isinstance(n, ast.Constant)}
+        if node
+        else set()
+    )
     return " or ".join(level for level in SEVERITIES if level in found) or "warning"
 
 
 def templates(tree: ast.Module) -> dict[str, tuple[ast.Call, list[str]]]:
-    """Functions that make a finding of a code that is handed to them: name to the call and the parameters."""
+    """Functions that make a finding of a code that is handed to them: name to the call
+    and the parameters.
+    """
     found = {}
-    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+    for function in (
+        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
+    ):
         for call in (node for node in ast.walk(function) if isinstance(node, ast.Call)):
-            if getattr(call.func, "id", "") == "Finding" and isinstance(argument(call, 0, "code"), ast.Name):
+            if getattr(call.func, "id", "") == "Finding" and isinstance(
+                argument(call, 0, "code"), ast.Name
+            ):
                 found[function.name] = call, [own.arg for own in function.args.args]
     return found
 
@@ -166,7 +194,9 @@ def argument(call: ast.Call, place: int, name: str) -> ast.expr | None:
     return next((word.value for word in call.keywords if word.arg == name), None)
 
 
-def of_finding(code: str, call: ast.Call, handed: Mapping[str, ast.expr] = NONE) -> Code:
+def of_finding(
+    code: str, call: ast.Call, handed: Mapping[str, ast.expr] = NONE
+) -> Code:
     """What a call of Finding says; `handed` as in `words`."""
     return Code(
         code,
@@ -183,7 +213,11 @@ def codes_of(path: Path) -> list[Code]:
     found = []
     for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
         name = getattr(call.func, "id", "")
-        handed = [n.value for n in call.args if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+        handed = [
+            n.value
+            for n in call.args
+            if isinstance(n, ast.Constant) and isinstance(n.value, str)
+        ]
         code = handed[0] if handed and CODE.fullmatch(handed[0]) else ""
         if code and name == "Finding":
             found.append(of_finding(code, call))
@@ -193,12 +227,23 @@ def codes_of(path: Path) -> list[Code]:
             inside, parameters = made[name]
             given = dict(zip(parameters, unpacked(call, tree), strict=True))
             found.append(of_finding(code, inside, given))
-    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
-        if function.name in made:  # codes in a tuple, walked through by the same function
-            inside = [n.value for n in ast.walk(function) if isinstance(n, ast.Constant)]
-            listed = [value for value in inside if isinstance(value, str) and CODE.fullmatch(value)]
+    for function in (
+        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
+    ):
+        if (
+            function.name in made
+        ):  # codes in a tuple, walked through by the same function
+            inside = [
+                n.value for n in ast.walk(function) if isinstance(n, ast.Constant)
+            ]
+            listed = [
+                value
+                for value in inside
+                if isinstance(value, str) and CODE.fullmatch(value)
+            ]
             found += [
-                replace(of_finding(code, made[function.name][0]), **NAMED.get(code, {})) for code in listed
+                replace(of_finding(code, made[function.name][0]), **NAMED.get(code, {}))
+                for code in listed
             ]
     return found
 
@@ -241,9 +286,13 @@ def page() -> str:
     ]
     for error, remedy in EXAMPLES:
         kind = type(error)
-        first = (kind.__doc__ or "").strip().splitlines()[0]
-        bases = ", ".join(base.__name__ for base in kind.__bases__ if base is not errors.FraclinkError)
-        lines.append(f"| `{kind.__name__}` ({bases}) | {cell(first)} | {exit_code(error)} | {cell(remedy)} |")
+        first = " ".join((kind.__doc__ or "").partition("\n\n")[0].split())
+        bases = ", ".join(
+            base.__name__ for base in kind.__bases__ if base is not errors.FraclinkError
+        )
+        lines.append(
+            f"| `{kind.__name__}` ({bases}) | {cell(first)} | {exit_code(error)} | {cell(remedy)} |"
+        )
     lines += ["", "What they look like:", "", "```text"]
     lines += [f"{type(error).__name__}: {error}" for error, _ in EXAMPLES]
     lines += [
@@ -264,11 +313,14 @@ def page() -> str:
         rows = [code for code in found if code.code[1] == family]
         lines += ["", f"### W{family}xx: {what}", ""]
         if not rows:
-            lines.append("None yet: what a law refuses is an error or a flag of `law.h` ([the law](law.md)).")
+            lines.append(
+                "None yet: what a law refuses is an error or a flag of `law.h` ([the law](law.md))."
+            )
             continue
         lines += ["| code | severity | what | what to do |", "|---|---|---|---|"]
         lines += [
-            f"| **{row.code}** | {row.severity} | {cell(row.message)} | {cell(row.remedy)} |" for row in rows
+            f"| **{row.code}** | {row.severity} | {cell(row.message)} | {cell(row.remedy)} |"
+            for row in rows
         ]
     return "\n".join(lines) + "\n"
 

@@ -2,10 +2,11 @@
 
     python tools/make_logs.py [FOLDER]
 
-The rig is the paper's: c = 1.56 N·m/rad measured, L = 0.65 m, so EI = c L/3; a carbon rod of 7.35 g (3 mm
-diameter, 1600 kg/m³), power-law damping with λ = 1.92, the hub behind the motor servo M(s) with p = 80 rad/s,
-20 s at 4 ms. What a laboratory adds is here too: 1 % of the signal's power as gauge noise, an offset, the
-steps of a 12-bit converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the strain amplifier.
+The rig is the paper's: c = 1.56 N·m/rad measured, L = 0.65 m, so EI = c L/3; a carbon
+rod of 7.35 g (3 mm diameter, 1600 kg/m³), power-law damping with λ = 1.92, the hub
+behind the motor servo M(s) with p = 80 rad/s, 20 s at 4 ms. What a laboratory adds is
+here too: 1 % of the signal's power as gauge noise, an offset, the steps of a 12-bit
+converter over ±2.5 N·m, an encoder of 20 000 counts, and 2 ms in the strain amplifier.
 """
 
 from __future__ import annotations
@@ -23,8 +24,12 @@ STIFFNESS, LENGTH, LINK_MASS = 1.56, 0.65, 0.00735
 NOISE_SHARE = 0.012  # of the torque's mean square: the NMSE a perfect model would reach
 
 
-def prbs(seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125) -> NDArray[np.float64]:
-    """Maximum-length sequence of seven bits, each held 0.24 s (half a period), after 0.5 s of rest."""
+def prbs(
+    seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125
+) -> NDArray[np.float64]:
+    """Maximum-length sequence of seven bits, each held 0.24 s (half a period), after
+    0.5 s of rest.
+    """
     register = seed
     values = np.zeros(SAMPLES)
     for start in range(rest, SAMPLES, hold):
@@ -35,7 +40,8 @@ def prbs(seed: int, *, amplitude: float = 0.1, hold: int = 60, rest: int = 125) 
 
 
 def pulse() -> NDArray[np.float64]:
-    """Raise the hub by 0.2 rad for 7 s; it falls at 12.5 s, in the part that is held out.
+    """Raise the hub by 0.2 rad for 7 s; it falls at 12.5 s, in the part that is held
+    out.
 
     The paper's pulse has the same width and 1 rad; reproduce/logs.py makes that one.
     """
@@ -81,7 +87,11 @@ def build() -> dict[str, str]:
 
 def main() -> None:
     """Write the logs and print their sizes."""
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "src/fraclink/logs"
+    folder = (
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parents[1] / "src/fraclink/logs"
+    )
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in build().items():
         (folder / name).write_text(text, encoding="utf-8")

@@ -1,9 +1,11 @@
-"""Draw the pictures of README and docs: `python tools/make_pictures.py`; the arm's page needs Chromium.
+"""Draw the pictures of README and docs: `python tools/make_pictures.py`; the arm's page
+needs Chromium.
 
-result.svg, left and middle: a move of 1 rad in 0.5 s of the twin with the law that is shipped, at four
-payloads, without and with the payload as its input. Right: the phase margin that the published procedure
-promises, what is left of it in the loop that runs, and the same for a design that puts the loop into the
-equation. arm.png: the page that `fraclink share` writes.
+result.svg, left and middle: a move of 1 rad in 0.5 s of the twin with the law that is
+shipped, at four payloads, without and with the payload as its input. Right: the phase
+margin that the published procedure promises, what is left of it in the loop that runs,
+and the same for a design that puts the loop into the equation. arm.png: the page that
+`fraclink share` writes.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ from fraclink._systems.margins import Margins
 
 STATIC = Path(__file__).resolve().parent.parent / "docs" / "_static"
 PLACE = STATIC / "result.svg"
-# In the middle of the move; the gauge is lost half a second later, so that the ribbon shows two modes.
+# In the middle of the move; the gauge is lost half a second later, so that the ribbon
+# shows two modes.
 SETTINGS = "at=0.15&nan=140"
 
 
@@ -45,14 +48,30 @@ def photograph_arm(browser: str) -> None:
     """The page of the arm as a browser shows it, 1180 pixels wide."""
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    made = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    made = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     with tempfile.TemporaryDirectory() as folder:
         page = fl.write_arm_page(
-            fl.Study(rig=rig, design=made), Path(folder) / "arm.html", title="Move the arm"
+            fl.Study(rig=rig, design=made),
+            Path(folder) / "arm.html",
+            title="Move the arm",
         )
-        command = [browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+        command = [
+            browser,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--hide-scrollbars",
+        ]
         command += ["--window-size=1180,1390", f"--screenshot={STATIC / 'arm.png'}"]
-        subprocess.run([*command, f"{page.as_uri()}#{SETTINGS}"], check=True, capture_output=True)  # noqa: S603
+        subprocess.run(  # noqa: S603
+            [*command, f"{page.as_uri()}#{SETTINGS}"], check=True, capture_output=True
+        )
 
 
 def draw_result() -> None:
@@ -60,7 +79,13 @@ def draw_result() -> None:
     rig = fl.Rig.named("paper-2023")
     model = rig.model
     assert model is not None
-    ours = fl.design(model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    ours = fl.design(
+        model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     published = fl.design(
         model,
         rig,
@@ -77,16 +102,34 @@ def draw_result() -> None:
         (2, "published", published.sampled_at),
         (1, "fraclink", ours.sampled_at),
     ):
-        marks.append(Curve(1e3 * mass, [_margin(at(float(m))) for m in mass], line, name))
-    panel = Panel("What is promised, what is left: phase margin [°]", Scale(-20.0, 105.0), marks, 230.0)
-    left = Figure("margin", "", Scale(8.0, 45.0), (panel,), "payload [g]; shaded: designed for", width=430.0)
+        marks.append(
+            Curve(1e3 * mass, [_margin(at(float(m))) for m in mass], line, name)
+        )
+    panel = Panel(
+        "What is promised, what is left: phase margin [°]",
+        Scale(-20.0, 105.0),
+        marks,
+        230.0,
+    )
+    left = Figure(
+        "margin",
+        "",
+        Scale(8.0, 45.0),
+        (panel,),
+        "payload [g]; shaded: designed for",
+        width=430.0,
+    )
     told, untold = _moves(told=True), _moves(told=False)
-    title = "Tip angle of four payloads, not given and given; phase margin against payload"
+    title = (
+        "Tip angle of four payloads, not given and given; phase margin against payload"
+    )
     write_text(PLACE, beside([untold, told, left], title) + "\n")
 
 
 def _moves(*, told: bool) -> Figure:
-    """Tip angle of four payloads: link 7.35 g, friction, gauge noise, 0.05 N·m gauge offset."""
+    """Tip angle of four payloads: link 7.35 g, friction, gauge noise, 0.05 N·m gauge
+    offset.
+    """
     rig = fl.Rig.named("paper-2023-geared")
     assert rig.model is not None
     request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.02}
@@ -95,12 +138,21 @@ def _moves(*, told: bool) -> Figure:
     marks: list[Mark] = [Zone(0.98, 1.02, lying=True)]
     for line, payload in zip(LINES, (0.008, 0.020, 0.040, 0.080), strict=True):
         arm = Twin.from_rig(rig, payload=payload)
-        run = fl.simulate(law, move, arm=arm, gauge_offset=0.05, duration=2.0, told=told)
+        run = fl.simulate(
+            law, move, arm=arm, gauge_offset=0.05, duration=2.0, told=told
+        )
         name = f"{1e3 * payload:g} g" if told else ""
         marks.append(Curve(run.time[::4], run.tip_angle[::4], line, name))
     title = "Payload given" if told else "Payload not given"
     panel = Panel(f"{title}: tip angle [rad]", Scale(0.0, 1.4), marks, 230.0)
-    return Figure("moves", title, Scale(0.0, 2.0), (panel,), "time [s]", width=360.0 if told else 310.0)
+    return Figure(
+        "moves",
+        title,
+        Scale(0.0, 2.0),
+        (panel,),
+        "time [s]",
+        width=360.0 if told else 310.0,
+    )
 
 
 def _margin(found: Margins) -> float:

@@ -2,8 +2,8 @@
 
     python tools/make_studio_pictures.py
 
-The log is a bundled one with two readings spoilt near its end, so that a finding has a place in it, and what
-is kept begins at rest.
+The log is a bundled one with two readings spoilt near its end, so that a finding has a
+place in it, and what is kept begins at rest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import fraclink as fl
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from browser import Page, browser  # noqa: E402  # beside the tests
+from browser import Page, browser  # beside the tests  # noqa: E402
 
 STATIC = ROOT / "docs" / "_static"
 
@@ -48,7 +48,10 @@ def pictures(page: Page, address: str) -> None:
     time.sleep(4.5)  # until the toast has gone
     page.picture(STATIC / "studio-channels.png")
     page.run("document.querySelector('#cut-keep').click()")
-    page.until("document.querySelector('#command').textContent.includes('--keep')", "the stretch")
+    page.until(
+        "document.querySelector('#command').textContent.includes('--keep')",
+        "the stretch",
+    )
     page.key("3")
     page.run("document.querySelector('#fit').click()")
     page.until("document.querySelectorAll('.model').length === 4", "four fits")
@@ -58,14 +61,26 @@ def pictures(page: Page, address: str) -> None:
     page.picture(STATIC / "studio-dark.png")
     page.look(height=960)
     page.key("4")
-    page.until("document.querySelector('#go-design').dataset.mark !== 'not run'", "a design")
-    for number, (handle, by) in enumerate((("#h-margin-phase", (0, 3)), ("#h-payload-0", (8, 0))), 2):
+    page.until(
+        "document.querySelector('#go-design').dataset.mark !== 'not run'", "a design"
+    )
+    for number, (handle, by) in enumerate(
+        (("#h-margin-phase", (0, 3)), ("#h-payload-0", (8, 0))), 2
+    ):
         page.drag(handle, by, moves=4)
-        page.until(f"document.querySelectorAll('.thumb').length >= {number}", "another state")
-        page.until("!document.querySelector('#controller').classList.contains('preview')", "its design")
+        page.until(
+            f"document.querySelectorAll('.thumb').length >= {number}", "another state"
+        )
+        page.until(
+            "!document.querySelector('#controller').classList.contains('preview')",
+            "its design",
+        )
     page.run("document.querySelector('.thumb .chip').click()")
     page.until("document.querySelector('.curve.other')", "a state over this one")
-    page.until("!document.querySelector('#controller').classList.contains('preview')", "an exact design")
+    page.until(
+        "!document.querySelector('#controller').classList.contains('preview')",
+        "an exact design",
+    )
     page.until("document.querySelector('#p-map .cells')?.getAttribute('d')", "the map")
     time.sleep(1.0)
     page.picture(STATIC / "studio.png", whole=True)
@@ -81,9 +96,17 @@ def main() -> None:
     """Open a studio on the log and draw."""
     with tempfile.TemporaryDirectory() as name:
         place = Path(name)
-        words = ["studio", spoilt(place / "arm.csv").name, "--no-open", "--rig", "paper-2023-geared"]
+        words = [
+            "studio",
+            spoilt(place / "arm.csv").name,
+            "--no-open",
+            "--rig",
+            "paper-2023-geared",
+        ]
         command = [sys.executable, "-m", "fraclink", *words]
-        process = subprocess.Popen(command, cwd=place, stdout=subprocess.PIPE, text=True)  # noqa: S603
+        process = subprocess.Popen(  # noqa: S603
+            command, cwd=place, stdout=subprocess.PIPE, text=True
+        )
         try:
             assert process.stdout is not None
             address = process.stdout.readline().strip()

@@ -1,7 +1,9 @@
-"""What the theme's markup leaves out for readers of screens, put in when the pages are written.
+"""What the theme's markup leaves out for readers of screens, put in when the pages are
+written.
 
-axe finds in every page of furo: captions that are headings of no level, two landmarks without a name, and
-in pages with folded cells summaries whose label is not what they say.
+axe finds in every page of furo: captions that are headings of no level, two landmarks
+without a name, and in pages with folded cells summaries whose label is not what they
+say.
 """
 
 from __future__ import annotations

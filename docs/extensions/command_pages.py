@@ -1,5 +1,6 @@
-"""A page for every command, written before a build from the command's own help: what it does, an example
-with its output as the tests hold it, its options, a picture, and the page that explains more.
+"""A page for every command, written before a build from the command's own help: what it
+does, an example with its output as the tests hold it, its options, a picture, and the
+page that explains more.
 
 The pages lie in `reference/commands`, where only this writes.
 """
@@ -95,7 +96,9 @@ def _output(name: str) -> list[str]:
     if not place.is_file():
         return []
     lines = place.read_text("utf-8").rstrip().splitlines()
-    cut = lines[:_LONGEST] + ([f"… {len(lines) - _LONGEST} more lines"] if len(lines) > _LONGEST else [])
+    cut = lines[:_LONGEST] + (
+        [f"… {len(lines) - _LONGEST} more lines"] if len(lines) > _LONGEST else []
+    )
     return ["## What it prints", "```text\n" + "\n".join(cut) + "\n```"]
 
 
@@ -120,7 +123,9 @@ def _default(item: Any) -> str:
     value = item.default
     if value is None or value is False or value == () or callable(value):
         return ""
-    return f"`{' '.join(map(str, value)) if isinstance(value, tuple | list) else value}`"
+    return (
+        f"`{' '.join(map(str, value)) if isinstance(value, tuple | list) else value}`"
+    )
 
 
 def write(app: Sphinx) -> None:
@@ -134,14 +139,18 @@ def write(app: Sphinx) -> None:
         f"| [`{name}`](commands/{file_name(name)}.md) | {summary(command)} |"
         for name, command in found.items()
     ]
-    texts = {"_all": "\n".join(["| command | what it does |", "|---|---|", *rows]) + "\n"}
+    texts = {
+        "_all": "\n".join(["| command | what it does |", "|---|---|", *rows]) + "\n"
+    }
     texts |= {file_name(name): page(name, command) for name, command in found.items()}
     for old in folder.glob("*.md"):
         if old.stem not in texts:
             old.unlink()
     for name, text in texts.items():
         place = folder / f"{name}.md"
-        if not place.is_file() or place.read_text("utf-8") != text:  # unchanged pages are not built again
+        if (
+            not place.is_file() or place.read_text("utf-8") != text
+        ):  # unchanged pages are not built again
             place.write_text(text, "utf-8")
 
 

@@ -1,8 +1,8 @@
 """Docstrings as they are written in the source, made ready for Sphinx.
 
-They are plain text with formulas, for `help()` first. Three things would be misread: a paragraph after the
-last section of numpy's style, a colon in the first line of a property, a bar or a star in a formula.
-All of it is mended before napoleon reads them.
+They are plain text with formulas, for `help()` first. Three things would be misread: a
+paragraph after the last section of numpy's style, a colon in the first line of a
+property, a bar or a star in a formula. All of it is mended before napoleon reads them.
 """
 
 from __future__ import annotations
@@ -15,15 +15,24 @@ from sphinx.application import Sphinx
 # napoleon's own handler stands at Sphinx's default of 500.
 BEFORE_NAPOLEON = 400
 SECTION = re.compile(r"(Parameters|Returns|Raises|Attributes)$")
-ARRAY = re.compile(r"~?numpy\.ndarray\[tuple\[(~typing\.)?Any, \.\.\.\], ~?numpy\.dtype\[(?P<kind>.*?)\]\]")
+ARRAY = re.compile(
+    r"~?numpy\.ndarray\[tuple\[(~typing\.)?Any, \.\.\.\], ~?numpy\.dtype\[(?P<kind>.*?)\]\]"
+)
 ALIAS = re.compile(r"TypeAliasForwardRef\('(?P<name>\w+)'\)")
 TITLES = {"Source:": "References", "Sources:": "References", ">>>": "Examples"}
 
 
-def end_sections(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """Give "Source: …" and an example after the last section a title: napoleon takes them for its entries."""
+def end_sections(
+    app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    """Give "Source: …" and an example after the last section a title: napoleon takes
+    them for its entries.
+    """
     if what in ("property", "attribute", "data"):
-        lines[:0] = ["..", ""]  # an empty comment: the words before a colon in the first line would be a type
+        lines[:0] = [
+            "..",
+            "",
+        ]  # an empty comment: the words before a colon in the first line would be a type
         return
     inside = False
     ready: list[str] = []
@@ -39,15 +48,20 @@ def end_sections(app: Sphinx, what: str, name: str, obj: object, options: object
     lines[:] = ready
 
 
-def plain_text(app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
-    """A bar in |L(jω)| must not begin a substitution, nor a star in θt* or *.toml an emphasis."""
+def plain_text(
+    app: Sphinx, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
+    """A bar in |L(jω)| must not begin a substitution, nor a star in θt* or *.toml an
+    emphasis.
+    """
     example = False
     for number, line in enumerate(lines):
         example = line.lstrip().startswith(">>>") or (example and bool(line.strip()))
         if not example:
             parts = re.split(r"(``.*?``|`[^`]*`)", line)
             lines[number] = "".join(
-                part if part.startswith("`") else re.sub(r"[|*]", r"\\\g<0>", part) for part in parts
+                part if part.startswith("`") else re.sub(r"[|*]", r"\\\g<0>", part)
+                for part in parts
             )
 
 
@@ -60,22 +74,36 @@ def short_signature(
     signature: str | None,
     return_annotation: str | None,
 ) -> tuple[str | None, str | None]:
-    """The fields of a class by name: types and ranges follow below, the annotations would fill a page."""
+    """The fields of a class by name: types and ranges follow below, the annotations
+    would fill a page.
+    """
     if what != "class":
         return short_arrays(signature), short_arrays(return_annotation)
     fields = inspect.signature(obj).parameters.values()
-    shown = [field.name + ("" if field.default is field.empty else "=…") for field in fields]
+    shown = [
+        field.name + ("" if field.default is field.empty else "=…") for field in fields
+    ]
     return f"({', '.join(shown)})", None
 
 
 def short_arrays(annotations: str | None) -> str | None:
-    """Arrays by the names that numpy.typing gives them; a shape of anything says nothing."""
-    return annotations and ALIAS.sub(r"\g<name>", ARRAY.sub(r"NDArray[\g<kind>]", annotations))
+    """Arrays by the names that numpy.typing gives them; a shape of anything says
+    nothing.
+    """
+    return annotations and ALIAS.sub(
+        r"\g<name>", ARRAY.sub(r"NDArray[\g<kind>]", annotations)
+    )
 
 
-def no_alias(app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object) -> bool | None:
+def no_alias(
+    app: Sphinx, what: str, name: str, obj: object, skip: bool, options: object
+) -> bool | None:
     """Leave out the fields of a named tuple: "Alias for field number 0" says nothing."""
-    return True if (getattr(obj, "__doc__", None) or "").startswith("Alias for field") else None
+    return (
+        True
+        if (getattr(obj, "__doc__", None) or "").startswith("Alias for field")
+        else None
+    )
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -1,8 +1,10 @@
-"""Names of fraclink in running text become links, and one that does not exist fails the build.
+"""Names of fraclink in running text become links, and one that does not exist fails the
+build.
 
-`fl.design`, `fraclink.Beam(…)` and `Design.sampled_at` between backticks are looked up. What begins with
-`fl.` or `fraclink.` must stand in the reference: else Sphinx's nitpicky mode reports an undefined symbol.
-A bare name is linked where the package has it at its root, and left alone otherwise.
+`fl.design`, `fraclink.Beam(…)` and `Design.sampled_at` between backticks are looked up.
+What begins with `fl.` or `fraclink.` must stand in the reference: else Sphinx's
+nitpicky mode reports an undefined symbol. A bare name is linked where the package has
+it at its root, and left alone otherwise.
 """
 
 from __future__ import annotations
@@ -18,7 +20,10 @@ from sphinx.application import Sphinx
 import fraclink
 
 NAME = r"[A-Za-z_]\w*"
-CALL = re.compile(rf"((?P<root>fl|fraclink)\.)?(?P<path>{NAME}(\.{NAME})*)(?P<call>\(.*\))?", re.DOTALL)
+CALL = re.compile(
+    rf"((?P<root>fl|fraclink)\.)?(?P<path>{NAME}(\.{NAME})*)(?P<call>\(.*\))?",
+    re.DOTALL,
+)
 FILE = re.compile(r"\.(py|toml|md|csv|html|json)$")
 
 
@@ -41,9 +46,15 @@ def target_of(text: str) -> str | None:
 
 
 def entry_of(path: str) -> str:
-    """The entry of the reference that tells about a name: a field stands in the text of its class."""
+    """The entry of the reference that tells about a name: a field stands in the text of
+    its class.
+    """
     head, _, last = path.rpartition(".")
-    if path.startswith("_") and last in fraclink.__all__ and is_module(f"fraclink.{head}"):
+    if (
+        path.startswith("_")
+        and last in fraclink.__all__
+        and is_module(f"fraclink.{head}")
+    ):
         return f"fraclink.{last}"  # its home is private, its name is public
     if last in fields_of(getattr(fraclink, head, None)):
         return f"fraclink.{head}"
@@ -56,7 +67,9 @@ def fields_of(value: object) -> tuple[str, ...]:
 
 
 def is_module(name: str) -> bool:
-    """Whether this is a module of this package: named in prose as a place, and a place needs no entry."""
+    """Whether this is a module of this package: named in prose as a place, and a place
+    needs no entry.
+    """
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:
@@ -67,7 +80,9 @@ def link_names(app: Sphinx, tree: nodes.document) -> None:
     """Put a reference around every literal that names something of fraclink."""
     for literal in list(tree.findall(nodes.literal)):
         target = target_of(literal.astext())
-        if target is None or isinstance(literal.parent, nodes.reference | addnodes.pending_xref):
+        if target is None or isinstance(
+            literal.parent, nodes.reference | addnodes.pending_xref
+        ):
             continue
         link = addnodes.pending_xref(
             "",

@@ -1,4 +1,5 @@
-"""The arm that moves, beside the pages that point at it: `_static/arm.html`, written by the package as it is.
+"""The arm that moves, beside the pages that point at it: `_static/arm.html`, written by
+the package as it is.
 
 It is made anew in every build, so that no page shows the law of another version.
 """
@@ -14,12 +15,24 @@ import fraclink as fl
 
 def write(app: Sphinx, error: Exception | None) -> None:
     """Write the page where the pages that name it were built."""
-    if error is not None or app.builder.format != "html" or "how-to/share-an-arm" not in app.env.found_docs:
+    if (
+        error is not None
+        or app.builder.format != "html"
+        or "how-to/share-an-arm" not in app.env.found_docs
+    ):
         return
     rig = fl.Rig.named("paper-2023-geared")
-    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        rig.model,
+        rig,
+        payloads=(0.020, 0.040),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+    )
     study = fl.Study(rig=rig, design=design)
-    fl.write_arm_page(study, Path(app.outdir) / "_static" / "arm.html", title="Move the arm")
+    fl.write_arm_page(
+        study, Path(app.outdir) / "_static" / "arm.html", title="Move the arm"
+    )
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -1,4 +1,6 @@
-"""`{picture} name`, `{gallery}` and `{cards}`: drawings of `pictures` as parts of a page, in its colours."""
+"""`{picture} name`, `{gallery}` and `{cards}`: drawings of `pictures` as parts of a
+page, in its colours.
+"""
 
 from __future__ import annotations
 
@@ -21,12 +23,17 @@ def drawn(name: str) -> str:
     """A picture as an element of a page."""
     made = PICTURES[name].draw()
     if isinstance(made, str):
-        return made[: made.index("<style>")] + made[made.index("/>", made.index("</style>")) + 2 :]
+        return (
+            made[: made.index("<style>")]
+            + made[made.index("/>", made.index("</style>")) + 2 :]
+        )
     return made.inline()
 
 
 def thumbnail(name: str) -> str:
-    """A picture that is part of a link: the link says what it shows, the drawing would say it twice."""
+    """A picture that is part of a link: the link says what it shows, the drawing would
+    say it twice.
+    """
     text = re.sub(r' role="img" aria-label="[^"]*"', ' aria-hidden="true"', drawn(name))
     text = re.sub(r' (id|data-\w+)="[^"]*"', "", text)
     return f'<span class="small">{text}</span>'
@@ -54,7 +61,9 @@ class PictureDirective(SphinxDirective):
 
 
 class GalleryDirective(SphinxDirective):
-    """``{gallery}``: every picture as a thumbnail that leads to its page; or those that are named."""
+    """``{gallery}``: every picture as a thumbnail that leads to its page; or those that
+    are named.
+    """
 
     optional_arguments = 30
     has_content = False
@@ -66,12 +75,18 @@ class GalleryDirective(SphinxDirective):
         for name in self.arguments or PICTURES:
             picture = PICTURES[name]
             title = f"<b>{escape(picture.title)}</b>"
-            parts.append(f'<a class="thumb" href="{up}{picture.page}.html">{thumbnail(name)}{title}</a>')
-        return [nodes.raw("", f'<div class="gallery">{"".join(parts)}</div>', format="html")]
+            parts.append(
+                f'<a class="thumb" href="{up}{picture.page}.html">{thumbnail(name)}{title}</a>'
+            )
+        return [
+            nodes.raw("", f'<div class="gallery">{"".join(parts)}</div>', format="html")
+        ]
 
 
 class CardsDirective(SphinxDirective):
-    """``{cards}``: lines of "title | page | picture | sentence" as cards beside one another."""
+    """``{cards}``: lines of "title | page | picture | sentence" as cards beside one
+    another.
+    """
 
     has_content = True
 
@@ -84,16 +99,25 @@ class CardsDirective(SphinxDirective):
                 f'<a class="thumb" href="{page}.html">{thumbnail(name)}<b>{escape(title)}</b>'
                 f"<span>{escape(text)}</span></a>"
             )
-        return [nodes.raw("", f'<div class="gallery cards">{"".join(parts)}</div>', format="html")]
+        return [
+            nodes.raw(
+                "", f'<div class="gallery cards">{"".join(parts)}</div>', format="html"
+            )
+        ]
 
 
 def write_styles(app: Sphinx, error: Exception | None) -> None:
     """The package's colours and drawings, for every page."""
     if error is None and app.builder.format == "html":
         place = Path(app.outdir) / "_static"
-        # A cell's drawing brings its own style; on these pages the page's colours count.
-        figure = re.sub(r"(^|[,}]\s*|\n)\.fl\b", r"\1body .fl", template_text("figure.css"))
-        (place / "drawings.css").write_text(template_text("palette.css") + figure, "utf-8")
+        # A cell's drawing brings its own style; on these pages the page's colours
+        # count.
+        figure = re.sub(
+            r"(^|[,}]\s*|\n)\.fl\b", r"\1body .fl", template_text("figure.css")
+        )
+        (place / "drawings.css").write_text(
+            template_text("palette.css") + figure, "utf-8"
+        )
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -1,4 +1,6 @@
-"""Pictures of the pages, drawn by the package in every build: title, page that explains it, drawing."""
+"""Pictures of the pages, drawn by the package in every build: title, page that explains
+it, drawing.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,11 @@ from fraclink._show.marks import Across, Curve, Mark, Upright, Zone
 from fraclink._show.scales import Scale
 from fraclink._show.sketches import arm_sketch, loop_sketch
 
-ASK: dict[str, Any] = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+ASK: dict[str, Any] = {
+    "payloads": (0.020, 0.040),
+    "gain_crossover": 12.0,
+    "phase_margin": fl.deg(50),
+}
 
 
 @cache
@@ -47,10 +53,17 @@ def fit() -> fl.Fit:
 
 
 def lines(
-    name: str, said: str, label: str, curves: list[tuple[str, Any, Any]], xlabel: str, **more: Any
+    name: str,
+    said: str,
+    label: str,
+    curves: list[tuple[str, Any, Any]],
+    xlabel: str,
+    **more: Any,
 ) -> Figure:
     """One panel of curves, each with its name."""
-    marks: list[Mark] = [Curve(x, y, k, text) for k, (text, x, y) in enumerate(curves, 1)]
+    marks: list[Mark] = [
+        Curve(x, y, k, text) for k, (text, x, y) in enumerate(curves, 1)
+    ]
     marks = [*more.pop("below", []), *marks, *more.pop("above", [])]
     x = more.pop("x", None) or Scale(
         *(float(f(curves[0][1])) for f in (np.min, np.max)), more.pop("log", False)
@@ -65,7 +78,13 @@ def filters() -> Figure:
     noise, light, peak = [], [], []
     for time in times:
         made = design(float(time))
-        run = fl.simulate(made.law(), fl.hold(0.0, duration=1.0), rig=rig(), model=rig().model, duration=8.0)
+        run = fl.simulate(
+            made.law(),
+            fl.hold(0.0, duration=1.0),
+            rig=rig(),
+            model=rig().model,
+            duration=8.0,
+        )
         noise.append(1e3 * run.metrics.motor_reference_noise)
         light.append(math.degrees(made.sampled_at(0.008).phase_margin))
         peak.append(1 / made.sampled_at(0.020).modulus_margin)
@@ -86,12 +105,20 @@ def filters() -> Figure:
 def damping() -> Figure:
     """Damping ratio over the frequency of the mode: viscous and power law."""
     payloads = np.geomspace(0.004, 0.12, 60)
-    law = [fl.LinkModel(1.56, rig().natural_frequency(float(m)), order=1.92) for m in payloads]
+    law = [
+        fl.LinkModel(1.56, rig().natural_frequency(float(m)), order=1.92)
+        for m in payloads
+    ]
     base = rig().natural_frequency(0.030)
-    viscous = 0.0628 * np.array([rig().natural_frequency(float(m)) for m in payloads]) / base
+    viscous = (
+        0.0628 * np.array([rig().natural_frequency(float(m)) for m in payloads]) / base
+    )
     w = [abs(model.pole) for model in law]
     said = "The damping ratio of a viscous link rises with its frequency, that of a power law does not"
-    curves = [("power law, λ = 1.92", w, [100 * m.damping_ratio for m in law]), ("viscous", w, 100 * viscous)]
+    curves = [
+        ("power law, λ = 1.92", w, [100 * m.damping_ratio for m in law]),
+        ("viscous", w, 100 * viscous),
+    ]
     return lines(
         "damping",
         said,
@@ -107,7 +134,13 @@ def offset() -> Figure:
     """The tip after the gauge has got an offset."""
     made = design(0.0)
     run = fl.simulate(
-        made.law(), fl.hold(0.0), rig=rig(), model=rig().model, duration=6.0, noise=0.0, gauge_offset=0.078
+        made.law(),
+        fl.hold(0.0),
+        rig=rig(),
+        model=rig().model,
+        duration=6.0,
+        noise=0.0,
+        gauge_offset=0.078,
     )
     seen = np.abs(1e3 * run.tip_angle)
     envelope = np.maximum.accumulate(seen[::-1])[::-1]
@@ -130,34 +163,53 @@ def second_mode() -> Figure:
     shares = modes.participation * modes.curvature / link.stiffness
     w = np.unique(
         np.concatenate(
-            [np.geomspace(3, 600, 500), *(m * np.linspace(0.9, 1.1, 81) for m in modes.frequencies)]
+            [
+                np.geomspace(3, 600, 500),
+                *(m * np.linspace(0.9, 1.1, 81) for m in modes.frequencies),
+            ]
         )
     )
     w = w[w <= 600]
     s = 1j * w
     material = s ** (2 - rig().model.order)
     real = sum(
-        share * s**2 / (s**2 + m**2 * material) for share, m in zip(shares, modes.frequencies, strict=True)
+        share * s**2 / (s**2 + m**2 * material)
+        for share, m in zip(shares, modes.frequencies, strict=True)
     )
     lumped = rig().model.torque()(s) / link.stiffness
     said = "The gauge of a link with mass shows a second mode where the lumped model has none"
-    curves = [("twin", w, 20 * np.log10(np.abs(real))), ("lumped model", w, 20 * np.log10(np.abs(lumped)))]
+    curves = [
+        ("twin", w, 20 * np.log10(np.abs(real))),
+        ("lumped model", w, 20 * np.log10(np.abs(lumped))),
+    ]
     return lines(
-        "second-mode", said, "gauge over motor angle, Γ/(c θm) [dB]", curves, "frequency ω [rad/s]", log=True
+        "second-mode",
+        said,
+        "gauge over motor angle, Γ/(c θm) [dB]",
+        curves,
+        "frequency ω [rad/s]",
+        log=True,
     )
 
 
 def mode_gain() -> Figure:
-    """The open loop at the second mode with the rule's filter and with the one that bounds it."""
+    """The open loop at the second mode with the rule's filter and with the one that
+    bounds it.
+    """
     heavy = geared(rig(), 50)
     heavy = replace(heavy, link=replace(heavy.link, mass=0.00735))
     curves = []
-    beam = fl.Beam(heavy.link.length, heavy.link.stiffness * heavy.link.length / 3, 0.00735, 0.030)
+    beam = fl.Beam(
+        heavy.link.length, heavy.link.stiffness * heavy.link.length / 3, 0.00735, 0.030
+    )
     modes = beam.modes(3)
     shares = modes.participation * modes.curvature / heavy.link.stiffness
     w = np.unique(
         np.concatenate(
-            [np.geomspace(3, 600, 400), *(m * np.linspace(0.85, 1.15, 121) for m in modes.frequencies[:2])]
+            [
+                np.geomspace(3, 600, 400),
+                *(m * np.linspace(0.85, 1.15, 121) for m in modes.frequencies[:2]),
+            ]
         )
     )
     w, s = w[w <= 600], 1j * w[w <= 600]
@@ -167,12 +219,19 @@ def mode_gain() -> Figure:
     )
     for text, bound in (("10 % rule", 100.0), ("bounded to 0.5", 0.5)):
         made = fl.design(heavy.model, heavy, **ASK, mode_gain=bound)
-        hold = (1 - np.exp(-s * heavy.period)) / (s * heavy.period) * np.exp(-s * heavy.period)
-        loop = made.law().frequency_response(w) * hold * tip / (1 + s / heavy.motor_loop.pole) ** 2
+        hold = (
+            (1 - np.exp(-s * heavy.period))
+            / (s * heavy.period)
+            * np.exp(-s * heavy.period)
+        )
+        loop = (
+            made.law().frequency_response(w)
+            * hold
+            * tip
+            / (1 + s / heavy.motor_loop.pole) ** 2
+        )
         curves.append((text, w, 20 * np.log10(np.abs(loop))))
-    said = (
-        "The loop gain at the second mode: above one with the paper's filter, below one half with the bound"
-    )
+    said = "The loop gain at the second mode: above one with the paper's filter, below one half with the bound"
     peak = float(w[np.argmax(np.where(w > 100, curves[0][2], -np.inf))])
     above = [Across(0.0, "a gain of one"), Upright(peak, "second mode")]
     return lines(
@@ -210,7 +269,10 @@ def published() -> Figure:
             (
                 text,
                 1e3 * mass,
-                [k * abs(math.degrees(f.phase_margin)) for k, f in zip(sign, found, strict=True)],
+                [
+                    k * abs(math.degrees(f.phase_margin))
+                    for k, f in zip(sign, found, strict=True)
+                ],
             )
         )
     said = "Of the margin that the published procedure promises, the loop that runs keeps little"
@@ -239,11 +301,22 @@ def dropped() -> Figure:
             events=[PayloadChange(time=1.5, payload=0.020)],
         )
         curves.append(
-            (f"δ = {1e3 * made.controller.filter_time:.0f} ms", run.time[::2], 1e3 * run.error[::2])
+            (
+                f"δ = {1e3 * made.controller.filter_time:.0f} ms",
+                run.time[::2],
+                1e3 * run.error[::2],
+            )
         )
-    said = "Tip error of two designs whose payload falls from 30 g to 20 g after the move"
+    said = (
+        "Tip error of two designs whose payload falls from 30 g to 20 g after the move"
+    )
     return lines(
-        "dropped", said, "tip error [mrad]", curves, "time [s]", above=[Upright(1.5, "10 g fall off")]
+        "dropped",
+        said,
+        "tip error [mrad]",
+        curves,
+        "time [s]",
+        above=[Upright(1.5, "10 g fall off")],
     )
 
 
@@ -257,7 +330,9 @@ def stand_ins() -> Figure:
         made = fl.approximate(link, band=(0.1, 300.0), order=6, method=method)
         curves.append((method, w, 20 * np.log10(np.abs(made(1j * w) / exact))))
     said = "Error of the modulus of two rational approximations of order six"
-    return lines("stand-ins", said, "error of |G| [dB]", curves, "frequency ω [rad/s]", log=True)
+    return lines(
+        "stand-ins", said, "error of |G| [dB]", curves, "frequency ω [rad/s]", log=True
+    )
 
 
 def arms() -> Figure:
@@ -265,10 +340,13 @@ def arms() -> Figure:
     campaign = Campaign.of(rig(), rig().model, design().law(), runs=4000, seed=1)
     parts = [simulate_part(campaign, part) for part in range(campaign.parts)]
     friction, size, passed = (
-        np.concatenate([part[name] for part in parts]) for name in ("coulomb_torque", "amplitude", "passed")
+        np.concatenate([part[name] for part in parts])
+        for name in ("coulomb_torque", "amplitude", "passed")
     )
     titles = ("Coulomb torque over what is compensated", "move [rad]")
-    return fleets.failures_figure(friction.astype(float), size.astype(float), ~passed.astype(bool), titles)
+    return fleets.failures_figure(
+        friction.astype(float), size.astype(float), ~passed.astype(bool), titles
+    )
 
 
 def refused() -> Figure:
@@ -282,17 +360,24 @@ def refused() -> Figure:
     )
     request = {"gain_crossover": 30.0, "phase_margin": fl.deg(80)}
     try:
-        fl.design(rig().model, rig(), payloads=(0.020, 0.040), filter_time=0.0, **request)
+        fl.design(
+            rig().model, rig(), payloads=(0.020, 0.040), filter_time=0.0, **request
+        )
     except fl.errors.InfeasibleError as error:
         near = error.nearest
-        return loops.map_figure(found, (30.0, fl.deg(80)), (near["gain_crossover"], near["phase_margin"]))
+        return loops.map_figure(
+            found, (30.0, fl.deg(80)), (near["gain_crossover"], near["phase_margin"])
+        )
     return loops.map_figure(found)
 
 
 @cache
 def moves() -> tuple[fl.Run, ...]:
     move = fl.smooth_step(1.0, duration=0.5)
-    return tuple(fl.simulate(design(0.02), move, payload=m, duration=2.5) for m in (0.020, 0.030, 0.040))
+    return tuple(
+        fl.simulate(design(0.02), move, payload=m, duration=2.5)
+        for m in (0.020, 0.030, 0.040)
+    )
 
 
 def shaped_or_smooth() -> Figure:
@@ -301,7 +386,9 @@ def shaped_or_smooth() -> Figure:
     curves = []
     for order in (2.0, 1.95, 1.85):
         link = fl.LinkModel(1.56, 11.5, order=order)
-        curves.append((f"λ = {order:g}", t[1:], fl.step_response(link.tip(), t).output[1:]))
+        curves.append(
+            (f"λ = {order:g}", t[1:], fl.step_response(link.tip(), t).output[1:])
+        )
     said = "Exact step responses of links of three orders"
     return lines("steps", said, "tip after a step of the motor", curves, "time [s]")
 
@@ -332,9 +419,13 @@ class Picture:
 PICTURES: dict[str, Picture] = {
     "arm": Picture("The arm and its signals", "reference/symbols", arm_sketch),
     "loop": Picture("The loop", "reference/law", loop_sketch),
-    "log": Picture("A recorded log", "how-to/read-your-log", lambda: figures.log_figure(log())),
+    "log": Picture(
+        "A recorded log", "how-to/read-your-log", lambda: figures.log_figure(log())
+    ),
     "detail": Picture(
-        "A model over the log", "tutorial/from-log-to-board", lambda: figures.detail_figure(fit())
+        "A model over the log",
+        "tutorial/from-log-to-board",
+        lambda: figures.detail_figure(fit()),
     ),
     "response": Picture(
         "Model and log over frequency",
@@ -342,7 +433,9 @@ PICTURES: dict[str, Picture] = {
         lambda: figures.response_figure(log(), fit()) or "",
     ),
     "residual": Picture(
-        "What a model leaves", "explanation/identification", lambda: figures.residual_figure(fit()) or ""
+        "What a model leaves",
+        "explanation/identification",
+        lambda: figures.residual_figure(fit()) or "",
     ),
     "structures": Picture(
         "Four structures",
@@ -350,14 +443,24 @@ PICTURES: dict[str, Picture] = {
         lambda: figures.models_figure(comparison().fits, comparison().preferred),
     ),
     "damping": Picture("Two kinds of damping", "explanation/why-fractional", damping),
-    "steps": Picture("Steps of fractional links", "how-to/fractional-calculus", shaped_or_smooth),
+    "steps": Picture(
+        "Steps of fractional links", "how-to/fractional-calculus", shaped_or_smooth
+    ),
     "stand-ins": Picture("Rational stand-ins", "explanation/numerics", stand_ins),
     "second-mode": Picture("The twin’s second mode", "explanation/twin", second_mode),
-    "bode": Picture("The open loop", "how-to/design-a-controller", lambda: loops.bode_figure(design())),
-    "pid-step": Picture("A fractional PID on its plant", "how-to/tune-a-fractional-pid", pid_step),
+    "bode": Picture(
+        "The open loop",
+        "how-to/design-a-controller",
+        lambda: loops.bode_figure(design()),
+    ),
+    "pid-step": Picture(
+        "A fractional PID on its plant", "how-to/tune-a-fractional-pid", pid_step
+    ),
     "refused": Picture("What can be asked for", "how-to/design-a-controller", refused),
     "filters": Picture("The filter’s price", "how-to/choose-the-filter", filters),
-    "mode-gain": Picture("The loop at the second mode", "explanation/limits", mode_gain),
+    "mode-gain": Picture(
+        "The loop at the second mode", "explanation/limits", mode_gain
+    ),
     "margins": Picture(
         "Margins over the payload",
         "explanation/what-the-margins-mean",
@@ -370,10 +473,18 @@ PICTURES: dict[str, Picture] = {
         lambda: loops.budget_figure(phase_budget(design(), 0.020), 0.020),
     ),
     "nyquist": Picture(
-        "The disk around −1", "how-to/read-a-certificate", lambda: loops.nyquist_figure(design(0.0), 0.45)
+        "The disk around −1",
+        "how-to/read-a-certificate",
+        lambda: loops.nyquist_figure(design(0.0), 0.45),
     ),
-    "offset": Picture("An offset is forgotten", "explanation/offset-and-memory", offset),
-    "moves": Picture("One law, three payloads", "how-to/run-the-twin", lambda: runs.moves_figure(moves())),
+    "offset": Picture(
+        "An offset is forgotten", "explanation/offset-and-memory", offset
+    ),
+    "moves": Picture(
+        "One law, three payloads",
+        "how-to/run-the-twin",
+        lambda: runs.moves_figure(moves()),
+    ),
     "dropped": Picture("A payload that falls off", "how-to/run-the-twin", dropped),
     "arms": Picture("Where arms fail", "how-to/run-a-campaign", arms),
 }

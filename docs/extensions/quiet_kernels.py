@@ -1,7 +1,8 @@
-"""The kernels that run the pages say nothing of their own: what `make docs` prints is about the pages.
+"""The kernels that run the pages say nothing of their own: what `make docs` prints is
+about the pages.
 
-Each kernel would warn that it talks over TCP without encryption, which on the loopback of the machine that
-builds is as it should be, and each page would be announced.
+Each kernel would warn that it talks over TCP without encryption, which on the loopback
+of the machine that builds is as it should be, and each page would be announced.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
-"""From the log of a flexible-link robot to the fractional-order controller on its board.
+"""From the log of a flexible-link robot to the fractional-order controller on its
+board.
 
-Public names are loaded when they are first used: ``import fraclink`` itself loads numpy only. Everything
-public is an attribute of this module or of `fraclink.errors`; modules with an underscore are private.
+Public names are loaded when they are first used: ``import fraclink`` itself loads numpy
+only. Everything public is an attribute of this module or of `fraclink.errors`; modules
+with an underscore are private.
 """
 
 from __future__ import annotations
 
-import re
+import ast
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,13 +17,18 @@ from fraclink.errors import warn_deprecated
 
 __version__ = "0.1.0"
 
-# Public name -> module that defines it, as the stub says it to editors and type checkers: the only list.
+# Public name -> module that defines it, as the stub says it to editors and type
+# checkers: the only list.
 _STUB = Path(__file__).with_suffix(".pyi").read_text("utf-8")
 _HOME = {
-    name: home for home, name in re.findall(r"^from (fraclink\.\S+) import (\w+) as", _STUB, re.MULTILINE)
+    alias.name: node.module
+    for node in ast.parse(_STUB).body
+    if isinstance(node, ast.ImportFrom) and node.module and node.module != "fraclink"
+    for alias in node.names
 }
 
-# Old public name -> (new public name, release that removes the old one); docs/reference/stability.md.
+# Old public name -> (new public name, release that removes the old one);
+# docs/reference/stability.md.
 _RENAMED: dict[str, tuple[str, str]] = {}
 
 __all__ = sorted(["__version__", *_HOME])
@@ -30,7 +37,8 @@ __all__ = sorted(["__version__", *_HOME])
 def __getattr__(name: str) -> Any:
     if name in _HOME:
         value = getattr(import_module(_HOME[name]), name)
-        # Found once, it is an attribute like any other: __getattr__ is asked only for what is missing.
+        # Found once, it is an attribute like any other: __getattr__ is asked only for
+        # what is missing.
         globals()[name] = value
         return value
     if name in _RENAMED:

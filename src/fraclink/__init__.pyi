@@ -68,7 +68,9 @@ from fraclink._certify.statement import Certificate as Certificate
 from fraclink._certify.statement import Statement as Statement
 from fraclink._cli import main as main
 from fraclink._design.alternatives import FeasibilityMap as FeasibilityMap
-from fraclink._design.alternatives import compare_at_equal_sensitivity as compare_at_equal_sensitivity
+from fraclink._design.alternatives import (
+    compare_at_equal_sensitivity as compare_at_equal_sensitivity,
+)
 from fraclink._design.alternatives import feasibility_map as feasibility_map
 from fraclink._design.assess import MarginCurve as MarginCurve
 from fraclink._design.assess import PhaseShare as PhaseShare
@@ -114,7 +116,9 @@ from fraclink._identify.motor import identify_motor as identify_motor
 from fraclink._identify.payloads import JointFit as JointFit
 from fraclink._identify.payloads import identify_payloads as identify_payloads
 from fraclink._identify.spectrum import frequency_response as frequency_response
-from fraclink._identify.spectrum import identify_frequency_response as identify_frequency_response
+from fraclink._identify.spectrum import (
+    identify_frequency_response as identify_frequency_response,
+)
 from fraclink._identify.structure_fit import StructureFit as StructureFit
 from fraclink._identify.structures import identify_structure as identify_structure
 from fraclink._law.design import Design as Design
@@ -202,7 +206,9 @@ from fraclink._systems.commensurate import FractionalStateSpace as FractionalSta
 from fraclink._systems.commensurate import commensurate_order as commensurate_order
 from fraclink._systems.disk_margins import DiskMargin as DiskMargin
 from fraclink._systems.disk_margins import disk_margin as disk_margin
-from fraclink._systems.fractional import FractionalTransferFunction as FractionalTransferFunction
+from fraclink._systems.fractional import (
+    FractionalTransferFunction as FractionalTransferFunction,
+)
 from fraclink._systems.fractional import s as s
 from fraclink._systems.interop import from_control as from_control
 from fraclink._systems.interop import to_control as to_control
@@ -211,7 +217,9 @@ from fraclink._systems.margins import margins as margins
 from fraclink._systems.mittag_leffler import mittag_leffler as mittag_leffler
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
 from fraclink._systems.multivariable import MultivariableMargins as MultivariableMargins
-from fraclink._systems.multivariable import multivariable_margins as multivariable_margins
+from fraclink._systems.multivariable import (
+    multivariable_margins as multivariable_margins,
+)
 from fraclink._systems.norms import norm as norm
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate

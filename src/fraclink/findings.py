@@ -1,7 +1,8 @@
-"""A finding: something a check noticed, with its evidence and what to do; a verdict: what all was shown.
+"""A finding: something a check noticed, with its evidence and what to do; a verdict:
+what all was shown.
 
-Rigs, logs and fits carry findings instead of printing warnings, so that a report can show them
-and a program can act on their codes.
+Rigs, logs and fits carry findings instead of printing warnings, so that a report can
+show them and a program can act on their codes.
 """
 
 from __future__ import annotations
@@ -11,7 +12,15 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = ["Finding", "Scope", "Severity", "State", "Verdict", "errors_of", "worst_first"]
+__all__ = [
+    "Finding",
+    "Scope",
+    "Severity",
+    "State",
+    "Verdict",
+    "errors_of",
+    "worst_first",
+]
 
 Severity = Literal["info", "warning", "error"]
 
@@ -25,7 +34,8 @@ class Finding:
     code
         ``W101`` and so on: rig W1xx, log W2xx.
     severity
-        ``info`` (good to know), ``warning`` (results may mislead) or ``error`` (unusable).
+        ``info`` (good to know), ``warning`` (results may mislead) or ``error``
+        (unusable).
     message
         One sentence for a person.
     evidence
@@ -46,21 +56,40 @@ class Finding:
     remedy: str = ""
 
     def __post_init__(self) -> None:
-        # A copy behind a proxy: a finding travels with its experiment and is hashed, so that nobody may
-        # change its numbers, not even by the dict it was made from.
+        # A copy behind a proxy: a finding travels with its experiment and is hashed, so
+        # that nobody may change its numbers, not even by the dict it was made from.
         object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
 
     def __str__(self) -> str:
-        numbers = ", ".join(f"{name.replace('_', ' ')} {value:.6g}" for name, value in self.evidence.items())
-        text = f"{self.code} {self.severity}: {self.message}" + (f" ({numbers})" if numbers else "")
+        numbers = ", ".join(
+            f"{name.replace('_', ' ')} {value:.6g}"
+            for name, value in self.evidence.items()
+        )
+        text = f"{self.code} {self.severity}: {self.message}" + (
+            f" ({numbers})" if numbers else ""
+        )
         return text + (f"; {self.remedy}" if self.remedy else "")
 
     def __hash__(self) -> int:
-        return hash((self.code, self.severity, self.message, tuple(self.evidence.items()), self.remedy))
+        return hash(
+            (
+                self.code,
+                self.severity,
+                self.message,
+                tuple(self.evidence.items()),
+                self.remedy,
+            )
+        )
 
     def __reduce__(self) -> tuple[object, ...]:
         # A mapping proxy cannot cross a process border; its dict can.
-        return type(self), (self.code, self.severity, self.message, dict(self.evidence), self.remedy)
+        return type(self), (
+            self.code,
+            self.severity,
+            self.message,
+            dict(self.evidence),
+            self.remedy,
+        )
 
 
 def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
@@ -73,15 +102,18 @@ def errors_of(findings: Iterable[Finding]) -> tuple[Finding, ...]:
 
 
 def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return the findings with errors before warnings, and these before the others, else in their order."""
-    # sorted() is stable: within a severity findings stay in the order in which a person would ask.
+    """Return the findings with errors before warnings, and these before the others,
+    else in their order.
+    """
+    # sorted() is stable: within a severity findings stay in the order in which a person
+    # would ask.
     order = {"error": 0, "warning": 1, "info": 2}
     return tuple(sorted(findings, key=lambda finding: order[finding.severity]))
 
 
 State = Literal["passed", "failed", "not shown", "not run"]
-# What was refuted is worse than what could not be shown, and this worse than what nobody asked for: a verdict
-# of parts is none better than any of them.
+# What was refuted is worse than what could not be shown, and this worse than what
+# nobody asked for: a verdict of parts is none better than any of them.
 _WORST_FIRST: tuple[State, ...] = ("failed", "not shown", "not run", "passed")
 
 
@@ -97,9 +129,10 @@ class Scope:
 class Verdict:
     """What was shown, in three scopes; the whole is never better than its worst part.
 
-    promise: the requirements of the design, and their proof where one was asked for. model: simulated moves
-    of the identified model. reality: arms that differ from the model, and faults if they were injected.
-    remarks stand beside the verdict and do not change it.
+    promise: the requirements of the design, and their proof where one was asked for.
+    model: simulated moves of the identified model. reality: arms that differ from the
+    model, and faults if they were injected. remarks stand beside the verdict and do not
+    change it.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'
@@ -128,13 +161,19 @@ class Verdict:
 
     @property
     def refuted(self) -> bool:
-        """Whether a scope failed or could not be shown; what was not run refutes nothing."""
-        # A proof that ended undecided counts as refuted here: it was asked for, and the arm must not be taken
-        # for safe.
+        """Whether a scope failed or could not be shown; what was not run refutes
+        nothing.
+        """
+        # A proof that ended undecided counts as refuted here: it was asked for, and the
+        # arm must not be taken for safe.
         return self.state in ("failed", "not shown")
 
     @property
     def reasons(self) -> tuple[str, ...]:
         """The reasons of all scopes, each once."""
         # dict keeps the order, which a set would not.
-        return tuple(dict.fromkeys(reason for scope in self.scopes.values() for reason in scope.reasons))
+        return tuple(
+            dict.fromkeys(
+                reason for scope in self.scopes.values() for reason in scope.reasons
+            )
+        )

@@ -1,4 +1,6 @@
-"""What the command line prints: both streams, exit code and files written, as one text for each command."""
+"""What the command line prints: both streams, exit code and files written, as one text
+for each command.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,9 @@ ARM = f"{RIG} --gear 50 --link-mass 0.00735"
 BUNDLED = ("prbs_20g", "prbs_30g", "prbs_40g", "pulse_30g")
 THREE = "prbs_20g.csv prbs_30g.csv prbs_40g.csv"
 
-# Name of the text: the command. They run in one folder; `NEEDS` says which must have run before. Left out is
-# what takes long or prints times: run-realtime, serve-arm, export c --prove.
+# Name of the text: the command. They run in one folder; `NEEDS` says which must have
+# run before. Left out is what takes long or prints times: run-realtime, serve-arm,
+# export c --prove.
 COMMANDS: dict[str, str] = {
     "version": "--version",
     "help": "--help",
@@ -48,7 +51,8 @@ COMMANDS: dict[str, str] = {
     "identify-payloads-tied": f"identify-payloads {THREE} {RIG} --tied",
     "identify-motor": f"identify-motor motor.csv {RIG} {DRIVE}",
     "identify-spectrum": "identify-spectrum response.csv",
-    # With both orders given nothing is left to a search, whose last digit is the machine's.
+    # With both orders given nothing is left to a search, whose last digit is the
+    # machine's.
     "tune-pid": "tune-pid 1/(0.8*s**2.2+0.5*s**0.9+1) --gain-crossover 2 --integral-order 1.2 "
     "--derivative-order 0.95 --out pid.json",
     "identify-structure": "identify-structure response.csv k*s**a/(s**a+w) --out structure.json",
@@ -111,13 +115,24 @@ NEEDS: dict[str, str] = {
     "campaign-replay": "campaign-montecarlo",
     "report": "run",
 } | dict.fromkeys(
-    ("simulate", "simulate-heavy", "twin", "certify", "certify-fails", "assess", "assess-json", "optimise"),
+    (
+        "simulate",
+        "simulate-heavy",
+        "twin",
+        "certify",
+        "certify-fails",
+        "assess",
+        "assess-json",
+        "optimise",
+    ),
     "design",
 )
 
 
 def _inputs() -> None:
-    """The bundled logs, a log with voltages, and a table of gain and phase, as a user has them."""
+    """The bundled logs, a log with voltages, and a table of gain and phase, as a user
+    has them.
+    """
     for name in BUNDLED:
         Path(f"{name}.csv").write_bytes(fl.bundled_log(name).read_bytes())
     voltage, angle = example_motor_log(samples=2500)
@@ -130,7 +145,9 @@ def _inputs() -> None:
         x = (1j * (1 + 0.5 * k)) ** 1.92
         h = 1.56 * x / (x + 100)
         phase = math.degrees(math.atan2(h.imag, h.real))
-        rows.append(f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}")
+        rows.append(
+            f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}"
+        )
     Path("response.csv").write_text("\n".join(rows) + "\n", "utf-8")
 
 
@@ -140,22 +157,36 @@ def _rounded(match: re.Match[str]) -> str:
 
 
 def normalised(text: str, folder: Path) -> str:
-    """`text` without what belongs to the machine: paths, the release, the last digits of long numbers."""
-    for place, word in ((str(fl.bundled_log("prbs_30g").parent), "LOGS"), (str(folder), "HERE")):
+    """`text` without what belongs to the machine: paths, the release, the last digits
+    of long numbers.
+    """
+    for place, word in (
+        (str(fl.bundled_log("prbs_30g").parent), "LOGS"),
+        (str(folder), "HERE"),
+    ):
         text = text.replace(place, word)
     text = text.replace(fl.__version__, "VERSION")
-    # Only JSON prints as many digits; a rounding error at the end of them is no change of behaviour.
+    # Only JSON prints as many digits; a rounding error at the end of them is no change
+    # of behaviour.
     return re.sub(r"-?\d+\.\d{9,}(?:e[-+]?\d+)?|-?\d\.\d+e-\d+", _rounded, text)
 
 
 def answer(line: str, folder: Path) -> str:
     """Run one command in the folder one is in and return all that it did, as one text."""
-    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+    before = {
+        path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()
+    }
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main(line.split())
-    now = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-    written = sorted(path.relative_to(folder).as_posix() for path in now if now[path] != before.get(path))
+    now = {
+        path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()
+    }
+    written = sorted(
+        path.relative_to(folder).as_posix()
+        for path in now
+        if now[path] != before.get(path)
+    )
     parts = [f"$ fraclink {line}\n", out.getvalue()]
     parts += ["--- standard error\n", err.getvalue()] if err.getvalue() else []
     parts += [f"--- exit code {code}\n"]
@@ -164,7 +195,9 @@ def answer(line: str, folder: Path) -> str:
 
 
 class Desk:
-    """A folder with the inputs, in which each command runs once, and before it what it needs."""
+    """A folder with the inputs, in which each command runs once, and before it what it
+    needs.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

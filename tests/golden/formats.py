@@ -1,7 +1,9 @@
-"""Files as release 0.1 wrote them: every later release must read them, and find in them what stood there.
+"""Files as release 0.1 wrote them: every later release must read them, and find in them
+what stood there.
 
-The folder `formats` is never written again: a new format adds a file. design-format-1.json is a design from
-before controllers had a lead. Results without a reader (comparison, assessment, design map) are not here.
+The folder `formats` is never written again: a new format adds a file.
+design-format-1.json is a design from before controllers had a lead. Results without a
+reader (comparison, assessment, design map) are not here.
 """
 
 from __future__ import annotations
@@ -22,7 +24,14 @@ from fraclink._identify import load_model
 from fraclink._realtime import RealtimeRun, ServedArm
 
 FOLDER = Path(__file__).resolve().parent / "formats"
-LINK = ("stiffness", "natural_frequency", "order", "damping", "damping_order", "payload")
+LINK = (
+    "stiffness",
+    "natural_frequency",
+    "order",
+    "damping",
+    "damping_order",
+    "payload",
+)
 
 Found = dict[str, Any]
 
@@ -42,7 +51,9 @@ def rigs() -> Found:
     found: Found = {}
     for path in (FOLDER / "rig-by-hand.toml", FOLDER / "study" / "rig.toml"):
         rig = fl.Rig.load(path)
-        motor = _named(rig.motor, "inertia", "viscous_friction", "torque_constant", "gear_ratio")
+        motor = _named(
+            rig.motor, "inertia", "viscous_friction", "torque_constant", "gear_ratio"
+        )
         link = _named(rig.link, "length", "flexural_rigidity", "stiffness", "mass")
         span = _named(rig.payloads, "low", "high", "nominal")
         sensors = _named(rig.gauge, "noise", "offset", "limit", "quantum")
@@ -55,11 +66,23 @@ def rigs() -> Found:
 
 def _plan(plan: fl.Design) -> Found:
     return {
-        **_named(plan.controller, "gain", "order", "filter_time", "filter_order", "period"),
-        **_named(plan, "gain_crossover", "phase_margin", "chi", "payloads", "natural_frequencies", "passed"),
+        **_named(
+            plan.controller, "gain", "order", "filter_time", "filter_order", "period"
+        ),
+        **_named(
+            plan,
+            "gain_crossover",
+            "phase_margin",
+            "chi",
+            "payloads",
+            "natural_frequencies",
+            "passed",
+        ),
         "rig": plan.rig.name,
         "model": _named(plan.model, *LINK),
-        "requirements": [[r.name, r.wanted, r.achieved, r.passed] for r in plan.requirements],
+        "requirements": [
+            [r.name, r.wanted, r.achieved, r.passed] for r in plan.requirements
+        ],
         "findings": [finding.code for finding in plan.findings],
     }
 
@@ -70,7 +93,15 @@ def designs() -> Found:
     found: Found = {name: _plan(fl.Design.load(FOLDER / name)) for name in files}
     for name in ("law-single.json", "law-no-motor.json", "study/law.json"):
         law = fl.Law.load(FOLDER / name)
-        about = _named(law, "digest", "precision", "period", "stiffness", "order", "correction_error")
+        about = _named(
+            law,
+            "digest",
+            "precision",
+            "period",
+            "stiffness",
+            "order",
+            "correction_error",
+        )
         found[name] = about | {"drive": law.drive is not None}
     for name in ("model.json", "study/model.json"):
         found[name] = _named(load_model(FOLDER / name), *LINK)
@@ -84,7 +115,9 @@ def study() -> Found:
     assert got.experiment is not None and got.comparison is not None
     assert got.faults is not None and got.fit is not None
     return {
-        "log": _named(got.experiment, "period", "payload", "source", "notes", "output_kind")
+        "log": _named(
+            got.experiment, "period", "payload", "source", "notes", "output_kind"
+        )
         | _sums(got.experiment, "motor_angle", "output"),
         "fits": {
             name: _named(fit, "gain", "offset", "delay", "mse", "aic", "converged")
@@ -97,12 +130,24 @@ def study() -> Found:
         "preferred": got.comparison.preferred,
         "findings": [[finding.code, finding.severity] for finding in got.findings],
         "certificate": _named(old, "passed", "leaves", "verdict")
-        | _named(old.statement, "modulus", "payload_low", "payload_high", "delay_high", "digest"),
+        | _named(
+            old.statement,
+            "modulus",
+            "payload_low",
+            "payload_high",
+            "delay_high",
+            "digest",
+        ),
         "uncertified": got.uncertified,
         "runs": [_run(run) for run in got.runs],
         "assumptions": got.assumptions,
         "faults": {
-            outcome.case.name: [outcome.passed, outcome.mode, outcome.peak, outcome.reacted]
+            outcome.case.name: [
+                outcome.passed,
+                outcome.mode,
+                outcome.peak,
+                outcome.reacted,
+            ]
             for outcome in got.faults.outcomes
         },
         "about_faults": got.faults.about,
@@ -111,28 +156,85 @@ def study() -> Found:
 
 def _run(run: fl.Run) -> Found:
     return (
-        _named(run.metrics, "overshoot", "settling_time", "peak_voltage", "steady_state_error")
-        | {"passed": run.verdict.passed, "payload": run.payload, "seed": run.about["seed"]}
-        | _sums(run, "time", "reference", "tip_angle", "motor_angle", "torque", "voltage", "flags", "mode")
+        _named(
+            run.metrics,
+            "overshoot",
+            "settling_time",
+            "peak_voltage",
+            "steady_state_error",
+        )
+        | {
+            "passed": run.verdict.passed,
+            "payload": run.payload,
+            "seed": run.about["seed"],
+        }
+        | _sums(
+            run,
+            "time",
+            "reference",
+            "tip_angle",
+            "motor_angle",
+            "torque",
+            "voltage",
+            "flags",
+            "mode",
+        )
     )
 
 
 def runs() -> Found:
     """Runs of the twin, in real time, of a served arm, and a log as CSV."""
-    twin, live = fl.Run.load(FOLDER / "twin-run.npz"), fl.load(FOLDER / "realtime-run.npz", RealtimeRun)
+    twin, live = (
+        fl.Run.load(FOLDER / "twin-run.npz"),
+        fl.load(FOLDER / "realtime-run.npz", RealtimeRun),
+    )
     arm = fl.load(FOLDER / "served-arm.npz", ServedArm)
     log = fl.read_log(FOLDER / "log.csv")
     law = fl.Law.load(FOLDER / "study" / "law.json")
     return {
-        "twin": _sums(twin, "time", "tip_angle", "motor_angle", "torque_measured", "voltage", "mode")
+        "twin": _sums(
+            twin,
+            "time",
+            "tip_angle",
+            "motor_angle",
+            "torque_measured",
+            "voltage",
+            "mode",
+        )
         | _sums(SimpleNamespace(**twin.extras), "payload")
-        | {"finished": twin.finished, "overshoot": twin.metrics.overshoot, "about": twin.about},
-        "real time": _sums(live, "time", "latency", "work", "motor_angle", "voltage", "tick", "mode", "flags")
-        | _named(live, "period", "connection", "stopped", "lost_commands", "origin", "passed", "missed")
+        | {
+            "finished": twin.finished,
+            "overshoot": twin.metrics.overshoot,
+            "about": twin.about,
+        },
+        "real time": _sums(
+            live,
+            "time",
+            "latency",
+            "work",
+            "motor_angle",
+            "voltage",
+            "tick",
+            "mode",
+            "flags",
+        )
+        | _named(
+            live,
+            "period",
+            "connection",
+            "stopped",
+            "lost_commands",
+            "origin",
+            "passed",
+            "missed",
+        )
         | {"difference": live.difference(law)},
         "served arm": _sums(arm, "tip_angle", "voltage", "connected")
-        | _named(arm, "period", "late", "controllers", "silences", "rejected", "scheduling"),
-        "log": _named(log, "period", "payload", "notes") | _sums(log, "motor_angle", "output"),
+        | _named(
+            arm, "period", "late", "controllers", "silences", "rejected", "scheduling"
+        ),
+        "log": _named(log, "period", "payload", "notes")
+        | _sums(log, "motor_angle", "output"),
     }
 
 
@@ -143,10 +245,13 @@ def campaigns() -> Found:
     assert part is not None
     proof = Proof.load(FOLDER / "proof.json")
     return {
-        "campaign": _named(campaign, "runs", "seed", "motor_loop", "duration", "fingerprint"),
+        "campaign": _named(
+            campaign, "runs", "seed", "motor_loop", "duration", "fingerprint"
+        ),
         "part": {name: float(np.sum(values)) for name, values in part.items()},
         "proof": {
-            claim.name: [claim.statement, claim.status, claim.tools, claim.logs] for claim in proof.claims
+            claim.name: [claim.statement, claim.status, claim.tools, claim.logs]
+            for claim in proof.claims
         }
         | {"law": proof.law, "sources": proof.sources},
     }
@@ -154,4 +259,10 @@ def campaigns() -> Found:
 
 def formats() -> dict[str, Callable[[], Found]]:
     """What is read from every file."""
-    return {"rigs": rigs, "designs": designs, "study": study, "runs": runs, "campaigns": campaigns}
+    return {
+        "rigs": rigs,
+        "designs": designs,
+        "study": study,
+        "runs": runs,
+        "campaigns": campaigns,
+    }

@@ -1,7 +1,9 @@
-"""The interface as users meet it: every default and every range of functions, classes and commands.
+"""The interface as users meet it: every default and every range of functions, classes
+and commands.
 
-A default that moves changes what a script of last year computes; a range that moves changes what is refused.
-The entries go by the public name, so that a function may move between modules.
+A default that moves changes what a script of last year computes; a range that moves
+changes what is refused. The entries go by the public name, so that a function may move
+between modules.
 
     python -m tests.golden.interface    # record it again, for a change that is wanted
 """
@@ -44,7 +46,9 @@ def interface() -> Plain:
 def _function(function: Any) -> Plain:
     known = {name: rule.expected for name, rule in _rules(function).items()}
     return {
-        p.name: _entry(_default(p.default, inspect.Parameter.empty), known.get(p.name, ""))
+        p.name: _entry(
+            _default(p.default, inspect.Parameter.empty), known.get(p.name, "")
+        )
         for p in inspect.signature(function).parameters.values()
         if p.name != "self"
     }
@@ -55,7 +59,9 @@ def _fields(kind: type) -> Plain:
         return {}
     known = {name: rule.expected for name, rule in _rules(kind).items()}
     return {
-        f.name: _entry(_default(f.default, MISSING), known.get(f.name, "")) for f in fields(kind) if f.init
+        f.name: _entry(_default(f.default, MISSING), known.get(f.name, ""))
+        for f in fields(kind)
+        if f.init
     }
 
 
@@ -71,7 +77,9 @@ def _entry(default: str, admitted: str) -> str:
 
 
 def _default(value: object, none: object) -> str:
-    """The default as text; what is no number, text or tuple of them by the name of its kind."""
+    """The default as text; what is no number, text or tuple of them by the name of its
+    kind.
+    """
     if value is none:
         return "required"
     text = repr(value)
@@ -87,7 +95,9 @@ def _commands(group: Any, before: str, parent: Any) -> Plain:
             found |= _commands(command, f"{before}{name} ", context)
         else:
             found[before + name] = {
-                " ".join(p.opts): "required" if p.required else _default(p.default, inspect.Parameter.empty)
+                " ".join(p.opts): "required"
+                if p.required
+                else _default(p.default, inspect.Parameter.empty)
                 for p in command.params
                 if p.name != "help"
             }
@@ -95,4 +105,6 @@ def _commands(group: Any, before: str, parent: Any) -> Plain:
 
 
 if __name__ == "__main__":
-    RECORD.write_text(json.dumps(interface(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    RECORD.write_text(
+        json.dumps(interface(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8"
+    )

@@ -1,17 +1,18 @@
-"""Golden figures: what the package computes today, recorded so that a rebuilding can be compared with it.
+"""Golden figures: what the package computes today, recorded so that a rebuilding can be
+compared with it.
 
     python -m tests.golden.record runs designs    # record these topics again
     python -m tests.golden.record commands        # the texts of the command line
     python -m tests.golden.record                 # list the topics
 
-Each topic is a function that returns its entries: a title, and the function that makes the plain JSON values
-under it. `tests/test_golden.py` makes each entry in a test of its own and names every value that differs.
-What is under a key ``sha256`` is compared bit for bit, and only where this machine's floating-point functions
-give the bits of the machine that recorded it (`probe`); the numbers beside the digests are compared
+Each topic is a function that returns its entries: a title, and the function that makes
+the plain JSON values under it. `tests/test_golden.py` makes each entry in a test of its
+own and names every value that differs. What is under a key ``sha256`` is compared bit
+for bit, and only where this machine's floating-point functions give the bits of the
+machine that recorded it (`probe`); the numbers beside the digests are compared
 everywhere. Record a topic again only for a difference that is understood and wanted.
 """
 
-# ruff: noqa: E402
 from __future__ import annotations
 
 import functools
@@ -37,20 +38,21 @@ import fraclink as fl
 # As a script it finds what the tests find by pytest's `pythonpath`.
 sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
-# The names that are not at the root: all of them here, so that a move of modules is one edit.
-from fraclink._campaign import Campaign, simulate_part
-from fraclink._campaign.faults import Bench, Case, run_case
-from fraclink._certify import Certificate
-from fraclink._design import optimise
-from fraclink._export import export_fmu, export_io, export_matlab
-from fraclink._identify import (
+# The names that are not at the root: all of them here, so that a move of modules is one
+# edit.
+from fraclink._campaign import Campaign, simulate_part  # noqa: E402
+from fraclink._campaign.faults import Bench, Case, run_case  # noqa: E402
+from fraclink._certify import Certificate  # noqa: E402
+from fraclink._design import optimise  # noqa: E402
+from fraclink._export import export_fmu, export_io, export_matlab  # noqa: E402
+from fraclink._identify import (  # noqa: E402
     design_experiment,
     identify_frequency_response,
     identify_motor,
     identify_payloads,
 )
-from fraclink._law import equip
-from fraclink._simulate import (
+from fraclink._law import equip  # noqa: E402
+from fraclink._simulate import (  # noqa: E402
     FractionalKelvinVoigt,
     KelvinVoigt,
     Obstacle,
@@ -61,23 +63,29 @@ from fraclink._simulate import (
     TipPulse,
     geared,
 )
-from fraclink.errors import InfeasibleError
-from made_logs import example_motor_log
-from reproduce.evidence import EVIDENCE
-from reproduce.published import read_published
-from reproduce.values import computed
+from fraclink.errors import InfeasibleError  # noqa: E402
+from made_logs import example_motor_log  # noqa: E402
+from reproduce.evidence import EVIDENCE  # noqa: E402
+from reproduce.published import read_published  # noqa: E402
+from reproduce.values import computed  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
-from golden.commands import record_commands  # type: ignore[attr-defined]
-from golden.formats import formats  # type: ignore[attr-defined]
-from golden.rooms import rooms  # type: ignore[attr-defined]
+from golden.commands import record_commands  # type: ignore[attr-defined]  # noqa: E402
+from golden.formats import formats  # type: ignore[attr-defined]  # noqa: E402
+from golden.rooms import rooms  # type: ignore[attr-defined]  # noqa: E402
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
 RIG = fl.Rig.named("paper-2023")
 GEARED = geared(RIG)  # the motor behind its gear of 50
 LINK = RIG.model
-METRICS = ("steady_state_error", "residual_vibration", "overshoot", "peak_tip_error", "settling_time")
+METRICS = (
+    "steady_state_error",
+    "residual_vibration",
+    "overshoot",
+    "peak_tip_error",
+    "settling_time",
+)
 
 Plain = dict[str, Any]
 Entries = dict[str, Callable[[], Any]]
@@ -101,25 +109,43 @@ def plain(value: Any) -> Any:
 
 
 def digest(values: ArrayLike | bytes) -> str:
-    """The first 16 hexadecimal digits of SHA-256 of bytes, or of an array's bytes as float64 or uint32."""
+    """The first 16 hexadecimal digits of SHA-256 of bytes, or of an array's bytes as
+    float64 or uint32.
+    """
     if not isinstance(values, bytes):
         array = np.asarray(values)
-        values = np.ascontiguousarray(array, dtype="<u4" if array.dtype.kind == "u" else "<f8").tobytes()
+        values = np.ascontiguousarray(
+            array, dtype="<u4" if array.dtype.kind == "u" else "<f8"
+        ).tobytes()
     return hashlib.sha256(values).hexdigest()[:16]
 
 
 @functools.cache
 def probe() -> str:
-    """Digest of what this machine makes of the functions whose last bit is not the same everywhere."""
+    """Digest of what this machine makes of the functions whose last bit is not the same
+    everywhere.
+    """
     x = np.linspace(-3.0, 3.0, 1001)
     z = (0.3 + 1j * np.abs(x) + 1e-3) ** 0.61
     matrix = np.sin(np.outer(np.arange(1.0, 9.0), np.arange(1.0, 9.0)))
-    parts = (np.exp(x), np.sin(x), np.log(np.abs(x) + 0.1), z.real, z.imag, matrix @ matrix.T)
+    parts = (
+        np.exp(x),
+        np.sin(x),
+        np.log(np.abs(x) + 0.1),
+        z.real,
+        z.imag,
+        matrix @ matrix.T,
+    )
     roots = np.linalg.eigvals(matrix)
-    # From some size on BLAS shares a product among its threads: their number decides where it rounds.
+    # From some size on BLAS shares a product among its threads: their number decides
+    # where it rounds.
     count = np.arange(1.0, 301.0)
     shared = np.cos(np.outer(count, count))
-    return digest(np.concatenate([np.ravel(p) for p in (*parts, roots.real, roots.imag, shared @ shared)]))
+    return digest(
+        np.concatenate(
+            [np.ravel(p) for p in (*parts, roots.real, roots.imag, shared @ shared)]
+        )
+    )
 
 
 # --- the laws that the runs are made with: files, so that another fit of a law changes no run
@@ -127,7 +153,11 @@ def probe() -> str:
 
 def design_of(rig: fl.Rig, **asked: Any) -> fl.Design:
     """The design that most figures start from."""
-    wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    wanted = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     return fl.design(rig.model, rig, **(wanted | asked))
 
 
@@ -150,7 +180,9 @@ def unguarded_law() -> fl.Law:
     return replace(default_law(), limits=far)
 
 
-PRINTED = fl.Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK)
+PRINTED = fl.Controller(
+    gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK
+)
 
 # How the laws are fitted today. Recorded once; the runs read the files.
 LAWS: dict[str, Callable[[], fl.Law]] = {
@@ -190,10 +222,17 @@ SIGNALS = (
 
 def run_figures(run: Any) -> Plain:
     """Digest of every signal that a run has, and what makes a difference readable."""
-    figures = {name: getattr(run.metrics, name) for name in (*METRICS, "peak_voltage", "saturated")}
+    figures = {
+        name: getattr(run.metrics, name)
+        for name in (*METRICS, "peak_voltage", "saturated")
+    }
     return plain(
         {
-            "sha256": {name: digest(getattr(run, name)) for name in SIGNALS if hasattr(run, name)},
+            "sha256": {
+                name: digest(getattr(run, name))
+                for name in SIGNALS
+                if hasattr(run, name)
+            },
             "samples": len(run.time),
             "final_tip_angle": run.tip_angle[-1],
             "largest_torque": np.abs(run.torque).max(),
@@ -210,7 +249,12 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
     move = fl.smooth_step(1.0, 0.5)
     for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
         for inner, named in (("ideal", "outer"), ("sampled", "default")):
-            options: Plain = {"payload": grams / 1e3, "seed": seed, "motor_loop": inner, "duration": 3.0}
+            options: Plain = {
+                "payload": grams / 1e3,
+                "seed": seed,
+                "motor_loop": inner,
+                "duration": 3.0,
+            }
             yield (
                 f"model {grams} g {inner}",
                 partial(fl.simulate, law(named), move, rig=RIG, model=LINK, **options),
@@ -226,12 +270,21 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         "single": ("default", "single", {"seed": 16}),
         "order 4": ("order-4", "double", {"seed": 17}),
         "direct": ("direct", "double", {"seed": 18}),
-        "measured": ("default", "double", {"compensation": "measured", "seed": 19, "substeps": 3}),
+        "measured": (
+            "default",
+            "double",
+            {"compensation": "measured", "seed": 19, "substeps": 3},
+        ),
         "printed": ("printed", "double", {"payload": 0.040, "seed": 20}),
     }
     for title, (named, precision, options) in several.items():
         made = {"motor_loop": "sampled", "duration": 3.0} | options
-        yield f"model {title}", partial(fl.simulate, law(named, precision), move, rig=RIG, model=LINK, **made)
+        yield (
+            f"model {title}",
+            partial(
+                fl.simulate, law(named, precision), move, rig=RIG, model=LINK, **made
+            ),
+        )
     links = {
         "D-FOM": fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6),
         "D-IOM": fl.LinkModel(1.56, 11.0, damping=0.5),
@@ -289,10 +342,14 @@ def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
     }
     for seed, (title, damping) in enumerate(materials.items()):
         for grams in (20, 40):
-            arm = fl.Twin.from_rig(GEARED, payload=grams / 1e3, link_mass=LINK_MASS, damping=damping)
+            arm = fl.Twin.from_rig(
+                GEARED, payload=grams / 1e3, link_mass=LINK_MASS, damping=damping
+            )
             yield (
                 f"twin {title} {grams} g",
-                partial(fl.simulate, law("geared"), move, arm=arm, duration=3.0, seed=seed),
+                partial(
+                    fl.simulate, law("geared"), move, arm=arm, duration=3.0, seed=seed
+                ),
             )
     arm = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS)
     slow = fl.Twin.from_rig(GEARED, link_mass=LINK_MASS, gauge_delay=0.004)
@@ -305,29 +362,54 @@ def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
         "gauge NaN": [SensorFault(time=0.5, until=0.6, kind="gauge value", value=nan)],
         "encoder frozen": [SensorFault(time=0.5, until=0.8, kind="encoder frozen")],
         "gauge gain": [SensorFault(time=0.3, until=2.0, kind="gauge gain", value=0.8)],
-        "channels swapped": [SensorFault(time=0.5, until=0.508, kind="channels swapped")],
+        "channels swapped": [
+            SensorFault(time=0.5, until=0.508, kind="channels swapped")
+        ],
         "ticks": [
             SensorFault(time=0.4, until=0.404, kind="tick missed"),
             SensorFault(time=0.8, until=0.804, kind="tick repeated"),
         ],
     }
     for seed, (title, list_) in enumerate(events.items()):
-        run = partial(fl.simulate, law("geared"), move, arm=arm, duration=3.0, seed=seed, events=list_)
+        run = partial(
+            fl.simulate,
+            law("geared"),
+            move,
+            arm=arm,
+            duration=3.0,
+            seed=seed,
+            events=list_,
+        )
         yield f"twin {title}", run
-    yield "twin single", partial(fl.simulate, law("geared", "single"), move, arm=arm, duration=3.0, seed=5)
-    yield "twin late gauge", partial(fl.simulate, law("geared"), move, arm=slow, duration=3.0, seed=6)
+    yield (
+        "twin single",
+        partial(
+            fl.simulate, law("geared", "single"), move, arm=arm, duration=3.0, seed=5
+        ),
+    )
+    yield (
+        "twin late gauge",
+        partial(fl.simulate, law("geared"), move, arm=slow, duration=3.0, seed=6),
+    )
     there = fl.smooth_step(1.0, 0.6).then(fl.smooth_step(-0.5, 0.6))
-    yield "twin two moves", partial(fl.simulate, law("geared"), there, arm=arm, duration=3.0, seed=7)
+    yield (
+        "twin two moves",
+        partial(fl.simulate, law("geared"), there, arm=arm, duration=3.0, seed=7),
+    )
 
 
 def campaign_figures(inner: str, seed: int) -> Plain:
     """Every column of a Monte Carlo part of 250 arms."""
-    columns = simulate_part(Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=inner), 0)
+    columns = simulate_part(
+        Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=inner), 0
+    )
     finite = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
     return plain(
         {
             "sha256": {name: digest(values) for name, values in finite.items()},
-            "median": {name: float(np.median(values)) for name, values in finite.items()},
+            "median": {
+                name: float(np.median(values)) for name, values in finite.items()
+            },
             "largest": {name: float(np.max(values)) for name, values in finite.items()},
         }
     )
@@ -336,9 +418,17 @@ def campaign_figures(inner: str, seed: int) -> Plain:
 def fault_figures(name: str, severity: int, phase: str) -> Plain:
     """One case of the fault campaign in double and single precision."""
     bench = replace(_bench(), law=law("geared"))
-    outcome = run_case(bench, Case(name, severity, 0.030, phase, 3), single=severity == 1)
-    checks = {check.name: [check.measured, check.limit, check.passed] for check in outcome.checks}
-    told = {field: getattr(outcome, field) for field in ("peak", "clean_peak", "final", "mode", "reason")}
+    outcome = run_case(
+        bench, Case(name, severity, 0.030, phase, 3), single=severity == 1
+    )
+    checks = {
+        check.name: [check.measured, check.limit, check.passed]
+        for check in outcome.checks
+    }
+    told = {
+        field: getattr(outcome, field)
+        for field in ("peak", "clean_peak", "final", "mode", "reason")
+    }
     return plain(told | {"reacted": outcome.reacted, "checks": checks})
 
 
@@ -355,7 +445,9 @@ FAULTS: tuple[tuple[str, int, str], ...] = (
     ("F23", 2, "mid"),
 )
 # Every fault with every severity, which costs 20 ms each.
-FAULTS += tuple((fault.number, severity, "mid") for fault in fl.CATALOGUE for severity in (1, 2, 3))
+FAULTS += tuple(
+    (fault.number, severity, "mid") for fault in fl.CATALOGUE for severity in (1, 2, 3)
+)
 
 
 def _of_run(make: Callable[[], Any]) -> Plain:
@@ -364,13 +456,17 @@ def _of_run(make: Callable[[], Any]) -> Plain:
 
 def runs() -> Entries:
     """Seeded runs of model, twin, Monte Carlo campaign and faults."""
-    made: Entries = {title: partial(_of_run, make) for title, make in (*model_runs(), *twin_runs())}
+    made: Entries = {
+        title: partial(_of_run, make) for title, make in (*model_runs(), *twin_runs())
+    }
     made |= {
         f"campaign {inner}": partial(campaign_figures, inner, seed)
         for inner, seed in (("sampled", 7), ("ideal", 8))
     }
     return made | {
-        f"fault {name}-{severity}-{phase}": partial(fault_figures, name, severity, phase)
+        f"fault {name}-{severity}-{phase}": partial(
+            fault_figures, name, severity, phase
+        )
         for name, severity, phase in FAULTS
     }
 
@@ -379,13 +475,18 @@ def runs() -> Entries:
 
 
 def paper() -> Entries:
-    """Every value that the reproduction computes, and every verdict on the printed ones."""
+    """Every value that the reproduction computes, and every verdict on the printed
+    ones.
+    """
     published = read_published(ROOT / "reproduce")
     return {
         "values": lambda: plain(computed(published)),
         "numbers": lambda: plain({item.id: item.verdict for item in published.numbers}),
         "claims": lambda: plain(
-            {item.id: EVIDENCE[item.evidence](published).verdict for item in published.claims}
+            {
+                item.id: EVIDENCE[item.evidence](published).verdict
+                for item in published.claims
+            }
         ),
     }
 
@@ -405,11 +506,20 @@ def certificate_figures(found: Certificate) -> Plain:
             "ranges": ranges,
             "inner": s.motor_loop,
             "precision": s.precision,
-            "numbers": [*s.box[0].values(), *s.box[1].values(), s.damping_order, s.decay, s.lowest],
+            "numbers": [
+                *s.box[0].values(),
+                *s.box[1].values(),
+                s.damping_order,
+                s.decay,
+                s.lowest,
+            ],
             "leaves": found.leaves,
             "fails_at": place,
             "poles": found.poles,
-            "sha256": {"certificate": found.sha256[:16], "tree": digest(found.tree.encode())},
+            "sha256": {
+                "certificate": found.sha256[:16],
+                "tree": digest(found.tree.encode()),
+            },
         }
     )
 
@@ -423,7 +533,10 @@ def certificates() -> Entries:
         "single": (law("outer", "single"), {"modulus_margin": 0.4}),
         "sampled": (law("default"), {"modulus_margin": 0.35, "inner": "sampled"}),
         "direct": (law("direct"), {"modulus_margin": 0.35, "inner": "sampled"}),
-        "wider": (law("order-4"), {"payloads": (0.010, 0.050), "delay": (0.0, 0.008), "modulus_margin": 0.2}),
+        "wider": (
+            law("order-4"),
+            {"payloads": (0.010, 0.050), "delay": (0.0, 0.008), "modulus_margin": 0.2},
+        ),
         "too much": (law("outer"), {"modulus_margin": 0.9}),
         "printed": (law("printed"), {}),
     }
@@ -464,7 +577,8 @@ def plan_figures(plan: fl.Design) -> Plain:
             "phase_margins": [found.phase_margin for found in ends],
             "gain_margins": [found.gain_margin for found in ends],
             "requirements": {
-                # Not the slack: the difference of the first two, and of an active bound nothing but rounding.
+                # Not the slack: the difference of the first two, and of an active bound
+                # nothing but rounding.
                 item.name: [item.wanted, item.achieved, item.at_payload, item.passed]
                 for item in plan.requirements
             },
@@ -478,7 +592,11 @@ REQUESTS: dict[str, Plain] = {
     "no filter": {"filter_time": 0.0},
     "filter 10 ms": {"filter_time": 0.01, "filter_order": 2},
     "narrow range": {"payloads": (0.028, 0.032)},
-    "wide range": {"payloads": (0.008, 0.060), "gain_crossover": 10.0, "phase_margin": fl.deg(40)},
+    "wide range": {
+        "payloads": (0.008, 0.060),
+        "gain_crossover": 10.0,
+        "phase_margin": fl.deg(40),
+    },
     "slow": {"gain_crossover": 9.0, "phase_margin": fl.deg(60)},
     "fast": {"gain_crossover": 16.0, "phase_margin": fl.deg(40)},
     "sampled": {"inner": "sampled"},
@@ -513,7 +631,9 @@ REQUESTS: dict[str, Plain] = {
 
 
 def answer(rig: fl.Rig, asked: Plain) -> Plain:
-    """The figures of a design, or the condition that refuses it with the nearest request."""
+    """The figures of a design, or the condition that refuses it with the nearest
+    request.
+    """
     try:
         return plan_figures(design_of(rig, **asked))
     except InfeasibleError as error:
@@ -528,18 +648,31 @@ def _optimised(options: Plain) -> Plain:
 
 def _of_damped_link() -> Plain:
     link = fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6, payload=0.03)
-    asked: Plain = {"payloads": (0.02, 0.04), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    asked: Plain = {
+        "payloads": (0.02, 0.04),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     return plan_figures(fl.design(link, RIG, **asked))
 
 
 def designs() -> Entries:
-    """Designs over a grid of requests, of other links, with a bound on higher modes, and optimised ones."""
-    made: Entries = {title: partial(answer, RIG, asked) for title, asked in REQUESTS.items()}
+    """Designs over a grid of requests, of other links, with a bound on higher modes,
+    and optimised ones.
+    """
+    made: Entries = {
+        title: partial(answer, RIG, asked) for title, asked in REQUESTS.items()
+    }
     made["damped link"] = _of_damped_link
     # The law of a design takes a second to fit: its margin is added to two of them.
-    shipped: tuple[Plain, ...] = {"filter_time": 0.0}, {"inner": "sampled", "placement": "direct"}
+    shipped: tuple[Plain, ...] = (
+        {"filter_time": 0.0},
+        {"inner": "sampled", "placement": "direct"},
+    )
     for asked in shipped:
-        made[f"with law {asked}"] = lambda asked=asked: plan_figures(design_of(RIG, **asked).with_law())
+        made[f"with law {asked}"] = lambda asked=asked: plan_figures(
+            design_of(RIG, **asked).with_law()
+        )
     massive = replace(GEARED, link=replace(GEARED.link, mass=LINK_MASS))
     for bound in (0.9, 0.05):
         mode: Plain = {"mode_gain": bound, "phase_margin": fl.deg(40)}
@@ -574,7 +707,9 @@ def fit_figures(fit: fl.Fit) -> Plain:
         | {
             "standard_errors": fit.standard_errors,
             "white_standard_errors": fit.white_standard_errors,
-            "intervals": {name: [item.low, item.high] for name, item in fit.intervals.items()},
+            "intervals": {
+                name: [item.low, item.high] for name, item in fit.intervals.items()
+            },
             "at_bound": fit.at_bound,
             "hold": fit.hold,
             "samples": [fit.samples, fit.fitted_samples],
@@ -588,7 +723,9 @@ def spectrum_figures() -> Plain:
     frequency = np.linspace(1.0, 40.0, 200)
     generator = np.random.default_rng(0)
     response = LINK.torque()(1j * frequency) * np.exp(-1j * frequency * 0.01)
-    response = response * (1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200)))
+    response = response * (
+        1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200))
+    )
     response[[20, 77, 150]] *= [5, -3, 0.1]
     fit = identify_frequency_response(frequency, response)
     return plain(
@@ -621,17 +758,35 @@ def structure_figures(name: str) -> Plain:
 
 def payload_figures(tied: bool) -> Plain:
     """One fit of three payloads."""
-    joint = identify_payloads([log_of(name) for name in LOGS[1:]], tied=tied, length=RIG.link.length)
+    joint = identify_payloads(
+        [log_of(name) for name in LOGS[1:]], tied=tied, length=RIG.link.length
+    )
     return plain(
         {
-            "links": [[getattr(model, name) for name in LINK_NUMBERS] for model in joint.models],
+            "links": [
+                [getattr(model, name) for name in LINK_NUMBERS]
+                for model in joint.models
+            ],
             "standard_errors": joint.standard_errors,
-            "test": [joint.test.statistic, joint.test.degrees, joint.test.p_value, joint.test.common],
+            "test": [
+                joint.test.statistic,
+                joint.test.degrees,
+                joint.test.p_value,
+                joint.test.common,
+            ],
         }
     )
 
 
-MOTOR_NUMBERS = ("gain", "decay", "coulomb_voltage", "coulomb_torque", "dead_zone", "delay", "nmse")
+MOTOR_NUMBERS = (
+    "gain",
+    "decay",
+    "coulomb_voltage",
+    "coulomb_torque",
+    "dead_zone",
+    "delay",
+    "nmse",
+)
 EXPERIMENT_NUMBERS = (
     "amplitude",
     "bit",
@@ -648,17 +803,23 @@ def motor_figures() -> Plain:
     """A motor with a dead zone and a delay."""
     voltage, angle = example_motor_log(samples=2500, dead_zone=0.03, delay=0.006)
     motor = identify_motor(voltage, angle, period=0.004, inertia=RIG.motor.inertia)
-    return plain({name: getattr(motor, name) for name in (*MOTOR_NUMBERS, "standard_errors")})
+    return plain(
+        {name: getattr(motor, name) for name in (*MOTOR_NUMBERS, "standard_errors")}
+    )
 
 
 def experiment_figures() -> Plain:
     """An experiment planned for a standard error."""
-    wanted = design_experiment(LINK, standard_error=0.001, noise=0.04, period=0.004, motor=RIG.motor)
+    wanted = design_experiment(
+        LINK, standard_error=0.001, noise=0.04, period=0.004, motor=RIG.motor
+    )
     return plain({name: getattr(wanted, name) for name in EXPERIMENT_NUMBERS})
 
 
 def identification() -> Entries:
-    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an experiment's design."""
+    """Fits of the bundled logs, several payloads together, the motor, a spectrum, an
+    experiment's design.
+    """
     return {name: partial(structure_figures, name) for name in LOGS} | {
         "payloads": partial(payload_figures, False),
         "payloads tied": partial(payload_figures, True),
@@ -676,7 +837,9 @@ TOKEN = re.compile(rb'FMU_TOKEN "([^"]+)"')
 
 
 def shipped(name: str, content: bytes) -> str:
-    """Digest of an exported file: of C the code without its comments, nowhere the release's number."""
+    """Digest of an exported file: of C the code without its comments, nowhere the
+    release's number.
+    """
     if name.endswith((".c", ".h")):
         content = b" ".join(COMMENT.sub(b"", content).split())
     return digest(content.replace(fl.__version__.encode(), b"VERSION"))
@@ -684,7 +847,10 @@ def shipped(name: str, content: bytes) -> str:
 
 def _files(folder: Path) -> Plain:
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    return {path.relative_to(folder).as_posix(): shipped(path.name, path.read_bytes()) for path in paths}
+    return {
+        path.relative_to(folder).as_posix(): shipped(path.name, path.read_bytes())
+        for path in paths
+    }
 
 
 def _members(path: Path) -> Plain:
@@ -693,7 +859,10 @@ def _members(path: Path) -> Plain:
     # The token is a hash over the sources with their comments.
     token = TOKEN.search(contents["sources/all.c"])
     assert token is not None
-    return {name: shipped(name, content.replace(token[1], b"TOKEN")) for name, content in contents.items()}
+    return {
+        name: shipped(name, content.replace(token[1], b"TOKEN"))
+        for name, content in contents.items()
+    }
 
 
 def _matlab(path: Path) -> str:
@@ -732,7 +901,10 @@ def law_figures(named: str) -> Plain:
     fitted = LAWS[named]()
     return plain(
         {
-            "sha256": {"recorded": law(named).digest[:16], "fitted": fitted.digest[:16]},
+            "sha256": {
+                "recorded": law(named).digest[:16],
+                "fitted": fitted.digest[:16],
+            },
             "states": fitted.order,
             "correction_error": fitted.correction_error,
             "feedforward_error": fitted.feedforward_error,
@@ -743,13 +915,17 @@ def law_figures(named: str) -> Plain:
 
 
 def exports() -> Entries:
-    """Bytes of what leaves the package, for laws that are read from files; digests of laws fitted now."""
+    """Bytes of what leaves the package, for laws that are read from files; digests of
+    laws fitted now.
+    """
     made: Entries = {}
     for named in ("default", "outer", "geared"):
         for precision in ("double", "single"):
             made[f"C {named} {precision}"] = partial(_c_files, named, precision)
             for fmi in (2, 3):
-                made[f"FMU {fmi} {named} {precision}"] = partial(_fmu, named, precision, fmi)
+                made[f"FMU {fmi} {named} {precision}"] = partial(
+                    _fmu, named, precision, fmi
+                )
     for ending in ("m", "mat"):
         made[f"MATLAB .{ending}"] = partial(_for_matlab, ending)
     made["board"] = _board
@@ -757,13 +933,17 @@ def exports() -> Entries:
 
 
 def _response(fitted: fl.Law) -> list[list[float]]:
-    values: NDArray[np.complex128] = fitted.frequency_response([1.0, 5.0, 12.0, 20.0, 60.0, 200.0])
+    values: NDArray[np.complex128] = fitted.frequency_response(
+        [1.0, 5.0, 12.0, 20.0, 60.0, 200.0]
+    )
     return [[value.real, value.imag] for value in values.tolist()]
 
 
 # --- record and compare
 
-TOPICS: dict[str, tuple[Callable[[], Entries], float]] = {  # topic: its entries and their relative tolerance
+TOPICS: dict[
+    str, tuple[Callable[[], Entries], float]
+] = {  # topic: its entries and their relative tolerance
     "runs": (runs, 1e-9),
     "paper": (paper, 1e-9),
     "certificates": (certificates, 1e-9),
@@ -781,23 +961,37 @@ def entries(topic: str) -> Entries:
     return TOPICS[topic][0]()
 
 
-def differences(told: Any, found: Any, rel: float, *, bits: bool, place: str = "") -> list[str]:
+def differences(
+    told: Any, found: Any, rel: float, *, bits: bool, place: str = ""
+) -> list[str]:
     """Every entry in which `found` differs from what was recorded, with both values."""
     if isinstance(told, dict) and isinstance(found, dict):
         lost = [f"{place}/{key}: gone" for key in told if key not in found]
         new = [f"{place}/{key}: new" for key in found if key not in told]
         same = [key for key in told if key in found and (bits or key != "sha256")]
-        inner = [differences(told[k], found[k], rel, bits=bits, place=f"{place}/{k}") for k in same]
+        inner = [
+            differences(told[k], found[k], rel, bits=bits, place=f"{place}/{k}")
+            for k in same
+        ]
         return lost + new + [line for lines in inner for line in lines]
     if isinstance(told, list) and isinstance(found, list) and len(told) == len(found):
         pairs = zip(told, found, strict=True)
-        inner = [differences(a, b, rel, bits=bits, place=f"{place}[{i}]") for i, (a, b) in enumerate(pairs)]
+        inner = [
+            differences(a, b, rel, bits=bits, place=f"{place}[{i}]")
+            for i, (a, b) in enumerate(pairs)
+        ]
         return [line for lines in inner for line in lines]
-    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (told, found))
+    numbers = all(
+        isinstance(x, int | float) and not isinstance(x, bool) for x in (told, found)
+    )
     # What should be zero is a rounding error: it is not held to relative digits.
     if numbers and math.isclose(told, found, rel_tol=rel, abs_tol=1e-3 * rel):
         return []
-    return [] if type(told) is type(found) and told == found else [f"{place}: {told!r} became {found!r}"]
+    return (
+        []
+        if type(told) is type(found) and told == found
+        else [f"{place}: {told!r} became {found!r}"]
+    )
 
 
 @functools.cache
@@ -809,7 +1003,12 @@ def recorded(topic: str) -> Plain:
 def record(topic: str) -> None:
     """Record a topic again."""
     figures = {title: plain(make()) for title, make in entries(topic).items()}
-    text = json.dumps({"probe": probe(), "figures": figures}, indent=1, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(
+        {"probe": probe(), "figures": figures},
+        indent=1,
+        ensure_ascii=False,
+        allow_nan=False,
+    )
     (HERE / f"{topic}.json").write_text(text + "\n", "utf-8")
 
 

@@ -1,6 +1,8 @@
-"""Figures of what commands do not print: systems, assessments, tuned rivals, and what drawings hold.
+"""Figures of what commands do not print: systems, assessments, tuned rivals, and what
+drawings hold.
 
-Each has tests of its own against closed forms; what is recorded here is every digit of them.
+Each has tests of its own against closed forms; what is recorded here is every digit of
+them.
 """
 
 from __future__ import annotations
@@ -58,18 +60,28 @@ PERIOD, POLE = 0.004, 80.0
 
 
 def dumped(value: Any) -> Any:
-    """Any result as plain values; of an array its shape, and sums in which a value counts by its place."""
+    """Any result as plain values; of an array its shape, and sums in which a value
+    counts by its place.
+    """
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in "biufc":
             return [dumped(item) for item in value.ravel().tolist()]
         flat = value.ravel().astype(np.complex128)
         weights = np.linspace(1.0, 2.0, max(flat.size, 1))[: flat.size]
         good = np.where(np.isfinite(flat), flat, 0.0)
-        sums = [complex(good.sum()), complex((weights * good).sum()), complex(np.abs(good).max(initial=0.0))]
-        return [list(value.shape), int(np.isfinite(flat).sum())] + [x for z in sums for x in (z.real, z.imag)]
+        sums = [
+            complex(good.sum()),
+            complex((weights * good).sum()),
+            complex(np.abs(good).max(initial=0.0)),
+        ]
+        return [list(value.shape), int(np.isfinite(flat).sum())] + [
+            x for z in sums for x in (z.real, z.imag)
+        ]
     if is_dataclass(value) and not isinstance(value, type):
         named = {item.name: getattr(value, item.name) for item in fields(value)}
-        return {name: dumped(part) for name, part in named.items() if not callable(part)}
+        return {
+            name: dumped(part) for name, part in named.items() if not callable(part)
+        }
     if isinstance(value, Mapping):
         return {str(key): dumped(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
@@ -85,7 +97,11 @@ def dumped(value: Any) -> Any:
 def design_of(rig_name: str = "paper-2023", **asked: Any) -> fl.Design:
     """A design from the rig's own model."""
     rig = GEARED if rig_name == "geared" else RIG
-    wanted = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    wanted = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     return fl.design(rig.model, rig, **(wanted | asked))
 
 
@@ -112,8 +128,13 @@ def corrections() -> Any:
     """Frequency responses of every correction, with and without a delay."""
     model = GEARED.model
     about: dict[str, Any] = {"period": PERIOD, "pole": POLE}
-    made = {f"H∞ {d}": hinf_correction(model, **about, delay=d, gain=0.4) for d in (0, 1)}
-    made |= {f"LQG {d}": lqg_correction(model, **about, delay=d, noise=0.0064, weight=2.0) for d in (0, 1, 3)}
+    made = {
+        f"H∞ {d}": hinf_correction(model, **about, delay=d, gain=0.4) for d in (0, 1)
+    }
+    made |= {
+        f"LQG {d}": lqg_correction(model, **about, delay=d, noise=0.0064, weight=2.0)
+        for d in (0, 1, 3)
+    }
     made["PD"] = pd_correction(0.3, corner=11.0, filter_time=0.01, period=PERIOD)
     made["sliding"] = sliding_correction(15.0, 11.0, filter_time=0.01, period=PERIOD)
     made["GPI"] = gpi_correction(15.0, 11.0, filter_time=0.01, period=PERIOD)
@@ -124,16 +145,22 @@ def corrections() -> Any:
 def outer_controllers() -> Any:
     """Outputs on the same bend of an arm that swings."""
     time = PERIOD * np.arange(300)
-    tip, bend = 0.3 * (1 - np.cos(9.0 * time)), -0.3 * 81.0 / 130.0 * np.cos(9.0 * time) * np.tanh(20 * time)
+    tip, bend = (
+        0.3 * (1 - np.cos(9.0 * time)),
+        -0.3 * 81.0 / 130.0 * np.cos(9.0 * time) * np.tanh(20 * time),
+    )
     made: dict[str, Outer] = {
-        "linear": Linear(pd_correction(0.3, corner=11.0, filter_time=0.01, period=PERIOD)),
+        "linear": Linear(
+            pd_correction(0.3, corner=11.0, filter_time=0.01, period=PERIOD)
+        ),
         "sliding": Sliding(15.0, 11.0, 2.0, filter_time=0.01, period=PERIOD),
         "algebraic": Algebraic(15.0, 11.0, filter_time=0.01, period=PERIOD, until=0.5),
     }
     found: dict[str, Any] = {}
     for name, outer in made.items():
         values = [
-            outer(Seen(0.5, 0.5 - float(y), float(d), 0.1 * float(d))) for y, d in zip(tip, bend, strict=True)
+            outer(Seen(0.5, 0.5 - float(y), float(d), 0.1 * float(d)))
+            for y, d in zip(tip, bend, strict=True)
         ]
         found[name] = [*values[:5], values[100], values[199], values[-1], sum(values)]
     return found
@@ -142,7 +169,10 @@ def outer_controllers() -> Any:
 def rival(name: str) -> Any:
     """A rival tuned by its rule."""
     made = rivals.builders(setting())[name]()
-    figures = {n: getattr(made, n) for n in ("rule", "knob", "peak", "states", "multiplications", "impulses")}
+    figures = {
+        n: getattr(made, n)
+        for n in ("rule", "knob", "peak", "states", "multiplications", "impulses")
+    }
     return dumped(figures | {"response": _response(law_filter(made.law))})
 
 
@@ -168,19 +198,34 @@ RIVALS = (
 
 def assessment() -> Any:
     """Every judgement of one design."""
-    made, massive = design_of(), replace(GEARED, link=replace(GEARED.link, mass=0.00735))
+    made, massive = (
+        design_of(),
+        replace(GEARED, link=replace(GEARED.link, mass=0.00735)),
+    )
     with_modes = fl.design(
-        massive.model, massive, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(45)
+        massive.model,
+        massive,
+        payloads=(0.02, 0.04),
+        gain_crossover=12.0,
+        phase_margin=fl.deg(45),
     )
     payloads = np.linspace(0.015, 0.05, 6)
     return dumped(
         {
-            "curves": {kind: margin_curve(made, payloads, kind=kind) for kind in ("ideal", "motor", "loop")},
+            "curves": {
+                kind: margin_curve(made, payloads, kind=kind)
+                for kind in ("ideal", "motor", "loop")
+            },
             "sampled": margin_curve(made, payloads[::2], kind="sampled"),
             "budget": {str(m): phase_budget(made, m) for m in (0.02, 0.03, 0.04)},
             "tolerances": tolerances(made),
-            "spillover": spillover(made, (VibrationMode(40.0, 0.05, 0.3), VibrationMode(90.0, 0.02, -0.1))),
-            "mode gains": [mode_gains(with_modes), mode_gains(with_modes, limit=0.5, damping_ratio=0.01)],
+            "spillover": spillover(
+                made, (VibrationMode(40.0, 0.05, 0.3), VibrationMode(90.0, 0.02, -0.1))
+            ),
+            "mode gains": [
+                mode_gains(with_modes),
+                mode_gains(with_modes, limit=0.5, damping_ratio=0.01),
+            ],
             "findings": [str(finding) for finding in with_modes.findings],
         }
     )
@@ -242,7 +287,9 @@ def system(name: str) -> Any:
         made["impulse"] = [float(y) for y in fl.impulse_response(G, times).output]
     u = np.sin(0.3 * np.arange(60.0)) + (np.arange(60) > 30)
     for hold in ("zero", "first"):
-        made[hold] = [float(y) for y in fl.time_response(G, u, 0.05, hold=hold).output[1::12]]
+        made[hold] = [
+            float(y) for y in fl.time_response(G, u, 0.05, hold=hold).output[1::12]
+        ]
     return made
 
 
@@ -270,7 +317,9 @@ def approximations() -> Any:
         made[f"{method}, sampled"] = fl.approximate(
             1 / (s**0.5 + 1), (0.01, 50.0), 4, method=method, period=0.05
         )
-    made["matched-z"] = fl.approximate(1 / (s**0.5 + 1), (0.01, 50.0), 4, method="matched-z", period=0.05)
+    made["matched-z"] = fl.approximate(
+        1 / (s**0.5 + 1), (0.01, 50.0), 4, method="matched-z", period=0.05
+    )
     points = np.array([0.05, 0.3, 1.0, 4.0, 20.0])
     return {
         name: [
@@ -287,7 +336,9 @@ def approximations() -> Any:
 
 
 def _drawn(figure: Any) -> Any:
-    """What a figure holds: its words, its scales and the values of its marks, not how they are styled."""
+    """What a figure holds: its words, its scales and the values of its marks, not how
+    they are styled.
+    """
     return None if figure is None else dumped(figure)
 
 
@@ -319,9 +370,15 @@ def of_a_log() -> Any:
 def of_a_design() -> Any:
     """Drawings of a loop."""
     made = design_of()
-    curves = tuple(margin_curve(made, (0.015, 0.03, 0.05), kind=kind) for kind in ("ideal", "motor", "loop"))
+    curves = tuple(
+        margin_curve(made, (0.015, 0.03, 0.05), kind=kind)
+        for kind in ("ideal", "motor", "loop")
+    )
     found = feasibility_map(
-        RIG.model, RIG, gain_crossovers=(9.0, 12.0, 15.0), phase_margins=tuple(np.radians((30.0, 50.0, 70.0)))
+        RIG.model,
+        RIG,
+        gain_crossovers=(9.0, 12.0, 15.0),
+        phase_margins=tuple(np.radians((30.0, 50.0, 70.0))),
     )
     shown = {
         "bode": loops.bode_figure(made),
@@ -338,7 +395,10 @@ def of_a_design() -> Any:
 def of_a_pid() -> Any:
     """Drawings of a fractional PID."""
     made = fl.tune_pid(
-        1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1), gain_crossover=2.0, integral_order=1.2, derivative_order=0.95
+        1 / (0.8 * s**2.2 + 0.5 * s**0.9 + 1),
+        gain_crossover=2.0,
+        integral_order=1.2,
+        derivative_order=0.95,
     )
     return {"loop": _drawn(loops.pid_figure(made))}
 
@@ -348,7 +408,13 @@ def of_runs() -> Any:
     law = fl.Law.load(Path(__file__).resolve().parent / "laws" / "default.json")
     runs = [
         fl.simulate(
-            law, fl.smooth_step(1.0, 0.5), rig=RIG, model=RIG.model, payload=m, duration=2.0, noise=0.0
+            law,
+            fl.smooth_step(1.0, 0.5),
+            rig=RIG,
+            model=RIG.model,
+            payload=m,
+            duration=2.0,
+            noise=0.0,
         )
         for m in (0.02, 0.04)
     ]
@@ -358,7 +424,9 @@ def of_runs() -> Any:
 def of_a_campaign() -> Any:
     """Drawings and tables of many runs, of which some never settle."""
     law = fl.Law.load(Path(__file__).resolve().parent / "laws" / "default.json")
-    columns = simulate_part(Campaign.of(RIG, RIG.model, law, runs=400, seed=5, motor_loop="sampled"), 0)
+    columns = simulate_part(
+        Campaign.of(RIG, RIG.model, law, runs=400, seed=5, motor_loop="sampled"), 0
+    )
     shown = {name: np.array(columns[name], dtype=float) for name in fleets.SHOWN}
     shown["settling_time"][::9] = np.inf
     across, up = np.random.default_rng(1).normal(size=(2, 2000))
@@ -384,21 +452,35 @@ def of_a_structure() -> Any:
     data = Recording(period=0.05, input=u, output=y + 0.02 * random.normal(size=400))
     made = fl.identify_structure(data, "k*exp(-L*s)/(T*s**a + 1)", hold="zero")
     numbers = {
-        name: getattr(made, name) for name in ("parameters", "standard_errors", "nmse", "heldout_nmse")
+        name: getattr(made, name)
+        for name in ("parameters", "standard_errors", "nmse", "heldout_nmse")
     }
-    return [dumped(numbers), dumped(made.intervals), _drawn(structure_figure(made)), made.undetermined]
+    return [
+        dumped(numbers),
+        dumped(made.intervals),
+        _drawn(structure_figure(made)),
+        made.undetermined,
+    ]
 
 
 def of_a_shaped_move() -> Any:
     """The fastest move of the tip: its figures and drawing."""
     rig = fl.Rig.named("paper-2023-geared")
     made = fl.shape(_of_geared(rig), 0.5, voltage=8.0, seeds=1)
-    return [dumped([m.name for m in made.measured]), dumped(made.settling_time), _drawn(shaped_figure(made))]
+    return [
+        dumped([m.name for m in made.measured]),
+        dumped(made.settling_time),
+        _drawn(shaped_figure(made)),
+    ]
 
 
 @functools.cache
 def _of_geared(rig: fl.Rig) -> fl.Design:
-    asked: dict[str, Any] = {"payloads": (0.020, 0.040), "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    asked: dict[str, Any] = {
+        "payloads": (0.020, 0.040),
+        "gain_crossover": 12.0,
+        "phase_margin": fl.deg(50),
+    }
     return fl.design(rig.model, rig, **asked, filter_time=0.02)
 
 
@@ -409,7 +491,10 @@ def sketches() -> Any:
     """The numbers and words of the sketches."""
     drawn = {"arm": arm_sketch(("one", "two", "three")), "loop": loop_sketch()}
     return {
-        name: [dumped([float(x) for x in SVG_NUMBER.findall(text)]), re.findall(r">([^<>]+)<", text)]
+        name: [
+            dumped([float(x) for x in SVG_NUMBER.findall(text)]),
+            re.findall(r">([^<>]+)<", text),
+        ]
         for name, text in drawn.items()
     }
 
@@ -420,7 +505,10 @@ def exported_estimator() -> Any:
     made = _of_geared(rig)
     bank = fl.payload_estimator(rig.model, rig, made.law(), made.payloads)
     shipped = {"double": bank, "single": bank.in_precision("single")}
-    files = {name: payload_files(item)["payload_data.h"].decode() for name, item in shipped.items()}
+    files = {
+        name: payload_files(item)["payload_data.h"].decode()
+        for name, item in shipped.items()
+    }
     hexes = {
         name: [float.fromhex(x) for x in re.findall(r"-?0x[0-9a-f.]+p[+-]?\d+", text)]
         for name, text in files.items()
@@ -434,7 +522,9 @@ def exported_estimator() -> Any:
 def enclosures() -> Any:
     """The worst phase margin over a box, from both sides."""
     law = fl.Law.load(Path(__file__).resolve().parent / "laws" / "outer.json")
-    statement = fl.certify(law, model=RIG.model, rig=RIG, payloads=(0.02, 0.04), modulus_margin=0.3).statement
+    statement = fl.certify(
+        law, model=RIG.model, rig=RIG, payloads=(0.02, 0.04), modulus_margin=0.3
+    ).statement
     found = fl.enclose_phase_margin(statement, law, width=fl.deg(0.5))
     return dumped(found)
 

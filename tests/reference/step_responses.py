@@ -1,12 +1,15 @@
-"""Make step_responses.json: step responses of link models to 40 digits, each value by two methods.
+"""Make step_responses.json: step responses of link models to 40 digits, each value by
+two methods.
 
-Method 1: residues of the principal sheet's poles plus the branch-cut integral in ln r (python-flint: adaptive
-Gauss-Legendre quadrature in ball arithmetic, so that the integral is enclosed).
-Method 2: Talbot's contour of degree M > 1.5 (5t/π) max|Im p|, no poles, no cut (mpmath; working precision
-0.174 M digits for the growth of e^(st) on the contour, and 60 besides).
-Method 3, where the series needs fewer than 6000 terms: w t^λ E_{λ,λ+1}(-w t^λ) by its power series (UD-FOM).
+Method 1: residues of the principal sheet's poles plus the branch-cut integral in ln r
+(python-flint: adaptive Gauss-Legendre quadrature in ball arithmetic, so that the
+integral is enclosed). Method 2: Talbot's contour of degree M > 1.5 (5t/π) max|Im p|, no
+poles, no cut (mpmath; working precision 0.174 M digits for the growth of e^(st) on the
+contour, and 60 besides). Method 3, where the series needs fewer than 6000 terms: w t^λ
+E_{λ,λ+1}(-w t^λ) by its power series (UD-FOM).
 
-A value is kept only where the methods agree to 1e-41 absolute. Run: python tests/reference/step_responses.py
+A value is kept only where the methods agree to 1e-41 absolute. Run: python
+tests/reference/step_responses.py
 """
 
 from __future__ import annotations
@@ -23,8 +26,22 @@ import mpmath as mp
 from flint import acb, arb, ctx
 
 TIMES = ("0.004", "0.02", "0.1", "0.4", "1", "3", "10", "30", "60", "100")
-ORDERS = ("1.01", "1.05", "1.2", "1.37", "1.5", "1.7", "1.85", "1.92", "1.97", "1.99", "1.999", "2")
-# (order, damping, damping order, natural frequency): the torque model c = 1 is s^λ / D, its complement ϖ²/D
+ORDERS = (
+    "1.01",
+    "1.05",
+    "1.2",
+    "1.37",
+    "1.5",
+    "1.7",
+    "1.85",
+    "1.92",
+    "1.97",
+    "1.99",
+    "1.999",
+    "2",
+)
+# (order, damping, damping order, natural frequency): the torque model c = 1 is s^λ / D,
+# its complement ϖ²/D
 DAMPED = (
     ("2", "0.9", "0.5", "10.5"),
     ("2", "0.9", "1.2", "10.5"),
@@ -37,7 +54,9 @@ DIGITS = 50
 
 
 def denominator(case: tuple[str, ...]) -> list[tuple[mp.mpf, mp.mpf]]:
-    """Pairs (coefficient, order); the decimal strings are read as doubles, which is what the package sees."""
+    """Pairs (coefficient, order); the decimal strings are read as doubles, which is
+    what the package sees.
+    """
     if len(case) == 2:
         order, frequency = (mp.mpf(float(x)) for x in case)
         return [(mp.mpf(1), order), (frequency**2, mp.mpf(0))]
@@ -45,13 +64,17 @@ def denominator(case: tuple[str, ...]) -> list[tuple[mp.mpf, mp.mpf]]:
     return [(mp.mpf(1), order), (damping, damping_order), (frequency**2, mp.mpf(0))]
 
 
-def value(terms: list[tuple[mp.mpf, mp.mpf]], z: mp.mpc, derivative: bool = False) -> mp.mpc:
+def value(
+    terms: list[tuple[mp.mpf, mp.mpf]], z: mp.mpc, derivative: bool = False
+) -> mp.mpc:
     """D, or dD/dz, at s = e^z."""
     return mp.fsum(c * (a if derivative else 1) * mp.exp(a * z) for c, a in terms)
 
 
 def zeros(terms: list[tuple[mp.mpf, mp.mpf]]) -> list[mp.mpc]:
-    """Zeros with 0 < Im z < π, from a dense grid of starting points; completeness is tested by method 2."""
+    """Zeros with 0 < Im z < π, from a dense grid of starting points; completeness is
+    tested by method 2.
+    """
     found: list[mp.mpc] = []
     scale = mp.log(terms[-1][0]) / terms[0][1]
     for x, y in itertools.product((-0.5, 0.0, 0.5), range(1, 33)):
@@ -95,20 +118,30 @@ def by_residues(terms: list[tuple[mp.mpf, mp.mpf]], time: mp.mpf) -> mp.mpf:
     def integrand(x: acb, _analytic: bool) -> acb:
         above = sum((c * (a * x).exp() for c, a in turns), acb(0))
         below = sum((c.conjugate() * (a * x).exp() for c, a in turns), acb(0))
-        # Im G on the cut, as a function analytic in x: half the difference of the two sides.
-        return balls[-1][0] * (1 / above - 1 / below) * (-x.exp() * ball(time)).exp() / acb(0, 2)
+        # Im G on the cut, as a function analytic in x: half the difference of the two
+        # sides.
+        return (
+            balls[-1][0]
+            * (1 / above - 1 / below)
+            * (-x.exp() * ball(time)).exp()
+            / acb(0, 2)
+        )
 
     steps = 40
     edges = [ball(low + (high - low) * k / steps) for k in range(steps + 1)]
     integral = sum(
         (
-            acb.integral(integrand, a, b, rel_tol=arb(2) ** -190, abs_tol=arb(2) ** -190)
+            acb.integral(
+                integrand, a, b, rel_tol=arb(2) ** -190, abs_tol=arb(2) ** -190
+            )
             for a, b in itertools.pairwise(edges)
         ),
         acb(0),
     )
     if not integral.real.rad() < arb("1e-44"):
-        raise ValueError(f"the enclosure of the cut integral is too wide: {integral.real}")
+        raise ValueError(
+            f"the enclosure of the cut integral is too wide: {integral.real}"
+        )
     return total + mp.mpf(integral.real.mid().str(60, radius=False)) / mp.pi
 
 
@@ -116,7 +149,9 @@ def ball(x: mp.mpf) -> acb:
     return acb(arb(mp.nstr(x, 70)))
 
 
-def by_talbot(terms: list[tuple[mp.mpf, mp.mpf]], time: mp.mpf, largest: mp.mpf) -> mp.mpf:
+def by_talbot(
+    terms: list[tuple[mp.mpf, mp.mpf]], time: mp.mpf, largest: mp.mpf
+) -> mp.mpf:
     """Method 2; `largest` is the largest imaginary part that the contour must pass."""
     degree = int(max(120, 1.6 * 5 * time / mp.pi * largest + 150))
     with mp.workdps(int(0.174 * degree) + 70):
@@ -128,7 +163,9 @@ def by_talbot(terms: list[tuple[mp.mpf, mp.mpf]], time: mp.mpf, largest: mp.mpf)
             cot = mp.cot(angle)
             s = radius * angle * mp.mpc(cot, 1)
             slope = mp.mpc(1, angle + (angle * cot - 1) * cot)
-            total += mp.re(mp.exp(time * s) * slope * gain / value(terms, mp.log(s)) / s)
+            total += mp.re(
+                mp.exp(time * s) * slope * gain / value(terms, mp.log(s)) / s
+            )
         return total * radius / degree
 
 
@@ -185,7 +222,9 @@ def main() -> None:
         "methods": "residues + branch cut; Talbot; Mittag-Leffler series where short; agreement to 1e-41",
         "generator": "tests/reference/step_responses.py",
     }
-    place.write_text(json.dumps({**header, "values": entries}, indent=0) + "\n", encoding="utf-8")
+    place.write_text(
+        json.dumps({**header, "values": entries}, indent=0) + "\n", encoding="utf-8"
+    )
     sys.stdout.write(
         f"{len(entries)} values, worst difference {max(float(e['difference']) for e in entries):.1e}\n"
     )

@@ -1,6 +1,8 @@
-"""Prove claims about the C files that fraclink exports, with the provers that are installed.
+"""Prove claims about the C files that fraclink exports, with the provers that are
+installed.
 
-`fraclink export c --prove` imports this package where it is installed; fraclink itself does not need it.
+`fraclink export c --prove` imports this package where it is installed; fraclink itself
+does not need it.
 """
 
 from __future__ import annotations
@@ -22,14 +24,23 @@ if TYPE_CHECKING:
 __all__ = ["prove"]
 
 
-def prove(law: Law, folder: Path, *, name: str, data: str, certificate: Certificate | None = None) -> Proof:
-    """Prove what can be proved about law.h, law.c and the header `data` in `folder`; logs go to proof/ there.
+def prove(
+    law: Law,
+    folder: Path,
+    *,
+    name: str,
+    data: str,
+    certificate: Certificate | None = None,
+) -> Proof:
+    """Prove what can be proved about law.h, law.c and the header `data` in `folder`;
+    logs go to proof/ there.
 
-    (1) commands finite and in their limits, no undefined behaviour: Frama-C Eva. (2) the other outputs
-    finite, (3) the slew: law_step as an SMT problem in IEEE arithmetic, z3 or cvc5. (4) rounding for all
-    time: Gappa and ball arithmetic. (5) the loop: `certificate`; nothing is claimed of the loop of a PID,
-    whose plant the law does not know. A tool that is missing leaves its claim unproved and is named with its
-    Debian package.
+    (1) commands finite and in their limits, no undefined behaviour: Frama-C Eva. (2)
+    the other outputs finite, (3) the slew: law_step as an SMT problem in IEEE
+    arithmetic, z3 or cvc5. (4) rounding for all time: Gappa and ball arithmetic. (5)
+    the loop: `certificate`; nothing is claimed of the loop of a PID, whose plant the
+    law does not know. A tool that is missing leaves its claim unproved and is named
+    with its Debian package.
     """
     claims = (
         commands_claim(law, folder, name=name, data=data),
@@ -43,17 +54,27 @@ def prove(law: Law, folder: Path, *, name: str, data: str, certificate: Certific
 
 
 def loop_claim(law: Law, folder: Path, certificate: Certificate | None) -> Claim:
-    """State what `certificate` proves; it must be about the block that is exported, to the last bit."""
-    claim = Claim("loop", "the sampled loop is stable with a distance from -1", "not proved")
+    """State what `certificate` proves; it must be about the block that is exported, to
+    the last bit.
+    """
+    claim = Claim(
+        "loop", "the sampled loop is stable with a distance from -1", "not proved"
+    )
     if certificate is None:
-        reason = "no certificate was given (`fraclink certify` makes one from the design)"
+        reason = (
+            "no certificate was given (`fraclink certify` makes one from the design)"
+        )
         return replace(claim, reason=reason)
     if not certificate.passed:
         return replace(claim, status="failed", reason=certificate.verdict)
-    # By the hash of the block and not by the design: single precision has another one, and another proof.
+    # By the hash of the block and not by the design: single precision has another one,
+    # and another proof.
     if certificate.statement.digest != law.digest:
         made_for = certificate.statement.digest[:12]
-        return replace(claim, reason=f"the certificate is about the law {made_for}, not about this one")
+        return replace(
+            claim,
+            reason=f"the certificate is about the law {made_for}, not about this one",
+        )
     path = folder / "proof" / "certificate.json"
     path.parent.mkdir(exist_ok=True)
     certificate.save(path)

@@ -12,14 +12,21 @@ from fraclink_prove.source import Unreadable
 
 __all__ = ["FALSE", "TRUE", "ZERO", "Formulas", "Value", "kind_of", "real_literal"]
 
-# Bits of the exponent and of the significand with its hidden one, as SMT-LIB counts them.
+# Bits of the exponent and of the significand with its hidden one, as SMT-LIB counts
+# them.
 _WIDTHS = {"single": (8, 24), "double": (11, 53)}
 _REAL = {"+": "fp.add RNE", "-": "fp.sub RNE", "*": "fp.mul RNE", "/": "fp.div RNE"}
 _REAL |= {
     "-up": "fp.sub RTP",
     "-down": "fp.sub RTN",
 }  # no signs of C: a difference that encloses the exact one
-_REAL_TESTS = {"<": "fp.lt", "<=": "fp.leq", ">": "fp.gt", ">=": "fp.geq", "==": "fp.eq"}
+_REAL_TESTS = {
+    "<": "fp.lt",
+    "<=": "fp.leq",
+    ">": "fp.gt",
+    ">=": "fp.geq",
+    "==": "fp.eq",
+}
 _WORD = {
     "+": "bvadd",
     "-": "bvsub",
@@ -38,7 +45,9 @@ _SUM = re.compile(r"\(fp\.(?:add|sub) R.. (\S+) ([^\s)]+)\)\)$")
 
 @dataclass(frozen=True)
 class Value:
-    """A term and its kind: "real", "word" (32 bits), "bool", or "pointer" (term: the place pointed to)."""
+    """A term and its kind: "real", "word" (32 bits), "bool", or "pointer" (term: the
+    place pointed to).
+    """
 
     kind: str
     term: str
@@ -62,7 +71,9 @@ def real_literal(value: float, precision: Precision) -> str:
 
 
 class Formulas:
-    """Makes terms; `lines` collects their definitions, `known` the values of the literals among them."""
+    """Makes terms; `lines` collects their definitions, `known` the values of the
+    literals among them.
+    """
 
     def __init__(self, precision: Precision, known: Sequence[float]) -> None:
         self.precision = precision
@@ -72,11 +83,15 @@ class Formulas:
         self.lines: list[str] = []
         self.count = 0
         self._names: dict[tuple[str, str], Value] = {}
-        self.choices: dict[str, tuple[Value, Value, Value]] = {}  # by name: condition, and both values
+        self.choices: dict[
+            str, tuple[Value, Value, Value]
+        ] = {}  # by name: condition, and both values
         self.operations: dict[
             str, tuple[str, Value, Value]
         ] = {}  # of reals, by name: sign, and both operands
-        self.bounded: dict[str, float] = {}  # by name: |value| is assumed to be at most this, and no NaN
+        self.bounded: dict[
+            str, float
+        ] = {}  # by name: |value| is assumed to be at most this, and no NaN
 
     def sort(self, kind: str) -> str:
         """Return the SMT-LIB sort of a kind."""
@@ -90,9 +105,11 @@ class Formulas:
         return Value(kind, name)
 
     def defined(self, kind: str, term: str) -> Value:
-        """Return a name for `term`, so that it is written once however often it is used."""
-        # Equal terms get one name: that two sums round alike is then seen without arithmetic, where a solver
-        # would compare two adders bit by bit.
+        """Return a name for `term`, so that it is written once however often it is
+        used.
+        """
+        # Equal terms get one name: that two sums round alike is then seen without
+        # arithmetic, where a solver would compare two adders bit by bit.
         if (kind, term) not in self._names:
             self.count += 1
             name = f"t{self.count}"
@@ -102,7 +119,8 @@ class Formulas:
 
     def choice(self, test: Value, yes: Value, no: Value) -> Value:
         """Return `yes` where `test` holds, else `no`."""
-        # What is decided here never reaches a solver; each branch less halves what it has to look at.
+        # What is decided here never reaches a solver; each branch less halves what it
+        # has to look at.
         if test == TRUE or yes == no:
             return yes
         if test == FALSE:
@@ -122,13 +140,17 @@ class Formulas:
     def joined(self, sign: str, tests: Sequence[Value]) -> Value:
         """Return `tests[0] && tests[1]` or `||`; neither has an effect."""
         left, right = tests
-        return self.choice(left, right, FALSE) if sign == "&&" else self.choice(left, TRUE, right)
+        return (
+            self.choice(left, right, FALSE)
+            if sign == "&&"
+            else self.choice(left, TRUE, right)
+        )
 
     def operated(self, sign: str, a: Value, b: Value) -> Value:
         """Return `a sign b` as C computes it, for two reals or two words.
 
-        A sum of a choice and the bounded command becomes a choice of sums, so that two roundings of one
-        difference are seen to be of one difference.
+        A sum of a choice and the bounded command becomes a choice of sums, so that two
+        roundings of one difference are seen to be of one difference.
         """
         if a.kind != b.kind or a.kind not in ("real", "word"):
             raise Unreadable(f"{a.kind} {sign} {b.kind}")
@@ -139,12 +161,16 @@ class Formulas:
             chosen, other = (a.term, b.term) if left else (b.term, a.term)
             if chosen in self.choices and other in self.bounded:
                 test, *values = self.choices[chosen]
-                yes, no = (self.operated(sign, *((x, b) if left else (a, x))) for x in values)
+                yes, no = (
+                    self.operated(sign, *((x, b) if left else (a, x))) for x in values
+                )
                 return self.choice(test, yes, no)
         decided = self._decided(sign, a, b)
         if decided is not None:
             return decided
-        operations, tests_of = (_REAL, _REAL_TESTS) if a.kind == "real" else (_WORD, _WORD_TESTS)
+        operations, tests_of = (
+            (_REAL, _REAL_TESTS) if a.kind == "real" else (_WORD, _WORD_TESTS)
+        )
         if sign in operations:
             result = self.defined(a.kind, f"({operations[sign]} {a.term} {b.term})")
             if a.kind == "real":
@@ -155,17 +181,27 @@ class Formulas:
         raise Unreadable(f"{a.kind} {sign} {b.kind}")
 
     def _decided(self, sign: str, a: Value, b: Value) -> Value | None:
-        """A comparison whose answer is known already: of constants, or by what is assumed."""
+        """A comparison whose answer is known already: of constants, or by what is
+        assumed.
+        """
         if a.kind == "word":
             # Only literals: two names may stand for one word.
-            if a.term.startswith("(_ bv") and b.term.startswith("(_ bv") and sign == "==":
+            if (
+                a.term.startswith("(_ bv")
+                and b.term.startswith("(_ bv")
+                and sign == "=="
+            ):
                 return TRUE if a == b else FALSE
             return TRUE if a == b and sign == "==" else None
         # x == x is false for NaN: it takes an assumption that there is none.
         if a == b and sign == "==" and a.term in self.bounded:
             return TRUE
         limit = self.known.get(b.term)
-        if limit is None or a.term not in self.bounded or self.bounded[a.term] > abs(limit):
+        if (
+            limit is None
+            or a.term not in self.bounded
+            or self.bounded[a.term] > abs(limit)
+        ):
             return None
         # Where a bound of |a| alone decides; a.term may still have either sign.
         if sign == "<=" and limit >= self.bounded[a.term]:
@@ -184,7 +220,10 @@ class Formulas:
             literal = real_literal(-self.known[value.term], self.precision)
             self.known[literal] = -self.known[value.term]
             return Value("real", literal)
-        return self.defined(value.kind, f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})")
+        return self.defined(
+            value.kind,
+            f"({'fp.neg' if value.kind == 'real' else 'bvneg'} {value.term})",
+        )
 
     def magnitude(self, value: Value) -> Value:
         """Return |value|."""
@@ -194,11 +233,13 @@ class Formulas:
         return result
 
     def at_most(self, value: Value, limit: float) -> Value:
-        """Return a condition under which |value| <= `limit`, and no NaN; it may ask for more than that.
+        """Return a condition under which |value| <= `limit`, and no NaN; it may ask for
+        more than that.
 
-        A sum meets it, too, where both parts are at most a quarter of the limit (a half would do but for the
-        rounding), a multiple of a constant where the other factor is small enough: what is left for a solver
-        are comparisons, where an adder of 53 bits in every branch takes it minutes.
+        A sum meets it, too, where both parts are at most a quarter of the limit (a half
+        would do but for the rounding), a multiple of a constant where the other factor
+        is small enough: what is left for a solver are comparisons, where an adder of 53
+        bits in every branch takes it minutes.
         """
         if value.term in self.choices:
             test, yes, no = self.choices[value.term]
@@ -207,10 +248,14 @@ class Formulas:
         itself = self.defined("bool", f"(fp.leq (fp.abs {value.term}) {literal})")
         sign, a, b = self.operations.get(value.term, ("", value, value))
         if sign in ("+", "-"):
-            parts = self.joined("&&", [self.at_most(part, 0.25 * limit) for part in (a, b)])
+            parts = self.joined(
+                "&&", [self.at_most(part, 0.25 * limit) for part in (a, b)]
+            )
         elif sign == "*" and (a.term in self.known) != (b.term in self.known):
             factor, other = (a, b) if a.term in self.known else (b, a)
-            parts = self.at_most(other, 0.25 * limit / max(abs(self.known[factor.term]), 1.0))
+            parts = self.at_most(
+                other, 0.25 * limit / max(abs(self.known[factor.term]), 1.0)
+            )
         else:
             return itself
         return self.joined("||", [itself, parts])
@@ -243,19 +288,25 @@ class Formulas:
             return Value("real", real_literal(0.0, self.precision))
         if wanted == "real" and value.kind == "word":
             exponent, mantissa = _WIDTHS[self.precision]
-            return self.defined("real", f"((_ to_fp_unsigned {exponent} {mantissa}) RNE {value.term})")
+            return self.defined(
+                "real", f"((_ to_fp_unsigned {exponent} {mantissa}) RNE {value.term})"
+            )
         raise Unreadable(f"{value.kind} as {kind}")
 
     def relevant(self, goals: Sequence[str], *, arithmetic: bool = True) -> list[str]:
         """Return the definitions that `goals` stand on, in their order.
 
-        A sum with a part that may be anything and is used nowhere else may be anything itself: it is set
-        free, which leaves less to decide and allows no less than before. Without `arithmetic` all results of
-        it are set free: enough where nothing but comparisons bounds what is asked about.
+        A sum with a part that may be anything and is used nowhere else may be anything
+        itself: it is set free, which leaves less to decide and allows no less than
+        before. Without `arithmetic` all results of it are set free: enough where
+        nothing but comparisons bounds what is asked about.
         """
         defined = {line.split()[1]: line for line in self.lines}
         if not arithmetic:
-            defined |= {name: f"(declare-const {name} {self.real_sort})" for name in self.operations}
+            defined |= {
+                name: f"(declare-const {name} {self.real_sort})"
+                for name in self.operations
+            }
         while True:
             uses = _uses(defined, goals)
             sums = [
@@ -263,7 +314,10 @@ class Formulas:
                 for name, count in uses.items()
                 if count
                 and (found := _SUM.search(defined[name]))
-                and any(uses.get(part) == 1 and "declare-const" in defined[part] for part in found.groups())
+                and any(
+                    uses.get(part) == 1 and "declare-const" in defined[part]
+                    for part in found.groups()
+                )
             ]
             if not sums:
                 return [line for name, line in defined.items() if uses.get(name)]
@@ -284,13 +338,15 @@ def _uses(defined: Mapping[str, str], goals: Sequence[str]) -> dict[str, int]:
 
 
 def _single(digits: str) -> float:
-    # Through the four bytes: numpy's float32 would warn where a constant overflows, and struct refuses it.
+    # Through the four bytes: numpy's float32 would warn where a constant overflows, and
+    # struct refuses it.
     return float(struct.unpack("<f", struct.pack("<f", float(digits)))[0])
 
 
 def kind_of(c_type: str) -> str:
     """Return the kind of a type of C."""
-    # int and double are left out on purpose: C would promote them silently, and this arithmetic would not.
+    # int and double are left out on purpose: C would promote them silently, and this
+    # arithmetic would not.
     kinds = {"law_real": "real", "uint32_t": "word"}
     if c_type not in kinds:
         raise Unreadable(f"the type {c_type}")

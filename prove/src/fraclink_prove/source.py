@@ -1,7 +1,9 @@
-"""law.c as statements: the part of C that the law is written in, read from its preprocessed text.
+"""law.c as statements: the part of C that the law is written in, read from its
+preprocessed text.
 
-Conditions, assignments, calls and returns; loops are seen but not read. Whatever else stands in a function
-makes `Unreadable`: a proof about a text that was half understood would be worth nothing.
+Conditions, assignments, calls and returns; loops are seen but not read. Whatever else
+stands in a function makes `Unreadable`: a proof about a text that was half understood
+would be worth nothing.
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ class Unreadable(Exception):
 
 @dataclass(frozen=True)
 class Function:
-    """One function: its result's type, parameters as (type, is pointer, name), and its text."""
+    """One function: its result's type, parameters as (type, is pointer, name), and its
+    text.
+    """
 
     name: str
     result: str
@@ -61,7 +65,9 @@ class Function:
         return not any(pointer for _, pointer, _ in self.parameters)
 
     def body(self) -> tuple[Node, ...]:
-        """Return the statements; Unreadable where there are others than this reader knows."""
+        """Return the statements; Unreadable where there are others than this reader
+        knows.
+        """
         return _Reader(_tokens(self.text)).block()
 
 
@@ -73,7 +79,9 @@ class Source:
     members: dict[str, str]
 
     def effects(self, name: str) -> frozenset[tuple[str, str]]:
-        """Return what a call may change through pointers to structs: pairs (struct, member)."""
+        """Return what a call may change through pointers to structs: pairs (struct,
+        member).
+        """
         return self._effects(name, ())
 
     def _effects(self, name: str, above: tuple[str, ...]) -> frozenset[tuple[str, str]]:
@@ -88,21 +96,32 @@ class Source:
                 # are not read, have effects, too.
                 assigned = rf"\b{parameter}->(\w+)(?:\[[^\]]*\])?\s*(?:[-+*|&^/]?=(?!=)|\+\+|--)"
                 # an address that is handed on may be written through
-                for member in re.findall(rf"{assigned}|&{parameter}->(\w+)", function.text):
+                for member in re.findall(
+                    rf"{assigned}|&{parameter}->(\w+)", function.text
+                ):
                     changed.update((kind, found) for found in member if found)
-        for called in set(re.findall(r"\b(\w+)\(", function.text)) & self.functions.keys():
+        for called in (
+            set(re.findall(r"\b(\w+)\(", function.text)) & self.functions.keys()
+        ):
             changed |= self._effects(called, (*above, name))
         return frozenset(changed)
 
 
 def read_source(text: str) -> Source:
     """Return the functions of preprocessed C `text`."""
-    text = re.sub(r"^#.*$", "", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL), flags=re.MULTILINE)
+    text = re.sub(
+        r"^#.*$",
+        "",
+        re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL),
+        flags=re.MULTILINE,
+    )
     functions = {}
     for found in _FUNCTION.finditer(text):
         result, name, listed = found.groups()
         end = _closing(text, found.end() - 1)
-        functions[name] = Function(name, result, _parameters(listed), text[found.end() : end])
+        functions[name] = Function(
+            name, result, _parameters(listed), text[found.end() : end]
+        )
     members: dict[str, str] = {}
     for struct in re.findall(r"typedef struct\s*\{(.*?)\}", text, flags=re.DOTALL):
         for kind, member in _MEMBER.findall(struct):
@@ -226,8 +245,13 @@ class _Reader:
             raise Unreadable(f"{sign!r} after {target[0]!r}")
         value = self.expression()
         self.take(";")
-        # a += b is a = a + b: no target here has an effect that would then happen twice.
-        return ("set", target, value if sign == "=" else ("binary", sign[:-1], target, value))
+        # a += b is a = a + b: no target here has an effect that would then happen
+        # twice.
+        return (
+            "set",
+            target,
+            value if sign == "=" else ("binary", sign[:-1], target, value),
+        )
 
     def expression(self) -> Node:
         test = self.binary(0)

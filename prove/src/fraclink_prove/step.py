@@ -1,4 +1,6 @@
-"""Claims about law_step in exact IEEE arithmetic, decided by SMT solvers: slew, and all outputs finite."""
+"""Claims about law_step in exact IEEE arithmetic, decided by SMT solvers: slew, and all
+outputs finite.
+"""
 
 from __future__ import annotations
 
@@ -19,18 +21,22 @@ from fraclink_prove.tools import COMPILER, SOLVERS, Tool, at_most, sha256_of_tex
 
 __all__ = ["finite_claim", "slew_bound", "slew_claim"]
 
-# Modes of a law that was started, as its state keeps them: a copy in each byte (law.c, `copied`).
+# Modes of a law that was started, as its state keeps them: a copy in each byte (law.c,
+# `copied`).
 _STARTED, _COPIES = (1, 2, 3, 4), 0x01010101
-# Far below the largest number of single precision, 3.4e38, and far above an angle, a torque or a voltage.
+# Far below the largest number of single precision, 3.4e38, and far above an angle, a
+# torque or a voltage.
 _FINITE = 1e30
 _STRUCTS = ("law_state", "law_params", "law_input", "law_output")
 
 
 def slew_bound(law: Law) -> float:
-    """Return the largest change of the motor reference in a period [rad], rounding included.
+    """Return the largest change of the motor reference in a period [rad], rounding
+    included.
 
-    motor_step (1 + 4u) + one unit in the last place of motor_limit: the sum of the last command and the step
-    is rounded at the size of the command, which is larger than the step.
+    motor_step (1 + 4u) + one unit in the last place of motor_limit: the sum of the last
+    command and the step is rounded at the size of the command, which is larger than the
+    step.
     """
     kind = np.float32 if law.precision == "single" else np.float64
     step, limit = kind(law.limits.motor_step), kind(law.limits.motor_limit)
@@ -41,9 +47,10 @@ def slew_bound(law: Law) -> float:
 def slew_claim(law: Law, folder: Path) -> Claim:
     """Prove that the command of two periods in a row differs by at most `slew_bound`.
 
-    law_step is followed from the text of law.c with every coefficient and every other state free; what is
-    asked of the state is that it was started, that it is undamaged (its sum is that of the last period), and
-    that the last command is still in it and in its range. A damaged one starts anew where the motor is.
+    law_step is followed from the text of law.c with every coefficient and every other
+    state free; what is asked of the state is that it was started, that it is undamaged
+    (its sum is that of the last period), and that the last command is still in it and
+    in its range. A damaged one starts anew where the motor is.
     """
     bound, step = slew_bound(law), law.limits.motor_step
     claim = Claim(
@@ -58,9 +65,12 @@ def slew_claim(law: Law, folder: Path) -> Claim:
     def query(executed: Symbolic) -> list[Value]:
         before = executed.memory["before", "motor_reference"]
         after = executed.memory["law_output", "motor_reference"]
-        # Rounded up and down: the exact difference of the two commands lies between, whatever its rounding.
+        # Rounded up and down: the exact difference of the two commands lies between,
+        # whatever its rounding.
         up, down = (executed.operated(sign, after, before) for sign in ("-up", "-down"))
-        most, least = (Value("real", real_literal(x, law.precision)) for x in (bound, -bound))
+        most, least = (
+            Value("real", real_literal(x, law.precision)) for x in (bound, -bound)
+        )
         return [executed.operated("<=", up, most), executed.operated(">=", down, least)]
 
     return _decided(
@@ -74,7 +84,9 @@ def slew_claim(law: Law, folder: Path) -> Claim:
 
 
 def finite_claim(law: Law, folder: Path) -> Claim:
-    """Prove that the outputs that are no commands are finite too, whatever is in the state and the inputs."""
+    """Prove that the outputs that are no commands are finite too, whatever is in the
+    state and the inputs.
+    """
     claim = Claim(
         "finite",
         "for every sequence of inputs and every content of the state's memory: tip_estimate, error and "
@@ -82,15 +94,31 @@ def finite_claim(law: Law, folder: Path) -> Claim:
         "not proved",
     )
     outputs = ("tip_estimate", "error", "compensation")
-    # What the three are computed from: a function that writes none of these is taken to return anything.
+    # What the three are computed from: a function that writes none of these is taken to
+    # return anything.
     sources = ("motor_angle", "torque", "reference", "track", "error")
 
     def query(executed: Symbolic) -> list[Value]:
-        return [executed.at_most(executed.memory["law_output", name], _FINITE) for name in outputs]
+        return [
+            executed.at_most(executed.memory["law_output", name], _FINITE)
+            for name in outputs
+        ]
 
-    # Comparisons alone keep what the outputs are made of in its range, whatever the sums between them give.
-    tracked = {("law_output", name) for name in outputs} | {("law_state", name) for name in sources}
-    return _decided(claim, law, folder, "finite", query, tracked=tracked, started=False, arithmetic=False)
+    # Comparisons alone keep what the outputs are made of in its range, whatever the
+    # sums between them give.
+    tracked = {("law_output", name) for name in outputs} | {
+        ("law_state", name) for name in sources
+    }
+    return _decided(
+        claim,
+        law,
+        folder,
+        "finite",
+        query,
+        tracked=tracked,
+        started=False,
+        arithmetic=False,
+    )
 
 
 def _decided(
@@ -104,16 +132,30 @@ def _decided(
     started: bool = True,
     arithmetic: bool = True,
 ) -> Claim:
-    """Ask the solvers whether a negation of the claim can be met: "unsat" for all of them proves it."""
+    """Ask the solvers whether a negation of the claim can be met: "unsat" for all of
+    them proves it.
+    """
     solvers = [tool for tool in SOLVERS if tool.path]
     if not solvers:
-        return replace(claim, reason=" and ".join(tool.missing for tool in SOLVERS) + "; one is enough")
+        return replace(
+            claim,
+            reason=" and ".join(tool.missing for tool in SOLVERS) + "; one is enough",
+        )
     if COMPILER.path is None:
         return replace(claim, reason=COMPILER.missing)
     try:
-        problems = _problems(law, folder, query, frozenset(tracked), started=started, arithmetic=arithmetic)
+        problems = _problems(
+            law,
+            folder,
+            query,
+            frozenset(tracked),
+            started=started,
+            arithmetic=arithmetic,
+        )
     except Unreadable as error:
-        return replace(claim, reason=f"law.c has a form that the proof does not read: {error}")
+        return replace(
+            claim, reason=f"law.c has a form that the proof does not read: {error}"
+        )
     (folder / "proof").mkdir(exist_ok=True)
     logs, used = [], set()
     for number, problem in enumerate(problems, start=1):
@@ -122,7 +164,9 @@ def _decided(
         logs.append((name, sha256_of_text(problem)))
         decided = _first_answer(solvers, name, folder)
         if decided is None:
-            return replace(claim, logs=tuple(logs), reason=f"{name}: no solver decided it")
+            return replace(
+                claim, logs=tuple(logs), reason=f"{name}: no solver decided it"
+            )
         used.add(decided[0])
         if decided[1] == "sat":
             reason = f"{decided[0]} found a step that breaks it ({name})"
@@ -130,7 +174,9 @@ def _decided(
     return replace(claim, status="proved", tools=tuple(sorted(used)), logs=tuple(logs))
 
 
-def _first_answer(solvers: list[Tool], name: str, folder: Path) -> tuple[str, str] | None:
+def _first_answer(
+    solvers: list[Tool], name: str, folder: Path
+) -> tuple[str, str] | None:
     """The first solver that answers, and "sat" or "unsat"; None where none does."""
     for tool in solvers:
         language = ("--lang", "smt2") if tool.program == "cvc5" else ()
@@ -151,31 +197,44 @@ def _problems(
 ) -> list[str]:
     single = ("-DLAW_SINGLE",) if law.precision == "single" else ()
     text = COMPILER.run(("-E", "-P", "-std=c99", *single, "law.c"), folder).text
-    # Modes are left free: neither claim depends on the filter, and a proof without them holds for every one.
+    # Modes are left free: neither claim depends on the filter, and a proof without them
+    # holds for every one.
     names = [name for name, length in REALS if length == 1]
     values = {name: float(law.coefficients[name]) for name in names}  # type: ignore[arg-type]
     undamaged = {"damaged": ZERO} if started else {}
     executed = Symbolic(
-        read_source(text), law.precision, constants=values, tracked=tracked, assumed=undamaged
+        read_source(text),
+        law.precision,
+        constants=values,
+        tracked=tracked,
+        assumed=undamaged,
     )
     assumed = _started(executed, values["motor_limit"]) if started else []
     executed.call("law_step", tuple(Value("pointer", struct) for struct in _STRUCTS))
     problems = []
     for goal in query(executed):
         asserted = [*assumed, f"(not {goal.term})"]
-        lines = ["(set-logic QF_BVFP)", *executed.relevant(asserted, arithmetic=arithmetic)]
+        lines = [
+            "(set-logic QF_BVFP)",
+            *executed.relevant(asserted, arithmetic=arithmetic),
+        ]
         lines += [f"(assert {line})" for line in asserted]
         problems.append("\n".join((*lines, "(check-sat)", "")))
     return problems
 
 
 def _started(executed: Symbolic, limit: float) -> list[str]:
-    """Assume a law that was started with these parameters and whose last command is still in its memory."""
-    state = {name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")}
+    """Assume a law that was started with these parameters and whose last command is
+    still in its memory.
+    """
+    state = {
+        name: executed.load(("law_state", name)) for name in ("mode", "motor_reference")
+    }
     # Else the state counts as that of another law, and law_step begins anew.
     executed.memory["law_state", "stamp"] = executed.load(("law_params", "crc"))
     command = executed.memory["before", "motor_reference"] = state["motor_reference"]
-    # Told to the formulas, too: comparisons with the limit are then decided without a solver.
+    # Told to the formulas, too: comparisons with the limit are then decided without a
+    # solver.
     executed.bounded[command.term] = limit
     modes = (f"(= {state['mode'].term} (_ bv{mode * _COPIES} 32))" for mode in _STARTED)
     return [

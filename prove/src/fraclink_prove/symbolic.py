@@ -1,7 +1,9 @@
-"""Functions of law.c as formulas: every path at once, in exact IEEE arithmetic, as SMT-LIB (QF_BVFP).
+"""Functions of law.c as formulas: every path at once, in exact IEEE arithmetic, as
+SMT-LIB (QF_BVFP).
 
-A call whose effects matter is followed into; any other one is taken to leave anything at all in what it may
-write. The formulas therefore allow more than the law can do, and what holds for them holds for the law.
+A call whose effects matter is followed into; any other one is taken to leave anything
+at all in what it may write. The formulas therefore allow more than the law can do, and
+what holds for them holds for the law.
 """
 
 from __future__ import annotations
@@ -10,7 +12,15 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from fraclink._law.block import Precision
-from fraclink_prove.formulas import FALSE, TRUE, ZERO, Formulas, Value, kind_of, real_literal
+from fraclink_prove.formulas import (
+    FALSE,
+    TRUE,
+    ZERO,
+    Formulas,
+    Value,
+    kind_of,
+    real_literal,
+)
 from fraclink_prove.source import Function, Node, Source, Unreadable
 
 __all__ = ["Symbolic"]
@@ -55,43 +65,62 @@ class Symbolic(Formulas):
     def call(self, name: str, arguments: tuple[Value, ...]) -> Value | None:
         """Return what the function returns after its effects; None for void."""
         function = self.source.functions[name]
-        # A pure function costs its formula once, and its result may bound what is asked; one with effects
-        # elsewhere would only grow the problem.
+        # A pure function costs its formula once, and its result may bound what is
+        # asked; one with effects elsewhere would only grow the problem.
         followed = function.pure or bool(self.source.effects(name) & self.tracked)
         if not followed or function.loops:
             return self._anything(function, arguments)
         self.count += 1
-        # A frame of its own for each call, so that two calls of one function share no variable.
+        # A frame of its own for each call, so that two calls of one function share no
+        # variable.
         frame = f"{name}#{self.count}"
-        for (kind, pointer, parameter), value in zip(function.parameters, arguments, strict=True):
+        for (kind, pointer, parameter), value in zip(
+            function.parameters, arguments, strict=True
+        ):
             if pointer != (value.kind == "pointer"):
                 raise Unreadable(f"{name}({parameter}) is given something else")
-            self.memory[frame, parameter] = value if pointer else self.converted(kind, value)
+            self.memory[frame, parameter] = (
+                value if pointer else self.converted(kind, value)
+            )
         body = function.body()
         returned: Value | None = None
         for number, statement in enumerate(body):
             if statement[0] == "return":
-                # An early return makes all that follows conditional; law.c has one exit a function.
+                # An early return makes all that follows conditional; law.c has one exit
+                # a function.
                 if number != len(body) - 1:
                     raise Unreadable(f"{name} returns before its end")
-                returned = self.converted(function.result, self._value(_node(statement[1]), frame))
+                returned = self.converted(
+                    function.result, self._value(_node(statement[1]), frame)
+                )
             else:
                 self._run(statement, frame)
         return returned
 
-    def _anything(self, function: Function, arguments: tuple[Value, ...]) -> Value | None:
-        # Sorted, so that the same text always makes the same problem: the logs are compared by their hashes.
+    def _anything(
+        self, function: Function, arguments: tuple[Value, ...]
+    ) -> Value | None:
+        # Sorted, so that the same text always makes the same problem: the logs are
+        # compared by their hashes.
         for owner, member in sorted(self.source.effects(function.name)):
             kind = self.source.members.get(member)
             if kind is None:
                 raise Unreadable(f"{function.name} writes {member}, of unknown type")
             self.memory[owner, member] = self.any(kind_of(kind), member)
         for value in arguments:
-            if value.kind == "pointer" and "." in value.term:  # the address of one variable or member
+            if (
+                value.kind == "pointer" and "." in value.term
+            ):  # the address of one variable or member
                 owner, member = value.term.split(".")
                 if (owner, member) in self.memory:
-                    self.memory[owner, member] = self.any(self.memory[owner, member].kind, "written")
-        return None if function.result == "void" else self.any(kind_of(function.result), function.name)
+                    self.memory[owner, member] = self.any(
+                        self.memory[owner, member].kind, "written"
+                    )
+        return (
+            None
+            if function.result == "void"
+            else self.any(kind_of(function.result), function.name)
+        )
 
     def _run(self, statement: Node, frame: str) -> None:
         kind = statement[0]
@@ -107,7 +136,9 @@ class Symbolic(Formulas):
             place = self._place(_node(statement[1]), frame)
             value = self._value(_node(statement[2]), frame)
             before = self.load(place)
-            self.memory[place] = self.converted("law_real" if before.kind == "real" else "uint32_t", value)
+            self.memory[place] = self.converted(
+                "law_real" if before.kind == "real" else "uint32_t", value
+            )
         elif kind == "do":
             self._call_node(_node(statement[1]), frame)
         elif kind == "if":
@@ -133,15 +164,23 @@ class Symbolic(Formulas):
         for place in dict.fromkeys((*after, *self.memory)):
             yes = after.get(place) or self._late(place)
             no = self.memory.get(place) or self._late(place)
-            if yes is None or no is None:  # a variable of one branch alone: nothing behind reads it
+            if (
+                yes is None or no is None
+            ):  # a variable of one branch alone: nothing behind reads it
                 self.memory.pop(place, None)
             else:
                 self.memory[place] = self.choice(test, yes, no)
 
     def _late(self, place: Place) -> Value | None:
-        """A member that one branch alone has touched: in the other it has any value, which is sound."""
+        """A member that one branch alone has touched: in the other it has any value,
+        which is sound.
+        """
         kind = self.source.members.get(place[1])
-        return None if kind is None or "#" in place[0] else self.any(kind_of(kind), place[1])
+        return (
+            None
+            if kind is None or "#" in place[0]
+            else self.any(kind_of(kind), place[1])
+        )
 
     def _place(self, node: Node, frame: str) -> Place:
         if node[0] == "name":
@@ -159,13 +198,17 @@ class Symbolic(Formulas):
         name = str(node[1])
         if name in ("__builtin_fabs", "__builtin_fabsf"):
             return self.magnitude(self._value(_nodes(node[2])[0], frame))
-        if name == "__builtin_expect":  # a word to the compiler about the first of the two
+        if (
+            name == "__builtin_expect"
+        ):  # a word to the compiler about the first of the two
             return self._value(_nodes(node[2])[0], frame)
         if name in self.assumed:
             return self.assumed[name]
         if name not in self.source.functions:
             raise Unreadable(f"a call of {name}, whose text is not here")
-        return self.call(name, tuple(self._value(part, frame) for part in _nodes(node[2])))
+        return self.call(
+            name, tuple(self._value(part, frame) for part in _nodes(node[2]))
+        )
 
     def _value(self, node: Node, frame: str) -> Value:
         kind = node[0]
@@ -175,7 +218,9 @@ class Symbolic(Formulas):
             return self.load(self._place(node, frame))
         if kind == "address":
             target = _node(node[1])
-            whole = _node(target[1]) if target[0] == "element" else target  # an element stands for its array
+            whole = (
+                _node(target[1]) if target[0] == "element" else target
+            )  # an element stands for its array
             return Value("pointer", ".".join(self._place(whole, frame)))
         if kind == "call":
             value = self._call_node(node, frame)
@@ -188,7 +233,10 @@ class Symbolic(Formulas):
             return self.negative(self._value(_node(node[1]), frame))
         if kind == "choice":
             test = self.truth(self._value(_node(node[1]), frame))
-            yes, no = self._value(_node(node[2]), frame), self._value(_node(node[3]), frame)
+            yes, no = (
+                self._value(_node(node[2]), frame),
+                self._value(_node(node[3]), frame),
+            )
             if yes.kind != no.kind:
                 raise Unreadable("a choice between two types")
             return self.choice(test, yes, no)

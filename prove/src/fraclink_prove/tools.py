@@ -1,4 +1,6 @@
-"""The provers that may be installed, how each is run, and how their numbers are printed."""
+"""The provers that may be installed, how each is run, and how their numbers are
+printed.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,27 @@ from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context
 from pathlib import Path
 
-__all__ = ["COMPILER", "FRAMA_C", "GAPPA", "SOLVERS", "Answer", "Tool", "at_most", "sha256_of_text"]
+__all__ = [
+    "COMPILER",
+    "FRAMA_C",
+    "GAPPA",
+    "SOLVERS",
+    "Answer",
+    "Tool",
+    "at_most",
+    "sha256_of_text",
+]
 
-# A proof takes seconds on a desktop; ten minutes without an answer is one that will not come.
+# A proof takes seconds on a desktop; ten minutes without an answer is one that will not
+# come.
 SECONDS = 600
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a program printed, and its exit code; code None where it was stopped for time."""
+    """What a program printed, and its exit code; code None where it was stopped for
+    time.
+    """
 
     text: str
     code: int | None
@@ -27,7 +41,9 @@ class Answer:
 
 @dataclass(frozen=True)
 class Tool:
-    """A program, the Debian package that brings it, and the words that make it print its version."""
+    """A program, the Debian package that brings it, and the words that make it print
+    its version.
+    """
 
     program: str
     package: str
@@ -50,9 +66,12 @@ class Tool:
         number = next((word for word in words if word[:1].isdigit()), "")
         return f"{self.program} {number}".strip()
 
-    def run(self, arguments: Sequence[str], folder: Path, *, seconds: float = SECONDS) -> Answer:
+    def run(
+        self, arguments: Sequence[str], folder: Path, *, seconds: float = SECONDS
+    ) -> Answer:
         """Run the program in `folder` and return all that it printed."""
-        # Frama-C takes the working directory from PWD, which a change of directory alone leaves behind
+        # Frama-C takes the working directory from PWD, which a change of directory
+        # alone leaves behind
         environment = os.environ | {"PWD": str(folder.resolve())}
         command = [self.path or self.program, *arguments]
         try:
@@ -78,12 +97,15 @@ SOLVERS = (Tool("z3", "z3"), Tool("cvc5", "cvc5"))
 
 
 def at_most(value: float, digits: int = 6) -> str:
-    """Return a positive number in `digits` digits, rounded up: a bound that is printed smaller is no bound.
+    """Return a positive number in `digits` digits, rounded up: a bound that is printed
+    smaller is no bound.
 
     >>> at_most(7.08102178574), at_most(9.2981e-16, 3)
     ('7.08103', '9.3e-16')
     """
-    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(value)
+    rounded = Context(prec=digits, rounding=ROUND_CEILING).create_decimal_from_float(
+        value
+    )
     return f"{float(rounded):.{digits}g}"
 
 

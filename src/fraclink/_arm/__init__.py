@@ -1,1 +1,3 @@
-"""What a laboratory has and wants: rig, link, beam, motor loop, controller, reference, experiment."""
+"""What a laboratory has and wants: rig, link, beam, motor loop, controller, reference,
+experiment.
+"""

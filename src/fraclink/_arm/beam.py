@@ -1,12 +1,14 @@
-"""The link of the twin: an Euler–Bernoulli beam clamped at a turning hub, with a payload at its tip.
+"""The link of the twin: an Euler–Bernoulli beam clamped at a turning hub, with a
+payload at its tip.
 
 In the frame that turns with the hub the deflection w(x, t) obeys
 
     ρA (ẅ + x θ̈m) + EI D(s) w'''' = 0,    w(0) = w'(0) = 0,
     m (ẅ(L) + L θ̈m) = EI D(s) w'''(L),     J (ẅ'(L) + θ̈m) = −EI D(s) w''(L),
 
-where D(s) is the damping law of the material (``damping.py``; D = 1 is the undamped link). Damping
-proportional to the stiffness leaves the mode shapes real: with w = Σ φi(x) qi(t) every mode obeys
+where D(s) is the damping law of the material (``damping.py``; D = 1 is the undamped
+link). Damping proportional to the stiffness leaves the mode shapes real: with w = Σ
+φi(x) qi(t) every mode obeys
 
     q̈i + ωi² D(s) qi = −Γi θ̈m.
 """
@@ -27,20 +29,31 @@ from fraclink._arm.rig import Rig
 from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
 
-__all__ = ["DEFAULT_MASS", "Beam", "BeamModes", "assumed_ratio", "material_law", "matrices", "modal_shares"]
+__all__ = [
+    "DEFAULT_MASS",
+    "Beam",
+    "BeamModes",
+    "assumed_ratio",
+    "material_law",
+    "matrices",
+    "modal_shares",
+]
 __all__ += ["modes_of", "residual_inertia", "rigid_rotation", "unmodelled_modes"]
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# 48 cubic elements: the third mode of the lightest payload is exact to 2e-7 and the fifth to 1e-5;
-# doubling the number gains nothing once the eigenvalues are at 1e-8, where rounding takes over.
+# 48 cubic elements: the third mode of the lightest payload is exact to 2e-7 and the
+# fifth to 1e-5; doubling the number gains nothing once the eigenvalues are at 1e-8,
+# where rounding takes over.
 ELEMENTS = 48
 
 
 _LARGEST = 1e9
 
-DEFAULT_MASS = 0.00735  # [kg] of the link where a rig states none: a carbon rod of 3 mm, 1 m long
+DEFAULT_MASS = (
+    0.00735  # [kg] of the link where a rig states none: a carbon rod of 3 mm, 1 m long
+)
 
 
 @checked
@@ -48,8 +61,8 @@ DEFAULT_MASS = 0.00735  # [kg] of the link where a rig states none: a carbon rod
 class Beam:
     """A uniform slender link with a payload: what bends, and what it carries.
 
-    The stiffness of the lumped model follows as c = 3 EI/L [N·m/rad], and for a massless link the only
-    mode is ω = √(c/(m L²)), equation (5) of the paper.
+    The stiffness of the lumped model follows as c = 3 EI/L [N·m/rad], and for a
+    massless link the only mode is ω = √(c/(m L²)), equation (5) of the paper.
 
     Parameters
     ----------
@@ -62,8 +75,8 @@ class Beam:
     payload
         mass m at the tip [kg], >= 0; link and payload must not both be massless
     payload_inertia
-        moment of inertia of the payload about the tip [kg·m²], >= 0. The default 0 is the
-        paper's rig: the disk turns freely, so no moment acts at the tip.
+        moment of inertia of the payload about the tip [kg·m²], >= 0. The default 0 is
+        the paper's rig: the disk turns freely, so no moment acts at the tip.
 
     Raises
     ------
@@ -78,20 +91,47 @@ class Beam:
     """
 
     length: Annotated[
-        float, Between(0.0, _LARGEST, "m", low_open=True, remedy="give the length of the link in metres")
+        float,
+        Between(
+            0.0,
+            _LARGEST,
+            "m",
+            low_open=True,
+            remedy="give the length of the link in metres",
+        ),
     ]
     flexural_rigidity: Annotated[
         float,
-        Between(0.0, _LARGEST, "N·m²", low_open=True, remedy="give EI, or c·L/3 from a measured stiffness"),
+        Between(
+            0.0,
+            _LARGEST,
+            "N·m²",
+            low_open=True,
+            remedy="give EI, or c·L/3 from a measured stiffness",
+        ),
     ]
-    link_mass: Annotated[float, Between(0.0, _LARGEST, "kg", remedy="give the mass of the link in kg")]
-    payload: Annotated[float, Between(0.0, _LARGEST, "kg", remedy="give the mass at the tip in kg")]
+    link_mass: Annotated[
+        float, Between(0.0, _LARGEST, "kg", remedy="give the mass of the link in kg")
+    ]
+    payload: Annotated[
+        float, Between(0.0, _LARGEST, "kg", remedy="give the mass at the tip in kg")
+    ]
     payload_inertia: Annotated[
-        float, Between(0.0, _LARGEST, "kg·m²", remedy="give 0 for a disk that turns freely on its pin")
+        float,
+        Between(
+            0.0,
+            _LARGEST,
+            "kg·m²",
+            remedy="give 0 for a disk that turns freely on its pin",
+        ),
     ] = 0.0
 
     def __post_init__(self) -> None:
-        if self.link_mass == 0.0 and self.payload == 0.0 and self.payload_inertia == 0.0:
+        if (
+            self.link_mass == 0.0
+            and self.payload == 0.0
+            and self.payload_inertia == 0.0
+        ):
             raise FieldError(
                 "payload",
                 self.payload,
@@ -108,11 +148,15 @@ class Beam:
     @property
     def inertia(self) -> float:
         """Moment of inertia of the straight link and its payload about the hub [kg·m²]."""
-        return (self.link_mass / 3.0 + self.payload) * self.length**2 + self.payload_inertia
+        return (
+            self.link_mass / 3.0 + self.payload
+        ) * self.length**2 + self.payload_inertia
 
     @property
     def lumped_frequency(self) -> float:
-        """Frequency of the massless link, √(c/(m L²)) of equation (5) [rad/s]; infinite without payload."""
+        """Frequency of the massless link, √(c/(m L²)) of equation (5) [rad/s]; infinite
+        without payload.
+        """
         inertia = self.payload * self.length**2 + self.payload_inertia
         return math.sqrt(self.stiffness / inertia) if inertia > 0.0 else math.inf
 
@@ -135,9 +179,10 @@ class Beam:
     ) -> Beam:
         """Return the beam of a rig.
 
-        A rig may state EI and a measured stiffness that contradict each other (the paper's does:
-        3 EI/L = 1.20, measured c = 1.56 N·m/rad). ``rigidity="stiffness"`` takes EI = c L/3, so that the
-        twin and the lumped model agree at low frequency; ``"tabulated"`` takes the rig's EI.
+        A rig may state EI and a measured stiffness that contradict each other (the
+        paper's does: 3 EI/L = 1.20, measured c = 1.56 N·m/rad).
+        ``rigidity="stiffness"`` takes EI = c L/3, so that the twin and the lumped model
+        agree at low frequency; ``"tabulated"`` takes the rig's EI.
 
         Parameters
         ----------
@@ -150,16 +195,20 @@ class Beam:
         measured = link.stiffness * link.length / 3.0
         return Beam(
             length=link.length,
-            flexural_rigidity=measured if rigidity == "stiffness" else link.flexural_rigidity,
+            flexural_rigidity=measured
+            if rigidity == "stiffness"
+            else link.flexural_rigidity,
             link_mass=link.mass if link_mass is None else link_mass,
             payload=rig.payloads.nominal if payload is None else payload,
         )
 
     @checked
     def modes(self, count: Annotated[int, Between(1, 12, "modes")]) -> BeamModes:
-        """Return the first `count` clamped modes, 1 to 12, fewer where the beam has fewer.
+        """Return the first `count` clamped modes, 1 to 12, fewer where the beam has
+        fewer.
 
-        A massless link has one mode (two with tip inertia); asking for more returns those.
+        A massless link has one mode (two with tip inertia); asking for more returns
+        those.
         """
         return _modes(self, count)
 
@@ -168,10 +217,11 @@ class Beam:
 class BeamModes:
     """Clamped modes of a beam, normalised to unit modal mass.
 
-    frequencies: ωi [rad/s]; participation: Γi [√kg·m], the modal load of a unit hub acceleration;
-    tip: φi(L)/L [1/(√kg·m)], the tip's angle per modal coordinate; curvature: EI φi''(0) [N·m/(√kg·m)],
-    what a strain gauge at the base reads per modal coordinate; shapes: nodal values of the finite elements
-    (2·ELEMENTS × modes: deflection and slope of each node but the clamped one).
+    frequencies: ωi [rad/s]; participation: Γi [√kg·m], the modal load of a unit hub
+    acceleration; tip: φi(L)/L [1/(√kg·m)], the tip's angle per modal coordinate;
+    curvature: EI φi''(0) [N·m/(√kg·m)], what a strain gauge at the base reads per modal
+    coordinate; shapes: nodal values of the finite elements (2·ELEMENTS × modes:
+    deflection and slope of each node but the clamped one).
     """
 
     frequencies: Vector
@@ -186,19 +236,30 @@ class BeamModes:
         return int(self.frequencies.size)
 
 
-# Mass and stiffness of one cubic (Hermite) element, degrees of freedom (w, h·w') at both ends.
-_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]) / 420.0
-_STIFFNESS = np.array([[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+# Mass and stiffness of one cubic (Hermite) element, degrees of freedom (w, h·w') at
+# both ends.
+_MASS = (
+    np.array(
+        [[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]]
+    )
+    / 420.0
+)
+_STIFFNESS = np.array(
+    [[12.0, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]]
+)
 
 
 def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mass matrix [kg] and stiffness matrix [N/m] of the clamped beam; slopes times element length."""
+    """Mass matrix [kg] and stiffness matrix [N/m] of the clamped beam; slopes times
+    element length.
+    """
     size = beam.length / ELEMENTS
     mass = np.zeros((2 * ELEMENTS + 2,) * 2)
     stiffness = np.zeros_like(mass)
     for i in range(ELEMENTS):
         block = slice(2 * i, 2 * i + 4)
-        # Neighbouring elements share a node, so their blocks overlap in two of four places.
+        # Neighbouring elements share a node, so their blocks overlap in two of four
+        # places.
         mass[block, block] += _MASS * (beam.link_mass / ELEMENTS)
         stiffness[block, block] += _STIFFNESS * (beam.flexural_rigidity / size**3)
     mass[-2, -2] += beam.payload
@@ -209,7 +270,9 @@ def matrices(beam: Beam) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def residual_inertia(beam: Beam, kept: BeamModes) -> float:
-    """Return what the modes leave of the beam's inertia about the hub [kg·m²], I − Σ Γi²."""
+    """Return what the modes leave of the beam's inertia about the hub [kg·m²], I − Σ
+    Γi².
+    """
     return max(beam.inertia - float(np.sum(kept.participation**2)), 0.0)
 
 
@@ -222,12 +285,15 @@ def rigid_rotation(beam: Beam) -> Vector:
     return rigid
 
 
-@lru_cache(maxsize=256)  # every run of a twin asks for its vibration period, half of what the run costs
+@lru_cache(
+    maxsize=256
+)  # every run of a twin asks for its vibration period, half of what the run costs
 def _modes(beam: Beam, count: int) -> BeamModes:
     mass, stiffness = matrices(beam)
     factor = np.linalg.cholesky(stiffness)
-    # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω²: the wanted modes are the largest ones, and a massless link
-    # (singular M) is an ordinary case; the usual K φ = ω² M φ would need M to be invertible.
+    # The eigenvalues of L⁻¹ M L⁻ᵀ are 1/ω²: the wanted modes are the largest ones, and
+    # a massless link (singular M) is an ordinary case; the usual K φ = ω² M φ would
+    # need M to be invertible.
     half = np.linalg.solve(factor, mass)
     flexibility = np.linalg.solve(factor, half.T)
     values, vectors = np.linalg.eigh(0.5 * (flexibility + flexibility.T))
@@ -235,15 +301,24 @@ def _modes(beam: Beam, count: int) -> BeamModes:
     # A massless link has one eigenvalue, the others are rounding at 1e-17 of it.
     order = order[values[order] > 1e-13 * values[order[0]]]
     frequencies = 1.0 / np.sqrt(values[order])
-    shapes = np.linalg.solve(factor.T, vectors[:, order]) * frequencies  # unit modal mass
-    # An eigenvector has no sign of its own. The tip moves forward, so that the modes of two payloads can be
-    # compared and the state of one projected on the other.
+    shapes = (
+        np.linalg.solve(factor.T, vectors[:, order]) * frequencies
+    )  # unit modal mass
+    # An eigenvector has no sign of its own. The tip moves forward, so that the modes of
+    # two payloads can be compared and the state of one projected on the other.
     shapes = shapes * np.where(shapes[-2] < 0.0, -1.0, 1.0)
     rigid = rigid_rotation(beam)
-    # EI φ''(0) from the base moment under the inertia load: exact to the order of the eigenvalue, where
-    # differentiating the cubic twice would lose two orders. It is the moment K φ leaves at the clamp.
+    # EI φ''(0) from the base moment under the inertia load: exact to the order of the
+    # eigenvalue, where differentiating the cubic twice would lose two orders. It is the
+    # moment K φ leaves at the clamp.
     curvature = frequencies**2 * (rigid @ (mass @ shapes))
-    result = BeamModes(frequencies, rigid @ (mass @ shapes), shapes[-2] / beam.length, curvature, shapes)
+    result = BeamModes(
+        frequencies,
+        rigid @ (mass @ shapes),
+        shapes[-2] / beam.length,
+        curvature,
+        shapes,
+    )
     # Results are shared through caches: a change in place would reach everybody.
     for array in vars(result).values():
         array.flags.writeable = False
@@ -253,12 +328,16 @@ def _modes(beam: Beam, count: int) -> BeamModes:
 # ---- the modes that a model of the link does not have -----------------------------------------------------
 
 ASSUMED_RATIO = 0.02  # of a model without damping, whose modes would be infinitely high
-_MODES = 3  # the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold ends it
+# the fourth mode of the paper's arm lies beyond the Nyquist frequency, where the hold
+# ends it
+_MODES = 3
 
 
 @lru_cache(maxsize=64)
 def modal_shares(beam: Beam) -> tuple[Vector, Vector]:
-    """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; every request for one rig asks again."""
+    """(ω_i [rad/s], Γi² ω_i² [N·m]) of the first three modes; every request for one rig
+    asks again.
+    """
     modes = beam.modes(_MODES)
     return modes.frequencies, modes.participation * modes.curvature
 
@@ -269,12 +348,18 @@ def modes_of(model: LinkModel) -> int:
 
 
 def assumed_ratio(model: LinkModel) -> float | None:
-    """The damping ratio of the higher modes of a model without damping; None where its law has one."""
+    """The damping ratio of the higher modes of a model without damping; None where its
+    law has one.
+    """
     return ASSUMED_RATIO if model.order == 2.0 and model.damping == 0.0 else None
 
 
-def material_law(model: LinkModel, s: Complex, frequency: float, ratio: float | None) -> Complex:
-    """D_i(s) of the mode at `frequency` [rad/s]: the model's damping law, or a damping ratio."""
+def material_law(
+    model: LinkModel, s: Complex, frequency: float, ratio: float | None
+) -> Complex:
+    """D_i(s) of the mode at `frequency` [rad/s]: the model's damping law, or a damping
+    ratio.
+    """
     if ratio is not None:
         return np.asarray(1.0 + 2.0 * ratio * s / frequency)
     if model.order < 2.0:
@@ -283,10 +368,14 @@ def material_law(model: LinkModel, s: Complex, frequency: float, ratio: float | 
     return np.asarray(1.0 + model.damping / model.natural_frequency**2 * turned)
 
 
-def unmodelled_modes(model: LinkModel, rig: Rig, payload: float) -> Callable[[Complex], Complex] | None:
-    """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model has not, at complex s.
+def unmodelled_modes(
+    model: LinkModel, rig: Rig, payload: float
+) -> Callable[[Complex], Complex] | None:
+    """Return the part of Γ/(c θm) in the beam's modes 2 and 3 that the model has not,
+    at complex s.
 
-    None for a link without mass. `payload` [kg] > 0 is at its tip; the damping is the model's law.
+    None for a link without mass. `payload` [kg] > 0 is at its tip; the damping is the
+    model's law.
 
     >>> rig = Rig.named("paper-2023")
     >>> heavy = replace(rig, link=replace(rig.link, mass=0.00735))
@@ -298,13 +387,18 @@ def unmodelled_modes(model: LinkModel, rig: Rig, payload: float) -> Callable[[Co
         return None
     ratio = assumed_ratio(model)
     frequencies, sizes = (
-        part[modes_of(model) :] for part in modal_shares(Beam.from_rig(rig, payload=payload))
+        part[modes_of(model) :]
+        for part in modal_shares(Beam.from_rig(rig, payload=payload))
     )
 
     def torque(s: Complex) -> Complex:
         squared, found = s**2, np.zeros(np.shape(s), dtype=np.complex128)
-        law = material_law(model, s, 1.0, None) if ratio is None else None  # the same for every mode
-        for frequency, share in zip(map(float, frequencies), sizes / model.stiffness, strict=True):
+        law = (
+            material_law(model, s, 1.0, None) if ratio is None else None
+        )  # the same for every mode
+        for frequency, share in zip(
+            map(float, frequencies), sizes / model.stiffness, strict=True
+        ):
             stiff = material_law(model, s, frequency, ratio) if law is None else law
             found += share * squared / (squared + frequency**2 * stiff)
         return found

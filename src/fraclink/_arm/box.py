@@ -22,13 +22,15 @@ __all__ = ["Arm", "Interval", "ParameterBox", "arms_of", "in_loop", "outward"]
 
 Interval = tuple[float, float]
 Complex = NDArray[np.complex128]
-# Where neither the fit nor the rig says more, relative: a damping that two logs of one arm agree on to a
-# tenth is a good one, and a second mode moves with the material by a few per cent.
+# Where neither the fit nor the rig says more, relative: a damping that two logs of one
+# arm agree on to a tenth is a good one, and a second mode moves with the material by a
+# few per cent.
 _DAMPING, _MODE_FREQUENCY, _MODE_GAIN = 0.1, 0.05, 0.2
 
 
 def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
-    """Return the model as the control loop meets it: a delay of the logger alone is left out.
+    """Return the model as the control loop meets it: a delay of the logger alone is
+    left out.
 
     >>> from fraclink._arm.rig_parts import Gauge
     >>> rig = replace(Rig.named("paper-2023"), gauge=Gauge(delay_in_loop=False))
@@ -37,28 +39,36 @@ def in_loop(model: LinkModel, rig: Rig) -> LinkModel:
     """
     if rig.gauge.delay_in_loop:
         return model
-    # The interval of a delay that is not in the loop would widen what a design has to bear.
+    # The interval of a delay that is not in the loop would widen what a design has to
+    # bear.
     kept = tuple(row for row in model.intervals if row[0] != "gauge_delay")
     return replace(model, gauge_delay=0.0, intervals=kept)
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of a box: its link and gauge, and its true over its assumed motor pole or gain."""
+    """One arm of a box: its link and gauge, and its true over its assumed motor pole or
+    gain.
+    """
 
     model: LinkModel
     motor_ratio: float = 1.0
 
     def loop(self, controller: Controller, rig: Rig) -> Loop:
-        """Return the loop that runs on this arm: the PID of a sampled motor loop is the one of the rig."""
-        # The PID was placed for the motor that the rig states and runs on the true one: the ratio changes the
-        # plant, never the controller.
+        """Return the loop that runs on this arm: the PID of a sampled motor loop is the
+        one of the rig.
+        """
+        # The PID was placed for the motor that the rig states and runs on the true one:
+        # the ratio changes the plant, never the controller.
         loop = Loop.of(controller, self.model, rig)
         settings = controller.inner
         if settings is None or settings.kind == "ideal":
             return replace(loop, lag=loop.lag / self.motor_ratio)
         period = rig.period if controller.period is None else controller.period
-        return replace(loop, correction=settings.correction(rig.motor, period, ratio=self.motor_ratio))
+        return replace(
+            loop,
+            correction=settings.correction(rig.motor, period, ratio=self.motor_ratio),
+        )
 
     def plant(
         self,
@@ -68,24 +78,28 @@ class Arm:
         *,
         higher: Callable[[Complex], Complex] | None = None,
     ) -> SampledPlant:
-        """Return what the law sees of this arm from its motor reference to the tip estimate, sampled.
+        """Return what the law sees of this arm from its motor reference to the tip
+        estimate, sampled.
 
         `higher` is what the model does not know of the link, see `sampled_plant`.
         """
         if settings.kind == "ideal":
-            # M(s) is the closed motor loop, whose pole follows the motor's gain in the same direction: one
-            # ratio serves both kinds.
+            # M(s) is the closed motor loop, whose pole follows the motor's gain in the
+            # same direction: one ratio serves both kinds.
             slower = replace(settings, pole=settings.pole * self.motor_ratio)
             return sampled_plant(self.model, slower, rig.motor, period, higher=higher)
         true = MotorGain(rig.motor.gain * self.motor_ratio, rig.motor.decay)
-        pid = SampledMotorLoop(settings.pid(rig.motor, period), true, settings.delay_samples)
+        pid = SampledMotorLoop(
+            settings.pid(rig.motor, period), true, settings.delay_samples
+        )
         plant = sampled_plant(self.model, settings, true, period, higher=higher)
         return replace(plant, before=pid.voltage)
 
 
 @dataclass(frozen=True)
 class ParameterBox:
-    """An interval of every parameter of an arm that a proof or a design has to cope with.
+    """An interval of every parameter of an arm that a proof or a design has to cope
+    with.
 
     Attributes
     ----------
@@ -98,7 +112,8 @@ class ParameterBox:
     gauge_delay
         [s].
     motor_ratio
-        true over assumed pole of the motor loop, or gain of the motor where its loop is sampled [1].
+        true over assumed pole of the motor loop, or gain of the motor where its loop is
+        sampled [1].
     mode_frequency, mode_gain
         of the second mode [rad/s], [1]; (0, 0) where none is known.
 
@@ -136,8 +151,11 @@ class ParameterBox:
         return ParameterBox(*((value, value) for value in (*values, *second)))
 
     @staticmethod
-    def of(model: LinkModel, rig: Rig, *, others: Iterable[LinkModel] = ()) -> ParameterBox:
-        """Return what is known of `model`: its fit's intervals, at least as wide as the rig's tolerances.
+    def of(
+        model: LinkModel, rig: Rig, *, others: Iterable[LinkModel] = ()
+    ) -> ParameterBox:
+        """Return what is known of `model`: its fit's intervals, at least as wide as the
+        rig's tolerances.
 
         `others` are models of the same arm from other logs; the box holds them, too.
 
@@ -148,8 +166,12 @@ class ParameterBox:
         """
         return _around(with_payload(model, rig), rig).with_others(others, model, rig)
 
-    def with_others(self, others: Iterable[LinkModel], model: LinkModel, rig: Rig) -> ParameterBox:
-        """Return the smallest box that holds this one and other models, each at the payload of `model`."""
+    def with_others(
+        self, others: Iterable[LinkModel], model: LinkModel, rig: Rig
+    ) -> ParameterBox:
+        """Return the smallest box that holds this one and other models, each at the
+        payload of `model`.
+        """
         found = self
         for other in others:
             if other.second_mode is not None and model.second_mode is None:
@@ -161,13 +183,23 @@ class ParameterBox:
                     remedy="begin from the model that knows it, and give the other one beside it",
                 )
             # ω₀ belongs to its log's payload: two logs can only be compared at one.
-            found = found.hull(ParameterBox.at(with_payload(other, rig).at_payload(_payload(model, rig))))
+            found = found.hull(
+                ParameterBox.at(
+                    with_payload(other, rig).at_payload(_payload(model, rig))
+                )
+            )
         return found
 
     def hull(self, other: ParameterBox) -> ParameterBox:
-        """Return the smallest box that holds both; a second mode that one does not show may have no gain."""
-        known = [box.mode_frequency for box in (self, other) if box.mode_gain[1] > 0.0] or [(0.0, 0.0)]
-        first, second = (replace(box, mode_frequency=known[k]) for box, k in ((self, 0), (other, -1)))
+        """Return the smallest box that holds both; a second mode that one does not show
+        may have no gain.
+        """
+        known = [
+            box.mode_frequency for box in (self, other) if box.mode_gain[1] > 0.0
+        ] or [(0.0, 0.0)]
+        first, second = (
+            replace(box, mode_frequency=known[k]) for box, k in ((self, 0), (other, -1))
+        )
         pairs = zip(_pairs(first), _pairs(second), strict=True)
         return ParameterBox(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in pairs))
 
@@ -177,12 +209,21 @@ class ParameterBox:
 
 
 def arms_of(box: ParameterBox, model: LinkModel) -> tuple[Arm, ...]:
-    """Return the arms at the corners of a box about `model`, each with the ω₀ of the model.
+    """Return the arms at the corners of a box about `model`, each with the ω₀ of the
+    model.
 
-    The interval of ω₀ widens a range of payloads and makes no corner; of a second mode's gain the larger
-    end is taken, which is the worse one at every frequency of the mode.
+    The interval of ω₀ widens a range of payloads and makes no corner; of a second
+    mode's gain the larger end is taken, which is the worse one at every frequency of
+    the mode.
     """
-    names = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "motor_ratio")
+    names = (
+        "order",
+        "damping",
+        "gauge_gain",
+        "gauge_delay",
+        "mode_frequency",
+        "motor_ratio",
+    )
     ends = [dict.fromkeys(getattr(box, name)) for name in names]
     found = []
     for order, damping, gain, late, mode, ratio in product(*ends):
@@ -208,7 +249,7 @@ def _pairs(box: ParameterBox) -> tuple[Interval, ...]:
 
 def _payload(model: LinkModel, rig: Rig) -> float:
     known = with_payload(model, rig).payload
-    assert known is not None  # noqa: S101  # with_payload gave it one
+    assert known is not None  # with_payload gave it one  # noqa: S101
     return known
 
 
@@ -218,31 +259,45 @@ def _around(model: LinkModel, rig: Rig) -> ParameterBox:
     def share(name: str, value: float, part: float) -> Interval:
         return _hull((value * (1 - part), value * (1 + part)), model.interval(name))
 
-    # The wider of two doubts at either end: an interval is what one log could not tell apart, a tolerance
-    # what a laboratory does not measure at all.
-    order = _hull((model.order - stated.order, model.order + stated.order), model.interval("order"))
-    # Without damping the link of order two never comes to rest: the interval ends half way before it.
+    # The wider of two doubts at either end: an interval is what one log could not tell
+    # apart, a tolerance what a laboratory does not measure at all.
+    order = _hull(
+        (model.order - stated.order, model.order + stated.order),
+        model.interval("order"),
+    )
+    # Without damping the link of order two never comes to rest: the interval ends half
+    # way before it.
     highest = 2.0 if model.damping else 0.5 * (model.order + 2.0)
     gain = share("gauge_gain", model.gauge_gain, stated.gauge_gain)
-    # A torque log calibrates gauge and stiffness as one: what it leaves open of c is open in the gauge.
+    # A torque log calibrates gauge and stiffness as one: what it leaves open of c is
+    # open in the gauge.
     stiffness = model.interval("stiffness") or (model.stiffness, model.stiffness)
     gain = _hull(gain, tuple(model.gauge_gain * c / model.stiffness for c in stiffness))  # type: ignore[arg-type]
     return ParameterBox(
-        natural_frequency=share("natural_frequency", model.natural_frequency, stated.natural_frequency),
+        natural_frequency=share(
+            "natural_frequency", model.natural_frequency, stated.natural_frequency
+        ),
         order=(max(order[0], 0.5 * (model.order + 1.0)), min(order[1], highest)),
-        damping=share("damping", model.damping, _DAMPING) if model.damping else (0.0, 0.0),
+        damping=share("damping", model.damping, _DAMPING)
+        if model.damping
+        else (0.0, 0.0),
         gauge_gain=gain,
         gauge_delay=_gauge_delay(model, stated.gauge_delay),
         motor_ratio=(1.0 - stated.motor_pole, 1.0 + stated.motor_pole),
         mode_frequency=(0.0, 0.0)
         if mode is None
         else share("mode_frequency", mode.frequency, _MODE_FREQUENCY),
-        mode_gain=(0.0, 0.0) if mode is None else share("mode_gain", mode.gain, _MODE_GAIN),
+        mode_gain=(0.0, 0.0)
+        if mode is None
+        else share("mode_gain", mode.gain, _MODE_GAIN),
     )
 
 
 def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
-    low, high = _hull((model.gauge_delay, model.gauge_delay + tolerance), model.interval("gauge_delay"))
+    low, high = _hull(
+        (model.gauge_delay, model.gauge_delay + tolerance),
+        model.interval("gauge_delay"),
+    )
     if model.gauge_delay < -max(tolerance, 1e-4):  # a lead within the tolerance is none
         raise FieldError(
             "model.gauge_delay",
@@ -255,11 +310,16 @@ def _gauge_delay(model: LinkModel, tolerance: float) -> Interval:
 
 
 def _hull(first: Interval, second: Interval | None) -> Interval:
-    return first if second is None else (min(first[0], second[0]), max(first[1], second[1]))
+    return (
+        first
+        if second is None
+        else (min(first[0], second[0]), max(first[1], second[1]))
+    )
 
 
 def outward(low: float, high: float) -> tuple[float, float]:
-    """The interval with ends of six digits, the first rounded down and the second up; a point as it is.
+    """The interval with ends of six digits, the first rounded down and the second up; a
+    point as it is.
 
     A sentence of thirty numbers is read where they are short.
     """
@@ -273,6 +333,7 @@ def _rounded(value: float, towards: Callable[[float], int]) -> float:
         return 0.0
     digit = 10.0 ** (5 - math.floor(math.log10(abs(value))))
     scaled = value * digit
-    # A value of six digits or fewer is itself: its product with a power of ten is whole but for rounding.
+    # A value of six digits or fewer is itself: its product with a power of ten is whole
+    # but for rounding.
     whole = round(scaled) if abs(scaled - round(scaled)) < 1e-6 else towards(scaled)
     return float(f"{whole / digit:.6g}")

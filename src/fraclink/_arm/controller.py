@@ -19,10 +19,15 @@ from fraclink.errors import FieldError
 
 __all__ = ["Controller", "closed_loop", "closed_loop_poles"]
 
-_LARGEST = 1e12  # gains and times beyond it are slips of the pen; squaring them must not overflow
+# gains and times beyond it are slips of the pen; squaring them must not overflow
+_LARGEST = 1e12
 
-document("margins")(Margins)  # here and not beside the class: systems stand below the codec
-document("reference")(Path)  # and a reference is needed where mypy has not seen the codec yet
+document("margins")(
+    Margins
+)  # here and not beside the class: systems stand below the codec
+document("reference")(
+    Path
+)  # and a reference is needed where mypy has not seen the codec yet
 
 
 @dataclass(frozen=True)
@@ -72,15 +77,28 @@ class Controller:
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
-        set_(self, "gain", checked_between("gain", self.gain, 0.0, _LARGEST, "s^β", open_low=True))
+        set_(
+            self,
+            "gain",
+            checked_between("gain", self.gain, 0.0, _LARGEST, "s^β", open_low=True),
+        )
         order = checked_between("order", self.order, 0.0, 2.0, "", open_low=True)
         if order >= 2.0:
             raise FieldError(
-                "order", order, "out of range", allowed="> 0 and < 2", remedy="lower the derivative's order"
+                "order",
+                order,
+                "out of range",
+                allowed="> 0 and < 2",
+                remedy="lower the derivative's order",
             )
         set_(self, "order", order)
-        set_(self, "filter_time", checked_between("filter_time", self.filter_time, 0.0, 1e6, "s"))
-        # A third pole would cost more phase at the crossover than it takes off the noise behind the two.
+        set_(
+            self,
+            "filter_time",
+            checked_between("filter_time", self.filter_time, 0.0, 1e6, "s"),
+        )
+        # A third pole would cost more phase at the crossover than it takes off the
+        # noise behind the two.
         if not is_whole(self.filter_order, 1, 2):
             raise FieldError(
                 "filter_order",
@@ -96,7 +114,11 @@ class Controller:
             if getattr(self, field) is not None:
                 checked_noun(field, getattr(self, field), kind, remedy=remedy)
         if self.period is not None:
-            set_(self, "period", checked_between("period", self.period, 0.0, 10.0, "s", open_low=True))
+            set_(
+                self,
+                "period",
+                checked_between("period", self.period, 0.0, 10.0, "s", open_low=True),
+            )
 
     @property
     def formula(self) -> str:
@@ -108,7 +130,9 @@ class Controller:
         """
         text = f"C(s) = 1 + {self.gain:.5g} s^{self.order:.5g}"
         if self.filter_time:
-            text += f" / (1 + {self.filter_time:.5g} s)" + ("" if self.filter_order == 1 else "^2")
+            text += f" / (1 + {self.filter_time:.5g} s)" + (
+                "" if self.filter_order == 1 else "^2"
+            )
         return text
 
     @property
@@ -117,7 +141,8 @@ class Controller:
         return self.filter_time > 0.0 and self.filter_order > self.order
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Return Ĉ(jω) (eq. (57) without its 1) at real `frequency` [rad/s] > 0, shape kept.
+        """Return Ĉ(jω) (eq. (57) without its 1) at real `frequency` [rad/s] > 0, shape
+        kept.
 
         >>> from fraclink._arm.controller import Controller
         >>> complex(Controller(gain=2.0, order=1.0).response(3.0)).imag
@@ -125,13 +150,21 @@ class Controller:
         """
         w = np.asarray(frequency, dtype=float)
         # k ω^β e^{jπβ/2}: the power of a real base, so that no branch has to be chosen.
-        derivative = self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
+        derivative = (
+            self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
+        )
         value = derivative / (1.0 + 1j * self.filter_time * w) ** self.filter_order
         return np.asarray(value, dtype=np.complex128)
 
     def correction(self) -> FractionalTransferFunction:
-        """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq. (57))."""
-        return self.gain * s**self.order / (1.0 + self.filter_time * s) ** self.filter_order
+        """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq.
+        (57)).
+        """
+        return (
+            self.gain
+            * s**self.order
+            / (1.0 + self.filter_time * s) ** self.filter_order
+        )
 
     def transfer(self) -> FractionalTransferFunction:
         """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""
@@ -150,11 +183,13 @@ class Controller:
 def closed_loop(
     controller: Controller, link: LinkModel, *, inner_pole: float | None = None
 ) -> FractionalTransferFunction:
-    """Return ``T = L/(1 + L)``, ``L = Ĉ M G`` (eq. (25)); M = 1 without `inner_pole` [rad/s].
+    """Return ``T = L/(1 + L)``, ``L = Ĉ M G`` (eq. (25)); M = 1 without `inner_pole`
+    [rad/s].
 
     Hold and delay are left out: with them the loop has infinitely many poles.
     """
-    # G and not the gauge's B: a late gauge, like hold and delay, has infinitely many poles.
+    # G and not the gauge's B: a late gauge, like hold and delay, has infinitely many
+    # poles.
     open_loop = controller.correction() * link.tip()
     if inner_pole is not None:
         open_loop = open_loop / (1.0 + s / inner_pole) ** 2
@@ -164,11 +199,13 @@ def closed_loop(
 def closed_loop_poles(
     controller: Controller, link: LinkModel, *, inner_pole: float | None = None
 ) -> NDArray[np.complex128]:
-    """Return the poles of the closed loop on the principal sheet, rightmost first [rad/s].
+    """Return the poles of the closed loop on the principal sheet, rightmost first
+    [rad/s].
 
     Examples
     --------
-    The paper's controller (58) on the paper's link at 30 g, with its motor loop, is unstable:
+    The paper's controller (58) on the paper's link at 30 g, with its motor loop, is
+    unstable:
 
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.547, order=1.92)
     >>> controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2)

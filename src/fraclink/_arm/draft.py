@@ -1,7 +1,8 @@
-"""What a rig does not say yet, and what contradicts it: drafts for reading a first log, and doubts.
+"""What a rig does not say yet, and what contradicts it: drafts for reading a first log,
+and doubts.
 
-`Rig.warnings` names values that differ by more than measurements do; here they differ by a wrong unit or by
-being those of another arm.
+`Rig.warnings` names values that differ by more than measurements do; here they differ
+by a wrong unit or by being those of another arm.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from fraclink.findings import Finding
 __all__ = ["RigDraft", "doubts_of", "draft_text", "load_rig_or_draft"]
 
 _PARTS = {"motor": Motor, "link": Link, "payloads": Payloads}
-# What `design` cannot do without, beside each blank what a person measures or finds in a data sheet.
+# What `design` cannot do without, beside each blank what a person measures or finds in
+# a data sheet.
 _ASKED = {
     "motor": {
         "inertia": "J, motor and gear, at the motor",
@@ -35,7 +37,8 @@ _ASKED = {
     },
     "payloads": {"low": "lightest payload", "high": "heaviest payload"},
 }
-# ν moves the poles of the closed motor loop by ν/J over their sum, 5 % for the paper's: no need to ask.
+# ν moves the poles of the closed motor loop by ν/J over their sum, 5 % for the paper's:
+# no need to ask.
 _NO_FRICTION = (0.0, "assumed; ν at the motor, where you know it")
 
 
@@ -60,14 +63,17 @@ class RigDraft:
 
 
 def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
-    """Return the rig of a file, or a draft where all that is missing are numbers of motor, link or payloads.
+    """Return the rig of a file, or a draft where all that is missing are numbers of
+    motor, link or payloads.
 
-    Raises what `Rig.load` raises where anything else is wrong with the file, or it has no [log] table.
+    Raises what `Rig.load` raises where anything else is wrong with the file, or it has
+    no [log] table.
     """
     try:
         return Rig.load(path)
     except FieldError as error:
-        # Any fault but a blank is a mistake in what was written, and a draft would hide it until `design`.
+        # Any fault but a blank is a mistake in what was written, and a draft would hide
+        # it until `design`.
         faults: tuple[FieldError, ...] = getattr(error, "faults", (error,))
         if not all(_is_blank(fault) for fault in faults):
             raise
@@ -76,9 +82,15 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
             raise
         table: _LogTable = read_table(_LogTable, data["log"])
         blanks = [fault.field for fault in faults]
-        if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(data.get("link", {})):
-            blanks.append("link.stiffness_Nm_per_rad")  # seen by Link only once its length is there
-        return RigDraft(table.build(), tuple(dict.fromkeys(blanks)), Path(path).stem[:100])
+        if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(
+            data.get("link", {})
+        ):
+            blanks.append(
+                "link.stiffness_Nm_per_rad"
+            )  # seen by Link only once its length is there
+        return RigDraft(
+            table.build(), tuple(dict.fromkeys(blanks)), Path(path).stem[:100]
+        )
 
 
 def _is_blank(fault: FieldError) -> bool:
@@ -126,26 +138,39 @@ def draft_text(
                 value, why = stated[f"{part}.{row.field}"]
                 lines.append(f"{key} = {toml_value(value)}  # {why}")
             elif row.field in _ASKED[part]:
-                lines.append(f"# {key} =   # {_ASKED[part][row.field]} [{row.rule.unit}]")
+                lines.append(
+                    f"# {key} =   # {_ASKED[part][row.field]} [{row.rule.unit}]"
+                )
     return "\n".join(lines) + "\n"
 
 
 def _comment(text: str) -> str:
-    """Text from a log as a comment: a control character in a column's name would end it."""
-    return "".join(character if character.isprintable() else "?" for character in " ".join(text.split()))
+    """Text from a log as a comment: a control character in a column's name would end
+    it.
+    """
+    return "".join(
+        character if character.isprintable() else "?"
+        for character in " ".join(text.split())
+    )
 
 
 def _inline(channel: object) -> str:
     """A channel as an inline table, without the values that are usual."""
     usual = {"sign": 1, "scale": 1.0, "offset": 0.0}
-    pairs = {key: value for key, value in table_of(channel).items() if usual.get(key) != value}
+    pairs = {
+        key: value
+        for key, value in table_of(channel).items()
+        if usual.get(key) != value
+    }
     return ", ".join(f"{key} = {toml_value(value)}" for key, value in pairs.items())
 
 
-# The source paper's stated and computed stiffness differ by 30 %, a gauge's calibration by some 20 %, and a
-# beam rolled 15 % thicker has 1.5 times the stiffness: all of that together stays below 2.
+# The source paper's stated and computed stiffness differ by 30 %, a gauge's calibration
+# by some 20 %, and a beam rolled 15 % thicker has 1.5 times the stiffness: all of that
+# together stays below 2.
 _STIFFNESS_MOST = 2.0
-# A link whose mass the rig does not state lowers the frequency: by 1.55 at 60 g and a payload of 10 g.
+# A link whose mass the rig does not state lowers the frequency: by 1.55 at 60 g and a
+# payload of 10 g.
 _FREQUENCY_MOST = 1.8
 _UNITS = {
     math.degrees(1.0): "as with an angle in degrees that is called radians",
@@ -153,12 +178,16 @@ _UNITS = {
 }
 
 
-def doubts_of(rig: Rig, model: LinkModel, payloads: Iterable[float] = ()) -> tuple[Finding, ...]:
-    """Return the errors W105, W106 and W107 of a model and of payloads [kg] on this rig.
+def doubts_of(
+    rig: Rig, model: LinkModel, payloads: Iterable[float] = ()
+) -> tuple[Finding, ...]:
+    """Return the errors W105, W106 and W107 of a model and of payloads [kg] on this
+    rig.
 
-    A payload is in doubt a hundred times beyond the rig's range, a stiffness that differs from the rig's by
-    more than a factor of 2, and a frequency that differs by more than 1.8 from √(c/J) with the rig's own c,
-    J = (m + 33/140 M) L², payload m and link mass M.
+    A payload is in doubt a hundred times beyond the rig's range, a stiffness that
+    differs from the rig's by more than a factor of 2, and a frequency that differs by
+    more than 1.8 from √(c/J) with the rig's own c, J = (m + 33/140 M) L², payload m and
+    link mass M.
 
     >>> rig = Rig.named("paper-2023")
     >>> [finding.code for finding in doubts_of(rig, LinkModel(0.0272, 10.0, order=1.92, payload=0.030))]
@@ -174,9 +203,11 @@ def _of_stiffness(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     ratio = max(found / stated, stated / found)
     if ratio <= _STIFFNESS_MOST:
         return
-    # A wrong unit on top of an ordinary error: within 60 % of the factor it is named, farther off it would be
-    # a guess.
-    unit = next((words for factor, words in _UNITS.items() if 0.6 < ratio / factor < 1.6), "")
+    # A wrong unit on top of an ordinary error: within 60 % of the factor it is named,
+    # farther off it would be a guess.
+    unit = next(
+        (words for factor, words in _UNITS.items() if 0.6 < ratio / factor < 1.6), ""
+    )
     hint = f": a factor of {ratio:.3g}, {unit}" if unit else ""
     yield Finding(
         "W106",
@@ -192,9 +223,13 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         return
     moving = model.payload + rig.link.tip_mass
     expected = math.sqrt(rig.link.stiffness / (moving * rig.link.length**2))
-    # Eq. (5) has ω₀ in s^(−λ/2) where a vibration has |p| in rad/s: either may be meant.
+    # Eq. (5) has ω₀ in s^(−λ/2) where a vibration has |p| in rad/s: either may be
+    # meant.
     found = (model.natural_frequency, abs(model.pole))
-    ratios = [max(value / expected, expected / value) if value > 0 else math.inf for value in found]
+    ratios = [
+        max(value / expected, expected / value) if value > 0 else math.inf
+        for value in found
+    ]
     if min(ratios) <= _FREQUENCY_MOST:
         return
     yield Finding(
@@ -202,6 +237,11 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
         "error",
         f"the model vibrates at {found[1]:.4g} rad/s with {model.payload:.4g} kg, where the rig's stiffness "
         f"and length give {expected:.4g} rad/s",
-        {"model": found[1], "rig": expected, "ratio": min(ratios), "most": _FREQUENCY_MOST},
+        {
+            "model": found[1],
+            "rig": expected,
+            "ratio": min(ratios),
+            "most": _FREQUENCY_MOST,
+        },
         "check the payload of the log, the rig's length, and that model and rig are of one arm",
     )

@@ -45,8 +45,8 @@ class Experiment:
     motor_angle
         θm, shape (N,) [rad].
     output
-        shape (N,): base torque Γ [N·m], or deflection θm − θt [rad]. Both are positive where the tip lags
-        behind a motor that turns forward: Γ = c(θm − θt), eq. (3).
+        shape (N,): base torque Γ [N·m], or deflection θm − θt [rad]. Both are positive
+        where the tip lags behind a motor that turns forward: Γ = c(θm − θt), eq. (3).
     output_kind
         ``"torque"`` or ``"deflection"``.
     payload
@@ -64,15 +64,17 @@ class Experiment:
     notes
         header entries of the log, such as (("simulated", "true"),).
     earlier_angle
-        θm at the samples just before the first, shape (H,) [rad], of a log that was cut; None for one that
-        begins with the recording. A link that was moving at the cut swings by what the motor did before.
+        θm at the samples just before the first, shape (H,) [rad], of a log that was
+        cut; None for one that begins with the recording. A link that was moving at the
+        cut swings by what the motor did before.
 
     Arrays are stored as read-only copies.
 
     Raises
     ------
     LogError
-        arrays of different lengths, fewer than two samples, a value that is not finite or out of its range.
+        arrays of different lengths, fewer than two samples, a value that is not finite
+        or out of its range.
 
     References
     ----------
@@ -125,18 +127,23 @@ class Experiment:
         payload: float | None = None,
         source: str = "",
     ) -> Experiment:
-        """Return the experiment that arrays of shape (N,) hold, in SI units and radians or in `units`.
+        """Return the experiment that arrays of shape (N,) hold, in SI units and radians
+        or in `units`.
 
-        `time` are the stamps of the samples [s], steps below 1 s; `units` states others by role, such as
-        ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``; a text is the output's. Raises LogError for
-        stamps with gaps, repeats or strong jitter, and for an unknown unit.
+        `time` are the stamps of the samples [s], steps below 1 s; `units` states others
+        by role, such as ``{"time": "ms", "motor_angle": "deg", "torque": "mNm"}``; a
+        text is the output's. Raises LogError for stamps with gaps, repeats or strong
+        jitter, and for an unknown unit.
 
         >>> log = Experiment.from_arrays([0, 4, 8], [0, 5.0, 9.0], [0, 10, 30], units={"time": "ms"})
         >>> log.period, log.duration
         (0.004, 0.008)
         """
-        # A single text can only mean the output: the others are in SI or are stated by name.
-        stated: Mapping[str, str] = {output_kind: units} if isinstance(units, str) else units
+        # A single text can only mean the output: the others are in SI or are stated by
+        # name.
+        stated: Mapping[str, str] = (
+            {output_kind: units} if isinstance(units, str) else units
+        )
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
         channels = {role: Channel(role, stated.get(role, SI[role])) for role in arrays}
@@ -158,10 +165,12 @@ class Experiment:
         payload: float | None = None,
         source: str = "",
     ) -> Experiment:
-        """Return the experiment in a data frame: pandas, polars, a table of pyarrow, a dict of arrays.
+        """Return the experiment in a data frame: pandas, polars, a table of pyarrow, a
+        dict of arrays.
 
-        `columns` states which column is what, in which unit and with which sign, as a rig's ``[log]`` table
-        does, or in words. Raises LogError as `from_arrays`, and for a column that is not there.
+        `columns` states which column is what, in which unit and with which sign, as a
+        rig's ``[log]`` table does, or in words. Raises LogError as `from_arrays`, and
+        for a column that is not there.
 
         >>> frame = {"t": [0.0, 0.01, 0.02], "pot": [0.0, 5.0, 9.0], "gauge": [0.0, 0.1, 0.3]}
         >>> stated = {"time": "t [s]", "motor_angle": "pot [deg]", "torque": "- gauge [Nm]"}
@@ -170,10 +179,11 @@ class Experiment:
         """
         if not isinstance(columns, LogColumns):
             columns = parse_columns(f"{role}={text}" for role, text in columns.items())
-        # In SI before the time base is formed: its limits, a second between samples among them, are in
-        # seconds.
+        # In SI before the time base is formed: its limits, a second between samples
+        # among them, are in seconds.
         data = {
-            role: channel.in_si(_column(frame, channel), role) for role, channel in columns.channels().items()
+            role: channel.in_si(_column(frame, channel), role)
+            for role, channel in columns.channels().items()
         }
         base = time_base(data["time"])
         return cls(
@@ -191,13 +201,18 @@ class Experiment:
     @property
     def time(self) -> NDArray[np.float64]:
         """Time of the samples, shape (N,) [s]."""
-        return np.asarray(self.start_time + self.period * np.arange(self.motor_angle.size), dtype=np.float64)
+        return np.asarray(
+            self.start_time + self.period * np.arange(self.motor_angle.size),
+            dtype=np.float64,
+        )
 
     def save(self, path: Path | str) -> None:
-        """Write the log as CSV with its notes, in SI units, so that `read_log` gives the same numbers back.
+        """Write the log as CSV with its notes, in SI units, so that `read_log` gives
+        the same numbers back.
 
-        Findings are not written: reading and `diagnose` find them again. Nor is `earlier_angle`, of which a
-        table of samples has no place; `fraclink.save` keeps both.
+        Findings are not written: reading and `diagnose` find them again. Nor is
+        `earlier_angle`, of which a table of samples has no place; `fraclink.save` keeps
+        both.
 
         >>> log = Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01], payload=0.03)
         >>> print(log.text())
@@ -210,23 +225,28 @@ class Experiment:
 
     def text(self) -> str:
         """The log as CSV [s, rad, N·m or rad, V]; see `save`."""
-        # The field and not the note that it may have been read from: a corrected payload must not stand
-        # beside the old one.
+        # The field and not the note that it may have been read from: a corrected
+        # payload must not stand beside the old one.
         notes = [(key, value) for key, value in self.notes if key != "payload_kg"]
         if self.payload is not None:
             notes.append(("payload_kg", repr(self.payload)))
         lines = ["# " + " ".join(f"{key}: {value}".split()) for key, value in notes]
         columns = {"time_s": self.time, "motor_angle_rad": self.motor_angle}
-        columns["torque_Nm" if self.output_kind == "torque" else "deflection_rad"] = self.output
+        columns["torque_Nm" if self.output_kind == "torque" else "deflection_rad"] = (
+            self.output
+        )
         if self.voltage is not None:
             columns["voltage_V"] = self.voltage
         # `repr` of a float is the shortest text that reads back as the same bits.
         rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-        return "\n".join([*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)])
+        return "\n".join(
+            [*lines, ",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+        )
 
     @property
     def whole_angle(self) -> NDArray[np.float64]:
-        """θm from before the cut on: `earlier_angle` and `motor_angle`, shape (H + N,) [rad].
+        """θm from before the cut on: `earlier_angle` and `motor_angle`, shape (H + N,)
+        [rad].
 
         >>> log = Experiment(period=0.004, motor_angle=[1, 2], output=[0, 0], earlier_angle=[0, 0.5])
         >>> log.whole_angle.tolist()
@@ -262,20 +282,38 @@ class Experiment:
         # The border is rounded: half a sample at either end still leaves a part empty.
         count = self.motor_angle.size
         edge = 0.5 / count
-        inside = Between(edge, 1 - edge, low_open=True, high_open=True, remedy="give a fraction such as 0.6")
+        inside = Between(
+            edge,
+            1 - edge,
+            low_open=True,
+            high_open=True,
+            remedy="give a fraction such as 0.6",
+        )
         border = round(inside.check("fraction", fraction) * count)
         return slice(0, border), slice(border, count)
 
 
 def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
     try:
-        # By the name alone, which every kind of frame answers: no frame library is imported, or needed.
+        # By the name alone, which every kind of frame answers: no frame library is
+        # imported, or needed.
         values = np.asarray(frame[channel.column], dtype=np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        allowed, remedy = "the name of a column of numbers", "state a column of the frame"
+        allowed, remedy = (
+            "the name of a column of numbers",
+            "state a column of the frame",
+        )
         problem = f"no column of numbers ({type(error).__name__})"
-        raise LogError("columns", channel.column, problem, allowed=allowed, remedy=remedy) from error
+        raise LogError(
+            "columns", channel.column, problem, allowed=allowed, remedy=remedy
+        ) from error
     if values.ndim != 1 or values.size < 2:
         remedy = "give one-dimensional arrays of one length"
-        raise LogError("columns", channel.column, f"of shape {values.shape}", allowed="(N,)", remedy=remedy)
+        raise LogError(
+            "columns",
+            channel.column,
+            f"of shape {values.shape}",
+            allowed="(N,)",
+            remedy=remedy,
+        )
     return values

@@ -1,4 +1,6 @@
-"""The fractional PID controller: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` (Podlubny 1999)."""
+"""The fractional PID controller: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n``
+(Podlubny 1999).
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from fraclink.errors import FieldError
 
 __all__ = ["FractionalPid"]
 
-_ONE_SIGN = "write a plant of negative gain as -plant, and negate the controller's output"
+_ONE_SIGN = (
+    "write a plant of negative gain as -plant, and negate the controller's output"
+)
 Gain = Annotated[float, Between(0.0, 1e12, remedy=_ONE_SIGN)]
 PidOrder = Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
 
@@ -26,9 +30,11 @@ PidOrder = Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
 @checked
 @dataclass(frozen=True)
 class FractionalPid:
-    """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n``.
+    """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f
+    s)^n``.
 
-    n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the PID of every textbook.
+    n is 1 for μ ≤ 1 and 2 above it, the least that keeps C proper; λ = μ = 1 is the PID
+    of every textbook.
 
     Parameters
     ----------
@@ -68,17 +74,26 @@ class FractionalPid:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            # An integer gain would be written as one, and two equal controllers would differ in their files.
+            # An integer gain would be written as one, and two equal controllers would
+            # differ in their files.
             object.__setattr__(self, field.name, float(getattr(self, field.name)))
-        # Zero gains leave their orders free, and a loop without a controller has no margin to speak of.
+        # Zero gains leave their orders free, and a loop without a controller has no
+        # margin to speak of.
         if not (self.proportional or self.integral or self.derivative):
             remedy = "give at least one gain above 0"
-            raise FieldError("proportional", 0.0, "zero like the other gains", allowed="> 0", remedy=remedy)
+            raise FieldError(
+                "proportional",
+                0.0,
+                "zero like the other gains",
+                allowed="> 0",
+                remedy=remedy,
+            )
 
     @property
     def filter_order(self) -> int:
         """n of the derivative's filter: the least for which the controller is proper."""
-        # s^μ/(1 + T_f s)^n falls or stays for n >= μ; one pole more would cost ω_c T_f of phase for nothing.
+        # s^μ/(1 + T_f s)^n falls or stays for n >= μ; one pole more would cost ω_c T_f
+        # of phase for nothing.
         return math.ceil(self.derivative_order)
 
     @property
@@ -90,24 +105,34 @@ class FractionalPid:
         if self.derivative:
             part = f"{self.derivative:.5g} s{_exponent(self.derivative_order)}"
             if self.filter_time:
-                part += f"/(1 + {self.filter_time:.5g} s)" + ("" if self.filter_order == 1 else "^2")
+                part += f"/(1 + {self.filter_time:.5g} s)" + (
+                    "" if self.filter_order == 1 else "^2"
+                )
             parts.append(part)
         return "C(s) = " + " + ".join(parts)
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Return C(jω) at real `frequency` [rad/s] > 0, shape kept."""
-        parts = pid_parts(frequency, self.integral_order, self.derivative_order, self.filter_time)
+        parts = pid_parts(
+            frequency, self.integral_order, self.derivative_order, self.filter_time
+        )
         gains = (self.proportional, self.integral, self.derivative)
-        return np.asarray(sum(gain * part for gain, part in zip(gains, parts, strict=True)))
+        return np.asarray(
+            sum(gain * part for gain, part in zip(gains, parts, strict=True))
+        )
 
     def transfer(self) -> FractionalTransferFunction:
-        """Return C(s) as a fractional transfer function, for every other function of the package."""
+        """Return C(s) as a fractional transfer function, for every other function of
+        the package.
+        """
         # A function even where k_p is 0 and the sum begins with nothing.
         whole = self.proportional + s**0 * 0.0
         if self.integral:
             whole = whole + self.integral / s**self.integral_order
         if self.derivative:
-            lag = (1.0 + self.filter_time * s) ** (self.filter_order if self.filter_time else 0)
+            lag = (1.0 + self.filter_time * s) ** (
+                self.filter_order if self.filter_time else 0
+            )
             whole = whole + self.derivative * s**self.derivative_order / lag
         return whole
 
@@ -117,19 +142,32 @@ class FractionalPid:
 
     @staticmethod
     def load(path: Path | str) -> FractionalPid:
-        """Read a controller back; FileFormatError where the file is not one, or was edited."""
+        """Read a controller back; FileFormatError where the file is not one, or was
+        edited.
+        """
         return load(path, FractionalPid)
 
 
 def pid_parts(
-    frequency: ArrayLike, integral_order: ArrayLike, derivative_order: ArrayLike, filter_time: ArrayLike
+    frequency: ArrayLike,
+    integral_order: ArrayLike,
+    derivative_order: ArrayLike,
+    filter_time: ArrayLike,
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
     """Return 1, s^(-λ) and s^μ/(1 + T_f s)^n at s = jω; the arguments broadcast."""
     given = (frequency, integral_order, derivative_order, filter_time)
     w, lam, mu, lag = (np.asarray(x, dtype=float) for x in given)
     slow = np.power(w, -lam) * np.exp(-0.5j * np.pi * lam)
-    fast = np.power(w, mu) * np.exp(0.5j * np.pi * mu) / (1.0 + 1j * lag * w) ** np.ceil(mu)
-    return np.ones_like(slow * fast), slow * np.ones_like(fast), fast * np.ones_like(slow)
+    fast = (
+        np.power(w, mu)
+        * np.exp(0.5j * np.pi * mu)
+        / (1.0 + 1j * lag * w) ** np.ceil(mu)
+    )
+    return (
+        np.ones_like(slow * fast),
+        slow * np.ones_like(fast),
+        fast * np.ones_like(slow),
+    )
 
 
 def _exponent(order: float) -> str:

@@ -1,11 +1,14 @@
-"""The link as encoder and gauge show it together: B, its logarithm, its level and its slope over frequency.
+"""The link as encoder and gauge show it together: B, its logarithm, its level and its
+slope over frequency.
 
-The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and ``Γ/c = θm (1 − G)``. So
+The controller reads the tip from two sensors, ``θte = θm − g e^{−τ_g s} Γ/c``, and
+``Γ/c = θm (1 − G)``. So
 
     θte/θm = B(s) = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
 
-with G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) the tip of the massless link, H its second mode where one is known,
-g and τ_g the gain and the delay of the gauge. With g = 1, τ_g = 0 and no second mode B is G.
+with G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) the tip of the massless link, H its second
+mode where one is known, g and τ_g the gain and the delay of the gauge. With g = 1, τ_g
+= 0 and no second mode B is G.
 """
 
 from __future__ import annotations
@@ -53,7 +56,11 @@ class GaugedLink:
     @property
     def exact_gauge(self) -> bool:
         """Whether B is G: no gauge delay, unit gauge gain, no second mode."""
-        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
+        return (
+            self.gauge_delay == 0.0
+            and self.gauge_gain == 1.0
+            and self.second_mode is None
+        )
 
     def link_log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return ln B(jω): the link as encoder and gauge show it together."""
@@ -61,10 +68,13 @@ class GaugedLink:
         inertia, drag, spring = self._link_terms(ln_w, natural_frequency)
         if not self.exact_gauge:
             return self._gauge_log(np.exp(ln_w), natural_frequency)
-        # log1p: far below the resonance s^λ/ω₀² is the whole of ln G, and 1 + it would round it away.
+        # log1p: far below the resonance s^λ/ω₀² is the whole of ln G, and 1 + it would
+        # round it away.
         if not self.damping:
             return np.asarray(-np.log1p(inertia / spring), dtype=np.complex128)
-        return np.asarray(np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128)
+        return np.asarray(
+            np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128
+        )
 
     def _link_level(self, w: Real, ln_w: Real, natural_frequency: ArrayLike) -> Real:
         """ln|B|; without the cost of complex powers where B is G."""
@@ -78,71 +88,123 @@ class GaugedLink:
         value = np.log(spring)
         if self.damping:
             drag = self.damping * np.exp(self.damping_order * ln_w)
-            along, across = (f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin))
+            along, across = (
+                f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin)
+            )
             value = 0.5 * np.log((spring + drag * along) ** 2 + (drag * across) ** 2)
             real, imaginary = real + drag * along, imaginary + drag * across
         return np.asarray(value - 0.5 * np.log(real * real + imaginary * imaginary))
 
-    def _link_terms(self, ln_w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Complex, Complex]:
-        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal logarithms stay continuous."""
-        inertia = np.exp(self.link_order * ln_w) * np.exp(0.5j * np.pi * self.link_order)
-        drag = self.damping * np.exp(self.damping_order * ln_w) * np.exp(0.5j * np.pi * self.damping_order)
-        return inertia, drag, np.square(np.asarray(natural_frequency, dtype=np.complex128))
+    def _link_terms(
+        self, ln_w: Real, natural_frequency: ArrayLike
+    ) -> tuple[Complex, Complex, Complex]:
+        """(jω)^λ, μ (jω)^α and ω₀²: upper half plane all of them, so principal
+        logarithms stay continuous.
+        """
+        inertia = np.exp(self.link_order * ln_w) * np.exp(
+            0.5j * np.pi * self.link_order
+        )
+        drag = (
+            self.damping
+            * np.exp(self.damping_order * ln_w)
+            * np.exp(0.5j * np.pi * self.damping_order)
+        )
+        return (
+            inertia,
+            drag,
+            np.square(np.asarray(natural_frequency, dtype=np.complex128)),
+        )
 
     def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
         inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
         whole = inertia + drag + spring
-        # s d/ds of a power is its exponent times it: the slope of a sum is the mean exponent, terms as
-        # weights.
+        # s d/ds of a power is its exponent times it: the slope of a sum is the mean
+        # exponent, terms as weights.
         moved = (self.link_order * inertia + self.damping_order * drag) / whole
         if self.exact_gauge:
-            return np.asarray((self.damping_order * drag / (drag + spring) if self.damping else 0.0) - moved)
+            return np.asarray(
+                (self.damping_order * drag / (drag + spring) if self.damping else 0.0)
+                - moved
+            )
         s = 1j * w
         torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
         if self.second_mode is not None:
             mode = self.second_mode
             # s d/ds ln of s²/(s² + 2ζω₂s + ω₂²) is (2ζω₂s + 2ω₂²)/(s² + 2ζω₂s + ω₂²).
-            resonant = s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
-            rest = 2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
-            torque, change = torque + mode.response(s), change + mode.response(s) * rest / resonant
-        # The delay turns X by −ωτ_g, so it adds −τ_g s X to the slope of X; B = 1 − X has that over B.
+            resonant = (
+                s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
+            )
+            rest = (
+                2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
+            )
+            torque, change = (
+                torque + mode.response(s),
+                change + mode.response(s) * rest / resonant,
+            )
+        # The delay turns X by −ωτ_g, so it adds −τ_g s X to the slope of X; B = 1 − X
+        # has that over B.
         read = self.gauge_gain * np.exp(-self.gauge_delay * s)
-        return np.asarray(-read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque))
+        return np.asarray(
+            -read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque)
+        )
 
-    def parts(self, w: Real, natural_frequency: ArrayLike) -> tuple[Complex, Real, Real]:
+    def parts(
+        self, w: Real, natural_frequency: ArrayLike
+    ) -> tuple[Complex, Real, Real]:
         """Return (B, |X|, unwrapped arg X) of X = g e^{-jωτ_g} Γ/(c θm), B = 1 − X.
 
-        Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root, so its own principal
-        phase is continuous and the delay adds a straight line.
+        Γ/(c θm) lies in the upper half plane, as every mode of a link does at its root,
+        so its own principal phase is continuous and the delay adds a straight line.
         """
         s = 1j * w
         inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
         whole = inertia + drag + spring
-        # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay of microseconds.
+        # 1 − g e^{-τs} by expm1: at low frequencies B must not lose digits to a delay
+        # of microseconds.
         turned = np.expm1(-self.gauge_delay * s)
         # One fraction: far above the resonance X is near one, and 1 − X would cancel.
-        bracket = (drag + spring + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)) / whole
+        bracket = (
+            drag
+            + spring
+            + inertia * ((1.0 - self.gauge_gain) - self.gauge_gain * turned)
+        ) / whole
         torque = inertia / whole
         if self.second_mode is not None:
             mode = self.second_mode.response(s)
             torque = torque + mode
             bracket = bracket - self.gauge_gain * (1.0 + turned) * mode
-        angle = np.angle(torque) - self.gauge_delay * w + (math.pi if self.gauge_gain < 0.0 else 0.0)
-        return np.asarray(bracket), np.asarray(np.abs(self.gauge_gain * torque)), np.asarray(angle)
+        angle = (
+            np.angle(torque)
+            - self.gauge_delay * w
+            + (math.pi if self.gauge_gain < 0.0 else 0.0)
+        )
+        return (
+            np.asarray(bracket),
+            np.asarray(np.abs(self.gauge_gain * torque)),
+            np.asarray(angle),
+        )
 
     def _gauge_log(self, w: Real, natural_frequency: ArrayLike) -> Complex:
         """ln B with its unwrapped phase.
 
-        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes round the origin with X:
-        arg B = arg X − π + arg(1 − 1/X), and the last term stays within ±π/2 again. The whole turns of arg X
-        at the entry to and the exit from such an interval join the pieces.
+        Where |X| <= 1, B = 1 − X lies in the right half plane. Where |X| > 1 it goes
+        round the origin with X: arg B = arg X − π + arg(1 − 1/X), and the last term
+        stays within ±π/2 again. The whole turns of arg X at the entry to and the exit
+        from such an interval join the pieces.
         """
-        w, frequency = np.broadcast_arrays(w, np.asarray(natural_frequency, dtype=float))
+        w, frequency = np.broadcast_arrays(
+            w, np.asarray(natural_frequency, dtype=float)
+        )
         bracket, _, angle = self.parts(w, frequency)
         phase, outside = np.angle(bracket), np.zeros(w.shape, dtype=bool)
         turns = np.zeros(w.shape)
-        # The usual call asks one link at many frequencies; only a mixed one is taken apart.
-        single = frequency.flat[0] if frequency.size and np.all(frequency == frequency.flat[0]) else None
+        # The usual call asks one link at many frequencies; only a mixed one is taken
+        # apart.
+        single = (
+            frequency.flat[0]
+            if frequency.size and np.all(frequency == frequency.flat[0])
+            else None
+        )
         for value in np.unique(frequency) if single is None else (single,):
             row = np.True_ if single is not None else frequency == value
             for place, whole, entry in _unit_gains(self._alone, float(value)):
@@ -154,11 +216,15 @@ class GaugedLink:
             x = 1.0 - bracket
             # arg(1 − 1/X) from −B·X̄, which needs no division by an X that vanishes.
             round_origin = angle - math.pi + np.angle(-bracket * np.conj(x))
-        value = size + 1j * (np.where(outside, round_origin, phase) + 2.0 * math.pi * turns)
+        value = size + 1j * (
+            np.where(outside, round_origin, phase) + 2.0 * math.pi * turns
+        )
         return np.asarray(value, dtype=np.complex128)
 
     def turns(self, low: float, high: float, each: float) -> Real:
-        """Return frequencies from `low` to `high`, `each` a half turn of the delay: |B| goes round in two."""
+        """Return frequencies from `low` to `high`, `each` a half turn of the delay: |B|
+        goes round in two.
+        """
         count = int(each * abs(self.gauge_delay) * (high - low) / math.pi) + 2
         # 20 000: a delay of seconds, far beyond any gauge's, must not take all memory.
         return np.linspace(low, high, min(count, 20_000))
@@ -167,46 +233,65 @@ class GaugedLink:
         """Return `count` frequencies about the second mode, none where none is known."""
         if self.second_mode is None:
             return np.empty(0)
-        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of its peak at most.
+        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of
+        # its peak at most.
         width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, count)
         return np.asarray(self.second_mode.frequency * np.exp(width))
 
     @cached_property
     def _alone(self) -> GaugedLink:
-        """The link without what a subclass adds: loops that differ in Ĉ only share what is cached for it."""
+        """The link without what a subclass adds: loops that differ in Ĉ only share what
+        is cached for it.
+        """
         return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
 
     def peak(self, natural_frequency: ArrayLike) -> Real:
-        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)`` (eq. (14)) [rad/s]."""
+        """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)``
+        (eq. (14)) [rad/s].
+        """
         squared = np.square(np.asarray(natural_frequency, dtype=float))
-        return np.asarray((-squared * math.cos(0.5 * math.pi * self.link_order)) ** (1.0 / self.link_order))
+        return np.asarray(
+            (-squared * math.cos(0.5 * math.pi * self.link_order))
+            ** (1.0 / self.link_order)
+        )
 
     def sufficient(self, natural_frequency: float) -> float:
-        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]: sufficient only."""
+        """Return the bound of condition (39), ``(-ω₀²/cos(πλ/2))^(1/λ)`` [rad/s]:
+        sufficient only.
+        """
         cosine = -math.cos(0.5 * math.pi * self.link_order)
         return float((natural_frequency**2 / cosine) ** (1.0 / self.link_order))
 
 
 @lru_cache(maxsize=4096)  # a design asks for the same few links over and over
-def _unit_gains(link: GaugedLink, natural_frequency: float) -> tuple[tuple[float, int, bool], ...]:
-    """(ω, whole turns of arg X, whether |X| rises) of every crossing |X| = 1, ascending.
+def _unit_gains(
+    link: GaugedLink, natural_frequency: float
+) -> tuple[tuple[float, int, bool], ...]:
+    """(ω, whole turns of arg X, whether |X| rises) of every crossing |X| = 1,
+    ascending.
 
-    The delay turns X and does not change its size, so a scan about the modes finds all. Their place is needed
-    to the accuracy of a phase only.
+    The delay turns X and does not change its size, so a scan about the modes finds all.
+    Their place is needed to the accuracy of a phase only.
     """
-    # Seven decades about the resonance, and points that close in on it from both sides by ratio: |X| of a
-    # lightly damped link is steepest there, and a crossing between two points of the grid would be lost.
+    # Seven decades about the resonance, and points that close in on it from both sides
+    # by ratio: |X| of a lightly damped link is steepest there, and a crossing between
+    # two points of the grid would be lost.
     near = np.geomspace(1e-6, 0.3, 24)
-    shape = np.concatenate([np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)])
+    shape = np.concatenate(
+        [np.geomspace(1e-3, 1e4, 200), 1.0 + near, 1.0 / (1.0 + near)]
+    )
     grid = float(link.peak(natural_frequency)) * shape
     grid = np.concatenate([grid, link.about_mode(97)])
     grid = np.unique(grid)
     level = np.log(link.parts(grid, natural_frequency)[1])
     found = []
     for i in np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0)):
-        # One secant in ln ω: the place only says on which branch of the phase a point lies.
+        # One secant in ln ω: the place only says on which branch of the phase a point
+        # lies.
         share = level[i] / (level[i] - level[i + 1])
         place = float(grid[i] * (grid[i + 1] / grid[i]) ** share)
         angle = float(link.parts(np.asarray(place), natural_frequency)[2])
-        found.append((place, math.floor(angle / (2.0 * math.pi)), bool(level[i + 1] > 0.0)))
+        found.append(
+            (place, math.floor(angle / (2.0 * math.pi)), bool(level[i + 1] > 0.0))
+        )
     return tuple(found)

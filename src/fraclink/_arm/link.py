@@ -2,8 +2,8 @@
 
     Γ(s)/θm(s) = c s^λ / (s^λ + μ s^α + ω₀²)
 
-A structure of the paper is a row of one table that says which of (ω₀, λ, μ, α) are free; the others
-keep the value that makes the term vanish or classical.
+A structure of the paper is a row of one table that says which of (ω₀, λ, μ, α) are
+free; the others keep the value that makes the term vanish or classical.
 """
 
 from __future__ import annotations
@@ -50,17 +50,28 @@ STRUCTURES: dict[str, Structure] = {
     row.name: row
     for row in (
         Structure("UD-IOM", (_FREQUENCY,), "(6)", "undamped, integer order"),
-        Structure("D-IOM", (_FREQUENCY, "damping"), "(15)", "viscous damping, integer order"),
-        Structure("UD-FOM", (_FREQUENCY, "order"), "(10)", "Newton's law of fractional order"),
-        Structure("D-FOM", (_FREQUENCY, "damping", "damping_order"), "(16)", "damping of fractional order"),
+        Structure(
+            "D-IOM", (_FREQUENCY, "damping"), "(15)", "viscous damping, integer order"
+        ),
+        Structure(
+            "UD-FOM", (_FREQUENCY, "order"), "(10)", "Newton's law of fractional order"
+        ),
+        Structure(
+            "D-FOM",
+            (_FREQUENCY, "damping", "damping_order"),
+            "(16)",
+            "damping of fractional order",
+        ),
     )
 }
-# The paper's four, for the few places that mean one of them; everything else iterates over the table.
+# The paper's four, for the few places that mean one of them; everything else iterates
+# over the table.
 UNDAMPED, VISCOUS, FRACTIONAL, FRACTIONAL_DAMPING, *_ = STRUCTURES
 
 
 def structure(name: str) -> Structure:
-    """Return the row of `name` ("UD-IOM", "D-IOM", "UD-FOM" or "D-FOM"); FieldError otherwise.
+    """Return the row of `name` ("UD-IOM", "D-IOM", "UD-FOM" or "D-FOM"); FieldError
+    otherwise.
 
     >>> structure("D-IOM").sentence
     'viscous damping, integer order'
@@ -76,8 +87,11 @@ def _store(model: object, *checks: _Check) -> None:
     for field, holds, allowed, remedy in checks:
         value = getattr(model, field)
         if type(value) is float and math.isfinite(value) and holds(value):
-            continue  # a design makes a link for every payload: what is right costs nothing
-        number = checked_number(field, value, holds=holds, allowed=allowed, remedy=remedy)
+            # a design makes a link for every payload: what is right costs nothing
+            continue
+        number = checked_number(
+            field, value, holds=holds, allowed=allowed, remedy=remedy
+        )
         object.__setattr__(model, field, number)
 
 
@@ -102,8 +116,8 @@ class SecondMode:
     frequency
         ω₂ [rad/s], > 0.
     gain
-        static share of the mode in the tip estimate [1], > 0: the gauge sits at the root, where every mode
-        pulls with the same sign.
+        static share of the mode in the tip estimate [1], > 0: the gauge sits at the
+        root, where every mode pulls with the same sign.
     damping_ratio
         ζ [1], 0 < ζ < 1.
 
@@ -126,25 +140,44 @@ class SecondMode:
     def __post_init__(self) -> None:
         _store(
             self,
-            ("frequency", lambda x: 0 < x < 1e6, "> 0 and < 1e6 rad/s", "give the frequency of mode 2"),
-            ("gain", lambda x: 0 < x < 1e3, "> 0 and < 1e3", "give its static share in Γ/(c θm)"),
-            ("damping_ratio", lambda x: 0 < x < 1, "0 < ζ < 1", "give ζ, 0.02 where it is not known"),
+            (
+                "frequency",
+                lambda x: 0 < x < 1e6,
+                "> 0 and < 1e6 rad/s",
+                "give the frequency of mode 2",
+            ),
+            (
+                "gain",
+                lambda x: 0 < x < 1e3,
+                "> 0 and < 1e3",
+                "give its static share in Γ/(c θm)",
+            ),
+            (
+                "damping_ratio",
+                lambda x: 0 < x < 1,
+                "0 < ζ < 1",
+                "give ζ, 0.02 where it is not known",
+            ),
         )
 
     def response(self, s: ArrayLike) -> NDArray[np.complex128]:
         """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
         x = np.asarray(s, dtype=np.complex128) / self.frequency
-        return np.asarray(self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0))
+        return np.asarray(
+            self.gain * x**2 / (x**2 + 2.0 * self.damping_ratio * x + 1.0)
+        )
 
 
 @document("model", version=2, upgrades={1: lambda data: data["model"]})
 @dataclass(frozen=True)
 class LinkModel:
-    """A flexible link with a payload, seen from the motor angle, and the gauge that measures its torque.
+    """A flexible link with a payload, seen from the motor angle, and the gauge that
+    measures its torque.
 
         Γ/θm = c s^λ / (s^λ + μ s^α + ω₀²),    θt/θm = (μ s^α + ω₀²) / (s^λ + μ s^α + ω₀²)
 
-    The controller reads the torque as ``g e^(−τ_g s) Γ``, with the second mode added where one is known.
+    The controller reads the torque as ``g e^(−τ_g s) Γ``, with the second mode added
+    where one is known.
 
     Parameters
     ----------
@@ -161,15 +194,18 @@ class LinkModel:
     payload
         m > 0 [kg] at which ω₀ was found, or None where it is not known.
     gauge_delay
-        τ_g [s], −10 to 10: the torque signal lags the motor angle by it; below zero it leads.
+        τ_g [s], −10 to 10: the torque signal lags the motor angle by it; below zero it
+        leads.
     gauge_gain
         g [1], not 0: measured over true torque.
     second_mode
         the second vibration mode, or None where none is known.
     unseen_up_to
-        frequency [rad/s] up to which the log showed no second mode, or None where it was not examined.
+        frequency [rad/s] up to which the log showed no second mode, or None where it
+        was not examined.
     intervals
-        (name, low, high) of each identified parameter's 95 % interval, in the unit of the parameter.
+        (name, low, high) of each identified parameter's 95 % interval, in the unit of
+        the parameter.
 
     Raises
     ------
@@ -204,12 +240,37 @@ class LinkModel:
     def __post_init__(self) -> None:
         _store(
             self,
-            ("stiffness", lambda x: x > 0, "> 0 N·m/rad", "give the measured torque per radian"),
-            (_FREQUENCY, lambda x: 0 <= x < 1e6, "0 to 1e6 s^(-λ/2)", "give ω₀ = sqrt(c/(m L²))"),
-            ("order", lambda x: 1 <= x <= 2, "1 to 2", "give λ, 2 for a classical link"),
+            (
+                "stiffness",
+                lambda x: x > 0,
+                "> 0 N·m/rad",
+                "give the measured torque per radian",
+            ),
+            (
+                _FREQUENCY,
+                lambda x: 0 <= x < 1e6,
+                "0 to 1e6 s^(-λ/2)",
+                "give ω₀ = sqrt(c/(m L²))",
+            ),
+            (
+                "order",
+                lambda x: 1 <= x <= 2,
+                "1 to 2",
+                "give λ, 2 for a classical link",
+            ),
             ("damping", lambda x: x >= 0, ">= 0", "give μ, 0 for an undamped link"),
-            ("damping_order", lambda x: 0 < x < 2, "0 < α < 2", "give α, 1 for viscous damping"),
-            ("gauge_delay", lambda x: abs(x) <= 10, "-10 to 10 s", "give the delay in seconds"),
+            (
+                "damping_order",
+                lambda x: 0 < x < 2,
+                "0 < α < 2",
+                "give α, 1 for viscous damping",
+            ),
+            (
+                "gauge_delay",
+                lambda x: abs(x) <= 10,
+                "-10 to 10 s",
+                "give the delay in seconds",
+            ),
             (
                 "gauge_gain",
                 lambda x: 0 < abs(x) <= 1e6,
@@ -220,43 +281,76 @@ class LinkModel:
         if self.payload is not None:
             object.__setattr__(self, "payload", _mass(self.payload))
         if self.unseen_up_to is not None:
-            _store(self, ("unseen_up_to", lambda x: x > 0, "> 0 rad/s", "leave it out where it is not known"))
+            _store(
+                self,
+                (
+                    "unseen_up_to",
+                    lambda x: x > 0,
+                    "> 0 rad/s",
+                    "leave it out where it is not known",
+                ),
+            )
         if self.second_mode is not None:
-            checked_noun("second_mode", self.second_mode, SecondMode, remedy="SecondMode(frequency, gain)")
+            checked_noun(
+                "second_mode",
+                self.second_mode,
+                SecondMode,
+                remedy="SecondMode(frequency, gain)",
+            )
         if self.natural_frequency == 0 and self.damping == 0:
             raise FieldError(
-                _FREQUENCY, 0.0, "zero without damping", allowed="> 0", remedy="give ω₀ = sqrt(c/(m L²))"
+                _FREQUENCY,
+                0.0,
+                "zero without damping",
+                allowed="> 0",
+                remedy="give ω₀ = sqrt(c/(m L²))",
             )
-        object.__setattr__(self, "intervals", _INTERVALS.check("intervals", self.intervals))
+        object.__setattr__(
+            self, "intervals", _INTERVALS.check("intervals", self.intervals)
+        )
 
     def interval(self, name: str) -> tuple[float, float] | None:
-        """Return the identified 95 % interval (low, high) of parameter `name`, None where there is none.
+        """Return the identified 95 % interval (low, high) of parameter `name`, None
+        where there is none.
 
         >>> link = LinkModel(1.56, 10.0, order=1.92, intervals=(("order", 1.91, 1.93),))
         >>> link.interval("order"), link.interval("damping")
         ((1.91, 1.93), None)
         """
-        return next(((low, high) for field, low, high in self.intervals if field == name), None)
+        return next(
+            ((low, high) for field, low, high in self.intervals if field == name), None
+        )
 
     @property
     def exact_gauge(self) -> bool:
-        """Whether encoder and gauge show θt itself: no gauge delay, unit gauge gain, no second mode."""
-        return self.gauge_delay == 0.0 and self.gauge_gain == 1.0 and self.second_mode is None
+        """Whether encoder and gauge show θt itself: no gauge delay, unit gauge gain, no
+        second mode.
+        """
+        return (
+            self.gauge_delay == 0.0
+            and self.gauge_gain == 1.0
+            and self.second_mode is None
+        )
 
     @property
     def structure(self) -> str:
         """The paper's name of the structure: "UD-IOM", "D-IOM", "UD-FOM" or "D-FOM".
 
-        A model with both λ < 2 and μ > 0 obeys the one formula but is none of the four: "general".
+        A model with both λ < 2 and μ > 0 obeys the one formula but is none of the four:
+        "general".
         """
         free = {_FREQUENCY}
         free |= {"order"} if self.order != 2 else set()
         free |= {"damping"} if self.damping else set()
         free |= {"damping_order"} if self.damping and self.damping_order != 1 else set()
-        return next((row.name for row in STRUCTURES.values() if set(row.free) == free), "general")
+        return next(
+            (row.name for row in STRUCTURES.values() if set(row.free) == free),
+            "general",
+        )
 
     def tip(self) -> FractionalTransferFunction:
-        """Return θt/θm = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) [rad/rad], the paper's (4) and (9).
+        """Return θt/θm = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²) [rad/rad], the paper's (4)
+        and (9).
 
         >>> abs(LinkModel(1.56, 10.0, order=1.9).tip()(0.001j)).__round__(6)
         1.0
@@ -264,35 +358,50 @@ class LinkModel:
         return self._over_denominator(1.0, inertia=False)
 
     def torque(self) -> FractionalTransferFunction:
-        """Return Γ/θm = c s^λ/(s^λ + μ s^α + ω₀²) [N·m/rad], the paper's (6), (10), (15), (16).
+        """Return Γ/θm = c s^λ/(s^λ + μ s^α + ω₀²) [N·m/rad], the paper's (6), (10),
+        (15), (16).
 
         >>> abs(LinkModel(1.56, 10.0, order=1.9).torque()(1e6j)).__round__(4)
         1.56
         """
         return self._over_denominator(self.stiffness, inertia=True)
 
-    def _over_denominator(self, gain: float, *, inertia: bool) -> FractionalTransferFunction:
-        restoring = [Term(self.natural_frequency**2, 0.0)] if self.natural_frequency else []
+    def _over_denominator(
+        self, gain: float, *, inertia: bool
+    ) -> FractionalTransferFunction:
+        restoring = (
+            [Term(self.natural_frequency**2, 0.0)] if self.natural_frequency else []
+        )
         restoring += [Term(self.damping, self.damping_order)] if self.damping else []
         moving = Term(1.0, self.order)
         numerator = [moving] if inertia else restoring
-        scaled = tuple(replace(term, coefficient=gain * term.coefficient) for term in numerator)
+        scaled = tuple(
+            replace(term, coefficient=gain * term.coefficient) for term in numerator
+        )
         return FractionalTransferFunction(scaled, (*restoring, moving))
 
     @property
     def pole(self) -> complex:
-        """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α + ω₀² = 0.
+        """The vibration pole with positive imaginary part [rad/s], root of s^λ + μ s^α
+        + ω₀² = 0.
 
-        Without damping ω₀^(2/λ) e^(jπ/λ) exactly; with damping Newton's iteration in ln s follows it, to the
-        negative real axis where overdamped (a pole for λ = 2, α = 1 only, a time scale otherwise).
+        Without damping ω₀^(2/λ) e^(jπ/λ) exactly; with damping Newton's iteration in ln
+        s follows it, to the negative real axis where overdamped (a pole for λ = 2, α =
+        1 only, a time scale otherwise).
         """
         if self.damping == 0:
-            return cmath.rect(self.natural_frequency ** (2 / self.order), math.pi / self.order)
-        return _damped_pole(self.order, self.damping, self.damping_order, self.natural_frequency**2)
+            return cmath.rect(
+                self.natural_frequency ** (2 / self.order), math.pi / self.order
+            )
+        return _damped_pole(
+            self.order, self.damping, self.damping_order, self.natural_frequency**2
+        )
 
     @property
     def damping_ratio(self) -> float:
-        """ζ = −Re(p)/|p| of the vibration pole [1]; for UD-FOM −cos(π/λ), the same for every payload."""
+        """ζ = −Re(p)/|p| of the vibration pole [1]; for UD-FOM −cos(π/λ), the same for
+        every payload.
+        """
         return 0.0 if self.structure == "UD-IOM" else -self.pole.real / abs(self.pole)
 
     @property
@@ -307,36 +416,50 @@ class LinkModel:
     def torque_resonance(self) -> float | None:
         """Frequency [rad/s] where |Γ/θm| peaks, None where it has no peak.
 
-        For UD-FOM it is (−ω₀²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows; the paper
-        compares (14), the peak of the tip angle, with the measured torque.
+        For UD-FOM it is (−ω₀²/cos(πλ/2))^(1/λ), which is what a torque spectrum shows;
+        the paper compares (14), the peak of the tip angle, with the measured torque.
         """
         return self._peak(inertia=True)
 
     def _peak(self, *, inertia: bool) -> float | None:
         if self.damping == 0:
             if self.order <= 1:
-                return None  # cos(πλ/2) < 0 for λ > 1 alone: a link of order one only falls
-            cosine, square = -math.cos(math.pi * self.order / 2), self.natural_frequency**2
-            return float((square / cosine if inertia else square * cosine) ** (1 / self.order))
-        from scipy.optimize import minimize_scalar  # late: parsers of logs start in 0.2 s, not 0.5 s
+                # cos(πλ/2) < 0 for λ > 1 alone: a link of order one only falls
+                return None
+            cosine, square = (
+                -math.cos(math.pi * self.order / 2),
+                self.natural_frequency**2,
+            )
+            return float(
+                (square / cosine if inertia else square * cosine) ** (1 / self.order)
+            )
+        from scipy.optimize import (
+            minimize_scalar,
+        )  # late: parsers of logs start in 0.2 s, not 0.5 s
 
         def level(log_frequency: ArrayLike) -> NDArray[np.float64]:
             s = 1j * np.exp(np.asarray(log_frequency, dtype=float))
             restoring = self.damping * s**self.damping_order + self.natural_frequency**2
             moving = s**self.order
-            return np.asarray(np.abs((moving if inertia else restoring) / (moving + restoring)))
+            return np.asarray(
+                np.abs((moving if inertia else restoring) / (moving + restoring))
+            )
 
         centre = math.log(abs(self.pole))
         grid = np.linspace(centre - 3.0, centre + 3.0, 601)
         values = level(grid)
-        # The highest hump, not the highest value: a torque whose damping has nearly the order of its inertia
-        # may pass its peak, dip, and end higher.
-        humps = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:])) + 1
+        # The highest hump, not the highest value: a torque whose damping has nearly the
+        # order of its inertia may pass its peak, dip, and end higher.
+        humps = (
+            np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] >= values[2:]))
+            + 1
+        )
         if humps.size == 0:
             return None
         best = int(humps[np.argmax(values[humps])])
         found = minimize_scalar(
-            # 1e-9: the square root of the precision, as a maximum is flat to 1e-18 there
+            # 1e-9: the square root of the precision, as a maximum is flat to 1e-18
+            # there
             lambda x: -float(level(x)),
             bounds=(float(grid[best - 1]), float(grid[best + 1])),
             method="bounded",
@@ -345,9 +468,11 @@ class LinkModel:
         return math.exp(float(found.x))
 
     def at_payload(self, payload: float) -> LinkModel:
-        """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload), eq. (5).
+        """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload),
+        eq. (5).
 
-        λ, μ and α are kept, as the paper keeps them in Table 3. Needs a known `payload`.
+        λ, μ and α are kept, as the paper keeps them in Table 3. Needs a known
+        `payload`.
 
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).at_payload(0.12).natural_frequency
         5.0
@@ -356,15 +481,21 @@ class LinkModel:
         wanted = _mass(payload)
         scale = math.sqrt(known / wanted)
         intervals = tuple(
-            (name, low * scale, high * scale) if name == _FREQUENCY else (name, low, high)
+            (name, low * scale, high * scale)
+            if name == _FREQUENCY
+            else (name, low, high)
             for name, low, high in self.intervals
         )
         return replace(
-            self, natural_frequency=self.natural_frequency * scale, payload=wanted, intervals=intervals
+            self,
+            natural_frequency=self.natural_frequency * scale,
+            payload=wanted,
+            intervals=intervals,
         )
 
     def payload_at(self, natural_frequency: float) -> float:
-        """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse of `at_payload`.
+        """Return the payload [kg] at which the link has this ω₀ [s^(-λ/2)], the inverse
+        of `at_payload`.
 
         >>> LinkModel(1.56, 10.0, order=1.92, payload=0.03).payload_at(5.0)
         0.12
@@ -383,16 +514,29 @@ class LinkModel:
         return self.payload
 
 
-def _damped_pole(order: float, damping: float, damping_order: float, square: float) -> complex:
-    """Newton on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, while μ grows from 0 (or ω₀² from 0) to its value."""
-    alone = damping ** (1 / (order - damping_order)) if order > damping_order and square == 0 else 0.0
+def _damped_pole(
+    order: float, damping: float, damping_order: float, square: float
+) -> complex:
+    """Newton on z ↦ e^{λz} + μ e^{αz} + ω₀², z = ln s, while μ grows from 0 (or ω₀²
+    from 0) to its value.
+    """
+    alone = (
+        damping ** (1 / (order - damping_order))
+        if order > damping_order and square == 0
+        else 0.0
+    )
     if alone:
         return cmath.rect(alone, min(math.pi / (order - damping_order), math.pi))
     z = complex(math.log(square) / order, math.pi / order)
     for share in (0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.0):
         for _ in range(12):
-            moving, friction = cmath.exp(order * z), share * damping * cmath.exp(damping_order * z)
-            step = (moving + friction + square) / (order * moving + damping_order * friction)
+            moving, friction = (
+                cmath.exp(order * z),
+                share * damping * cmath.exp(damping_order * z),
+            )
+            step = (moving + friction + square) / (
+                order * moving + damping_order * friction
+            )
             z -= step if abs(step) < 0.5 else 0.5 * step / abs(step)
             z = complex(z.real, min(max(z.imag, 0.0), math.pi))
             if abs(step) < 1e-15:

@@ -1,6 +1,8 @@
-"""How the columns of a log state a motion: which is what, in which unit and with which sign.
+"""How the columns of a log state a motion: which is what, in which unit and with which
+sign.
 
-Nothing about a log is ever guessed: one whose columns and units are not stated is refused.
+Nothing about a log is ever guessed: one whose columns and units are not stated is
+refused.
 """
 
 from __future__ import annotations
@@ -19,7 +21,15 @@ from numpy.typing import NDArray
 from fraclink._validate import Between, Length, Where, checked
 from fraclink.errors import FieldError
 
-__all__ = ["QUANTITY_OF", "SI", "UNITS", "Channel", "ColumnStatement", "LogColumns", "OutputKind"]
+__all__ = [
+    "QUANTITY_OF",
+    "SI",
+    "UNITS",
+    "Channel",
+    "ColumnStatement",
+    "LogColumns",
+    "OutputKind",
+]
 __all__ += ["ROW_NUMBER", "drive_columns", "parse_columns"]
 
 OutputKind = Literal["torque", "deflection"]
@@ -44,7 +54,13 @@ QUANTITY_OF = MappingProxyType(
 )
 # The column of a log without stamps: 0, 1, 2 …, to be scaled by the period.
 ROW_NUMBER = "#row"
-SI = {"time": "s", "motor_angle": "rad", "torque": "Nm", "deflection": "rad", "voltage": "V"}
+SI = {
+    "time": "s",
+    "motor_angle": "rad",
+    "torque": "Nm",
+    "deflection": "rad",
+    "voltage": "V",
+}
 
 
 @checked
@@ -55,10 +71,10 @@ class Channel:
     Parameters
     ----------
     column
-        its name in the log, or two names with ``" - "`` or ``" + "`` between them, each behind a factor if
-        there is one (``"enc - 179 * tip"``). ``"#2"`` is the second
-        column where the log names none; as the time ``"#row"`` is the number of the sample, for a log without
-        stamps: its scale is the period.
+        its name in the log, or two names with ``" - "`` or ``" + "`` between them, each
+        behind a factor if there is one (``"enc - 179 * tip"``). ``"#2"`` is the second
+        column where the log names none; as the time ``"#row"`` is the number of the
+        sample, for a log without stamps: its scale is the period.
     unit
         unit of the scaled value: s, ms, us, ns; rad, mrad, deg, rev; Nm, mNm; V, mV.
     sign
@@ -83,23 +99,31 @@ class Channel:
     unit: Annotated[str, Length(1, 10)]
     sign: Literal[1, -1] = 1
     scale: Annotated[
-        float, Between(-1e15, 1e15), Where(bool, "not 0, which erases the signal", remedy="give 1 or -1")
+        float,
+        Between(-1e15, 1e15),
+        Where(bool, "not 0, which erases the signal", remedy="give 1 or -1"),
     ] = 1.0
     offset: Annotated[float, Between(-1e15, 1e15)] | Literal["first"] = 0.0
 
     def in_si(self, raw: NDArray[np.float64], role: str) -> NDArray[np.float64]:
-        """The column in SI units and radians; `role` is time, motor_angle, torque, deflection or voltage."""
-        # An encoder counts from where it was switched on: the first sample is its zero, whatever it reads.
+        """The column in SI units and radians; `role` is time, motor_angle, torque,
+        deflection or voltage.
+        """
+        # An encoder counts from where it was switched on: the first sample is its zero,
+        # whatever it reads.
         offset = raw[0] if self.offset == "first" else self.offset
         factor = self.sign * self.scale * UNITS[QUANTITY_OF[role]][self.unit]
         # Multiplying by 1.0 is exact, so that a log in SI units is read bit for bit.
-        return np.asarray((raw - offset) * factor if offset else raw * factor, dtype=np.float64)
+        return np.asarray(
+            (raw - offset) * factor if offset else raw * factor, dtype=np.float64
+        )
 
 
 @checked(prefix="log.")
 @dataclass(frozen=True)
 class LogColumns:
-    """Which column is the time, the motor angle, the output and (optionally) the motor voltage.
+    """Which column is the time, the motor angle, the output and (optionally) the motor
+    voltage.
 
     Parameters
     ----------
@@ -138,11 +162,23 @@ class LogColumns:
             if channel.unit not in known:
                 problem, allowed = f"not a unit of {role}", ", ".join(known)
                 remedy = _way_to(role, channel, known)
-                raise FieldError(f"log.{role}.unit", channel.unit, problem, allowed=allowed, remedy=remedy)
+                raise FieldError(
+                    f"log.{role}.unit",
+                    channel.unit,
+                    problem,
+                    allowed=allowed,
+                    remedy=remedy,
+                )
 
     def channels(self) -> dict[str, Channel]:
-        """The stated channels by role: time, motor_angle, torque or deflection, voltage."""
-        stated = {"time": self.time, "motor_angle": self.motor_angle, str(self.output_kind): self.output}
+        """The stated channels by role: time, motor_angle, torque or deflection,
+        voltage.
+        """
+        stated = {
+            "time": self.time,
+            "motor_angle": self.motor_angle,
+            str(self.output_kind): self.output,
+        }
         return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
 
 
@@ -165,10 +201,12 @@ _RAW = (
 
 
 def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
-    """How to state a signal whose unit its role has not; one of another quantity is no slip of the pen."""
+    """How to state a signal whose unit its role has not; one of another quantity is no
+    slip of the pen.
+    """
     unit, angle = channel.unit, QUANTITY_OF[role] == "angle"
-    # In this order: a length or an acceleration has its own way to an angle, and a nearest unit ("mm" →
-    # "mrad") would send the user astray.
+    # In this order: a length or an acceleration has its own way to an angle, and a
+    # nearest unit ("mm" → "mrad") would send the user astray.
     if unit in _LENGTHS and angle:
         return (
             "a length over the link's length is an angle: for a link of 0.32 m write "
@@ -176,20 +214,28 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
         )
     if unit in _ACCELERATIONS and angle:
         return "an accelerometer is no angle: fit it by identify-structure, with k*s**2/(s**a + w)/(T*s + 1)"
-    # Its scale need not be known: a link's frequency and order do not depend on the gauge's gain.
-    if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in ("torque", "deflection"):
+    # Its scale need not be known: a link's frequency and order do not depend on the
+    # gauge's gain.
+    if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in (
+        "torque",
+        "deflection",
+    ):
         return (
             f'a gauge that is not calibrated: write "deflection={channel.column} [rad]", its scale becomes '
             "part of the fitted gain; or let `fraclink start` scale it"
         )
-    if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(unit in units for units in UNITS.values()):
+    if unit in _LENGTHS + _ACCELERATIONS + _RAW or any(
+        unit in units for units in UNITS.values()
+    ):
         return f"it measures another quantity; give one of {', '.join(known)}"
-    # Half of the letters: "nm" is "Nm" and "sec" is "s", but "hour" is not "us", nor "minutes" "ms".
+    # Half of the letters: "nm" is "Nm" and "sec" is "s", but "hour" is not "us", nor
+    # "minutes" "ms".
     near = difflib.get_close_matches(unit, known, n=1, cutoff=0.5)
     return f"did you mean {near[0]!r}?" if near else f"give one of {', '.join(known)}"
 
 
-# The factor stands behind a space or the equals sign: "k*2" without them may be a column's name.
+# The factor stands behind a space or the equals sign: "k*2" without them may be a
+# column's name.
 _NUMBER = r"[0-9.]+(?:[eE][-+]?[0-9]+)?"
 _STATED = re.compile(
     r"(\w+) *= *([-+]?) *(.*?) *(?:(?<=[ =])\* *([-+]?"
@@ -202,7 +248,8 @@ _STATED = re.compile(
 
 @dataclass(frozen=True)
 class ColumnStatement:
-    """What a text such as ``motor_angle=-pot * 36.79 [deg]`` states about one column; None where it does not.
+    """What a text such as ``motor_angle=-pot * 36.79 [deg]`` states about one column;
+    None where it does not.
 
     Parameters
     ----------
@@ -231,16 +278,22 @@ class ColumnStatement:
 
     @staticmethod
     def of(text: str) -> ColumnStatement:
-        """Return what `text` states; FieldError where it has another form or names an unknown role."""
+        """Return what `text` states; FieldError where it has another form or names an
+        unknown role.
+        """
         match = _STATED.fullmatch(text.strip())
         if match is None or match[1] not in QUANTITY_OF:
             raise _not_understood(text, "not understood")
-        sign: Literal[1, -1] | None = None if not match[2] else -1 if match[2] == "-" else 1
+        sign: Literal[1, -1] | None = (
+            None if not match[2] else -1 if match[2] == "-" else 1
+        )
         scale = _factor(match[4], text)
         if scale is not None and scale < 0.0:
             # A calibration of -1.3 deg/V states the sign as "-strain * 1.3" does.
             sign, scale = (1 if sign == -1 else -1), -scale
-        return ColumnStatement(match[1], match[3] or None, match[5] or None, sign, scale)
+        return ColumnStatement(
+            match[1], match[3] or None, match[5] or None, sign, scale
+        )
 
 
 def _factor(text: str | None, whole: str) -> float | None:
@@ -250,7 +303,9 @@ def _factor(text: str | None, whole: str) -> float | None:
         above, _, below = text.partition("/")
         return float(above) / float(below or 1)
     except (ValueError, ZeroDivisionError):
-        raise _not_understood(whole, f"with a factor {text} that is no number") from None
+        raise _not_understood(
+            whole, f"with a factor {text} that is no number"
+        ) from None
 
 
 def _not_understood(text: str, problem: str) -> FieldError:
@@ -264,12 +319,13 @@ def _not_understood(text: str, problem: str) -> FieldError:
 
 
 def parse_columns(texts: Iterable[str]) -> LogColumns:
-    """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus turns the sign.
+    """Return the columns that texts such as ``motor_angle=theta [deg]`` state; a minus
+    turns the sign.
 
     A factor stands behind the name: ``motor_angle=counts * 360/4096 [deg]``.
 
-    Raises FieldError where a text has another form, a role is missing, unknown or stated twice, or where the
-    unit in brackets does not measure its role.
+    Raises FieldError where a text has another form, a role is missing, unknown or
+    stated twice, or where the unit in brackets does not measure its role.
 
     >>> parse_columns(["time=t [s]", "motor_angle=theta [deg]", "torque=-gamma [Nm]"]).output.sign
     -1
@@ -282,7 +338,9 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
         if found.role in channels:
             raise _not_understood(text, "stated twice")
         scale = 1.0 if found.scale is None else found.scale
-        channels[found.role] = Channel(found.column, found.unit, sign=found.sign or 1, scale=scale)
+        channels[found.role] = Channel(
+            found.column, found.unit, sign=found.sign or 1, scale=scale
+        )
     kinds: tuple[OutputKind, ...] = ("torque", "deflection")
     outputs = [kind for kind in kinds if kind in channels]
     if len(outputs) != 1 or not {"time", "motor_angle"} <= channels.keys():
@@ -294,11 +352,14 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
             remedy="state every column once, or write [log] in the rig file",
         )
     kind, voltage = outputs[0], channels.get("voltage")
-    return LogColumns(channels["time"], channels["motor_angle"], channels[kind], kind, voltage)
+    return LogColumns(
+        channels["time"], channels["motor_angle"], channels[kind], kind, voltage
+    )
 
 
 def drive_columns(texts: Iterable[str]) -> LogColumns:
-    """Return the columns of a log for the motor alone: without an output, the angle stands for it.
+    """Return the columns of a log for the motor alone: without an output, the angle
+    stands for it.
 
     >>> drive_columns(["time=t [s]", "motor_angle=enc [deg]", "voltage=u [V]"]).output.column
     'enc'
@@ -306,7 +367,7 @@ def drive_columns(texts: Iterable[str]) -> LogColumns:
     stated = list(texts)
     roles = {ColumnStatement.of(text).role: text for text in stated}
     if "motor_angle" in roles and not roles.keys() & {"torque", "deflection"}:
-        # The readers ask for one output; an angle in the unit of the motor's can stand for it, a torque could
-        # not.
+        # The readers ask for one output; an angle in the unit of the motor's can stand
+        # for it, a torque could not.
         stated.append("deflection=" + roles["motor_angle"].partition("=")[2])
     return parse_columns(stated)

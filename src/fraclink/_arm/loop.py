@@ -1,13 +1,15 @@
-"""The loop: controller, motor loop, hold, computation delay, and the link as the gauge shows it.
+"""The loop: controller, motor loop, hold, computation delay, and the link as the gauge
+shows it.
 
     L = k_d s^β/(1 + δs)^n · M(s) e^{−τs} · B(s),    B = 1 − g e^{−τ_g s} (1 − G(s) + H(s)),
 
-M is the motor loop, τ half a period of hold and the computation delay, and B the link with the gauge's delay
-and gain and its second mode (`fraclink._arm.gauged_link`).
+M is the motor loop, τ half a period of hold and the computation delay, and B the link
+with the gauge's delay and gain and its second mode (`fraclink._arm.gauged_link`).
 
-`Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω, so neither a
-crossing nor an encirclement can be lost to a phase that jumps by 2π. It is evaluated over many frequencies
-and many links (ω₀, and so payloads) at once. `fraclink._arm.sampled` has the same loop as it is sampled.
+`Loop` is its logarithm with the true, unwrapped phase. Every factor is continuous in ω,
+so neither a crossing nor an encirclement can be lost to a phase that jumps by 2π. It is
+evaluated over many frequencies and many links (ω₀, and so payloads) at once.
+`fraclink._arm.sampled` has the same loop as it is sampled.
 """
 
 from __future__ import annotations
@@ -32,33 +34,46 @@ if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
     from fraclink._arm.rig import Rig
 
-__all__ = ["Achieved", "Crossings", "Loop", "noise_points", "with_payload", "worst_margins"]
+__all__ = [
+    "Achieved",
+    "Crossings",
+    "Loop",
+    "noise_points",
+    "with_payload",
+    "worst_margins",
+]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_PAYLOADS = 17  # links at a time; a minimum inside the range is closed in on from its neighbours
+# links at a time; a minimum inside the range is closed in on from its neighbours
+_PAYLOADS = 17
 
 
 def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
-    """Return the model with a known payload: its own, else ω₀ of eq. (5) at the rig's nominal payload.
+    """Return the model with a known payload: its own, else ω₀ of eq. (5) at the rig's
+    nominal payload.
 
-    From here on `LinkModel.at_payload` and `LinkModel.payload_at` are the only conversion between m and ω₀.
+    From here on `LinkModel.at_payload` and `LinkModel.payload_at` are the only
+    conversion between m and ω₀.
     """
     if model.payload is not None:
         return model
     nominal, own = rig.payloads.nominal, rig.natural_frequency(rig.payloads.nominal)
-    # Without the interval of the ω₀ that is replaced: a box would reach from there to the rig's.
+    # Without the interval of the ω₀ that is replaced: a box would reach from there to
+    # the rig's.
     kept = tuple(row for row in model.intervals if row[0] != "natural_frequency")
     return replace(model, natural_frequency=own, payload=nominal, intervals=kept)
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Every gain crossing of loops that differ in ω₀ only; arrays of equal length, one entry a crossing.
+    """Every gain crossing of loops that differ in ω₀ only; arrays of equal length, one
+    entry a crossing.
 
-    ``row`` is the index of ω₀, ``frequency`` in rad/s, ``phase`` the unwrapped phase of L [rad], ``slope``
-    the slope of ln|L| over ln ω: negative means that L falls below one.
+    ``row`` is the index of ω₀, ``frequency`` in rad/s, ``phase`` the unwrapped phase of
+    L [rad], ``slope`` the slope of ln|L| over ln ω: negative means that L falls below
+    one.
     """
 
     row: NDArray[np.int64]
@@ -69,15 +84,18 @@ class Crossings:
     @property
     def phase_margin(self) -> Real:
         """Angle of -L at each crossing, in (-π, π] [rad]."""
-        return np.asarray(-np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi)
+        return np.asarray(
+            -np.remainder(-(self.phase + np.pi) + np.pi, 2 * np.pi) + np.pi
+        )
 
 
 @dataclass(frozen=True)
 class Achieved:
     """What a loop achieves, one value for each ω₀.
 
-    Upper gain crossover [rad/s], phase margin [rad] (negative where the loop is unstable), sensitivity peak
-    Ms = max 1/|1 + L| (infinite where it is unstable), and noise gain.
+    Upper gain crossover [rad/s], phase margin [rad] (negative where the loop is
+    unstable), sensitivity peak Ms = max 1/|1 + L| (infinite where it is unstable), and
+    noise gain.
     """
 
     natural_frequency: Real
@@ -94,7 +112,8 @@ class Loop(GaugedLink):
     Parameters
     ----------
     gain, order, filter_time, filter_order
-        k_d, β, δ [s] and n of the controller; with gain 1 and order 0 the loop is all that stands beside Ĉ.
+        k_d, β, δ [s] and n of the controller; with gain 1 and order 0 the loop is all
+        that stands beside Ĉ.
     link_order, damping, damping_order, gauge_delay, gauge_gain, second_mode
         the link and its gauge, as in `GaugedLink`.
     lag
@@ -102,9 +121,11 @@ class Loop(GaugedLink):
     delay
         τ [s]: computation delay and half a period of hold.
     correction
-        logarithm of what the sampled motor loop makes of M(s) and the delay, a function of ω, or None.
+        logarithm of what the sampled motor loop makes of M(s) and the delay, a function
+        of ω, or None.
     highest
-        frequency [rad/s] above which nothing is looked for: the Nyquist frequency of a sampled controller.
+        frequency [rad/s] above which nothing is looked for: the Nyquist frequency of a
+        sampled controller.
     """
 
     gain: float = 1.0
@@ -117,8 +138,12 @@ class Loop(GaugedLink):
     highest: float = math.inf
 
     @staticmethod
-    def around(model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float) -> Loop:
-        """Return all that stands in the loop beside Ĉ, for a controller that runs at `period` [s]."""
+    def around(
+        model: LinkModel, motor_loop: MotorLoop, motor: MotorConstants, period: float
+    ) -> Loop:
+        """Return all that stands in the loop beside Ĉ, for a controller that runs at
+        `period` [s].
+        """
         return replace(
             Loop.ideal(model),
             lag=1.0 / motor_loop.pole,
@@ -133,17 +158,26 @@ class Loop(GaugedLink):
     @staticmethod
     def ideal(model: LinkModel) -> Loop:
         """Return G alone, the paper's reading: no motor loop, no delay, an exact gauge."""
-        return Loop(link_order=model.order, damping=model.damping, damping_order=model.damping_order)
+        return Loop(
+            link_order=model.order,
+            damping=model.damping,
+            damping_order=model.damping_order,
+        )
 
     @staticmethod
     def of(controller: Controller, model: LinkModel, rig: Rig) -> Loop:
-        """Return the loop that runs: `controller` on `model`, with the rig's motor loop and period.
+        """Return the loop that runs: `controller` on `model`, with the rig's motor loop
+        and period.
 
         The controller's own motor loop and period take precedence over the rig's.
         """
-        settings = controller.inner or MotorLoop(rig.motor_loop.pole, rig.motor_loop.delay_samples)
+        settings = controller.inner or MotorLoop(
+            rig.motor_loop.pole, rig.motor_loop.delay_samples
+        )
         period = rig.period if controller.period is None else controller.period
-        return Loop.around(model, settings, rig.motor, period).with_controller(controller)
+        return Loop.around(model, settings, rig.motor, period).with_controller(
+            controller
+        )
 
     def with_controller(self, controller: Controller) -> Loop:
         """Return the loop with Ĉ of `controller`, its filter included."""
@@ -174,23 +208,39 @@ class Loop(GaugedLink):
         return np.asarray(value, dtype=np.complex128)
 
     def log(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments broadcast."""
+        """Return ln L(jω) with the unwrapped phase as its imaginary part; the arguments
+        broadcast.
+        """
         w = np.asarray(frequency)
-        return np.asarray(self.outer_log(w) + self.link_log(w, natural_frequency) + self.motor_log(w))
+        return np.asarray(
+            self.outer_log(w) + self.link_log(w, natural_frequency) + self.motor_log(w)
+        )
 
     def __call__(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return L(jω); a complex ω with a positive real part gives L(s) beside the axis, at s = jω."""
+        """Return L(jω); a complex ω with a positive real part gives L(s) beside the
+        axis, at s = jω.
+        """
         if self.exact_gauge:
-            return np.asarray(np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128)
+            return np.asarray(
+                np.exp(self.log(frequency, natural_frequency)), dtype=np.complex128
+            )
         w = np.asarray(frequency)
         bracket, _, _ = self.parts(w, natural_frequency)
-        return np.asarray(np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128)
+        return np.asarray(
+            np.exp(self.outer_log(w) + self.motor_log(w)) * bracket, dtype=np.complex128
+        )
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
-        """Return ln|L(jω)|: the real part of `log` in real arithmetic, for scans of many points."""
+        """Return ln|L(jω)|: the real part of `log` in real arithmetic, for scans of
+        many points.
+        """
         w = np.asarray(frequency, dtype=float)
         ln_w = np.log(w)
-        value = math.log(self.gain) + self.order * ln_w + self._link_level(w, ln_w, natural_frequency)
+        value = (
+            math.log(self.gain)
+            + self.order * ln_w
+            + self._link_level(w, ln_w, natural_frequency)
+        )
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - 0.5 * power * np.log1p((time * w) ** 2)
@@ -199,7 +249,9 @@ class Loop(GaugedLink):
         return np.asarray(value)
 
     def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
-        """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that of the phase."""
+        """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that
+        of the phase.
+        """
         w = np.asarray(frequency, dtype=float)
         s = 1j * w
         value = self.order - s * self.delay + self._link_slope(w, natural_frequency)
@@ -207,8 +259,12 @@ class Loop(GaugedLink):
             if time:
                 value = value - power * time * s / (1.0 + time * s)
         if self.correction is not None:
-            step = 1e-5  # central difference: an error of 1e-10 only slows Newton's last step down
-            up, down = self.correction(w * math.exp(step)), self.correction(w * math.exp(-step))
+            # central difference: an error of 1e-10 only slows Newton's last step down
+            step = 1e-5
+            up, down = (
+                self.correction(w * math.exp(step)),
+                self.correction(w * math.exp(-step)),
+            )
             value = value + (up - down) / (2.0 * step)
         return np.asarray(value, dtype=np.complex128)
 
@@ -220,50 +276,77 @@ class Loop(GaugedLink):
         row, column = np.nonzero((level[:, :-1] > 0.0) != (level[:, 1:] > 0.0))
         frequency = self._polish(w[row, column], w[row, column + 1], w0[row])
         value = self.log(frequency, w0[row])
-        return Crossings(row, frequency, value.imag, self.slope(frequency, w0[row]).real)
+        return Crossings(
+            row, frequency, value.imag, self.slope(frequency, w0[row]).real
+        )
 
     def _grid(self, w0: Real) -> Real:
-        """One row of frequencies per ω₀: eight decades around the mode, and the mode itself from both sides.
+        """One row of frequencies per ω₀: eight decades around the mode, and the mode
+        itself from both sides.
 
-        Between two crossings the peak of |L| lies within a per cent of the mode of G when it is sharp, so the
-        points that cluster there are what keeps a narrow peak from hiding between two points.
+        Between two crossings the peak of |L| lies within a per cent of the mode of G
+        when it is sharp, so the points that cluster there are what keeps a narrow peak
+        from hiding between two points.
         """
         mode = self.peak(w0)
         near = 1.0 + np.geomspace(1e-6, 0.2, 16)
         low, high = 1e-4, 1e4
         if self.order > 0.0:
-            # Far below the mode |L| = k ω^β, far above at most k ω₀² ω^(β-λ): they cross one where these do.
+            # Far below the mode |L| = k ω^β, far above at most k ω₀² ω^(β-λ): they
+            # cross one where these do.
             first = math.exp(min(max(-math.log(self.gain) / self.order, -300.0), 300.0))
             low = min(low, float(np.min(0.5 * first / mode)))
         if self.order < self.link_order and not self.damping:
-            reach = (math.log(self.gain) + 2.0 * np.log(w0)) / (self.link_order - self.order)
-            high = max(high, float(np.max(2.0 * np.exp(np.minimum(reach, 300.0)) / mode)))
+            reach = (math.log(self.gain) + 2.0 * np.log(w0)) / (
+                self.link_order - self.order
+            )
+            high = max(
+                high, float(np.max(2.0 * np.exp(np.minimum(reach, 300.0)) / mode))
+            )
         decades = math.log10(high / low)
         shape = np.unique(
-            np.concatenate([np.geomspace(low, high, int(15 * decades) + 1), near, 1.0 / near, [1.0]])
+            np.concatenate(
+                [
+                    np.geomspace(low, high, int(15 * decades) + 1),
+                    near,
+                    1.0 / near,
+                    [1.0],
+                ]
+            )
         )
         parts = [mode[:, None] * shape, self._top(w0)[:, None]]
         if not self.exact_gauge:
             points = self._gauge_points(w0)
             parts.append(np.broadcast_to(points, (w0.size, points.size)))
         grid = np.minimum(np.sort(np.concatenate(parts, axis=1), axis=1), self.highest)
-        needed = int(np.sum(np.any(grid < self.highest, axis=0))) + 1  # past it every row stands at `highest`
+        needed = (
+            int(np.sum(np.any(grid < self.highest, axis=0))) + 1
+        )  # past it every row stands at `highest`
         return np.asarray(grid[:, :needed])
 
     def _gauge_points(self, w0: Real) -> Real:
-        """Frequencies at which a late gauge or a second mode bends |B| faster than the grid of G follows.
+        """Frequencies at which a late gauge or a second mode bends |B| faster than the
+        grid of G follows.
 
-        A delay makes |B| oscillate with the period 2π/τ_g in ω, as far up as |L| can still reach one.
+        A delay makes |B| oscillate with the period 2π/τ_g in ω, as far up as |L| can
+        still reach one.
         """
         mode = self.peak(w0)
         found = [mode[:1], self.about_mode(65)]
         if self.gauge_delay:
-            low, high = 0.25 * float(mode.min()), min(self.highest, 1e3 * float(mode.max()))
+            low, high = (
+                0.25 * float(mode.min()),
+                min(self.highest, 1e3 * float(mode.max())),
+            )
             scan = np.geomspace(low, high, 80)
-            # Above the modes |X| stays below |g| times 1 and the share of mode 2; the resonances themselves
-            # are met by the grid of G and below.
-            most = 1.0 + abs(self.gauge_gain) * (2.0 + (self.second_mode.gain if self.second_mode else 0.0))
-            loud = (self.outer_log(scan) + self.motor_log(scan)).real + math.log(most) > 0.0
+            # Above the modes |X| stays below |g| times 1 and the share of mode 2; the
+            # resonances themselves are met by the grid of G and below.
+            most = 1.0 + abs(self.gauge_gain) * (
+                2.0 + (self.second_mode.gain if self.second_mode else 0.0)
+            )
+            loud = (self.outer_log(scan) + self.motor_log(scan)).real + math.log(
+                most
+            ) > 0.0
             top = float(scan[loud][-1]) if loud.any() else 4.0 * float(mode.max())
             found.append(self.turns(low, max(top, 1.01 * low), 6.0))
         return np.concatenate(found)
@@ -271,11 +354,15 @@ class Loop(GaugedLink):
     def _top(self, w0: Real) -> Real:
         """Peak of |Ĉ G|, where the denominator of (49) vanishes: a quadratic in ω^λ.
 
-        As a point of the grid it keeps a peak that only just exceeds one from hiding between its neighbours.
+        As a point of the grid it keeps a peak that only just exceeds one from hiding
+        between its neighbours.
         """
         if not 0.0 < self.order < self.link_order:
             return self.peak(w0)
-        rest, cosine = self.link_order - self.order, math.cos(0.5 * math.pi * self.link_order)
+        rest, cosine = (
+            self.link_order - self.order,
+            math.cos(0.5 * math.pi * self.link_order),
+        )
         half = 0.5 * (rest - self.order) * cosine
         root = (-half + math.sqrt(half * half + rest * self.order)) / rest
         return np.asarray((root * w0**2) ** (1.0 / self.link_order))
@@ -294,9 +381,10 @@ class Loop(GaugedLink):
     def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
         """Return (upper gain crossover, signed phase margin) for each ω₀.
 
-        The margin is the smallest over all crossings, negative where the closed loop is unstable; without a
-        crossing it counts as π and the crossover as 0. L is open-loop stable, so the loop is stable where -1
-        is not encircled: |L| > 1 between a rising and the next falling crossing, and inside, each time the
+        The margin is the smallest over all crossings, negative where the closed loop is
+        unstable; without a crossing it counts as π and the crossover as 0. L is
+        open-loop stable, so the loop is stable where -1 is not encircled: |L| > 1
+        between a rising and the next falling crossing, and inside, each time the
         unwrapped phase passes -π (mod 2π), the curve passes left of -1.
         """
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
@@ -307,44 +395,65 @@ class Loop(GaugedLink):
         return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
 
     def encirclements(self, natural_frequency: float) -> int:
-        """Return how often L(jω), ω from 0 up, encircles -1 clockwise: the closed loop is stable at 0."""
+        """Return how often L(jω), ω from 0 up, encircles -1 clockwise: the closed loop
+        is stable at 0.
+        """
         return int(_turns(self.crossings(natural_frequency), 1)[0])
 
     def margins_at(self, natural_frequency: float) -> Margins:
-        """Return every crossing and margin at one ω₀, from the general engine `fraclink.margins`."""
+        """Return every crossing and margin at one ω₀, from the general engine
+        `fraclink.margins`.
+        """
         limit = self.highest if math.isfinite(self.highest) else None
-        return margins(lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0)
+        return margins(
+            lambda s: self(np.imag(s), natural_frequency), limit=limit, unstable_poles=0
+        )
 
     def sensitivity_peak(self, natural_frequency: ArrayLike) -> Real:
-        """Return Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode, refined twice."""
+        """Return Ms = 1/min|1 + L| for each ω₀: a scan over two decades about the mode,
+        refined twice.
+        """
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
         mode = self.peak(w0)[:, None]
-        # A scan from half of the mode to three times of it misses Ms by 1 %: the crossover may lie far off.
+        # A scan from half of the mode to three times of it misses Ms by 1 %: the
+        # crossover may lie far off.
         w = np.minimum(mode * np.geomspace(0.2, 30.0, 240), self.highest)
         if not self.exact_gauge:
             points = self._gauge_points(w0)
-            w = np.sort(np.concatenate([w, np.broadcast_to(points, (w0.size, points.size))], axis=1), axis=1)
+            w = np.sort(
+                np.concatenate(
+                    [w, np.broadcast_to(points, (w0.size, points.size))], axis=1
+                ),
+                axis=1,
+            )
             w = np.minimum(w, self.highest)
-        # Steps of 2 %, then twice sixteenths between the neighbours of the least: 8e-5 of ω, 1e-6 of Ms.
+        # Steps of 2 %, then twice sixteenths between the neighbours of the least: 8e-5
+        # of ω, 1e-6 of Ms.
         rows = np.arange(w0.size)
         for _ in range(3):
             distance = np.abs(1.0 + self(w, w0[:, None]))
             best = np.argmin(distance, axis=1)
-            low, high = w[rows, np.maximum(best - 1, 0)], w[rows, np.minimum(best + 1, w.shape[1] - 1)]
+            low, high = (
+                w[rows, np.maximum(best - 1, 0)],
+                w[rows, np.minimum(best + 1, w.shape[1] - 1)],
+            )
             w = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, 33)
         return np.asarray(1.0 / np.min(distance, axis=1))
 
     def noise_gain(self, natural_frequency: ArrayLike, period: float) -> Real:
-        """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30), ωN = π/`period`.
+        """Return the noise gain for each ω₀, ``(∫₀^{ωN} |Ĉ/(1+L)|² dω / ωN)^½`` (30),
+        ωN = π/`period`.
 
-        It is the RMS of the motor reference over that of white gauge noise, both as angles: the gauge's
-        torque noise divided by the stiffness.
+        It is the RMS of the motor reference over that of white gauge noise, both as
+        angles: the gauge's torque noise divided by the stiffness.
         """
         found = []
         for value in np.atleast_1d(np.asarray(natural_frequency, dtype=float)):
             w, weights = noise_points(self, float(value), period)
             outer = np.exp(self.outer_log(w).real)
-            found.append(np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights)))
+            found.append(
+                np.sqrt(np.sum((outer / np.abs(1.0 + self(w, value))) ** 2 * weights))
+            )
         return np.asarray(found, dtype=float)
 
     def achieved(self, natural_frequency: ArrayLike, period: float) -> Achieved:
@@ -363,33 +472,47 @@ def _turns(found: Crossings, rows: int) -> Real:
     return total
 
 
-def noise_points(loop: Loop, natural_frequency: float, period: float) -> tuple[Real, Real]:
+def noise_points(
+    loop: Loop, natural_frequency: float, period: float
+) -> tuple[Real, Real]:
     """Frequencies and weights of the mean over [0, π/Ts] in `Loop.noise_gain`.
 
-    Six Gauss points on panels that shrink towards the mode, where |1 + L| changes fastest.
+    Six Gauss points on panels that shrink towards the mode, where |1 + L| changes
+    fastest.
     """
     nyquist = math.pi / period
     mode = float(loop.peak(natural_frequency))
-    edges = np.concatenate([[0.0, nyquist], mode * np.geomspace(0.25, 8.0, 26), loop.about_mode(17)])
+    edges = np.concatenate(
+        [[0.0, nyquist], mode * np.geomspace(0.25, 8.0, 26), loop.about_mode(17)]
+    )
     if loop.gauge_delay:
-        # |1 + L| swings with the delay up to the Nyquist frequency: without these panels the noise gain of a
-        # design for a gauge 20 ms late was 8 % off; with them it is 0.7 %, and 2e-3 on four others.
+        # |1 + L| swings with the delay up to the Nyquist frequency: without these
+        # panels the noise gain of a design for a gauge 20 ms late was 8 % off; with
+        # them it is 0.7 %, and 2e-3 on four others.
         edges = np.concatenate([edges, loop.turns(0.0, nyquist, 2.0)])
     edges = np.unique(edges[edges <= nyquist])
-    # On four designs 3e-4 of the noise gain is lost; three points a panel lose 4e-3, two 4 %.
+    # On four designs 3e-4 of the noise gain is lost; three points a panel lose 4e-3,
+    # two 4 %.
     points, weights = np.polynomial.legendre.leggauss(6)
     half = 0.5 * np.diff(edges)[:, None]
-    return (edges[:-1, None] + half * (1.0 + points)).ravel(), (half * weights).ravel() / nyquist
+    return (edges[:-1, None] + half * (1.0 + points)).ravel(), (
+        half * weights
+    ).ravel() / nyquist
 
 
 @lru_cache(maxsize=64)  # asked for once to admit a solution and once to report it
-def worst_margins(loop: Loop, low: float, high: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """((smallest crossover, its ω₀), (smallest signed phase margin, its ω₀)) over ω₀ in [low, high]."""
+def worst_margins(
+    loop: Loop, low: float, high: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """((smallest crossover, its ω₀), (smallest signed phase margin, its ω₀)) over ω₀ in
+    [low, high].
+    """
     start = w0 = np.geomspace(low, high, _PAYLOADS)
     crossover, margin = loop.margins(w0)
     first, place = int(np.argmin(crossover)), int(np.argmin(margin))
     value, at = float(margin[place]), float(w0[place])
-    # Each round leaves an eighth of the interval: after four a margin is known to that of links 1e-4 apart.
+    # Each round leaves an eighth of the interval: after four a margin is known to that
+    # of links 1e-4 apart.
     for _ in range(4):
         if place in (0, w0.size - 1):
             break

@@ -1,9 +1,10 @@
 """The motor and the PID that closes its loop, by pole placement.
 
-The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one filter pole close it,
-u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s + a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c)
-(20), so that θm/θm* = M(s) = 1/(1 + s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the
-filter's pole, not the link's stiffness, and the values below are recomputed from A, B and p.
+The motor at the gear's output is θm/u' = A/(s(s + B)) (1). Two controllers with one
+filter pole close it, u' = Cm1(s)(θm* − θm) − Cm2(s) θm with Cm1 = (a2 s² + a1 s +
+a0)/(s(s + c)) (19), Cm2 = (b1 s + b0)/(s + c) (20), so that θm/θm* = M(s) = 1/(1 +
+s/p)² (21). Source: Benftima et al. 2023; the printed c of (19) is the filter's pole,
+not the link's stiffness, and the values below are recomputed from A, B and p.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ Method = Literal["tustin", "backward", "zero-order-hold"]
 
 
 class MotorConstants(Protocol):
-    """What a motor must tell: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the gear's output."""
+    """What a motor must tell: A = K/J [rad/(s²·V)] and B = ν/J [1/s], both at the
+    gear's output.
+    """
 
     @property
     def gain(self) -> float: ...
@@ -47,10 +50,12 @@ class MotorConstants(Protocol):
 
 @dataclass(frozen=True)
 class DiscretePid:
-    """The PID of the motor loop at its period: two one-pole filters in parallel, as law.c computes them.
+    """The PID of the motor loop at its period: two one-pole filters in parallel, as
+    law.c computes them.
 
-    With ε = θm* − θm the control is u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε − ρ2 θm), where
-    H1 stands for 1/s and H2 for 1/(s + c):  H(z) = (now + before z⁻¹)/(1 − decay z⁻¹).
+    With ε = θm* − θm the control is u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε −
+    ρ2 θm), where H1 stands for 1/s and H2 for 1/(s + c):  H(z) = (now + before z⁻¹)/(1
+    − decay z⁻¹).
 
     >>> from types import SimpleNamespace
     >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0).discretize(0.004)
@@ -73,15 +78,21 @@ class DiscretePid:
     @property
     def stiffness(self) -> float:
         """Voltage over a lasting error of the angle, before the integral acts [V/rad]."""
-        filtered = self.filter_gain * (self.filter_now + self.filter_before) / (1 - self.filter_decay)
+        filtered = (
+            self.filter_gain
+            * (self.filter_now + self.filter_before)
+            / (1 - self.filter_decay)
+        )
         return self.direct + filtered
 
 
 @dataclass(frozen=True)
 class ContinuousPid:
-    """Coefficients of the PID (19), (20) that closes the motor loop, for one pole p [rad/s].
+    """Coefficients of the PID (19), (20) that closes the motor loop, for one pole p
+    [rad/s].
 
-    Every closed-loop pole and both zeros lie at −p, so the loop is M(s) = 1/(1 + s/p)² exactly (21).
+    Every closed-loop pole and both zeros lie at −p, so the loop is M(s) = 1/(1 + s/p)²
+    exactly (21).
 
     >>> from fraclink._arm.rig import Rig
     >>> loop = place_pid(Rig.named("paper-2023").motor, 80.0)
@@ -103,14 +114,16 @@ class ContinuousPid:
         """Return M(s) = θm/θm* = 1/(1 + s/p)² (21)."""
         p = self.pole
         return FractionalTransferFunction(
-            (Term(1.0, 0.0),), (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0))
+            (Term(1.0, 0.0),),
+            (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0)),
         )
 
     def discretize(self, period: float, *, method: Method = "tustin") -> DiscretePid:
         """Return the loop at `period` [s], 0 < period; Tustin is the one to run.
 
-        The other methods are offered for comparison: at 4 ms with one sample of delay and p = 80 they are
-        unstable (`sampled_radius`), because they lag or advance the PID where the loop has 7.4 ms to spare.
+        The other methods are offered for comparison: at 4 ms with one sample of delay
+        and p = 80 they are unstable (`sampled_radius`), because they lag or advance the
+        PID where the loop has 7.4 ms to spare.
         """
         if not (math.isfinite(period) and period > 0):
             raise FieldError(
@@ -128,7 +141,8 @@ class ContinuousPid:
             direct=self.a2,
             angle_direct=self.b1,
             integral_gain=self.a0 / c,
-            # Partial fractions of (a2 s² + a1 s + a0)/(s(s + c)) and of b1 + ρ2/(s + c).
+            # Partial fractions of (a2 s² + a1 s + a0)/(s(s + c)) and of b1 + ρ2/(s +
+            # c).
             filter_gain=self.a1 - self.a2 * c - self.a0 / c,
             angle_filter_gain=self.b0 - self.b1 * c,
             integral_now=integral[0],
@@ -138,10 +152,13 @@ class ContinuousPid:
             filter_decay=filtered[2],
         )
 
-    def sampled_radius(self, period: float, *, delay_samples: int = 1, method: Method = "tustin") -> float:
+    def sampled_radius(
+        self, period: float, *, delay_samples: int = 1, method: Method = "tustin"
+    ) -> float:
         """Return the spectral radius of the sampled inner loop: below 1 it is stable.
 
-        The motor (1) is discretised exactly under a held voltage that comes `delay_samples` late.
+        The motor (1) is discretised exactly under a held voltage that comes
+        `delay_samples` late.
 
         >>> from types import SimpleNamespace
         >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0)
@@ -149,7 +166,13 @@ class ContinuousPid:
         >>> [round(loop.sampled_radius(0.004, method=method), 3) for method in methods]
         [0.951, 1.004, 1.006]
         """
-        return float(np.abs(closed_poles(self, self.discretize(period, method=method), delay_samples)[0]))
+        return float(
+            np.abs(
+                closed_poles(
+                    self, self.discretize(period, method=method), delay_samples
+                )[0]
+            )
+        )
 
 
 def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
@@ -179,9 +202,14 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
     gain, decay = float(motor.gain), float(motor.decay)
     if not (math.isfinite(gain) and gain > 0):
         raise FieldError(
-            "motor.gain", gain, "not positive", allowed="> 0 rad/(s²·V)", remedy="check K and J of the rig"
+            "motor.gain",
+            gain,
+            "not positive",
+            allowed="> 0 rad/(s²·V)",
+            remedy="check K and J of the rig",
         )
-    # The four closed-loop poles at −p add up to the open loop's: the motor's B and the filter's c.
+    # The four closed-loop poles at −p add up to the open loop's: the motor's B and the
+    # filter's c.
     if not (math.isfinite(pole) and pole > decay / 4):
         raise FieldError(
             "inner.pole",
@@ -195,7 +223,8 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         pole=p,
         gain=gain,
         decay=decay,
-        # Six unknowns, c among them: the four powers of (s + p)⁴, and the two zeros of Cm1 at −p.
+        # Six unknowns, c among them: the four powers of (s + p)⁴, and the two zeros of
+        # Cm1 at −p.
         a0=p**4 / gain,
         a1=2 * p**3 / gain,
         a2=p**2 / gain,
@@ -227,7 +256,8 @@ def _one_pole(pole: float, period: float, method: Method) -> tuple[float, float,
 
 
 def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, float]:
-    """Return (m1, m2, e) of ``A/(s(s+B))`` under a zero-order hold: ``x(m1 + m2 x)/((1-x)(1-e x))``.
+    """Return (m1, m2, e) of ``A/(s(s+B))`` under a zero-order hold: ``x(m1 + m2
+    x)/((1-x)(1-e x))``.
 
     >>> from fraclink._arm.rig import Rig
     >>> m1, m2, e = held_motor(Rig.named("paper-2023").motor, 0.004)
@@ -236,32 +266,37 @@ def held_motor(motor: MotorConstants, period: float) -> tuple[float, float, floa
     """
     gain, decay = motor.gain, motor.decay
     e = math.exp(-decay * period)
-    # T − (1 − e^(−BT))/B is BT²/2: at BT = 1e-8 the subtraction has lost eight digits, and to leave B out
-    # altogether costs 1e-8. Motors without friction come here, too.
+    # T − (1 − e^(−BT))/B is BT²/2: at BT = 1e-8 the subtraction has lost eight digits,
+    # and to leave B out altogether costs 1e-8. Motors without friction come here, too.
     if decay * period < 1e-8:
         return 0.5 * gain * period**2, 0.5 * gain * period**2, e
     weight = -math.expm1(-decay * period) / decay
     return gain * (period - weight) / decay, gain * (weight - period * e) / decay, e
 
 
-def closed_poles(motor: MotorConstants, pid: DiscretePid, delay_samples: int) -> Complex:
+def closed_poles(
+    motor: MotorConstants, pid: DiscretePid, delay_samples: int
+) -> Complex:
     """Return the poles in z of the sampled PID around its motor, largest modulus first.
 
-    Eigenvalues, as the roots of the polynomial lose the poles of a short period: four of them meet at 1.
+    Eigenvalues, as the roots of the polynomial lose the poles of a short period: four
+    of them meet at 1.
     """
     found = np.linalg.eigvals(_closed_matrix(motor, pid, delay_samples))
     return np.asarray(found[np.argsort(-np.abs(found))], dtype=np.complex128)
 
 
 def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) -> Real:
-    """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed voltages."""
+    """State matrix of the sampled motor loop with θm* = 0: θ, θ̇, two filters, delayed
+    voltages.
+    """
     a, b, period = motor.gain, motor.decay, d.period
     weight = period if b == 0 else -math.expm1(-b * period) / b
     # Angle and speed after a period of a held unit voltage are A·second and A·weight.
     second = period**2 / 2 if b == 0 else (period - weight) / b
     n = 4 + delay_samples
-    # voltage now, as a row over the state; both filters are kept as their delayed part s:
-    # output = s + now·input, next s = decay·output + before·input.
+    # voltage now, as a row over the state; both filters are kept as their delayed part
+    # s: output = s + now·input, next s = decay·output + before·input.
     integral_in = np.zeros(n)
     integral_in[0] = -d.integral_gain
     filter_in = np.zeros(n)
@@ -272,7 +307,8 @@ def _closed_matrix(motor: MotorConstants, d: DiscretePid, delay_samples: int) ->
     filter_out[3] += 1.0
     voltage = integral_out + filter_out
     voltage[0] -= d.direct + d.angle_direct
-    # With a delay the motor gets the oldest voltage of the queue (states 4 on), else that of this tick.
+    # With a delay the motor gets the oldest voltage of the queue (states 4 on), else
+    # that of this tick.
     applied = np.eye(n)[4] if delay_samples else voltage
     matrix = np.zeros((n, n))
     matrix[0, :2] = 1.0, weight

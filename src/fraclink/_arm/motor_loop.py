@@ -1,9 +1,11 @@
-"""The motor loop as the outer controller sees it: ideal, or the PID as it is sampled on its motor.
+"""The motor loop as the outer controller sees it: ideal, or the PID as it is sampled on
+its motor.
 
-At the period Ts, with x = z⁻¹, e = exp(-B Ts) and d samples of delay, the motor under its held voltage is
-``P(x) = x^{1+d}(m1 + m2 x)/((1-x)(1-e x))``. The placement "tustin" discretises (19), (20); "direct" solves
-``(1-x)²(1-e x)(1-r x) + x^{1+d}(m1 + m2 x) S(x) = (1-z₀x)³ f(x)`` for the PID itself, z₀ = exp(-p Ts): the
-delay then stands inside the equation instead of eating the margin afterwards.
+At the period Ts, with x = z⁻¹, e = exp(-B Ts) and d samples of delay, the motor under
+its held voltage is ``P(x) = x^{1+d}(m1 + m2 x)/((1-x)(1-e x))``. The placement "tustin"
+discretises (19), (20); "direct" solves ``(1-x)²(1-e x)(1-r x) + x^{1+d}(m1 + m2 x) S(x)
+= (1-z₀x)³ f(x)`` for the PID itself, z₀ = exp(-p Ts): the delay then stands inside the
+equation instead of eating the margin afterwards.
 """
 
 from __future__ import annotations
@@ -17,7 +19,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._arm.motor import DiscretePid, MotorConstants, closed_poles, held_motor, place_pid
+from fraclink._arm.motor import (
+    DiscretePid,
+    MotorConstants,
+    closed_poles,
+    held_motor,
+    place_pid,
+)
 from fraclink._validate import checked_between, checked_choice, checked_whole
 from fraclink.errors import FieldError
 
@@ -37,13 +45,15 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 LONGEST_DELAY = 100  # samples; beyond it no loop of an arm is worth closing
-# Beyond it the filter rings at the Nyquist frequency for longer than the loop itself takes to settle.
+# Beyond it the filter rings at the Nyquist frequency for longer than the loop itself
+# takes to settle.
 _FASTEST_FILTER = 0.8
 
 
 @dataclass(frozen=True)
 class MotorLoop:
-    """The motor loop as the outer controller sees it: its pole, its delay, and how it is realised.
+    """The motor loop as the outer controller sees it: its pole, its delay, and how it
+    is realised.
 
     Parameters
     ----------
@@ -52,9 +62,11 @@ class MotorLoop:
     delay_samples
         computation delay in whole control periods, 0 … 100.
     kind
-        "ideal" (M(s) as it is written) or "sampled" (the 2-DOF PID at the control period, on the motor).
+        "ideal" (M(s) as it is written) or "sampled" (the 2-DOF PID at the control
+        period, on the motor).
     placement
-        for ``kind="sampled"``: "tustin" discretises the continuous PID, "direct" places the poles in z.
+        for ``kind="sampled"``: "tustin" discretises the continuous PID, "direct" places
+        the poles in z.
 
     Raises
     ------
@@ -76,11 +88,19 @@ class MotorLoop:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        put(self, "pole", checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True))
-        samples = checked_whole("delay_samples", self.delay_samples, 0, LONGEST_DELAY, "samples")
+        put(
+            self,
+            "pole",
+            checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True),
+        )
+        samples = checked_whole(
+            "delay_samples", self.delay_samples, 0, LONGEST_DELAY, "samples"
+        )
         put(self, "delay_samples", samples)
         checked_choice("kind", self.kind, ("ideal", "sampled"), remedy="say 'ideal'")
-        checked_choice("placement", self.placement, ("tustin", "direct"), remedy="say 'tustin'")
+        checked_choice(
+            "placement", self.placement, ("tustin", "direct"), remedy="say 'tustin'"
+        )
 
     def pid(self, motor: MotorConstants, period: float) -> DiscretePid:
         """Return the PID that law.c runs at `period` [s] for this pole and placement."""
@@ -95,12 +115,15 @@ class MotorLoop:
     def correction(
         self, motor: MotorConstants, period: float, *, ratio: float = 1.0
     ) -> Callable[[Real], Complex] | None:
-        """Return ω ↦ ln(sampled motor loop and hold / their stand-in), None for the ideal motor loop.
+        """Return ω ↦ ln(sampled motor loop and hold / their stand-in), None for the
+        ideal motor loop.
 
-        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`. The PID is that of `motor`;
-        it runs on one with `ratio` times its gain.
+        The stand-in is ``M(s) e^{-(d+1/2)Ts s}``; see `SampledMotorLoop.ratio`. The PID
+        is that of `motor`; it runs on one with `ratio` times its gain.
         """
-        return _correction(self, motor, period, ratio) if self.kind == "sampled" else None
+        return (
+            _correction(self, motor, period, ratio) if self.kind == "sampled" else None
+        )
 
 
 @lru_cache(maxsize=16)  # the same few motor loops are asked for over and over
@@ -124,8 +147,8 @@ class MotorGain:
 class SampledMotorLoop:
     """The PID at its period around its motor.
 
-    ``pid`` holds the coefficients that law.c runs; `delay_samples` whole periods pass between reading the
-    encoder and the new voltage.
+    ``pid`` holds the coefficients that law.c runs; `delay_samples` whole periods pass
+    between reading the encoder and the new voltage.
     """
 
     pid: DiscretePid
@@ -152,24 +175,31 @@ class SampledMotorLoop:
         return np.asarray((first + second) * x**self.delay_samples * self.plant(x))
 
     def voltage(self, frequency: ArrayLike) -> Complex:
-        """From θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2) z^{-d} P)``, at ω [rad/s]."""
+        """From θm* to the applied voltage, ``z^{-d} Cm1/(1 + (Cm1 + Cm2) z^{-d} P)``,
+        at ω [rad/s].
+        """
         x = np.exp(-1j * np.asarray(frequency) * self.pid.period)
         first, second = self.controllers(x)
         late = x**self.delay_samples
-        return np.asarray(first * late / (1.0 + (first + second) * late * self.plant(x)))
+        return np.asarray(
+            first * late / (1.0 + (first + second) * late * self.plant(x))
+        )
 
     def poles(self) -> Complex:
         """Poles of the closed motor loop in z, largest modulus first."""
         return closed_poles(self.motor, self.pid, self.delay_samples)
 
     def ratio(self, pole: float, frequency: ArrayLike) -> Complex:
-        """Return hold, PID and motor over their stand-in ``M(s)·e^{-(d+1/2)Ts s}``, at ω [rad/s].
+        """Return hold, PID and motor over their stand-in ``M(s)·e^{-(d+1/2)Ts s}``, at
+        ω [rad/s].
 
-        The aliases are left out: at half the Nyquist frequency they are 1e-4 of it, at the crossing 1e-9.
+        The aliases are left out: at half the Nyquist frequency they are 1e-4 of it, at
+        the crossing 1e-9.
         """
         w = np.asarray(frequency)
         s, period = 1j * w, self.pid.period
-        # By expm1: far below the sampling rate 1 − e^(−sT) loses its digits, and the ratio must tend to one.
+        # By expm1: far below the sampling rate 1 − e^(−sT) loses its digits, and the
+        # ratio must tend to one.
         hold = -np.expm1(-s * period) / (s * period)
         motor = self.motor.gain / (s * (s + self.motor.decay))
         ideal = np.exp(-(self.delay_samples + 0.5) * period * s) / (1.0 + s / pole) ** 2
@@ -177,11 +207,15 @@ class SampledMotorLoop:
 
 
 @lru_cache(maxsize=16)  # for every arm of a box the same one
-def direct_placement(motor: MotorConstants, pole: float, period: float, delay_samples: int) -> DiscretePid:
-    """Return the PID that has three closed-loop poles at ``z₀ = exp(-p Ts)``, its delay in the equation.
+def direct_placement(
+    motor: MotorConstants, pole: float, period: float, delay_samples: int
+) -> DiscretePid:
+    """Return the PID that has three closed-loop poles at ``z₀ = exp(-p Ts)``, its delay
+    in the equation.
 
-    The PID has three feedback gains and one filter pole r; with d samples of delay 1 + d poles are left over.
-    r is chosen so that the slowest of them is as fast as it can be. Both zeros of Cm1 lie at z₀.
+    The PID has three feedback gains and one filter pole r; with d samples of delay 1 +
+    d poles are left over. r is chosen so that the slowest of them is as fast as it can
+    be. Both zeros of Cm1 lie at z₀.
 
     Parameters
     ----------
@@ -199,8 +233,8 @@ def direct_placement(motor: MotorConstants, pole: float, period: float, delay_sa
     FieldError
         no filter pole leaves the loop stable: the pole is too fast for this delay.
     """
-    # The largest modulus has a kink wherever two left-over poles meet, so derivatives lead nowhere. Two grids
-    # place r to 1e-3.
+    # The largest modulus has a kink wherever two left-over poles meet, so derivatives
+    # lead nowhere. Two grids place r to 1e-3.
     grid = np.linspace(-_FASTEST_FILTER, _FASTEST_FILTER, 61)
     radii = [_left_over(motor, pole, period, delay_samples, float(r))[1] for r in grid]
     best = int(np.argmin(radii))
@@ -219,15 +253,21 @@ def direct_placement(motor: MotorConstants, pole: float, period: float, delay_sa
     return _parallel(feedback, r, math.exp(-pole * period), period)
 
 
-def _left_over(motor: MotorConstants, pole: float, period: float, delay: int, r: float) -> tuple[Real, float]:
-    """(S, modulus of the slowest left-over pole) for one filter pole: a linear system in S and f(x)."""
+def _left_over(
+    motor: MotorConstants, pole: float, period: float, delay: int, r: float
+) -> tuple[Real, float]:
+    """(S, modulus of the slowest left-over pole) for one filter pole: a linear system
+    in S and f(x).
+    """
     m1, m2, e = held_motor(motor, period)
     base, target = np.array([1.0]), np.array([1.0])
-    # Open loop: the motor's poles 1 and e, the integral's 1, the filter's r, all as factors of 1 − p x.
+    # Open loop: the motor's poles 1 and e, the integral's 1, the filter's r, all as
+    # factors of 1 − p x.
     for place in (1.0, 1.0, e, r):
         base = np.convolve(base, [1.0, -place])
-    # Diophantine equation base + x^(1+d) (m1 + m2 x) S(x) = (1 − z₀x)³ f(x) in S and f = 1 + f1 x + ...:
-    # as many unknowns as powers of x, so z₀ is met exactly and f is what is left over.
+    # Diophantine equation base + x^(1+d) (m1 + m2 x) S(x) = (1 − z₀x)³ f(x) in S and f
+    # = 1 + f1 x + ...: as many unknowns as powers of x, so z₀ is met exactly and f is
+    # what is left over.
     for _ in range(3):
         target = np.convolve(target, [1.0, -math.exp(-pole * period)])
     size = 4 + delay
@@ -245,11 +285,14 @@ def _left_over(motor: MotorConstants, pole: float, period: float, delay: int, r:
 
 
 def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:
-    """S(x) split into Cm1 with a double zero at z₀ and Cm2, as the two one-pole filters of law.c."""
+    """S(x) split into Cm1 with a double zero at z₀ and Cm2, as the two one-pole filters
+    of law.c.
+    """
     half = 0.5 * period
     rate = (1.0 - r) / (half * (1.0 + r))  # c of 1/(s + c) under Tustin
     scale = half / (1.0 + rate * half)
-    # Both zeros of Cm1 at z₀ cancel two of the three poles, so that the reference sees one only.
+    # Both zeros of Cm1 at z₀ cancel two of the three poles, so that the reference sees
+    # one only.
     first = float(np.sum(s)) * np.array([1.0, -2.0 * z0, z0**2]) / (1.0 - z0) ** 2
     rest = s - first  # divisible by (1 - x): both have the same value at x = 1
     t0, t1 = float(rest[0]), float(-rest[2])
@@ -288,28 +331,38 @@ class MotorLoopCost:
     lag: float  # [rad] that θm/θm* lags behind M(s) with hold and delay, at `frequency`
     frequency: float  # [rad/s]
     voltage_per_step: float  # [V/rad] first voltage after a unit step of θm*
-    voltage_per_noise: float  # [V/rad] largest gain from the encoder's noise to the voltage
+    voltage_per_noise: (
+        float  # [V/rad] largest gain from the encoder's noise to the voltage
+    )
 
 
 def motor_loop_costs(rig: Rig, *, frequency: float) -> tuple[MotorLoopCost, ...]:
-    """Return what "tustin" and "direct" cost at the rig's pole, delay and period, at `frequency` [rad/s].
+    """Return what "tustin" and "direct" cost at the rig's pole, delay and period, at
+    `frequency` [rad/s].
 
     >>> from fraclink._arm.rig import Rig
     >>> [cost.placement for cost in motor_loop_costs(Rig.named("paper-2023"), frequency=18.0)]
     ['tustin', 'direct']
     """
     found = []
-    pole, samples, period = rig.motor_loop.pole, rig.motor_loop.delay_samples, rig.period
-    # Up to the Nyquist frequency, though the paper's loop at 4 ms is nearest to −1 at a seventh of it (117
-    # rad/s by Tustin's rule, 129 by direct placement): a slower rig's is not.
+    pole, samples, period = (
+        rig.motor_loop.pole,
+        rig.motor_loop.delay_samples,
+        rig.period,
+    )
+    # Up to the Nyquist frequency, though the paper's loop at 4 ms is nearest to −1 at a
+    # seventh of it (117 rad/s by Tustin's rule, 129 by direct placement): a slower
+    # rig's is not.
     grid = np.geomspace(1e-2, math.pi / period, 2000)
     for placement in ("tustin", "direct"):
         try:
-            loop = MotorLoop(pole, samples, "sampled", placement).sampled(rig.motor, period)
+            loop = MotorLoop(pole, samples, "sampled", placement).sampled(
+                rig.motor, period
+            )
         except FieldError:
             continue
-        # At x = z⁻¹ = 0 only what answers in the same period is left: the jump of the voltage behind a jump
-        # of θm*.
+        # At x = z⁻¹ = 0 only what answers in the same period is left: the jump of the
+        # voltage behind a jump of θm*.
         first = loop.controllers(np.zeros(1, dtype=np.complex128))[0]
         found.append(
             MotorLoopCost(

@@ -1,4 +1,6 @@
-"""Any system, measured: an input and an output sampled together, or lines of a frequency response."""
+"""Any system, measured: an input and an output sampled together, or lines of a
+frequency response.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from fraclink.errors import FieldError, LogError
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
 
-_HELD = 0.05  # of the whole swing: what moves less at the beginning is held, and trembles
+_HELD = (
+    0.05  # of the whole swing: what moves less at the beginning is held, and trembles
+)
 Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 
 
@@ -32,14 +36,16 @@ Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 @compared
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """An input and an output that were sampled together; any two channels, in any units.
+    """An input and an output that were sampled together; any two channels, in any
+    units.
 
     Parameters
     ----------
     period
         sampling period [s].
     input, output
-        shape (N,). The system is at rest before the first sample, with the input at `input_at_rest`.
+        shape (N,). The system is at rest before the first sample, with the input at
+        `input_at_rest`.
     input_at_rest
         0 for a command, the first sample for a position.
     source, sha256
@@ -64,18 +70,31 @@ class Recording:
         if self.input.size != self.output.size:
             remedy = "cut both to their common span of time"
             problem = f"not as long as the input ({self.input.size} samples)"
-            raise LogError("output", self.output.size, problem, allowed="equal lengths", remedy=remedy)
+            raise LogError(
+                "output",
+                self.output.size,
+                problem,
+                allowed="equal lengths",
+                remedy=remedy,
+            )
 
     @classmethod
     def ring_down(
-        cls, period: float, output: NDArray[np.float64], *, source: str = "", sha256: str = ""
+        cls,
+        period: float,
+        output: NDArray[np.float64],
+        *,
+        source: str = "",
+        sha256: str = "",
     ) -> Recording:
-        """Return the record of a link that was bent, held and let go, from its output alone.
+        """Return the record of a link that was bent, held and let go, from its output
+        alone.
 
             y(0) − y(t) = G(s) 1/s,    G = k/(s^a + w): a step of the force that held it, taken away
 
-        A record that begins while it is held keeps that part, as a delay of the step; one that begins later
-        is cut at its widest swing, where the link turns round. Raises LogError where nothing moves.
+        A record that begins while it is held keeps that part, as a delay of the step;
+        one that begins later is cut at its widest swing, where the link turns round.
+        Raises LogError where nothing moves.
 
         >>> t = np.arange(0, 4, 0.01)
         >>> record = Recording.ring_down(0.01, 0.1 * np.cos(6 * t) * np.exp(-0.2 * t))
@@ -83,19 +102,29 @@ class Recording:
         (1.0, 0.19)
         """
         values = np.asarray(output, dtype=np.float64)
-        # A fiftieth of the record, and ten samples at least: enough to tell a held link, whose swing is
-        # noise, from one that moves.
+        # A fiftieth of the record, and ten samples at least: enough to tell a held
+        # link, whose swing is noise, from one that moves.
         lead = max(10, values.size // 50)
-        # Below fifty samples the last fifth, from which the rest is taken, is shorter than the beginning.
+        # Below fifty samples the last fifth, from which the rest is taken, is shorter
+        # than the beginning.
         if values.size < 5 * lead or not np.ptp(values):
-            allowed, remedy = ">= 50 samples that move", "record from before the link is let go"
-            raise LogError("output", int(values.size), "no ring-down", allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                ">= 50 samples that move",
+                "record from before the link is let go",
+            )
+            raise LogError(
+                "output",
+                int(values.size),
+                "no ring-down",
+                allowed=allowed,
+                remedy=remedy,
+            )
         held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
-        # The mean of the last fifth: a vibration that has not died yet averages out over its periods, one
-        # sample does not.
+        # The mean of the last fifth: a vibration that has not died yet averages out
+        # over its periods, one sample does not.
         rest = float(values[-(values.size // 5) :].mean())
-        # At its widest swing the speed is zero, as it is in the hand of who lets go; the first half, lest
-        # noise at the end be taken for a swing.
+        # At its widest swing the speed is zero, as it is in the hand of who lets go;
+        # the first half, lest noise at the end be taken for a swing.
         begin = 0 if held else int(np.argmax(np.abs(values[: values.size // 2] - rest)))
         start = float(values[:lead].mean()) if held else float(values[begin])
         moved = start - values[begin:]
@@ -113,17 +142,34 @@ class Recording:
         input: Literal["motor_angle", "voltage"] = "motor_angle",
         output: Literal["output", "motor_angle"] = "output",
     ) -> Recording:
-        """Return two channels of a log; the motor angle is at rest at its first sample, a voltage at 0."""
-        channels = {"motor_angle": log.motor_angle, "voltage": log.voltage, "output": log.output}
+        """Return two channels of a log; the motor angle is at rest at its first sample,
+        a voltage at 0.
+        """
+        channels = {
+            "motor_angle": log.motor_angle,
+            "voltage": log.voltage,
+            "output": log.output,
+        }
         for role in (input, output):
             if role not in channels or channels[role] is None:
-                allowed = ", ".join(name for name, values in channels.items() if values is not None)
-                raise LogError(
-                    "input", role, "not in the log", allowed=allowed, remedy="name another channel"
+                allowed = ", ".join(
+                    name for name, values in channels.items() if values is not None
                 )
-        # An encoder's first reading is where the arm stood, not a step of the motor from zero.
+                raise LogError(
+                    "input",
+                    role,
+                    "not in the log",
+                    allowed=allowed,
+                    remedy="name another channel",
+                )
+        # An encoder's first reading is where the arm stood, not a step of the motor
+        # from zero.
         start = float(log.motor_angle[0])
-        signal = log.motor_angle if log.voltage is None or input == "motor_angle" else log.voltage
+        signal = (
+            log.motor_angle
+            if log.voltage is None or input == "motor_angle"
+            else log.voltage
+        )
         measured = log.motor_angle - start if output == "motor_angle" else log.output
         rest = start if input == "motor_angle" else 0.0
         return cls(log.period, signal, measured, rest, log.source, log.sha256)
@@ -133,9 +179,15 @@ Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _OUT = "leave the line at zero frequency out"
-Lines = Annotated[NDArray[np.float64], Array(1), Between(0.0, low_open=True, unit="rad/s", remedy=_OUT)]
+Lines = Annotated[
+    NDArray[np.float64],
+    Array(1),
+    Between(0.0, low_open=True, unit="rad/s", remedy=_OUT),
+]
 Coherence = Annotated[
-    NDArray[np.float64], Array(1), Between(0.0, 1.0, low_open=True, remedy="leave lines without it out")
+    NDArray[np.float64],
+    Array(1),
+    Between(0.0, 1.0, low_open=True, remedy="leave lines without it out"),
 ]
 
 
@@ -158,8 +210,8 @@ class FrequencyResponse:
     response
         H(jω), complex, shape (N,).
     magnitude
-        of the input's lines: the weight with which each line's error appears in the output. None where it is
-        not known.
+        of the input's lines: the weight with which each line's error appears in the
+        output. None where it is not known.
     coherence
         γ² in (0, 1] of each line, None where it was not measured.
     source, sha256
@@ -183,7 +235,9 @@ class FrequencyResponse:
     source: str = ""
     sha256: str = ""
 
-    __made_by__ = "read_frequency_response(path) or FrequencyResponse(frequency, response)"
+    __made_by__ = (
+        "read_frequency_response(path) or FrequencyResponse(frequency, response)"
+    )
 
     def __post_init__(self) -> None:
         for name in ("response", "magnitude", "coherence"):
@@ -191,7 +245,13 @@ class FrequencyResponse:
             if column is not None and column.shape != self.frequency.shape:
                 problem = f"not as long as frequency {self.frequency.shape}"
                 remedy = "give one for each frequency"
-                raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
+                raise FieldError(
+                    name,
+                    str(column.shape),
+                    problem,
+                    allowed="equal lengths",
+                    remedy=remedy,
+                )
 
     @property
     def band(self) -> tuple[float, float]:
@@ -208,17 +268,37 @@ class FrequencyResponse:
         if not kept.any():
             low_end, high_end = self.band
             allowed = f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s"
-            raise FieldError("band", (low, high), "without a line", allowed=allowed, remedy="widen the band")
-        columns = {name: getattr(self, name) for name in ("frequency", "response", "magnitude", "coherence")}
-        cut = {name: None if column is None else column[kept] for name, column in columns.items()}
+            raise FieldError(
+                "band",
+                (low, high),
+                "without a line",
+                allowed=allowed,
+                remedy="widen the band",
+            )
+        columns = {
+            name: getattr(self, name)
+            for name in ("frequency", "response", "magnitude", "coherence")
+        }
+        cut = {
+            name: None if column is None else column[kept]
+            for name, column in columns.items()
+        }
         return FrequencyResponse(**cut, source=self.source, sha256=self.sha256)  # type: ignore[arg-type]
 
 
 def coherence_weights(response: Complexes, coherence: Reals) -> Reals:
-    """Weight √(γ²/(1 − γ²))/|H| of each line's error: one over its spread, but for a factor."""
+    """Weight √(γ²/(1 − γ²))/|H| of each line's error: one over its spread, but for a
+    factor.
+    """
     if not np.all(np.abs(response) > 0):
-        raise FieldError("response", 0, "zero at a line", allowed="|H| > 0", remedy="leave that line out")
-    # γ² = 1 would weigh infinitely: a millionth off is an error of 0.1 % of a line, below any that is
-    # measured.
+        raise FieldError(
+            "response",
+            0,
+            "zero at a line",
+            allowed="|H| > 0",
+            remedy="leave that line out",
+        )
+    # γ² = 1 would weigh infinitely: a millionth off is an error of 0.1 % of a line,
+    # below any that is measured.
     share = np.minimum(coherence, 1 - 1e-6)
     return np.asarray(np.sqrt(share / (1 - share)) / np.abs(response))

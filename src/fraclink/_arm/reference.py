@@ -1,7 +1,9 @@
-"""References: where the tip or the motor shall be, with velocity and acceleration known exactly.
+"""References: where the tip or the motor shall be, with velocity and acceleration known
+exactly.
 
-A reference is a piecewise polynomial of time (or a chirp), so that the law's feed-forward gets the true
-acceleration and never a difference of samples; or a table of samples that brings its own.
+A reference is a piecewise polynomial of time (or a chirp), so that the law's
+feed-forward gets the true acceleration and never a difference of samples; or a table of
+samples that brings its own.
 """
 
 from __future__ import annotations
@@ -36,20 +38,31 @@ Real = NDArray[np.float64]
 
 # Samples of one reference: 2 h at 4 ms, 48 MB of angle, velocity and acceleration.
 LONGEST = 2_000_000
-# A quintic divides by the fifth power of its duration: beyond these the quotients leave a float's range.
+# A quintic divides by the fifth power of its duration: beyond these the quotients leave
+# a float's range.
 _SHORTEST, _LARGEST = 1e-9, 1e9
 Angle = Annotated[float, Between(-_LARGEST, _LARGEST, "rad")]
 Length = Annotated[float, Between(_SHORTEST, _LARGEST, "s")]
 Start = Annotated[float, Between(0.0, _LARGEST, "s")]
 _SAME_ROW = 1e-6  # of a period
-_QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)  # rest to rest, velocity and acceleration continuous
-# A shift register with feedback from the last stage and this one runs through all its states but zero:
-# x^n + x^k + 1 is primitive. No trinomial of degree 8 is, which is why 8 is not offered.
+_QUINTIC = (
+    0.0,
+    0.0,
+    0.0,
+    10.0,
+    -15.0,
+    6.0,
+)  # rest to rest, velocity and acceleration continuous
+# A shift register with feedback from the last stage and this one runs through all its
+# states but zero: x^n + x^k + 1 is primitive. No trinomial of degree 8 is, which is why
+# 8 is not offered.
 _TAPS = {3: 2, 4: 3, 5: 3, 6: 5, 7: 6, 9: 5, 10: 7, 11: 9}
 
 
 class Reference(ABC):
-    """An angle over time with two known derivatives; `duration` [s] is when its last change ends."""
+    """An angle over time with two known derivatives; `duration` [s] is when its last
+    change ends.
+    """
 
     __made_by__ = (
         "smooth_step, pulse, prbs, chirp, hold, SampledReference, two arrays (time, angle), or "
@@ -60,7 +73,9 @@ class Reference(ABC):
 
     @staticmethod
     def __made_of__(value: object) -> Reference | None:
-        """A pair of arrays, times [s] and angles [rad], is the spline through them, from rest to rest."""
+        """A pair of arrays, times [s] and angles [rad], is the spline through them,
+        from rest to rest.
+        """
         if not isinstance(value, tuple) or len(value) != 2:
             return None
         if any(np.ndim(part) != 1 for part in value):
@@ -69,7 +84,9 @@ class Reference(ABC):
 
     @abstractmethod
     def derivative(self, time: ArrayLike, order: int) -> Real:
-        """Return the derivative of `order` 0, 1 or 2 [rad/s^order] at `time` [s], shape kept."""
+        """Return the derivative of `order` 0, 1 or 2 [rad/s^order] at `time` [s], shape
+        kept.
+        """
 
     def angle(self, time: ArrayLike) -> Real:
         """Return the angle [rad] at `time` [s], shape kept."""
@@ -88,10 +105,11 @@ class Reference(ABC):
 @compared
 @dataclass(frozen=True, eq=False)
 class Path(Reference):
-    """A piecewise polynomial: piece i holds from breaks[i] on, in powers of time − breaks[i].
+    """A piecewise polynomial: piece i holds from breaks[i] on, in powers of time −
+    breaks[i].
 
-    Before the first break the first piece's constant holds. A jump of the angle has no velocity: velocity and
-    acceleration are those of the pieces.
+    Before the first break the first piece's constant holds. A jump of the angle has no
+    velocity: velocity and acceleration are those of the pieces.
 
     Parameters
     ----------
@@ -113,25 +131,38 @@ class Path(Reference):
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         t = np.asarray(time, dtype=float)
-        # From the right: at a break the later piece holds, so that a step at t = 0 has been made at t = 0.
+        # From the right: at a break the later piece holds, so that a step at t = 0 has
+        # been made at t = 0.
         piece = np.clip(np.searchsorted(self.breaks, t, side="right") - 1, 0, None)
         local = np.maximum(t - self.breaks[piece], 0.0)
         value = np.zeros_like(local)
         for power in range(self.coefficients.shape[1] - 1, order - 1, -1):
-            # Horner's rule on the derivative's own coefficients, j!/(j − k)! a_j: exact, where differences of
-            # the angle would lose half of the digits at each order.
-            value = value * local + math.perm(power, order) * self.coefficients[piece, power]
+            # Horner's rule on the derivative's own coefficients, j!/(j − k)! a_j:
+            # exact, where differences of the angle would lose half of the digits at
+            # each order.
+            value = (
+                value * local
+                + math.perm(power, order) * self.coefficients[piece, power]
+            )
         return value
 
     def then(self, later: Path) -> Path:
-        """Return this path followed by `later`, whose angles add to the last angle of this one."""
+        """Return this path followed by `later`, whose angles add to the last angle of
+        this one.
+        """
         end = float(self.angle(self.duration))
         width = max(self.coefficients.shape[1], later.coefficients.shape[1])
         first, second = (
-            np.pad(p.coefficients, ((0, 0), (0, width - p.coefficients.shape[1]))) for p in (self, later)
+            np.pad(p.coefficients, ((0, 0), (0, width - p.coefficients.shape[1])))
+            for p in (self, later)
         )
-        # What starts later than at once needs this path's rest before it; what starts at once replaces it.
-        keep = self.breaks <= self.duration if later.breaks[0] > 0 else self.breaks < self.duration
+        # What starts later than at once needs this path's rest before it; what starts
+        # at once replaces it.
+        keep = (
+            self.breaks <= self.duration
+            if later.breaks[0] > 0
+            else self.breaks < self.duration
+        )
         return Path(
             f"{self.kind}, {later.kind}",
             np.concatenate([self.breaks[keep], self.duration + later.breaks]),
@@ -143,7 +174,9 @@ class Path(Reference):
 
 @dataclass(frozen=True)
 class Chirp(Reference):
-    """A sine whose frequency rises linearly: a sin(2π(f₀ t + (f₁ − f₀)t²/(2T))), 0 before and after."""
+    """A sine whose frequency rises linearly: a sin(2π(f₀ t + (f₁ − f₀)t²/(2T))), 0
+    before and after.
+    """
 
     amplitude: float
     start_frequency_hz: float
@@ -154,7 +187,12 @@ class Chirp(Reference):
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
         t = np.asarray(time, dtype=float)
-        rate = 2 * math.pi * (self.end_frequency_hz - self.start_frequency_hz) / self.duration
+        rate = (
+            2
+            * math.pi
+            * (self.end_frequency_hz - self.start_frequency_hz)
+            / self.duration
+        )
         speed = 2 * math.pi * self.start_frequency_hz + rate * t
         phase = 2 * math.pi * self.start_frequency_hz * t + 0.5 * rate * t**2
         inside = np.where((t >= 0) & (t <= self.duration), self.amplitude, 0.0)
@@ -169,10 +207,11 @@ class Chirp(Reference):
 @compared
 @dataclass(frozen=True, eq=False)
 class SampledReference(Reference):
-    """A table: angle, velocity and acceleration at 0, period, 2 period …, straight lines between the rows.
+    """A table: angle, velocity and acceleration at 0, period, 2 period …, straight
+    lines between the rows.
 
-    At the period of a law, nothing is interpolated and the law gets the table's own numbers. Before and after
-    the table its first and last angle hold.
+    At the period of a law, nothing is interpolated and the law gets the table's own
+    numbers. Before and after the table its first and last angle hold.
 
     Parameters
     ----------
@@ -203,30 +242,49 @@ class SampledReference(Reference):
     def __post_init__(self) -> None:
         shape = self.values.shape
         if shape[0] != 3 or not 2 <= shape[1] <= LONGEST:
-            allowed, remedy = f"(3, 2 … {LONGEST})", "give rows of angle, velocity, acceleration"
-            raise FieldError("values", shape, "not a table", allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                f"(3, 2 … {LONGEST})",
+                "give rows of angle, velocity, acceleration",
+            )
+            raise FieldError(
+                "values", shape, "not a table", allowed=allowed, remedy=remedy
+            )
         object.__setattr__(self, "duration", self.period * (shape[1] - 1))
 
     def derivative(self, time: ArrayLike, order: int) -> Real:
         """Return the derivative of `order` [rad/s^order] at `time` [s]."""
-        place, last = np.asarray(time, dtype=float) / self.period, self.values.shape[1] - 1
-        # k periods divided by the period is not always k; an acceleration that jumps there must not be mixed
+        place, last = (
+            np.asarray(time, dtype=float) / self.period,
+            self.values.shape[1] - 1,
+        )
+        # k periods divided by the period is not always k; an acceleration that jumps
+        # there must not be mixed
         nearest = np.rint(place)
         place = np.where(np.abs(place - nearest) < _SAME_ROW, nearest, place)
         found = np.interp(place, np.arange(last + 1), self.values[order])
-        return np.asarray(found if order == 0 else np.where((place < 0) | (place > last), 0.0, found))
+        return np.asarray(
+            found if order == 0 else np.where((place < 0) | (place > last), 0.0, found)
+        )
 
     def through(self) -> Path:
-        """Return the cubic spline through the table's angles, with its own velocity and acceleration."""
-        return spline(self.period * np.arange(float(self.values.shape[1])), self.values[0])
+        """Return the cubic spline through the table's angles, with its own velocity and
+        acceleration.
+        """
+        return spline(
+            self.period * np.arange(float(self.values.shape[1])), self.values[0]
+        )
 
 
 @checked
-def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, Array(1, min_size=2)]) -> Path:
-    """Return the cubic spline through via points or samples, from rest at the first to rest at the last.
+def spline(
+    time: Annotated[Real, Array(1, min_size=2)],
+    angle: Annotated[Real, Array(1, min_size=2)],
+) -> Path:
+    """Return the cubic spline through via points or samples, from rest at the first to
+    rest at the last.
 
-    Velocity and acceleration are continuous between the ends; the path has the least ∫θ̈² of all through
-    these points.
+    Velocity and acceleration are continuous between the ends; the path has the least
+    ∫θ̈² of all through these points.
 
     Parameters
     ----------
@@ -246,21 +304,35 @@ def spline(time: Annotated[Real, Array(1, min_size=2)], angle: Annotated[Real, A
     >>> float(path.angle(0.4)), float(path.velocity(1.0)), path.duration
     (0.7, 0.0, 1.0)
     """
-    from scipy.interpolate import CubicSpline  # see LinkModel._peak: a parser of logs needs no scipy
+    from scipy.interpolate import (
+        CubicSpline,
+    )  # see LinkModel._peak: a parser of logs needs no scipy
 
     if time.shape != angle.shape:
-        raise FieldError("angle", angle.shape, "not one a time", allowed=f"{time.shape}", remedy="pair them")
+        raise FieldError(
+            "angle",
+            angle.shape,
+            "not one a time",
+            allowed=f"{time.shape}",
+            remedy="pair them",
+        )
     if not (time[0] >= 0.0 and np.all(np.diff(time) >= _SHORTEST)):
         allowed, remedy = "rising from 0 s on", "sort them, and leave repeated ones out"
-        raise FieldError("time", time[:3].tolist(), "not rising", allowed=allowed, remedy=remedy)
-    # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a `Path` the lowest.
+        raise FieldError(
+            "time", time[:3].tolist(), "not rising", allowed=allowed, remedy=remedy
+        )
+    # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a
+    # `Path` the lowest.
     pieces = CubicSpline(time, angle, bc_type="clamped").c[::-1].T
     start, end = ([[value, 0.0, 0.0, 0.0]] for value in (angle[0], angle[-1]))
-    # A spline that begins late is preceded by a piece at rest: held at its first break, the cubic would have
-    # its acceleration there from t = 0 on.
+    # A spline that begins late is preceded by a piece at rest: held at its first break,
+    # the cubic would have its acceleration there from t = 0 on.
     before = ([0.0], start) if time[0] > 0.0 else ([], np.empty((0, 4)))
     return Path(
-        "spline", np.concatenate([before[0], time]), np.vstack([before[1], pieces, end]), float(time[-1])
+        "spline",
+        np.concatenate([before[0], time]),
+        np.vstack([before[1], pieces, end]),
+        float(time[-1]),
     )
 
 
@@ -272,7 +344,8 @@ def checked_reference(reference: Reference) -> Reference:
 
 @checked
 def smooth_step(amplitude: Angle, duration: Length, start: Start = 0.0) -> Path:
-    """Return a rest-to-rest move by the quintic θ = a(10x³ − 15x⁴ + 6x⁵), x = (t − start)/duration.
+    """Return a rest-to-rest move by the quintic θ = a(10x³ − 15x⁴ + 6x⁵), x = (t −
+    start)/duration.
 
     Velocity and acceleration are continuous; their peaks are 1.875 a/T and 5.774 a/T².
 
@@ -298,23 +371,38 @@ def smooth_step(amplitude: Angle, duration: Length, start: Start = 0.0) -> Path:
     """
     row = [amplitude * c / duration**power for power, c in enumerate(_QUINTIC)]
     rest = [amplitude] + [0.0] * 5
-    return Path("smooth step", np.array([start, start + duration]), np.array([row, rest]), start + duration)
+    return Path(
+        "smooth step",
+        np.array([start, start + duration]),
+        np.array([row, rest]),
+        start + duration,
+    )
 
 
 @checked
-def pulse(amplitude: Angle, width: Length, start: Start = 0.0, *, rise: Start = 0.0) -> Path:
-    """Return a pulse of `amplitude` [rad] and `width` [s] > 0; its edges take `rise` [s], 0 for jumps.
+def pulse(
+    amplitude: Angle, width: Length, start: Start = 0.0, *, rise: Start = 0.0
+) -> Path:
+    """Return a pulse of `amplitude` [rad] and `width` [s] > 0; its edges take `rise`
+    [s], 0 for jumps.
 
     >>> bool(pulse(1.0, 7.0).angle(3.0) == 1.0), float(pulse(1.0, 7.0).angle(7.5))
     (True, 0.0)
     """
-    # No edge at all: a quintic of no duration divides by zero, and a jump is what was asked for.
+    # No edge at all: a quintic of no duration divides by zero, and a jump is what was
+    # asked for.
     if rise < _SHORTEST:
-        return _steps("pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width)
+        return _steps(
+            "pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width
+        )
     if rise > width:
         allowed, remedy = f"<= {width} s", "widen the pulse"
-        raise FieldError("rise", rise, "longer than the pulse", allowed=allowed, remedy=remedy)
-    path = smooth_step(amplitude, rise, start).then(smooth_step(-amplitude, rise, width - rise))
+        raise FieldError(
+            "rise", rise, "longer than the pulse", allowed=allowed, remedy=remedy
+        )
+    path = smooth_step(amplitude, rise, start).then(
+        smooth_step(-amplitude, rise, width - rise)
+    )
     return Path("pulse", path.breaks, path.coefficients, path.duration)
 
 
@@ -337,10 +425,12 @@ def prbs(
     register: Literal[3, 4, 5, 6, 7, 9, 10, 11] = 7,
     start: Start = 0.0,
 ) -> Path:
-    """Return a pseudo-random binary sequence ±`amplitude` [rad] of `bits` bits of `bit` [s] each.
+    """Return a pseudo-random binary sequence ±`amplitude` [rad] of `bits` bits of `bit`
+    [s] each.
 
-    A maximum-length shift register of `register` stages; its sequence repeats after 2^register − 1 bits and
-    has a flat spectrum up to about 0.44/bit [Hz]. The angle is 0 before `start` [s] and after the end.
+    A maximum-length shift register of `register` stages; its sequence repeats after
+    2^register − 1 bits and has a flat spectrum up to about 0.44/bit [Hz]. The angle is
+    0 before `start` [s] and after the end.
 
     >>> path = prbs(0.1, 0.2)
     >>> len(path.breaks), round(path.duration, 1)
@@ -353,7 +443,9 @@ def prbs(
         stages = [stages[-1] ^ stages[_TAPS[register] - 1], *stages[:-1]]
     times = [*(start + bit * np.arange(bits + 1))]
     before = ([0.0], [0.0]) if start > 0 else ([], [])
-    return _steps("prbs", before[0] + times, [*before[1], *levels, 0.0], start + bit * bits)
+    return _steps(
+        "prbs", before[0] + times, [*before[1], *levels, 0.0], start + bit * bits
+    )
 
 
 @checked
@@ -363,7 +455,8 @@ def chirp(
     end_frequency_hz: Annotated[float, Between(_SHORTEST, _LARGEST, "Hz")],
     duration: Length,
 ) -> Chirp:
-    """Return a sine sweep of `amplitude` [rad] from one frequency [Hz] to another in `duration` [s], all > 0.
+    """Return a sine sweep of `amplitude` [rad] from one frequency [Hz] to another in
+    `duration` [s], all > 0.
 
     >>> round(float(chirp(0.1, 0.1, 5.0, 20.0).angle(0.5)), 4)
     0.0485
@@ -372,7 +465,8 @@ def chirp(
 
 
 def sampled(reference: Reference, period: float, count: int) -> Real:
-    """Return angle, velocity and acceleration at 0, period, 2 period ..., shape (3, count).
+    """Return angle, velocity and acceleration at 0, period, 2 period ..., shape (3,
+    count).
 
     Raises SizeError above 2 000 000 samples, before memory is taken.
     """

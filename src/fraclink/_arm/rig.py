@@ -1,4 +1,6 @@
-"""The rig: everything that is known about one flexible arm before a log is read, in one TOML file."""
+"""The rig: everything that is known about one flexible arm before a log is read, in one
+TOML file.
+"""
 
 from __future__ import annotations
 
@@ -26,25 +28,43 @@ from fraclink._arm.rig_parts import (
     positive,
 )
 from fraclink._files import document, stored_as, write_text
-from fraclink._files.toml import parse_toml, read_table, read_toml, suggestion, table_of, toml_text
+from fraclink._files.toml import (
+    parse_toml,
+    read_table,
+    read_toml,
+    suggestion,
+    table_of,
+    toml_text,
+)
 from fraclink._validate import Between, Frequency, Payload, Period, checked
 from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
 
-__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "Rig", "StatedTolerances"]
+__all__ = [
+    "DesignDefaults",
+    "Encoder",
+    "Gauge",
+    "Link",
+    "Motor",
+    "Payloads",
+    "Rig",
+    "StatedTolerances",
+]
 
 T = TypeVar("T")
 
 _FOLDER = Path(__file__).resolve().parents[1] / "rigs"
-_AGREEMENT = 0.02  # two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
+# two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
+_AGREEMENT = 0.02
 
 
 @displayed
 @checked
 @dataclass(frozen=True)
 class Rig:
-    """One flexible-link robot: motor, link, payloads, sensors, sampling period, and what was assumed.
+    """One flexible-link robot: motor, link, payloads, sensors, sampling period, and
+    what was assumed.
 
     Parameters
     ----------
@@ -114,8 +134,13 @@ class Rig:
         """
         names = Rig.names()
         if name not in names:
-            remedy = suggestion(str(name), names) or "give one of these, or the path of your own file"
-            raise FieldError("rig", name, "unknown", allowed=", ".join(names), remedy=remedy)
+            remedy = (
+                suggestion(str(name), names)
+                or "give one of these, or the path of your own file"
+            )
+            raise FieldError(
+                "rig", name, "unknown", allowed=", ".join(names), remedy=remedy
+            )
         return Rig.load(_FOLDER / f"{name}.toml")
 
     @staticmethod
@@ -131,26 +156,42 @@ class Rig:
     def load(path: Path | str) -> Rig:
         """Read a rig file; every fault of it is listed at once.
 
-        Raises FileFormatError (not TOML, or over its limits), FieldError (a value) or FileFaults (several).
+        Raises FileFormatError (not TOML, or over its limits), FieldError (a value) or
+        FileFaults (several).
         """
         place = Path(path)
         if not place.is_file():
             remedy = f"check the path; rigs by name: {', '.join(Rig.names())}"
-            raise FileFormatError("rig", str(path), "not a file", allowed="a rig file (TOML)", remedy=remedy)
+            raise FileFormatError(
+                "rig",
+                str(path),
+                "not a file",
+                allowed="a rig file (TOML)",
+                remedy=remedy,
+            )
         return Rig.from_tables(read_toml(place))
 
     @staticmethod
     def from_tables(data: Any) -> Rig:
-        """Return the rig of a file's tables; FieldError for one fault, FileFaults for several."""
-        # Until the motor loop had one name everywhere, its table was called [inner_loop].
-        names = {"inner_loop": "motor_loop"} if isinstance(data, dict) and "motor_loop" not in data else {}
+        """Return the rig of a file's tables; FieldError for one fault, FileFaults for
+        several.
+        """
+        # Until the motor loop had one name everywhere, its table was called
+        # [inner_loop].
+        names = (
+            {"inner_loop": "motor_loop"}
+            if isinstance(data, dict) and "motor_loop" not in data
+            else {}
+        )
         if isinstance(data, dict):
             data = {names.get(name, name): table for name, table in data.items()}
         file: _RigFile = read_table(_RigFile, data)
         return file.build()
 
     def tables(self) -> dict[str, Any]:
-        """Return the tables of the rig's file: SI units, plain values; `from_tables` reads them back."""
+        """Return the tables of the rig's file: SI units, plain values; `from_tables`
+        reads them back.
+        """
         return table_of(_RigFile.of(self))
 
     @staticmethod
@@ -168,7 +209,8 @@ class Rig:
 
     @checked
     def natural_frequency(self, payload: Payload) -> float:
-        """ω₀ = √(c/(m L²)) of a payload m [kg] > 0, eq. (5), in s^(−λ/2): rad/s for λ = 2 only.
+        """ω₀ = √(c/(m L²)) of a payload m [kg] > 0, eq. (5), in s^(−λ/2): rad/s for λ =
+        2 only.
 
         >>> round(Rig.named("paper-2023").natural_frequency(0.030), 4)
         11.094
@@ -179,15 +221,27 @@ class Rig:
     def warnings(self) -> tuple[Finding, ...]:
         """Contradictions between the rig's own values, each with both of them."""
         link, model = self.link, self.model
-        # Each contradiction with both of its values, as only a person can say which of them is wrong.
+        # Each contradiction with both of its values, as only a person can say which of
+        # them is wrong.
         found = [self._stiffness_finding()]
         if model is not None:
             stated = ("model.stiffness", model.stiffness)
-            found.append(_contradiction("W102", *stated, "link.stiffness", link.stiffness))
+            found.append(
+                _contradiction("W102", *stated, "link.stiffness", link.stiffness)
+            )
         if model is not None and model.payload is not None:
-            lumped = (f"eq. (5) at {model.payload:g} kg", self.natural_frequency(model.payload))
-            found.append(_contradiction("W103", "model.natural_frequency", model.natural_frequency, *lumped))
-        return tuple(finding for finding in (*found, self._mass_finding()) if finding is not None)
+            lumped = (
+                f"eq. (5) at {model.payload:g} kg",
+                self.natural_frequency(model.payload),
+            )
+            found.append(
+                _contradiction(
+                    "W103", "model.natural_frequency", model.natural_frequency, *lumped
+                )
+            )
+        return tuple(
+            finding for finding in (*found, self._mass_finding()) if finding is not None
+        )
 
     def _stiffness_finding(self) -> Finding | None:
         stated, computed = self.link.stiffness, self.link.beam_stiffness
@@ -218,7 +272,9 @@ def _lumped_frequency(stiffness: float, mass: float, length: float) -> float:
     return math.sqrt(stiffness / (mass * length**2))
 
 
-def _contradiction(code: str, first: str, value: float, second: str, other: float) -> Finding | None:
+def _contradiction(
+    code: str, first: str, value: float, second: str, other: float
+) -> Finding | None:
     if abs(value - other) <= _AGREEMENT * other:
         return None
     return Finding(
@@ -235,7 +291,9 @@ def _contradiction(code: str, first: str, value: float, second: str, other: floa
 
 def _like(kind: type[T], other: Any, **changes: Any) -> T:
     """Return a `kind` with the fields that it shares with `other`, but for `changes`."""
-    shared = {item.name for item in fields(kind)} & {item.name for item in fields(other)}  # type: ignore[arg-type]
+    shared = {item.name for item in fields(kind)} & {  # type: ignore[arg-type]
+        item.name for item in fields(other)
+    }
     return kind(**({name: getattr(other, name) for name in shared} | changes))
 
 
@@ -243,7 +301,9 @@ def _like(kind: type[T], other: Any, **changes: Any) -> T:
 @dataclass(frozen=True)
 class _MotorLoopTable:
     pole: Frequency = MotorLoop.pole
-    delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = MotorLoop.delay_samples
+    delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = (
+        MotorLoop.delay_samples
+    )
 
 
 @checked(prefix="model.second_mode.")
@@ -251,7 +311,9 @@ class _MotorLoopTable:
 class _SecondModeTable:
     frequency: Frequency
     gain: Annotated[float, Between(0.0, 1e3, low_open=True)]
-    damping_ratio: Annotated[float, Between(0.0, 1.0, low_open=True, high_open=True)] = 0.02
+    damping_ratio: Annotated[
+        float, Between(0.0, 1.0, low_open=True, high_open=True)
+    ] = 0.02
 
 
 @checked(prefix="model.")
@@ -272,18 +334,26 @@ class _ModelTable:
     intervals: dict[str, tuple[float, float]] | None = None
 
     def build(self, link: Link, payloads: Payloads) -> LinkModel:
-        """Return the link model, with eq. (5) where the file states no natural frequency."""
-        stiffness, payload = self.stiffness or link.stiffness, self.payload or payloads.nominal
+        """Return the link model, with eq. (5) where the file states no natural
+        frequency.
+        """
+        stiffness, payload = (
+            self.stiffness or link.stiffness,
+            self.payload or payloads.nominal,
+        )
         return _like(
             LinkModel,
             self,
             stiffness=stiffness,
-            natural_frequency=self.natural_frequency or _lumped_frequency(stiffness, payload, link.length),
+            natural_frequency=self.natural_frequency
+            or _lumped_frequency(stiffness, payload, link.length),
             payload=payload,
             gauge_delay=self.gauge_delay or 0.0,
             gauge_gain=1.0 if self.gauge_gain is None else self.gauge_gain,
             second_mode=self.second_mode and _like(SecondMode, self.second_mode),
-            intervals=tuple((name, *pair) for name, pair in (self.intervals or {}).items()),
+            intervals=tuple(
+                (name, *pair) for name, pair in (self.intervals or {}).items()
+            ),
         )
 
     @staticmethod
@@ -294,8 +364,10 @@ class _ModelTable:
             model,
             gauge_delay=model.gauge_delay or None,
             gauge_gain=None if model.gauge_gain == 1.0 else model.gauge_gain,
-            second_mode=model.second_mode and _like(_SecondModeTable, model.second_mode),
-            intervals={name: (low, high) for name, low, high in model.intervals} or None,
+            second_mode=model.second_mode
+            and _like(_SecondModeTable, model.second_mode),
+            intervals={name: (low, high) for name, low, high in model.intervals}
+            or None,
         )
 
 
@@ -309,12 +381,17 @@ class _LogTable:
     voltage: Channel | None = None
 
     def __post_init__(self) -> None:
-        self.build()  # so that a unit of another quantity is among the faults of the file
+        # so that a unit of another quantity is among the faults of the file
+        self.build()
 
     def build(self) -> LogColumns:
-        """Return the columns; FieldError where there is not one output, or a unit measures something else."""
+        """Return the columns; FieldError where there is not one output, or a unit
+        measures something else.
+        """
         outputs = {"torque": self.torque, "deflection": self.deflection}
-        stated = [(kind, channel) for kind, channel in outputs.items() if channel is not None]
+        stated = [
+            (kind, channel) for kind, channel in outputs.items() if channel is not None
+        ]
         if len(stated) != 1:
             raise FieldError(
                 "log",
@@ -323,7 +400,13 @@ class _LogTable:
                 allowed="torque or deflection",
                 remedy="state exactly one of log.torque and log.deflection",
             )
-        return LogColumns(self.time, self.motor_angle, stated[0][1], stated[0][0], self.voltage)  # type: ignore[arg-type]
+        return LogColumns(
+            self.time,
+            self.motor_angle,
+            stated[0][1],
+            stated[0][0],  # type: ignore[arg-type]
+            self.voltage,
+        )
 
 
 @checked
@@ -335,7 +418,9 @@ class _RigFile:
     name: Name
     source: Source | None = None
     period: Period | None = None
-    period_ms: Annotated[float | None, Between(0.0, 10_000.0, "ms", low_open=True)] = None
+    period_ms: Annotated[float | None, Between(0.0, 10_000.0, "ms", low_open=True)] = (
+        None
+    )
     assumptions: tuple[Sentence, ...] = ()
     motor: Motor
     link: Link
@@ -353,7 +438,9 @@ class _RigFile:
             raise FieldError(
                 "period_ms" if self.period is None else "period_s",
                 "(nothing)" if self.period is None else self.period,
-                "missing" if self.period is None else "given twice, as period_s and as period_ms",
+                "missing"
+                if self.period is None
+                else "given twice, as period_s and as period_ms",
                 allowed="one sampling period",
                 remedy="state the control period as period_ms = … or period_s = …",
             )
@@ -386,7 +473,9 @@ class _RigFile:
 
 
 def _stored(data: Any) -> Rig:
-    """The rig inside another document: its tables, or the text of its file as the first formats had it."""
+    """The rig inside another document: its tables, or the text of its file as the first
+    formats had it.
+    """
     return Rig.from_toml(data) if isinstance(data, str) else Rig.from_tables(data)
 
 

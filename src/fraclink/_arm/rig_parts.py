@@ -1,4 +1,6 @@
-"""The parts of a rig: motor, link, payloads, sensors, and how far they may differ from what is stated."""
+"""The parts of a rig: motor, link, payloads, sensors, and how far they may differ from
+what is stated.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,21 @@ from fraclink._validate import Between, Frequency, Length, Where, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
-__all__ = ["DesignDefaults", "Encoder", "Gauge", "Link", "Motor", "Payloads", "StatedTolerances"]
+__all__ = [
+    "DesignDefaults",
+    "Encoder",
+    "Gauge",
+    "Link",
+    "Motor",
+    "Payloads",
+    "StatedTolerances",
+]
 
-# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond its own range.
+# Gram and kilogram are 1000 apart, and no arm carries payloads a hundred times beyond
+# its own range.
 _ANOTHER_UNIT = 100.0
-# Products of a handful of values between these stay far from overflow (1e308) and underflow.
+# Products of a handful of values between these stay far from overflow (1e308) and
+# underflow.
 _SMALLEST, _LARGEST = 1e-15, 1e15
 
 
@@ -36,7 +48,12 @@ def _is_unicode(text: str) -> bool:
     return not any(0xD800 <= ord(character) <= 0xDFFF for character in text)
 
 
-_UNICODE = Where(_is_unicode, "Unicode text", "not valid Unicode (a lone surrogate)", "remove that character")
+_UNICODE = Where(
+    _is_unicode,
+    "Unicode text",
+    "not valid Unicode (a lone surrogate)",
+    "remove that character",
+)
 Name = Annotated[str, Length(1, 100), _UNICODE]
 Source = Annotated[str, Length(0, 500), _UNICODE]
 Sentence = Annotated[str, Length(1, 500), _UNICODE]
@@ -105,10 +122,12 @@ class Motor:
 @checked(prefix="link.")
 @dataclass(frozen=True)
 class Link:
-    """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness c [N·m/rad] > 0.
+    """The flexible link: length L [m], flexural rigidity EI [N·m²], measured stiffness
+    c [N·m/rad] > 0.
 
-    One of c and EI may be left out; it is then the one of c = 3EI/L, a uniform beam, eq. (3). The `mass` [kg]
-    is the link's own: the lumped models neglect it, the twin does not.
+    One of c and EI may be left out; it is then the one of c = 3EI/L, a uniform beam,
+    eq. (3). The `mass` [kg] is the link's own: the lumped models neglect it, the twin
+    does not.
 
     >>> round(Link(length=0.65, flexural_rigidity=0.260).stiffness, 12)
     1.2
@@ -117,27 +136,37 @@ class Link:
     """
 
     length: Annotated[float, positive("m")]
-    # None stands for "not measured" in the call only: the attributes are always numbers.
+    # None stands for "not measured" in the call only: the attributes are always
+    # numbers.
     flexural_rigidity: Annotated[float, positive("N·m²")] = None  # type: ignore[assignment]
     stiffness: Annotated[float, positive("N·m/rad")] = None  # type: ignore[assignment]
     mass: Annotated[float, at_least_zero("kg")] = 0.0
 
     def __post_init__(self) -> None:
         if self.stiffness is None and self.flexural_rigidity is None:
-            allowed, remedy = "a stiffness [N·m/rad] or EI [N·m²]", "state stiffness, or flexural_rigidity"
-            raise FieldError("link.stiffness", "(nothing)", "missing", allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                "a stiffness [N·m/rad] or EI [N·m²]",
+                "state stiffness, or flexural_rigidity",
+            )
+            raise FieldError(
+                "link.stiffness", "(nothing)", "missing", allowed=allowed, remedy=remedy
+            )
         if self.flexural_rigidity is None:
-            # Eq. (3), c = 3 EI/L: whichever was measured, the twin bends and the lumped model's torque is the
-            # same at rest.
-            object.__setattr__(self, "flexural_rigidity", self.stiffness * self.length / 3.0)
+            # Eq. (3), c = 3 EI/L: whichever was measured, the twin bends and the lumped
+            # model's torque is the same at rest.
+            object.__setattr__(
+                self, "flexural_rigidity", self.stiffness * self.length / 3.0
+            )
         if self.stiffness is None:
             object.__setattr__(self, "stiffness", self.beam_stiffness)
 
     @property
     def tip_mass(self) -> float:
-        """What the link's own mass is worth at its tip [kg], 33/140 of it: Rayleigh's share."""
-        # A cantilever that bends as under a force at its end moves (3x² − x³)/2 of its tip at x: ∫ of the
-        # square over the length is 33/140.
+        """What the link's own mass is worth at its tip [kg], 33/140 of it: Rayleigh's
+        share.
+        """
+        # A cantilever that bends as under a force at its end moves (3x² − x³)/2 of its
+        # tip at x: ∫ of the square over the length is 33/140.
         return 33.0 / 140.0 * self.mass
 
     @property
@@ -149,7 +178,8 @@ class Link:
 @checked(prefix="payloads.")
 @dataclass(frozen=True)
 class Payloads:
-    """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low <= nominal <= high.
+    """The payloads that the arm carries: lightest, heaviest and nominal mass [kg], low
+    <= nominal <= high.
 
     A nominal payload that is left out is the mean of the two.
 
@@ -164,8 +194,17 @@ class Payloads:
 
     def __post_init__(self) -> None:
         if self.low > self.high:
-            problem, allowed = f"above payloads.high = {self.high:g} kg", "low <= nominal <= high [kg]"
-            raise FieldError("payloads.low", self.low, problem, allowed=allowed, remedy="exchange the two")
+            problem, allowed = (
+                f"above payloads.high = {self.high:g} kg",
+                "low <= nominal <= high [kg]",
+            )
+            raise FieldError(
+                "payloads.low",
+                self.low,
+                problem,
+                allowed=allowed,
+                remedy="exchange the two",
+            )
         if self.nominal is None:
             object.__setattr__(self, "nominal", 0.5 * (self.low + self.high))
         if not self.low <= self.nominal <= self.high:
@@ -178,16 +217,20 @@ class Payloads:
             )
 
     def doubt(self, payload: float) -> Finding | None:
-        """Return finding W105 where a payload [kg] is so far off the range that its unit must be wrong.
+        """Return finding W105 where a payload [kg] is so far off the range that its
+        unit must be wrong.
 
         >>> finding = Payloads(low=0.020, high=0.040, nominal=0.030).doubt(30)
         >>> finding.message
         'a payload of 30 kg is 750 times the heaviest that the rig states'
         """
-        # Both ways: kilograms on a rig that was stated in grams are a hundred times too light.
+        # Both ways: kilograms on a rig that was stated in grams are a hundred times too
+        # light.
         if self.low / _ANOTHER_UNIT <= payload <= self.high * _ANOTHER_UNIT:
             return None
-        nearest, word = (self.high, "heaviest") if payload > self.high else (self.low, "lightest")
+        nearest, word = (
+            (self.high, "heaviest") if payload > self.high else (self.low, "lightest")
+        )
         return Finding(
             "W105",
             "error",
@@ -200,7 +243,8 @@ class Payloads:
 @checked(prefix="encoder.")
 @dataclass(frozen=True)
 class Encoder:
-    """The encoder of the gear's output: counts for one turn, or None where it is taken as exact.
+    """The encoder of the gear's output: counts for one turn, or None where it is taken
+    as exact.
 
     >>> round(Encoder(counts_per_revolution=4096).resolution, 6)
     0.001534
@@ -211,7 +255,11 @@ class Encoder:
     @property
     def resolution(self) -> float:
         """Angle of one count [rad]; 0 where the encoder is taken as exact."""
-        return 0.0 if self.counts_per_revolution is None else 2 * math.pi / self.counts_per_revolution
+        return (
+            0.0
+            if self.counts_per_revolution is None
+            else 2 * math.pi / self.counts_per_revolution
+        )
 
 
 @checked(prefix="gauge.")
@@ -226,12 +274,14 @@ class Gauge:
     offset
         constant added to every reading [N·m].
     limit
-        largest |torque| that the amplifier shows [N·m], > 0; infinity where there is none.
+        largest |torque| that the amplifier shows [N·m], > 0; infinity where there is
+        none.
     quantum
         step of the converter [N·m], >= 0; 0 where it is taken as exact.
     delay_in_loop
-        whether a delay that is identified between motor angle and torque is in the control loop; False where
-        the logger alone is late, not the signal that the controller reads.
+        whether a delay that is identified between motor angle and torque is in the
+        control loop; False where the logger alone is late, not the signal that the
+        controller reads.
 
     Examples
     --------
@@ -249,10 +299,11 @@ class Gauge:
 @checked(prefix="design.")
 @dataclass(frozen=True)
 class DesignDefaults:
-    """What a design for this rig reaches where the call does not say: the `[design]` table.
+    """What a design for this rig reaches where the call does not say: the `[design]`
+    table.
 
-    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload range; `filter_time`
-    δ [s] is 0 for no filter and None for the 10 % rule.
+    `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload
+    range; `filter_time` δ [s] is 0 for no filter and None for the 10 % rule.
 
     >>> round(DesignDefaults(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
     0.872665
@@ -271,11 +322,13 @@ class DesignDefaults:
 @checked(prefix="tolerances.")
 @dataclass(frozen=True)
 class StatedTolerances:
-    """How far the arm may differ from its model: what a proof covers, at least, beyond what a fit is sure of.
+    """How far the arm may differ from its model: what a proof covers, at least, beyond
+    what a fit is sure of.
 
-    natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute [1]; gauge_delay is the
-    largest delay beyond the identified one [s]. The defaults are a careful laboratory's: 3 % of ω₀², a strain
-    gauge calibrated to 5 %, half a period of an undeclared delay at 4 ms.
+    natural_frequency, gauge_gain and motor_pole are relative [1]; order λ is absolute
+    [1]; gauge_delay is the largest delay beyond the identified one [s]. The defaults
+    are a careful laboratory's: 3 % of ω₀², a strain gauge calibrated to 5 %, half a
+    period of an undeclared delay at 4 ms.
 
     >>> StatedTolerances().order
     0.03

@@ -1,9 +1,11 @@
-"""The loop as it is sampled: Ĉ at the period times the zero-order-hold plant, alias sum included.
+"""The loop as it is sampled: Ĉ at the period times the zero-order-hold plant, alias sum
+included.
 
-Between two ticks the motor reference is held, so the computer sees
-``P_d(e^{jωTs}) = z^{-d} (1 - z^{-1})/Ts · Σ_k F(s_k)/s_k``, ``s_k = j(ω + kω_s)``, ``F = M·B``: the exact
-zero-order-hold discretisation, without a state-space model of an irrational plant. B is the bracket of
-`fraclink._arm.loop`, gauge delay, gauge gain and second mode included; none of them need be whole samples.
+Between two ticks the motor reference is held, so the computer sees ``P_d(e^{jωTs}) =
+z^{-d} (1 - z^{-1})/Ts · Σ_k F(s_k)/s_k``, ``s_k = j(ω + kω_s)``, ``F = M·B``: the exact
+zero-order-hold discretisation, without a state-space model of an irrational plant. B is
+the bracket of `fraclink._arm.loop`, gauge delay, gauge gain and second mode included;
+none of them need be whole samples.
 """
 
 from __future__ import annotations
@@ -24,14 +26,20 @@ __all__ = ["SampledPlant", "sampled_plant", "tail_sum"]
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
-_TERMS = 12  # aliases summed one by one on either side; the rest is 1e-7 of the sum and summed in closed form
-_UNSUMMED = 60  # where no closed form sums the rest: F/s falls with s^-3, what is left out is 3e-9 of the sum
+# aliases summed one by one on either side; the rest is 1e-7 of the sum and summed in
+# closed form
+_TERMS = 12
+# where no closed form sums the rest: F/s falls with s^-3, what is left out is 3e-9 of
+# the sum
+_UNSUMMED = 60
 
 
 def tail_sum(exponent: float, start: Real | float) -> Real:
-    """Return ``Σ_{k>=0} (k + start)^(-exponent)`` by Euler–Maclaurin, for exponent > 1 and start >= 8.
+    """Return ``Σ_{k>=0} (k + start)^(-exponent)`` by Euler–Maclaurin, for exponent > 1
+    and start >= 8.
 
-    The first term left out is 2e-9 of the sum at exponent 2 and start 8, and 5e-8 at exponent 5 and start 10.
+    The first term left out is 2e-9 of the sum at exponent 2 and start 8, and 5e-8 at
+    exponent 5 and start 10.
 
     >>> round(float(tail_sum(2.0, 10.0)), 9)
     0.105166336
@@ -39,8 +47,15 @@ def tail_sum(exponent: float, start: Real | float) -> Real:
     a, q = np.asarray(start, dtype=float), exponent
     third = q * (q + 1.0) * (q + 2.0)
     fifth = third * (q + 3.0) * (q + 4.0)
-    # Euler and Maclaurin: the integral, half the first term, and B₂ₖ/(2k)! times the odd derivatives.
-    series = a / (q - 1.0) + 0.5 + q / (12.0 * a) - third / (720.0 * a**3) + fifth / (30240.0 * a**5)
+    # Euler and Maclaurin: the integral, half the first term, and B₂ₖ/(2k)! times the
+    # odd derivatives.
+    series = (
+        a / (q - 1.0)
+        + 0.5
+        + q / (12.0 * a)
+        - third / (720.0 * a**3)
+        + fifth / (30240.0 * a**5)
+    )
     return np.asarray(a ** (-q) * series)
 
 
@@ -48,10 +63,11 @@ def tail_sum(exponent: float, start: Real | float) -> Real:
 class SampledPlant:
     """``P_d``: hold, computation delay, motor loop and link, sampled at `period` [s].
 
-    ``response(s)`` is F(s), vectorised over complex s; ``decay`` and ``leading`` its asymptote
-    ``F(s)/s → leading · s^(-decay)``, which sums the far aliases, or ``leading`` is None where it has no
-    power for its asymptote (a delayed gauge). ``delay`` [s] need not be whole samples. ``before`` is what
-    acts ahead of the hold, a function of ω.
+    ``response(s)`` is F(s), vectorised over complex s; ``decay`` and ``leading`` its
+    asymptote ``F(s)/s → leading · s^(-decay)``, which sums the far aliases, or
+    ``leading`` is None where it has no power for its asymptote (a delayed gauge).
+    ``delay`` [s] need not be whole samples. ``before`` is what acts ahead of the hold,
+    a function of ω.
     """
 
     response: Callable[[Complex], Complex]
@@ -67,22 +83,30 @@ class SampledPlant:
         rate = 2.0 * math.pi / self.period
         terms = _UNSUMMED if self.leading is None else _TERMS
         s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
-        # 1/s is the hold's own integral; its 1 − e^(−sT) is the same for every alias and stands outside the
-        # sum.
+        # 1/s is the hold's own integral; its 1 − e^(−sT) is the same for every alias
+        # and stands outside the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
         if self.leading is not None and self._whole_samples:
-            total = total + self.leading * self._far(w, rate) * np.exp(-1j * self.delay * w)
-        # The hold's 1 − z⁻¹ by expm1: at low frequencies the alias sum is large and this factor small.
+            total = total + self.leading * self._far(w, rate) * np.exp(
+                -1j * self.delay * w
+            )
+        # The hold's 1 − z⁻¹ by expm1: at low frequencies the alias sum is large and
+        # this factor small.
         held = -np.expm1(-1j * self.period * w) / self.period * total
-        return np.asarray(held if self.before is None else held * self.before(w), dtype=np.complex128)
+        return np.asarray(
+            held if self.before is None else held * self.before(w), dtype=np.complex128
+        )
 
     @property
     def _whole_samples(self) -> bool:
-        # e^{-τ s_k} turns with k unless τ is whole samples; its tail is then bounded, not summed.
+        # e^{-τ s_k} turns with k unless τ is whole samples; its tail is then bounded,
+        # not summed.
         return abs(self.delay / self.period - round(self.delay / self.period)) < 1e-12
 
     def _far(self, w: Real, rate: float) -> Complex:
-        """Both tails of the alias sum from the asymptote: ``(±j)^(-q) ω_s^(-q) ζ(q, K + 1 ± ω/ω_s)``."""
+        """Both tails of the alias sum from the asymptote: ``(±j)^(-q) ω_s^(-q) ζ(q, K +
+        1 ± ω/ω_s)``.
+        """
         q = self.decay
         turn = np.exp(-0.5j * math.pi * q)
         above = tail_sum(q, _TERMS + 1.0 + w / rate)
@@ -98,32 +122,40 @@ def sampled_plant(
     *,
     higher: Callable[[Complex], Complex] | None = None,
 ) -> SampledPlant:
-    """Return what the law sees from its motor reference to the tip estimate, exactly sampled.
+    """Return what the law sees from its motor reference to the tip estimate, exactly
+    sampled.
 
     Parameters
     ----------
     model
         link and gauge; ω₀ is the one of its payload.
     motor_loop
-        pole and computation delay; "sampled" puts the PID on the `motor` in place of M(s).
+        pole and computation delay; "sampled" puts the PID on the `motor` in place of
+        M(s).
     motor
         A and B of the motor.
     period
         control period [s], > 0.
     higher
-        part of Γ/(c θm) that the model does not know, such as the higher modes of a beam, at complex s.
+        part of Γ/(c θm) that the model does not know, such as the higher modes of a
+        beam, at complex s.
     """
-    sampled = motor_loop.sampled(motor, period) if motor_loop.kind == "sampled" else None
+    sampled = (
+        motor_loop.sampled(motor, period) if motor_loop.kind == "sampled" else None
+    )
     lag, spring = 1.0 / motor_loop.pole, model.natural_frequency**2
     exact = model.exact_gauge and higher is None
 
     def response(s: Complex) -> Complex:
         ideal: Complex = (1.0 + lag * s) ** 2
-        # With the sampled PID the bare motor stands behind the hold, and the PID ahead of it (`before`).
+        # With the sampled PID the bare motor stands behind the hold, and the PID ahead
+        # of it (`before`).
         drive: Complex = s * (s + motor.decay) / motor.gain if sampled else ideal
         ln_s: Complex = np.log(s)
         inertia: Complex = np.asarray(np.exp(model.order * ln_s), dtype=np.complex128)
-        drag: Complex = np.asarray(model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128)
+        drag: Complex = np.asarray(
+            model.damping * np.exp(model.damping_order * ln_s), dtype=np.complex128
+        )
         whole = inertia + drag + spring
         if exact:
             return np.asarray((drag + spring) / (whole * drive), dtype=np.complex128)

@@ -1,8 +1,9 @@
 """From stamps to a uniform time base: the stamps are used, never the index.
 
-On a simulated log (``benchmarks/bench_readers.py``), 0.5 ms rms of jitter at 4 ms taken as uniform moved ω₀
-by 0.014 %, 1 % of lost samples taken as uniform by 1.4 %, the same interpolated onto the grid by 0.002 %. So
-jitter is reported and tolerated, gaps are refused, and values are interpolated on request only.
+On a simulated log (``benchmarks/bench_readers.py``), 0.5 ms rms of jitter at 4 ms taken
+as uniform moved ω₀ by 0.014 %, 1 % of lost samples taken as uniform by 1.4 %, the same
+interpolated onto the grid by 0.002 %. So jitter is reported and tolerated, gaps are
+refused, and values are interpolated on request only.
 """
 
 from __future__ import annotations
@@ -18,12 +19,16 @@ from fraclink.findings import Finding
 _SILENT = 0.01  # of a period: stamps printed with a few digits
 _TOLERATED = 0.25  # of a period: jitter that moves no parameter, see the figures above
 _GAP = 1.5  # periods between stamps: a sample is missing
-_SLOWEST = 1.0  # s: no vibrating arm is sampled that slowly; milliseconds called seconds
+_SLOWEST = (
+    1.0  # s: no vibrating arm is sampled that slowly; milliseconds called seconds
+)
 
 
 @dataclass(frozen=True)
 class TimeBase:
-    """Uniform time of an experiment: `start` + k `period` [s], with what was found on the way."""
+    """Uniform time of an experiment: `start` + k `period` [s], with what was found on
+    the way.
+    """
 
     start: float
     period: float
@@ -33,32 +38,47 @@ class TimeBase:
 def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBase:
     """The uniform time base of `stamps`, shape (N,) [s], N >= 2.
 
-    Raises LogError for decreasing or repeated stamps, gaps, or jitter above a quarter of a period; with
-    `resample` the last three are findings, and `resampled` makes the uniform samples.
+    Raises LogError for decreasing or repeated stamps, gaps, or jitter above a quarter
+    of a period; with `resample` the last three are findings, and `resampled` makes the
+    uniform samples.
     """
     steps = np.diff(stamps)
     _check_order(stamps, steps, resample)
     steps = steps[steps > 0]
-    # The median: a tenth of the samples may be lost, or the clock may have stood for a minute, and it does
-    # not move.
+    # The median: a tenth of the samples may be lost, or the clock may have stood for a
+    # minute, and it does not move.
     typical = float(np.median(steps))
     _check_unit(typical)
-    # Behind the check of the unit: a gap is counted in periods, and these must be right.
+    # Behind the check of the unit: a gap is counted in periods, and these must be
+    # right.
     gaps = np.flatnonzero(steps > _GAP * typical)
     if gaps.size:
         finding = _gap(stamps, steps, gaps, typical, resample)
         return TimeBase(float(stamps[0]), _rounded(typical), (finding,))
-    if steps.size + 1 < stamps.size:  # repeated stamps, accepted because they are resampled
+    if (
+        steps.size + 1 < stamps.size
+    ):  # repeated stamps, accepted because they are resampled
         # A sample that repeats its stamp is a whole period off its place.
-        return TimeBase(float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample))
-    # From the two ends: N steps average a stamp's rounding down by N, which a median of steps does not.
-    start, period = float(stamps[0]), _rounded(float((stamps[-1] - stamps[0]) / steps.size))
+        return TimeBase(
+            float(stamps[0]), _rounded(typical), _jitter(typical, typical, resample)
+        )
+    # From the two ends: N steps average a stamp's rounding down by N, which a median of
+    # steps does not.
+    start, period = (
+        float(stamps[0]),
+        _rounded(float((stamps[-1] - stamps[0]) / steps.size)),
+    )
     if _distance(stamps, start, period) > _SILENT * period:
-        # Jitter of the two end stamps would tilt the whole grid: take the line through all of them.
-        slope, middle = np.polyfit(np.arange(stamps.size) - (stamps.size - 1) / 2, stamps, 1)
+        # Jitter of the two end stamps would tilt the whole grid: take the line through
+        # all of them.
+        slope, middle = np.polyfit(
+            np.arange(stamps.size) - (stamps.size - 1) / 2, stamps, 1
+        )
         period = _rounded(float(slope))
         start = float(middle - period * (stamps.size - 1) / 2)
-    return TimeBase(start, period, _jitter(_distance(stamps, start, period), period, resample))
+    return TimeBase(
+        start, period, _jitter(_distance(stamps, start, period), period, resample)
+    )
 
 
 def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float:
@@ -66,11 +86,14 @@ def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float
 
 
 def _rounded(period: float) -> float:
-    # Text stamps carry the rounding of their last digit, and the mean of their steps carries it on.
+    # Text stamps carry the rounding of their last digit, and the mean of their steps
+    # carries it on.
     return float(f"{period:.10g}")
 
 
-def _check_order(stamps: NDArray[np.float64], steps: NDArray[np.float64], resample: bool) -> None:
+def _check_order(
+    stamps: NDArray[np.float64], steps: NDArray[np.float64], resample: bool
+) -> None:
     back = np.flatnonzero(steps < 0)
     if back.size:
         row = int(back[0]) + 1
@@ -91,7 +114,9 @@ def _check_order(stamps: NDArray[np.float64], steps: NDArray[np.float64], resamp
             remedy="state another time column",
         )
     if same.size and not resample:
-        rows = ", ".join(str(int(row) + 1) for row in same[:5]) + (" …" if same.size > 5 else "")
+        rows = ", ".join(str(int(row) + 1) for row in same[:5]) + (
+            " …" if same.size > 5 else ""
+        )
         raise LogError(
             "time",
             f"{stamps[same[0]]:.9g} s",
@@ -172,7 +197,9 @@ def _jitter(worst: float, period: float, resample: bool) -> tuple[Finding, ...]:
 
 
 def uniform_before(stamps: NDArray[np.float64], first: int, period: float) -> slice:
-    """The samples before sample `first` that go on to it in steps of `period`, without gap or repeat."""
+    """The samples before sample `first` that go on to it in steps of `period`, without
+    gap or repeat.
+    """
     steps = np.diff(stamps[: first + 1])
     # Two stamps may each be off by what one may be.
     odd = np.flatnonzero(np.abs(steps - period) > 2 * _TOLERATED * period)
@@ -183,8 +210,8 @@ def resampled(
     stamps: NDArray[np.float64], base: TimeBase, values: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """`values` interpolated linearly from their stamps onto the uniform grid of `base`."""
-    # A repeated stamp keeps its first value: `np.interp` needs rising places, and the second is as likely a
-    # copy.
+    # A repeated stamp keeps its first value: `np.interp` needs rising places, and the
+    # second is as likely a copy.
     keep = np.concatenate(([True], np.diff(stamps) > 0))
     count = int(np.floor((stamps[-1] - base.start) / base.period + 1e-6)) + 1
     grid = base.start + base.period * np.arange(count)

@@ -1,4 +1,5 @@
-"""Many runs and what they say together: rivals, arms that differ, faults, and the study of one log.
+"""Many runs and what they say together: rivals, arms that differ, faults, and the study
+of one log.
 
 A campaign is one law on a million arms, resumable, the same for a seed on any machine.
 """
@@ -6,9 +7,22 @@ A campaign is one law on a million arms, resumable, the same for a seed on any m
 from __future__ import annotations
 
 from fraclink._campaign.arms import arm_of, replay_run, simulate_part
-from fraclink._campaign.campaign import Campaign, Distribution, Draws, draws_for, load_campaign, save_campaign
+from fraclink._campaign.campaign import (
+    Campaign,
+    Distribution,
+    Draws,
+    draws_for,
+    load_campaign,
+    save_campaign,
+)
 from fraclink._campaign.run import Progress, read_part, run_campaign
-from fraclink._campaign.summary import MetricSummary, Quantile, Summary, columns, summarise
+from fraclink._campaign.summary import (
+    MetricSummary,
+    Quantile,
+    Summary,
+    columns,
+    summarise,
+)
 
 __all__ = [
     "Campaign",

@@ -1,4 +1,6 @@
-"""What the law must bear beside the catalogue: clean periods without end, every bit of its memory."""
+"""What the law must bear beside the catalogue: clean periods without end, every bit of
+its memory.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,11 @@ from fraclink._validate import Between, Payload, Seed, checked
 
 __all__ = ["Soak", "Upset", "soak", "upsets"]
 
-ROUND = smooth_step(1.0, duration=1.2).then(hold(0.0, 0.8)).then(smooth_step(-1.0, duration=1.2))
+ROUND = (
+    smooth_step(1.0, duration=1.2)
+    .then(hold(0.0, 0.8))
+    .then(smooth_step(-1.0, duration=1.2))
+)
 ROUND_TIME = 4.0  # [s]: 0.8 s of rest at either end
 CHUNK = 100  # rounds at once: 9 MB of inputs
 AT_ONCE = 10  # periods in which a drive that does not stay on is off
@@ -41,7 +47,9 @@ AT_ONCE = 10  # periods in which a drive that does not stay on is off
 
 @dataclass(frozen=True)
 class Soak:
-    """Clean periods, those in another mode than RUN, those with a flag, and the largest tip error [rad]."""
+    """Clean periods, those in another mode than RUN, those with a flag, and the largest
+    tip error [rad].
+    """
 
     periods: int
     trips: int
@@ -51,17 +59,25 @@ class Soak:
 
 @checked
 def soak(
-    bench: Bench, payload: Payload, *, periods: Annotated[int, Between(1, 10**12)] = 1_000_000, seed: Seed = 1
+    bench: Bench,
+    payload: Payload,
+    *,
+    periods: Annotated[int, Between(1, 10**12)] = 1_000_000,
+    seed: Seed = 1,
 ) -> Soak:
-    """Move the healthy arm to and fro by 1 rad for `periods` control periods and count what the law says.
+    """Move the healthy arm to and fro by 1 rad for `periods` control periods and count
+    what the law says.
 
     The gauge has the rig's noise, offset and quantum.
     """
     law = bench.law
     twin = bench.twin.with_payload(payload)
     generator = np.random.default_rng(seed)
-    # One round of inputs, repeated: a million periods at once would be 100 MB, and only the noise differs.
-    rounds = healthy_inputs(twin.sensors, ROUND, law.period, round(ROUND_TIME / law.period), generator)
+    # One round of inputs, repeated: a million periods at once would be 100 MB, and only
+    # the noise differs.
+    rounds = healthy_inputs(
+        twin.sensors, ROUND, law.period, round(ROUND_TIME / law.period), generator
+    )
     arm = ArmState(twin, law.period, law.initial_state())
     trips = flagged = done = 0
     peak = 0.0
@@ -75,7 +91,8 @@ def soak(
         flagged += int(np.count_nonzero(flags & ~_kernels.LAW_FLAG_STARTED))
         peak = max(peak, float(np.abs(record[:, 2] - record[:, 0]).max()))
         done += len(record)
-        # The arm has left every bound: what was asked for and not run counts as tripped.
+        # The arm has left every bound: what was asked for and not run counts as
+        # tripped.
         if len(record) < len(inputs):
             return Soak(done, trips + periods - done, flagged, peak)
     return Soak(done, trips, flagged, peak)
@@ -88,8 +105,9 @@ def soak(
 class Upset:
     """One bit of the law's memory that was flipped in a move, and what came of it.
 
-    name: of the number that it belongs to; bit: in it, 0 the lowest; peak: largest |tip error| from then on
-    [rad]; off: periods until the drive was off, counting the flip's own as 1, and 0 where it stayed on.
+    name: of the number that it belongs to; bit: in it, 0 the lowest; peak: largest |tip
+    error| from then on [rad]; off: periods until the drive was off, counting the flip's
+    own as 1, and 0 where it stayed on.
     """
 
     name: str
@@ -99,7 +117,9 @@ class Upset:
 
     @property
     def passed(self) -> bool:
-        """Whether the tip stayed within 0.3 rad of its reference, or the drive was off within 10 periods."""
+        """Whether the tip stayed within 0.3 rad of its reference, or the drive was off
+        within 10 periods.
+        """
         return self.peak <= SAFE or 0 < self.off <= AT_ONCE
 
 
@@ -112,9 +132,11 @@ def upsets(
     names: Sequence[str] = (),
     seed: Annotated[int, Between(0, 2**63 - 1)] = 1,
 ) -> tuple[Upset, ...]:
-    """Flip each bit of the law's memory in a run of its own, in a phase of the catalogue's move.
+    """Flip each bit of the law's memory in a run of its own, in a phase of the
+    catalogue's move.
 
-    names: of the numbers of `law_state`, see `law.h`; without them all, the counters as well as the reals.
+    names: of the numbers of `law_state`, see `law.h`; without them all, the counters as
+    well as the reals.
 
     >>> import fraclink as fl
     >>> from fraclink._simulate import geared
@@ -128,16 +150,21 @@ def upsets(
     """
     case = Case("F29", 1, payload, phase, seed)
     width = 4 if bench.law.precision == "single" else 8
-    # Every word and every real: a memory in which some bits were never tried says nothing of the others.
+    # Every word and every real: a memory in which some bits were never tried says
+    # nothing of the others.
     wanted = set(names) or {*WORDS, *REALS}
-    return tuple(_upset(bench, case, *place) for place in _bits(width) if place[0] in wanted)
+    return tuple(
+        _upset(bench, case, *place) for place in _bits(width) if place[0] in wanted
+    )
 
 
 def _bits(width: int) -> Iterator[tuple[str, int, int]]:
     """Name, bit, and place in the memory of each bit of it."""
     for number, name in enumerate((*WORDS, *REALS)):
         words = number < COUNTERS
-        first = 32 * number if words else 32 * COUNTERS + 8 * width * (number - COUNTERS)
+        first = (
+            32 * number if words else 32 * COUNTERS + 8 * width * (number - COUNTERS)
+        )
         for bit in range(32 if words else 8 * width):
             yield name, bit, first + bit
 

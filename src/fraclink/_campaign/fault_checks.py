@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._campaign.fault_trial import LAST, PHASES, RUN, STARTED, Bench, Case, TrialSignals
+from fraclink._campaign.fault_trial import (
+    LAST,
+    PHASES,
+    RUN,
+    STARTED,
+    Bench,
+    Case,
+    TrialSignals,
+)
 from fraclink._law import MODES, REASONS, Law
 
 __all__ = [
@@ -31,7 +39,8 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement on one run: what was measured, the limit it must not exceed, and whether it is met.
+    """One requirement on one run: what was measured, the limit it must not exceed, and
+    whether it is met.
 
     >>> Check.at_most("peak [rad]", 0.5, 0.4).passed
     False
@@ -53,7 +62,9 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """A faulty run, the clean run of the same payload, noise and move, and when the fault came."""
+    """A faulty run, the clean run of the same payload, noise and move, and when the
+    fault came.
+    """
 
     bench: Bench
     case: Case
@@ -63,7 +74,9 @@ class Evidence:
     faulty: TrialSignals
     clean: TrialSignals
     detail: str = ""
-    best: TrialSignals | None = None  # of a law that knows of the fault at once, see `FaultRule.best`
+    best: TrialSignals | None = (
+        None  # of a law that knows of the fault at once, see `FaultRule.best`
+    )
 
     @property
     def peak(self) -> float:
@@ -78,7 +91,8 @@ class Evidence:
     @property
     def final(self) -> float:
         """|mean tip error| of the last second [rad]."""
-        # A mean and not the last sample: the gauge's noise alone moves the tip by 5 mrad.
+        # A mean and not the last sample: the gauge's noise alone moves the tip by 5
+        # mrad.
         return abs(float(self.faulty.error[-round(LAST / self.law.period) :].mean()))
 
     @property
@@ -88,7 +102,9 @@ class Evidence:
 
     @property
     def reacted(self) -> int:
-        """Periods from the fault to the first mode above RUN, the fault's own counted as 1; -1: none."""
+        """Periods from the fault to the first mode above RUN, the fault's own counted
+        as 1; -1: none.
+        """
         # Above RUN: IDLE, before the law has started, is no reaction to a fault.
         other = np.flatnonzero(self.faulty.mode[self.row :] > RUN)
         return int(other[0]) + 1 if other.size else -1
@@ -103,8 +119,9 @@ class Evidence:
         return values[self.case.severity - 1]
 
 
-# [rad] between tip and reference: an arm that is farther away with its drive closed is a danger, whatever the
-# requirement that it misses. Set for a flipped bit (F29), and the limit wherever no law can do better.
+# [rad] between tip and reference: an arm that is farther away with its drive closed is
+# a danger, whatever the requirement that it misses. Set for a flipped bit (F29), and
+# the limit wherever no law can do better.
 SAFE = 0.3
 OTHER_MODE = "periods in another mode than allowed"
 ANY = 10**6  # periods: the catalogue states no number
@@ -130,13 +147,17 @@ def flagged(bit: int, name: str) -> Requirement:
     def check(e: Evidence) -> Check:
         missing = int(np.count_nonzero(e.marked & ((e.faulty.flags & bit) == 0)))
         # A fault that was never injected must not pass.
-        return Check.at_most(f"bad periods without the {name} flag", missing if e.marked.any() else 1, 0)
+        return Check.at_most(
+            f"bad periods without the {name} flag", missing if e.marked.any() else 1, 0
+        )
 
     return check
 
 
 def reacts(mode: int, within: int, *reasons: int) -> Requirement:
-    """The first other mode is `mode`, for one of `reasons`, within that many periods, and it stays."""
+    """The first other mode is `mode`, for one of `reasons`, within that many periods,
+    and it stays.
+    """
 
     def check(e: Evidence) -> Check:
         first = e.row + e.reacted - 1
@@ -147,29 +168,39 @@ def reacts(mode: int, within: int, *reasons: int) -> Requirement:
             missed = f" (went {MODES[e.faulty.mode[first]]})"
         elif reasons and e.faulty.reason[first] not in reasons:
             missed = f" (for {REASONS[e.faulty.reason[first]]})"
-        # A higher mode may follow (degraded, then off); to come back is not for a law to decide, since a
-        # fault that pauses is not gone.
+        # A higher mode may follow (degraded, then off); to come back is not for a law
+        # to decide, since a fault that pauses is not gone.
         elif np.any(e.faulty.mode[first:] < mode):
             missed = " (did not latch)"
-        return Check.at_most(f"periods until {MODES[mode]}{missed}", np.inf if missed else e.reacted, within)
+        return Check.at_most(
+            f"periods until {MODES[mode]}{missed}",
+            np.inf if missed else e.reacted,
+            within,
+        )
 
     return check
 
 
 def peak_ratio(limit: float) -> Requirement:
     """Largest tip error over that of the clean run."""
-    return lambda e: Check.at_most("peak tip error over clean", e.peak / e.clean_peak, limit)
+    return lambda e: Check.at_most(
+        "peak tip error over clean", e.peak / e.clean_peak, limit
+    )
 
 
 def peak_over_best(ratio: float) -> Requirement:
-    """Largest tip error over that of the clean run, or of a law that knows of the fault at once.
+    """Largest tip error over that of the clean run, or of a law that knows of the fault
+    at once.
 
-    The larger of the two: no law can do better than to know at once, and a smaller bound asks for more.
+    The larger of the two: no law can do better than to know at once, and a smaller
+    bound asks for more.
     """
 
     def check(e: Evidence) -> Check:
         best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
-        return Check.at_most("peak tip error [rad]", e.peak, ratio * max(e.clean_peak, best))
+        return Check.at_most(
+            "peak tip error [rad]", e.peak, ratio * max(e.clean_peak, best)
+        )
 
     return check
 
@@ -177,15 +208,19 @@ def peak_over_best(ratio: float) -> Requirement:
 def peak(limit: float, *, phases: tuple[str, ...] = PHASES) -> Requirement:
     """Largest tip error [rad]; in other phases, how far the tip ran after the fault.
 
-    A drive that is switched off at the beginning of a move leaves the whole move undone, which is no harm.
+    A drive that is switched off at the beginning of a move leaves the whole move
+    undone, which is no harm.
     """
 
     def check(e: Evidence) -> Check:
         if e.case.phase in phases:
             return Check.at_most("peak tip error [rad]", e.peak, limit)
-        # From where the tip was when it happened: what had been moved before is no doing of the fault.
+        # From where the tip was when it happened: what had been moved before is no
+        # doing of the fault.
         after = e.faulty.tip[e.row :]
-        return Check.at_most("tip travel after the fault [rad]", np.abs(after - after[0]).max(), limit)
+        return Check.at_most(
+            "tip travel after the fault [rad]", np.abs(after - after[0]).max(), limit
+        )
 
     return check
 
@@ -197,18 +232,27 @@ def final(limit: float) -> Requirement:
 
 def bounded(limit: float) -> Requirement:
     """The run reached its end and the tip stayed within `limit` [rad] of the reference."""
-    return lambda e: Check.at_most("peak tip error [rad]", e.peak if e.faulty.finished else np.inf, limit)
+    return lambda e: Check.at_most(
+        "peak tip error [rad]", e.peak if e.faulty.finished else np.inf, limit
+    )
 
 
 def settled(after: float, band: float = 0.02) -> Requirement:
-    """The tip is within `band` [rad] of reference or clean run from `after` [s] behind the fault on."""
+    """The tip is within `band` [rad] of reference or clean run from `after` [s] behind
+    the fault on.
+    """
 
     def check(e: Evidence) -> Check:
         # The clean run, too, as the move itself has an error of its own.
-        apart = np.minimum(np.abs(e.faulty.error), np.abs(e.faulty.tip - e.clean.tip[: len(e.faulty.tip)]))
+        apart = np.minimum(
+            np.abs(e.faulty.error),
+            np.abs(e.faulty.tip - e.clean.tip[: len(e.faulty.tip)]),
+        )
         outside = np.flatnonzero(apart[e.row :] > band)
         time = (int(outside[-1]) + 1) * e.law.period if outside.size else 0.0
-        return Check.at_most("recovery [s]", time if e.faulty.finished else np.inf, after)
+        return Check.at_most(
+            "recovery [s]", time if e.faulty.finished else np.inf, after
+        )
 
     return check
 
@@ -226,13 +270,16 @@ def limit_cycle(limit: float) -> Requirement:
 def shared_checks(e: Evidence) -> tuple[Check, ...]:
     """Return the global criteria G1–G3 of the faulty run: finite, in limits, slew."""
     signals, limits, drive = e.faulty, e.law.limits, e.law.drive
-    # The limits themselves round to the block's precision, by 6e-8 of their value in 24 bits.
+    # The limits themselves round to the block's precision, by 6e-8 of their value in 24
+    # bits.
     slack = 1e-6 if e.law.precision == "single" else 1e-12
-    # What leaves the law, and what the motor gets of it: each by itself may hide what the other shows.
+    # What leaves the law, and what the motor gets of it: each by itself may hide what
+    # the other shows.
     outputs = np.vstack((signals.command, signals.asked, signals.voltage))
     infinite = int(np.count_nonzero(~np.isfinite(outputs)))
     step = np.abs(np.diff(signals.command))
-    # A law that starts anew does not know what the one before asked for: it begins at the motor.
+    # A law that starts anew does not know what the one before asked for: it begins at
+    # the motor.
     known = (signals.flags[1:] & STARTED) == 0
     # A step from or to what is no number has no size: it counts as the largest.
     worst = float(step[known].max(initial=0.0)) if np.isfinite(step).all() else np.inf
@@ -240,7 +287,13 @@ def shared_checks(e: Evidence) -> tuple[Check, ...]:
     command, asked = np.abs(signals.command).max(), np.abs(signals.asked).max()
     return (
         Check.at_most("G1: outputs that are not finite", infinite, 0),
-        Check.at_most("G2: |motor reference| [rad]", command, limits.motor_limit * (1 + slack)),
+        Check.at_most(
+            "G2: |motor reference| [rad]", command, limits.motor_limit * (1 + slack)
+        ),
         Check.at_most("G2: |voltage| [V]", asked, volts * (1 + slack)),
-        Check.at_most("G3: motor reference step [rad]", worst, limits.motor_step * (1 + slack) + slack),
+        Check.at_most(
+            "G3: motor reference step [rad]",
+            worst,
+            limits.motor_step * (1 + slack) + slack,
+        ),
     )

@@ -1,4 +1,6 @@
-"""One run of a fault: the trial that is tampered with, its execution, and what the run must have shown."""
+"""One run of a fault: the trial that is tampered with, its execution, and what the run
+must have shown.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ Rows = slice | NDArray[np.int_]
 Action = Callable[[ArmState], None]
 Phase = Literal["whole", "start", "mid", "rest"]
 
-MOVE = smooth_step(1.0, duration=1.2, start=1.0)  # the catalogue's move: 1 rad, 1.0 to 2.2 s
+MOVE = smooth_step(
+    1.0, duration=1.2, start=1.0
+)  # the catalogue's move: 1 rad, 1.0 to 2.2 s
 TIMES = {"whole": 0.0, "start": 1.1, "mid": 1.6, "rest": 3.2}  # [s]
 PHASES: tuple[Phase, ...] = ("whole", "start", "mid", "rest")
 EVER = 1e6  # [s]: to the end of the run
@@ -50,25 +54,68 @@ LAST = 1.0  # [s] of the end over which the final error is averaged
 
 # law.h: modes, reasons and flags.
 IDLE, RUN, DEGRADED, HOLD, OFF = range(5)
-BAD_VERSION, BAD_SIZE, BAD_CRC, _, BAD_ENCODER, BAD_GAUGE, GAUGE_STUCK, RESIDUAL, MISSED_PERIODS, OVERLOAD = (
-    range(1, 11)
-)
+(
+    BAD_VERSION,
+    BAD_SIZE,
+    BAD_CRC,
+    _,
+    BAD_ENCODER,
+    BAD_GAUGE,
+    GAUGE_STUCK,
+    RESIDUAL,
+    MISSED_PERIODS,
+    OVERLOAD,
+) = range(1, 11)
 ENCODER, GAUGE, REFERENCE, MISSED, REPEATED, STARTED = 1, 2, 4, 8, 16, 128
 # twin.h: bits of the kernel's fault word.
-ENCODER_REPLACED, GAUGE_REPLACED, FROZEN_ENCODER, FROZEN_GAUGE, SWAPPED, TICK_MISSED, TICK_REPEATED = (
-    1 << bit for bit in range(7)
-)
+(
+    ENCODER_REPLACED,
+    GAUGE_REPLACED,
+    FROZEN_ENCODER,
+    FROZEN_GAUGE,
+    SWAPPED,
+    TICK_MISSED,
+    TICK_REPEATED,
+) = (1 << bit for bit in range(7))
 # law_state: fourteen words, then these reals, in the order of law.h.
 WORDS = (
     *("stamp", "mode", "reason", "tick", "bad_encoder", "bad_gauge"),
-    *("residual", "stuck", "overload", "frozen", "repeated", "repeated_at", "tracking", "given"),
+    *(
+        "residual",
+        "stuck",
+        "overload",
+        "frozen",
+        "repeated",
+        "repeated_at",
+        "tracking",
+        "given",
+    ),
 )
 COUNTERS = len(WORDS)
 REALS = (
     *(f"modes[{i}]" for i in range(20)),
-    *("error", "reference", "motor_reference", "motor_angle", "torque", "model_near", "model_angle"),
+    *(
+        "error",
+        "reference",
+        "motor_reference",
+        "motor_angle",
+        "torque",
+        "model_near",
+        "model_angle",
+    ),
     *("stuck_torque", "encoder", "encoder_model", "input_reference"),
-    *("payload", "scale", "track", "track_push", "late", "fade", "integral", "filter", "voltage", "sum"),
+    *(
+        "payload",
+        "scale",
+        "track",
+        "track_push",
+        "late",
+        "fade",
+        "integral",
+        "filter",
+        "voltage",
+        "sum",
+    ),
 )
 
 
@@ -78,7 +125,8 @@ REALS = (
 @checked
 @dataclass(frozen=True)
 class Case:
-    """One run of a fault: severity 1 … 3, payload [kg], phase of the move, seed of noise and chance.
+    """One run of a fault: severity 1 … 3, payload [kg], phase of the move, seed of
+    noise and chance.
 
     >>> Case("F07", 2, 0.02, "mid", 3).name
     'F07-2-20g-mid-3'
@@ -98,9 +146,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Bench:
-    """What is tested: the law, the twin it runs on, the rig, the payloads (low, nominal, high) [kg].
+    """What is tested: the law, the twin it runs on, the rig, the payloads (low,
+    nominal, high) [kg].
 
-    modulus_margin: least |1 + L| of the true sampled loop over the payloads, for the bound on noise.
+    modulus_margin: least |1 + L| of the true sampled loop over the payloads, for the
+    bound on noise.
     """
 
     rig: Rig
@@ -111,8 +161,12 @@ class Bench:
 
     @staticmethod
     @checked
-    def of(design: Design, rig: Rig | None = None, *, link_mass: float | None = None) -> Bench:
-        """Return the bench of a design on `rig` (default: its own), with its shipped law and motor loop."""
+    def of(
+        design: Design, rig: Rig | None = None, *, link_mass: float | None = None
+    ) -> Bench:
+        """Return the bench of a design on `rig` (default: its own), with its shipped
+        law and motor loop.
+        """
         arm = design.rig if rig is None else rig
         twin = Twin.from_rig(arm, link_mass=link_mass)
         law, _ = with_motor_loop(replace(design, rig=arm).law(), twin=twin)
@@ -121,43 +175,57 @@ class Bench:
         # A design for other payloads than its rig's is tested in the middle of its own.
         if not low <= nominal <= high:
             nominal = 0.5 * (low + high)
-        # Of both ends, since the sensitivity's peak moves from the lightest to the heaviest payload with the
-        # design.
+        # Of both ends, since the sensitivity's peak moves from the lightest to the
+        # heaviest payload with the design.
         margin = min(design.sampled_at(p).modulus_margin for p in (low, high))
         return Bench(arm, law, twin, (low, nominal, high), margin)
 
     def with_law(self, law: Law) -> Bench:
-        """Return the same bench for another law; FieldError where its period is not the rig's."""
+        """Return the same bench for another law; FieldError where its period is not the
+        rig's.
+        """
         if law.period != self.law.period:
             allowed, remedy = f"{self.law.period} s", "discretise at the rig's period"
-            raise FieldError("period", law.period, "not the rig's", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "period", law.period, "not the rig's", allowed=allowed, remedy=remedy
+            )
         return replace(self, law=with_motor_loop(law, twin=self.twin)[0])
 
 
 class Trial:
     """A run before it begins, open to be tampered with. Internal, mutable."""
 
-    def __init__(self, bench: Bench, case: Case, law: Law, reference: Reference, duration: float) -> None:
+    def __init__(
+        self, bench: Bench, case: Case, law: Law, reference: Reference, duration: float
+    ) -> None:
         self.bench, self.case, self.reference = bench, case, reference
         self.use(law)
         self.twin = bench.twin.with_payload(case.payload)
         self.period = law.period
         self.count = round(duration / self.period) + 1
-        # The fault's own dice, so that the noise is that of the clean run; the name holds the seed.
+        # The fault's own dice, so that the noise is that of the clean run; the name
+        # holds the seed.
         self.chance = np.random.default_rng([case.seed, zlib.crc32(case.name.encode())])
-        # A stream apart from the fault's dice: with one for both, a fault that draws would change the noise
-        # behind it, and clean and faulty run would differ by more than the fault.
+        # A stream apart from the fault's dice: with one for both, a fault that draws
+        # would change the noise behind it, and clean and faulty run would differ by
+        # more than the fault.
         noise = np.random.default_rng([case.seed, 0])
-        self.inputs = healthy_inputs(self.twin.sensors, reference, self.period, self.count, noise)
+        self.inputs = healthy_inputs(
+            self.twin.sensors, reference, self.period, self.count, noise
+        )
         self.wanted = self.inputs[:, columns.REFERENCE].copy()
-        # Of every phase the nearest period, so that a rig of another clock is broken at the same moment of
-        # its move.
+        # Of every phase the nearest period, so that a rig of another clock is broken at
+        # the same moment of its move.
         self.row = round(TIMES[case.phase] / self.period)
-        self.marks = np.zeros(self.count, dtype=bool)  # periods in which a sample is bad
+        self.marks = np.zeros(
+            self.count, dtype=bool
+        )  # periods in which a sample is bad
         self.actions: dict[int, list[Action]] = {}
         self.start_angle = float(self.wanted[0])
         self.detail = ""  # what chance chose
-        self.shifts: NDArray[np.int_] | None = None  # of each sampling instant [ms-steps]
+        self.shifts: NDArray[np.int_] | None = (
+            None  # of each sampling instant [ms-steps]
+        )
 
     def use(self, law: Law) -> None:
         """Run another law from the first period on."""
@@ -181,9 +249,12 @@ class Trial:
         self.actions.setdefault(row, []).append(action)
 
     def set_bits(self, rows: Rows, bits: int, *, mark: bool = False) -> None:
-        """Set bits of the kernel's fault word, and mark the periods in which the law must say something."""
+        """Set bits of the kernel's fault word, and mark the periods in which the law
+        must say something.
+        """
         column = self.inputs[:, columns.FAULT_BITS]
-        # Several faults may meet in one period; the column holds a word of bits as a real.
+        # Several faults may meet in one period; the column holds a word of bits as a
+        # real.
         column[rows] = column[rows].astype(int) | bits
         self.marks[rows] |= mark
 
@@ -191,10 +262,14 @@ class Trial:
         """Replace readings of "encoder" or "gauge" by `value` and mark them as bad."""
         encoder = sensor == "encoder"
         self.set_bits(rows, ENCODER_REPLACED if encoder else GAUGE_REPLACED, mark=True)
-        self.inputs[rows, columns.ENCODER_VALUE if encoder else columns.GAUGE_VALUE] = value
+        self.inputs[rows, columns.ENCODER_VALUE if encoder else columns.GAUGE_VALUE] = (
+            value
+        )
 
     def miss(self, count: int) -> None:
-        """Do not run the task for `count` periods; the next one is marked, where the law can first tell."""
+        """Do not run the task for `count` periods; the next one is marked, where the
+        law can first tell.
+        """
         self.set_bits(slice(self.row, self.row + count), TICK_MISSED)
         # While the task does not run there is nobody to raise a flag.
         self.marks[self.row + count] = True
@@ -205,9 +280,12 @@ class Trial:
         return 4 if self.law.precision == "single" else 8
 
     def flip(self, name: str, bit_from_top: int) -> None:
-        """Flip one bit of a real of the law's memory at the fault; 1 is the highest bit of the exponent."""
+        """Flip one bit of a real of the law's memory at the fault; 1 is the highest bit
+        of the exponent.
+        """
         place = 4 * COUNTERS + self.width * REALS.index(name)
-        # Little-endian: the sign is the highest bit of the last byte, the exponent's highest the one below.
+        # Little-endian: the sign is the highest bit of the last byte, the exponent's
+        # highest the one below.
         bit = 8 * self.width - 1 - bit_from_top
         self.detail = f"{name}, {'sign' if bit_from_top == 0 else 'exponent'}"
 
@@ -223,7 +301,9 @@ class Trial:
         self.marks[row] = True
 
     def corrupt(self, byte: int, value: int | None = None) -> None:
-        """Flip the lowest bit of a byte of the parameter block, or set the 32-bit word there to `value`."""
+        """Flip the lowest bit of a byte of the parameter block, or set the 32-bit word
+        there to `value`.
+        """
         block = bytearray(self.block)
         self.detail = f"byte {byte}"
         if value is None:
@@ -234,7 +314,9 @@ class Trial:
         self.block = bytes(block)
 
 
-def members(memory: NDArray[np.uint8], size: int) -> NDArray[np.float64] | NDArray[np.float32]:
+def members(
+    memory: NDArray[np.uint8], size: int
+) -> NDArray[np.float64] | NDArray[np.float32]:
     """Return the reals, of `size` bytes each, of a law's memory; a view of it."""
     body = memory[4 * COUNTERS :]
     return body.view(np.float32) if size == 4 else body.view(np.float64)
@@ -245,7 +327,9 @@ def members(memory: NDArray[np.uint8], size: int) -> NDArray[np.float64] | NDArr
 
 @dataclass(frozen=True, eq=False)
 class TrialSignals:
-    """One value per control period of a run; units as in `Run`. `law_state`: the law's memory at the end."""
+    """One value per control period of a run; units as in `Run`. `law_state`: the law's
+    memory at the end.
+    """
 
     time: Real
     wanted: Real
@@ -291,10 +375,14 @@ def execute(trial: Trial) -> TrialSignals:
     """Run a trial on the twin."""
     arm = ArmState(trial.twin, trial.period, trial.state, start_angle=trial.start_angle)
     single = trial.law.precision == "single"
-    # A period is as long as its two instants of sampling are apart: the arm's own steps are exact and of 1
-    # ms, so that an early sample is a shorter period of whole steps.
-    steps = None if trial.shifts is None else arm.count + np.diff(trial.shifts, append=0)
-    edges = sorted({0, trial.count, *(k for k in trial.actions if 0 <= k < trial.count)})
+    # A period is as long as its two instants of sampling are apart: the arm's own steps
+    # are exact and of 1 ms, so that an early sample is a shorter period of whole steps.
+    steps = (
+        None if trial.shifts is None else arm.count + np.diff(trial.shifts, append=0)
+    )
+    edges = sorted(
+        {0, trial.count, *(k for k in trial.actions if 0 <= k < trial.count)}
+    )
     if steps is not None:
         # Every period has a length of its own then, and is a call of its own.
         edges = list(range(trial.count + 1))
@@ -311,7 +399,9 @@ def execute(trial: Trial) -> TrialSignals:
     record = np.vstack(records)
     count = len(record)
     by_name = dict(zip(kernel.RECORD, np.ascontiguousarray(record.T), strict=False))
-    marks = {name: by_name[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
+    marks = {
+        name: by_name[name].astype(np.uint32) for name in ("mode", "reason", "flags")
+    }
     return TrialSignals(
         time=trial.period * np.arange(count, dtype=np.float64),
         wanted=trial.wanted[:count].copy(),

@@ -1,4 +1,6 @@
-"""Forty-four ways to break an arm, injected into the shipped law on the twin, each with a verdict."""
+"""Forty-four ways to break an arm, injected into the shipped law on the twin, each with
+a verdict.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from fraclink._campaign.fault_checks import OTHER_MODE, SAFE, Check, Evidence, shared_checks
+from fraclink._campaign.fault_checks import (
+    OTHER_MODE,
+    SAFE,
+    Check,
+    Evidence,
+    shared_checks,
+)
 from fraclink._campaign.fault_rules import CATALOGUE, Fault, fault_named
 from fraclink._campaign.fault_trial import (
     MOVE,
@@ -47,7 +55,12 @@ __all__ = [
 ]
 
 CleanRuns = dict[tuple[object, ...], TrialSignals]
-GROUPS = ("met", "slower than promised", "trips without need", "unsafe")  # in the order of severity
+GROUPS = (
+    "met",
+    "slower than promised",
+    "trips without need",
+    "unsafe",
+)  # in the order of severity
 
 
 # ---- the table of verdicts ---------------------------------------------------------------------------
@@ -55,11 +68,13 @@ GROUPS = ("met", "slower than promised", "trips without need", "unsafe")  # in t
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one run showed: every check, peak and final tip error [rad], and where the law ended.
+    """What one run showed: every check, peak and final tip error [rad], and where the
+    law ended.
 
-    final: |mean tip error| of the last second, so that the gauge's noise averages out. reacted: periods from
-    the fault to the first other mode, -1 where the law kept running. detail: what chance chose, such as the
-    number of the state in which a bit was flipped.
+    final: |mean tip error| of the last second, so that the gauge's noise averages out.
+    reacted: periods from the fault to the first other mode, -1 where the law kept
+    running. detail: what chance chose, such as the number of the state in which a bit
+    was flipped.
     """
 
     case: Case
@@ -81,13 +96,17 @@ class Outcome:
     def group(self) -> str:
         """What a failure means, one of `GROUPS`.
 
-        "unsafe": outputs that are not finite, in their limits and slew limited, or a tip more than 0.3 rad
-        off with the drive still closed; "trips without need": a mode that the fault does not ask for;
-        "slower than promised": everything else, such as a larger peak or a later reaction.
+        "unsafe": outputs that are not finite, in their limits and slew limited, or a
+        tip more than 0.3 rad off with the drive still closed; "trips without need": a
+        mode that the fault does not ask for; "slower than promised": everything else,
+        such as a larger peak or a later reaction.
         """
         names = [check.name for check in self.failed]
-        # A move that settles late may be far from its reference for a reason: an actuator at its limit.
-        astray = self.peak > SAFE and any(not name.startswith("settling") for name in names)
+        # A move that settles late may be far from its reference for a reason: an
+        # actuator at its limit.
+        astray = self.peak > SAFE and any(
+            not name.startswith("settling") for name in names
+        )
         if any(name.startswith(("G1", "G2", "G3")) for name in names):
             return "unsafe"
         if astray and self.mode in ("run", "degraded"):
@@ -109,7 +128,8 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Row:
-    """One fault in the summary: its runs, those that fail, the check that fails worst and its run.
+    """One fault in the summary: its runs, those that fail, the check that fails worst
+    and its run.
 
     group: the most severe one of its runs, see `Outcome.group`.
     """
@@ -134,7 +154,8 @@ def _from_format_1(content: dict[str, Any]) -> dict[str, Any]:
     """Checks were lists, and had no digest."""
     names = ("name", "measured", "limit", "passed")
     rows = [
-        row | {"checks": [dict(zip(names, check, strict=True)) for check in row["checks"]]}
+        row
+        | {"checks": [dict(zip(names, check, strict=True)) for check in row["checks"]]}
         for row in content["outcomes"]
     ]
     return content | {"outcomes": rows}
@@ -144,7 +165,9 @@ def _from_format_1(content: dict[str, Any]) -> dict[str, Any]:
     "fault-campaign",
     version=2,
     upgrades={1: _from_format_1},
-    sources=lambda table: {"law": table.about["law_sha256"]} if "law_sha256" in table.about else {},
+    sources=lambda table: (
+        {"law": table.about["law_sha256"]} if "law_sha256" in table.about else {}
+    ),
     summary=lambda table: {"passed": table.passed, "failures": len(table.failures)},
 )
 @dataclass(frozen=True)
@@ -170,43 +193,76 @@ class FaultTable:
         return tuple(self._row(fault_named(number)) for number in numbers)
 
     def _row(self, fault: Fault) -> Row:
-        mine = [outcome for outcome in self.outcomes if outcome.case.fault == fault.number]
+        mine = [
+            outcome for outcome in self.outcomes if outcome.case.fault == fault.number
+        ]
         failed = [outcome for outcome in mine if not outcome.passed]
-        # By the factor over the limit: a peak in radians and a reaction in periods have no other common
-        # measure.
+        # By the factor over the limit: a peak in radians and a reaction in periods have
+        # no other common measure.
         candidates = ((check, o) for o in failed for check in o.failed)
-        check, example = max(candidates, key=lambda x: _excess(x[0]), default=(None, None))
+        check, example = max(
+            candidates, key=lambda x: _excess(x[0]), default=(None, None)
+        )
         worst = "" if example is None else f"{check} ({example.name})"
         counts = (len(mine), len(failed))
         # A fault is as bad as its worst run.
         group = max((outcome.group for outcome in mine), key=GROUPS.index)
-        return Row(fault.number, fault.title, fault.reaction, fault.required, *counts, worst, example, group)
+        return Row(
+            fault.number,
+            fault.title,
+            fault.reaction,
+            fault.required,
+            *counts,
+            worst,
+            example,
+            group,
+        )
 
     def markdown(self) -> str:
-        """Return the summary as a Markdown table, then why faults are missed and what is not shown."""
+        """Return the summary as a Markdown table, then why faults are missed and what
+        is not shown.
+        """
         lines = [
             "| fault | what | class | required | runs | failed | group | worst |",
             "|---|---|---|---|---|---|---|---|",
         ]
         rows = self.rows()
         for row in rows:
-            cells = (row.number, row.title, row.reaction, row.required, row.runs, row.failed, row.group)
+            cells = (
+                row.number,
+                row.title,
+                row.reaction,
+                row.required,
+                row.runs,
+                row.failed,
+                row.group,
+            )
             lines.append(
                 # |x| in a check's name would end a cell of Markdown.
-                "| " + " | ".join(str(cell).replace("|", "\\|") for cell in (*cells, row.worst)) + " |"
+                "| "
+                + " | ".join(
+                    str(cell).replace("|", "\\|") for cell in (*cells, row.worst)
+                )
+                + " |"
             )
         faults = [(row, fault_named(row.number)) for row in rows]
         causes = [
-            f"- {row.number}: {fault.cause}." for row, fault in faults if fault.cause and not row.passed
+            f"- {row.number}: {fault.cause}."
+            for row, fault in faults
+            if fault.cause and not row.passed
         ]
-        notes = [f"- {row.number}: {fault.note}." for row, fault in faults if fault.note]
+        notes = [
+            f"- {row.number}: {fault.note}." for row, fault in faults if fault.note
+        ]
         lines += ["", "Why, on the paper's arm:", "", *causes] if causes else []
         lines += ["", "What this does not show:", "", *notes] if notes else []
         return "\n".join(lines).rstrip("\n") + "\n"
 
 
 def _excess(check: Check) -> float:
-    """By how much a limit is exceeded, as a factor; a reaction that never came is the worst."""
+    """By how much a limit is exceeded, as a factor; a reaction that never came is the
+    worst.
+    """
     if not math.isfinite(check.measured):
         return math.inf
     return check.measured / check.limit if check.limit > 0 else check.measured
@@ -227,10 +283,11 @@ def cases(
 ) -> tuple[Case, ...]:
     """Return every case of a campaign in order; empty `only` and `payloads` mean all.
 
-    Raises FieldError for unknown faults, phases, severities, payloads, and where nothing is left to run.
+    Raises FieldError for unknown faults, phases, severities, payloads, and where
+    nothing is left to run.
     """
-    # Faults outside, seeds inside: what can be shared, the clean run of a payload and a seed, is met again
-    # soon.
+    # Faults outside, seeds inside: what can be shared, the clean run of a payload and a
+    # seed, is met again soon.
     faults = [fault_named(name) for name in only] or list(CATALOGUE)
     result = tuple(
         Case(fault.number, severity, payload, phase, seed)
@@ -242,42 +299,66 @@ def cases(
         if phase in fault.phases and (severity, phase) not in fault.skips
     )
     if not result:
-        allowed = ", ".join(sorted({phase for fault in faults for phase in fault.phases}))
+        allowed = ", ".join(
+            sorted({phase for fault in faults for phase in fault.phases})
+        )
         problem, remedy = "none in which the fault is run", "choose one of these"
-        raise FieldError("phases", ", ".join(phases), problem, allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "phases", ", ".join(phases), problem, allowed=allowed, remedy=remedy
+        )
     return result
 
 
 @checked
-def observe(bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None) -> Evidence:
-    """Run one case with `law` and return both runs; `clean` keeps the clean ones for the next case.
+def observe(
+    bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None
+) -> Evidence:
+    """Run one case with `law` and return both runs; `clean` keeps the clean ones for
+    the next case.
 
-    Raises FieldError where the clean arm does not stay in mode run: nothing could be learnt from its faults.
+    Raises FieldError where the clean arm does not stay in mode run: nothing could be
+    learnt from its faults.
     """
     fault = fault_named(case.fault)
     trial = _trial(bench, fault, case, law)
     fault.rule.inject(trial)
     payload = bench.payloads[1] if fault.nominal else case.payload
-    special = fault.number if fault.rule.prepare or fault.rule.reference is not MOVE else ""
-    # All that a clean run depends on. A fault that prepares its arm, or moves otherwise, has a clean run of
-    # its own; the law's digest tells the two precisions apart.
+    special = (
+        fault.number if fault.rule.prepare or fault.rule.reference is not MOVE else ""
+    )
+    # All that a clean run depends on. A fault that prepares its arm, or moves
+    # otherwise, has a clean run of its own; the law's digest tells the two precisions
+    # apart.
     key = (payload, case.seed, fault.duration, special, law.digest)
-    # A dictionary of the caller's and no cache of the module: a campaign of 8610 runs keeps some 100 clean
-    # ones, and frees them.
+    # A dictionary of the caller's and no cache of the module: a campaign of 8610 runs
+    # keeps some 100 clean ones, and frees them.
     known = {} if clean is None else clean
     if key not in known:
-        healthy = execute(_trial(bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law))
+        healthy = execute(
+            _trial(
+                bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law
+            )
+        )
         _check_clean(healthy, payload)
         known[key] = healthy
     best = None
     if fault.rule.best is not None:
         knowing = _trial(bench, fault, case, law)
-        # The same fault, drawn by the same dice, and on top of it what a law would do that knew.
+        # The same fault, drawn by the same dice, and on top of it what a law would do
+        # that knew.
         fault.rule.inject(knowing)
         fault.rule.best(knowing)
         best = execute(knowing)
     return Evidence(
-        bench, case, trial.law, trial.row, trial.marks, execute(trial), known[key], trial.detail, best
+        bench,
+        case,
+        trial.law,
+        trial.row,
+        trial.marks,
+        execute(trial),
+        known[key],
+        trial.detail,
+        best,
     )
 
 
@@ -303,10 +384,14 @@ def _check_clean(run: TrialSignals, payload: float) -> None:
 
 
 @checked
-def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None) -> Outcome:
-    """Run one case and judge it; `single`: in single precision too, which must meet the same.
+def run_case(
+    bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None
+) -> Outcome:
+    """Run one case and judge it; `single`: in single precision too, which must meet the
+    same.
 
-    A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within 5 samples:
+    A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within
+    5 samples:
 
     >>> import fraclink as fl
     >>> from fraclink._simulate import geared
@@ -318,26 +403,46 @@ def run_case(bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns 
     >>> outcome.passed, outcome.mode, outcome.reason, outcome.reacted
     (True, 'degraded', 'gauge', 5)
     """
-    # Double precision is the reference; what is reported of a run, peak and final error, is its.
+    # Double precision is the reference; what is reported of a run, peak and final
+    # error, is its.
     e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
     checks = _judged(e)
     if single:
         other = observe(bench, case, bench.law.in_precision("single"), clean=clean)
         checks += [
-            Check(f"{check.name}, single precision", check.measured, check.limit, check.passed)
+            Check(
+                f"{check.name}, single precision",
+                check.measured,
+                check.limit,
+                check.passed,
+            )
             for check in _judged(other)
             if not check.passed
         ]
-        # In the same order. A loop that diverges amplifies the rounding: it may take the modes a few periods
-        # apart, and for another of the reasons that are allowed, to which each run is held on its own.
+        # In the same order. A loop that diverges amplifies the rounding: it may take
+        # the modes a few periods apart, and for another of the reasons that are
+        # allowed, to which each run is held on its own.
         apart = _modes(e.faulty) != _modes(other.faulty)
         checks.append(Check.at_most("single precision: other modes", int(apart), 0))
     mode, reason = e.end
-    return Outcome(case, tuple(checks), e.peak, e.clean_peak, e.final, mode, reason, e.reacted, e.detail)
+    return Outcome(
+        case,
+        tuple(checks),
+        e.peak,
+        e.clean_peak,
+        e.final,
+        mode,
+        reason,
+        e.reacted,
+        e.detail,
+    )
 
 
 def _judged(e: Evidence) -> list[Check]:
-    return [*shared_checks(e), *(check(e) for check in fault_named(e.case.fault).rule.require)]
+    return [
+        *shared_checks(e),
+        *(check(e) for check in fault_named(e.case.fault).rule.require),
+    ]
 
 
 def _modes(signals: TrialSignals) -> list[int]:
@@ -375,7 +480,9 @@ def run_faults(
     for outcome in _outcomes(bench, planned, single, progress):
         watch(outcome)
         outcomes.append(outcome)
-    return FaultTable(tuple(outcomes), {"law_sha256": bench.law.digest, **(about or {})})
+    return FaultTable(
+        tuple(outcomes), {"law_sha256": bench.law.digest, **(about or {})}
+    )
 
 
 def _outcomes(

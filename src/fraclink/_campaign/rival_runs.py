@@ -1,4 +1,6 @@
-"""One rival on the twin: its run, its linear loop's gain at the second mode, and whether that loop grows."""
+"""One rival on the twin: its run, its linear loop's gain at the second mode, and
+whether that loop grows.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from fraclink._arm.reference import Reference
 from fraclink._arm.shapers import Shaped
 from fraclink._campaign.rival_controllers import Seen
 from fraclink._campaign.rivals import Rival
-from fraclink._campaign.setting import Filter, NominalLoop, Setting, fine_step, law_filter, sampled
+from fraclink._campaign.setting import (
+    Filter,
+    NominalLoop,
+    Setting,
+    fine_step,
+    law_filter,
+    sampled,
+)
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -21,7 +30,12 @@ from fraclink._simulate.kernel import ArmState
 from fraclink._simulate.on_twin import twin_run
 from fraclink._simulate.plant import GAUGE_TORQUE, HUB_ANGLE, Plant, assemble
 from fraclink._simulate.run import Run
-from fraclink._simulate.sensors import ACCELERATION, GAUGE_ERROR, REFERENCE, healthy_inputs
+from fraclink._simulate.sensors import (
+    ACCELERATION,
+    GAUGE_ERROR,
+    REFERENCE,
+    healthy_inputs,
+)
 
 __all__ = ["linear_growth", "mode_gain", "run_rival"]
 
@@ -54,16 +68,24 @@ def run_rival(
     """
     law = rival.law
     count = round(duration / law.period) + 1
-    # A shaper changes what the arm follows and nothing else: it runs through the law as all the others do.
-    followed: Reference = Shaped(reference, *rival.impulses) if rival.impulses else reference
-    inputs = healthy_inputs(twin.sensors, followed, law.period, count, np.random.default_rng(seed))
-    # After the start: an offset that is there from the first sample is taken by the law for the gauge's zero.
+    # A shaper changes what the arm follows and nothing else: it runs through the law as
+    # all the others do.
+    followed: Reference = (
+        Shaped(reference, *rival.impulses) if rival.impulses else reference
+    )
+    inputs = healthy_inputs(
+        twin.sensors, followed, law.period, count, np.random.default_rng(seed)
+    )
+    # After the start: an offset that is there from the first sample is taken by the law
+    # for the gauge's zero.
     inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
     state = ArmState(twin, law.period, law.initial_state())
     if rival.outer is None:
         record = state.run(law.block, inputs)
     else:
-        record = _tick_by_tick(state, rival, inputs, feed_forward(forward, inputs[:, ACCELERATION]))
+        record = _tick_by_tick(
+            state, rival, inputs, feed_forward(forward, inputs[:, ACCELERATION])
+        )
     wanted = reference.angle(law.period * np.arange(len(record)))
     record[:, 0] = wanted  # judged by what was asked, not by the shaped reference
     return twin_run(
@@ -72,13 +94,14 @@ def run_rival(
         twin,
         law.period,
         finished=len(record) == count,
-        ended=followed.duration,  # a shaper's own delay counts as settling, not as vibration
+        # a shaper's own delay counts as settling, not as vibration
+        ended=followed.duration,
         about={"rival": rival.name, "seed": seed},
     )
 
 
 def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) -> Real:
-    assert rival.outer is not None  # noqa: S101  # the caller's case
+    assert rival.outer is not None  # the caller's case  # noqa: S101
     outer, block = rival.outer(), rival.law.block
     compliance = 1.0 / rival.law.stiffness
     record = np.empty((len(inputs), _kernels.TWIN_COLUMNS))
@@ -87,16 +110,19 @@ def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) ->
         angle, torque = state.sense(inputs[k])
         bend = torque * compliance
         error = wanted[k] - (angle - bend)
-        # Equation (22), corrected: reference, feed-forward, and the rival's own answer to the error.
-        command = wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
-        # A rival that diverges would hand the law infinity, which its guards answer; what is compared is
-        # control.
+        # Equation (22), corrected: reference, feed-forward, and the rival's own answer
+        # to the error.
+        command = (
+            wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
+        )
+        # A rival that diverges would hand the law infinity, which its guards answer;
+        # what is compared is control.
         inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
         # The feed-forward is in the command already: the law must not add its own.
         inputs[k, ACCELERATION] = 0.0
         record[k] = state.run(block, inputs[k : k + 1])[0]
-        # A motor at 100 rad has turned sixteen times: it diverges, and each further tick costs as much as a
-        # good one.
+        # A motor at 100 rad has turned sixteen times: it diverges, and each further
+        # tick costs as much as a good one.
         if abs(record[k, 1]) > 1e2:
             return record[: k + 1]
     return record
@@ -110,7 +136,9 @@ def _correction(rival: Rival) -> Filter | None:
 
 
 def _plant(setting: Setting, twin: Twin) -> tuple[Plant, Filter]:
-    """The twin behind the ideal motor servo, and its tip estimate θm − Γ/c as the controller sees it."""
+    """The twin behind the ideal motor servo, and its tip estimate θm − Γ/c as the
+    controller sees it.
+    """
     period = setting.rig.period
     plant = assemble(
         twin.beam,
@@ -120,31 +148,42 @@ def _plant(setting: Setting, twin: Twin) -> tuple[Plant, Filter]:
         step=fine_step(period),
         servo_pole=setting.law.inner_pole,
     )
-    estimate = plant.outputs[HUB_ANGLE] - plant.outputs[GAUGE_TORQUE] / setting.model.stiffness
+    estimate = (
+        plant.outputs[HUB_ANGLE] - plant.outputs[GAUGE_TORQUE] / setting.model.stiffness
+    )
     return plant, sampled(plant, estimate, period, setting.rig.motor_loop.delay_samples)
 
 
 def mode_gain(setting: Setting, twin: Twin, rival: Rival) -> float:
-    """Return the largest |L| around the twin's second mode; 0 without feedback of the tip estimate."""
+    """Return the largest |L| around the twin's second mode; 0 without feedback of the
+    tip estimate.
+    """
     correction, period = _correction(rival), setting.rig.period
     plant, seen = _plant(setting, twin)
     if correction is None or plant.modes.count < 2:
         return 0.0
     mode = float(plant.modes.frequencies[1])
     # With a power law the mode is at ω^(2/λ), 25 % above ω here.
-    shifted = mode ** (2.0 / twin.damping.order) if isinstance(twin.damping, PowerLaw) else mode
-    # From below the undamped frequency to above the shifted one: where in between the peak is depends on the
-    # material.
-    frequency = np.geomspace(0.8 * mode, min(1.25 * shifted, 0.999 * np.pi / period), 600)
+    shifted = (
+        mode ** (2.0 / twin.damping.order)
+        if isinstance(twin.damping, PowerLaw)
+        else mode
+    )
+    # From below the undamped frequency to above the shifted one: where in between the
+    # peak is depends on the material.
+    frequency = np.geomspace(
+        0.8 * mode, min(1.25 * shifted, 0.999 * np.pi / period), 600
+    )
     z = np.exp(1j * frequency * period)
     return float(np.max(np.abs(seen.response(z) * correction.response(z))))
 
 
 def linear_growth(setting: Setting, twin: Twin, rival: Rival) -> float:
-    """Return how fast the rival's linear loop on the twin grows [1/s]; 0 where it is stable.
+    """Return how fast the rival's linear loop on the twin grows [1/s]; 0 where it is
+    stable.
 
-    Friction and the voltage limit are not in it: friction can hide a slow growth, a limit can bound a fast
-    one, and a run of some seconds then ends well.
+    Friction and the voltage limit are not in it: friction can hide a slow growth, a
+    limit can bound a fast one, and a run of some seconds then ends well.
     """
     correction, period = _correction(rival), setting.rig.period
     if correction is None:

@@ -52,16 +52,21 @@ from fraclink._simulate.plant import assemble
 __all__ = ["FRACLINK", "OFFSET", "Rival", "builders", "collocated", "servo_law"]
 
 
-# Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist (785).
-# Above the servo, since below it the filter would be the loop's slowest lag; below Nyquist, since above it
-# the filter would not filter.
+# Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist
+# (785). Above the servo, since below it the filter would be the loop's slowest lag;
+# below Nyquist, since above it the filter would not filter.
 FILTER_TIME = 0.01
-ESTIMATION = 0.5  # [s] of the move for the algebraic estimator: half of it, one period of the slowest payload
-# Five times the noise of the paper's gauge: 32 mrad of apparent bend, more than the band of 2 % in which a
-# move of 1 rad settles.
+# [s] of the move for the algebraic estimator: half of it, one period of the slowest
+# payload
+ESTIMATION = 0.5
+# Five times the noise of the paper's gauge: 32 mrad of apparent bend, more than the
+# band of 2 % in which a move of 1 rad settles.
 OFFSET = 0.05  # [N·m], the gauge offset of the offset test
-BEND = 0.1  # [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET fakes
-# Far above every angle, torque and speed of an arm, and a number that a block in single precision holds.
+# [rad] of bend whose acceleration the sliding mode may ask for: three times what OFFSET
+# fakes
+BEND = 0.1
+# Far above every angle, torque and speed of an arm, and a number that a block in single
+# precision holds.
 UNBOUNDED = 1e6
 FRACLINK = "fraclink"
 
@@ -70,10 +75,10 @@ FRACLINK = "fraclink"
 class Rival:
     """One contender.
 
-    rule: how it was tuned; knob: the value that the rule gave; peak: Ms at the nominal payload on the lumped
-    model (1 without feedback of the tip); states and multiplications: of the outer controller per tick, with
-    feed-forward; law: what runs in the inner loop, the whole controller where `outer` and `impulses` are
-    None.
+    rule: how it was tuned; knob: the value that the rule gave; peak: Ms at the nominal
+    payload on the lumped model (1 without feedback of the tip); states and
+    multiplications: of the outer controller per tick, with feed-forward; law: what runs
+    in the inner loop, the whole controller where `outer` and `impulses` are None.
     """
 
     name: str
@@ -92,10 +97,17 @@ Builder = Callable[[], Rival]
 
 
 def servo_law(law: Law) -> Law:
-    """Return the law with guards that never act: what is compared is control, for all rivals alike."""
-    # Every threshold but the fade, which is no threshold: the numbers are angles, torques and speeds.
+    """Return the law with guards that never act: what is compared is control, for all
+    rivals alike.
+    """
+    # Every threshold but the fade, which is no threshold: the numbers are angles,
+    # torques and speeds.
     limits = asdict(law.limits)
-    wide = {k: UNBOUNDED for k, v in limits.items() if isinstance(v, float) and k != "fade_step"}
+    wide = {
+        k: UNBOUNDED
+        for k, v in limits.items()
+        if isinstance(v, float) and k != "fade_step"
+    }
     limits_type = type(law.limits)
     return replace(law, limits=limits_type(**(limits | wide)))
 
@@ -120,20 +132,24 @@ def _law_cost(law: Law) -> tuple[int, int]:
 
 
 def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
-    """A filter of order n as a transfer function: n states, 2n + 1 products, and feed-forward."""
+    """A filter of order n as a transfer function: n states, 2n + 1 products, and
+    feed-forward.
+    """
     states, products = _forward_cost(law)
     return states + correction.order, products + 1 + 2 * correction.order + 1
 
 
 def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
     law = discretize(controller, setting.rig.period)
-    # One motor loop for all: a law equipped for its own controller would have guards, and so limits, of its
-    # own.
+    # One motor loop for all: a law equipped for its own controller would have guards,
+    # and so limits, of its own.
     law = servo_law(replace(law, drive=setting.law.drive))
     c = controller
     knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"
     states, products = _law_cost(law)
-    return Rival(name, rule, knob, setting.loop.peak(law_filter(law)), states, products, law)
+    return Rival(
+        name, rule, knob, setting.loop.peak(law_filter(law)), states, products, law
+    )
 
 
 def _tuned(
@@ -149,7 +165,8 @@ def _tuned(
     return Rival(
         name,
         rule,
-        f"{knob} {value:.4g}" + ("" if reached else " (that Ms is out of reach: the least it can have)"),
+        f"{knob} {value:.4g}"
+        + ("" if reached else " (that Ms is out of reach: the least it can have)"),
         setting.loop.peak(correction),
         states,
         products,
@@ -160,11 +177,13 @@ def _tuned(
 
 
 def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
-    """Rivals with feedback of the tip estimate; one knob each, turned until Ms is that of the design."""
+    """Rivals with feedback of the tip estimate; one knob each, turned until Ms is that
+    of the design.
+    """
     period, model, rig = setting.rig.period, setting.model, setting.rig
     frequency, _ = integer_mode(model)
-    # A filter for a gauge without noise would have infinite gain: a tenth of a millinewton-metre is below
-    # every converter's step.
+    # A filter for a gauge without noise would have infinite gain: a tenth of a
+    # millinewton-metre is below every converter's step.
     noise = max(rig.gauge.noise, 1e-4) / model.stiffness
     pole, delay = setting.law.inner_pole, rig.motor_loop.delay_samples
     same = "same Ms as fraclink's design at the nominal payload"
@@ -184,58 +203,73 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
                 "PD on the tip estimate",
                 f"zero at the nominal mode, gain for the {same}",
                 "gain",
-                lambda g: pd_correction(g, corner=frequency, filter_time=FILTER_TIME, period=period),
-                # Gains from a loop that does nothing to one that is unstable on every arm: the scan finds
-                # where Ms is met.
+                lambda g: pd_correction(
+                    g, corner=frequency, filter_time=FILTER_TIME, period=period
+                ),
+                # Gains from a loop that does nothing to one that is unstable on every
+                # arm: the scan finds where Ms is met.
                 (1e-3, 10.0),
             ),
             tuned(
                 "LQG",
                 f"integer model, offset state in the Kalman filter, control weight for the {same}",
                 "tip weight",
-                lambda q: lqg_correction(model, period=period, pole=pole, delay=delay, noise=noise, weight=q),
+                lambda q: lqg_correction(
+                    model, period=period, pole=pole, delay=delay, noise=noise, weight=q
+                ),
                 (1e-4, 1e4),
             ),
             tuned(
                 "H∞ loop shaping",
                 f"weight k s/(s + ω/10), γ = 1.1 γ_min, k for the {same}",
                 "k",
-                lambda k: hinf_correction(model, period=period, pole=pole, delay=delay, gain=k),
+                lambda k: hinf_correction(
+                    model, period=period, pole=pole, delay=delay, gain=k
+                ),
                 (1e-2, 1e2),
             ),
         )
     )
 
 
-def _swapped(make: Callable[[float, float], Filter], time: float, rate: float) -> Filter:
+def _swapped(
+    make: Callable[[float, float], Filter], time: float, rate: float
+) -> Filter:
     return make(rate, time)
 
 
 def _quiet(
     setting: Setting, frequency: float, make: Callable[[float, float], Filter]
 ) -> tuple[float, float, Filter]:
-    """(rate, filter time, correction): the shortest filter with no more noise than the design's law has."""
-    # The Ms of the design is out of these structures' reach: what is left to be equal in is the noise that
-    # the motor suffers.
+    """(rate, filter time, correction): the shortest filter with no more noise than the
+    design's law has.
+    """
+    # The Ms of the design is out of these structures' reach: what is left to be equal
+    # in is the noise that the motor suffers.
     wanted = setting.loop.noise(law_filter(setting.law))
-    # Up to 10 ms · 1.25^15 = 0.28 s, half a vibration period: beyond it the filter is slower than what it
-    # shall damp.
+    # Up to 10 ms · 1.25^15 = 0.28 s, half a vibration period: beyond it the filter is
+    # slower than what it shall damp.
     for k in range(16):
         time = FILTER_TIME * 1.25**k
         at_rate = partial(_swapped, make, time)
-        # No loop has an Ms of 1, so that the scan returns the knob of the least Ms that there is.
-        rate, correction, _ = tune(setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0)
+        # No loop has an Ms of 1, so that the scan returns the knob of the least Ms that
+        # there is.
+        rate, correction, _ = tune(
+            setting.loop, at_rate, (0.3 * frequency, 4 * frequency), 1.0
+        )
         if setting.loop.noise(correction) <= wanted:
             break
     return rate, time, correction
 
 
 def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
-    """Rivals that cancel the link's stiffness: no knob gives them its Ms, so their rule is its noise.
+    """Rivals that cancel the link's stiffness: no knob gives them its Ms, so their rule
+    is its noise.
 
-    Both need a derivative gain of about 2/ω. Its filter is the shortest of 10 ms · 1.25^k with which white
-    noise of the gauge reaches the motor reference no stronger than with fraclink's, and the error poles
-    are those of the smallest Ms at that filter.
+    Both need a derivative gain of about 2/ω. Its filter is the shortest of 10 ms ·
+    1.25^k with which white noise of the gauge reaches the motor reference no stronger
+    than with fraclink's, and the error poles are those of the smallest Ms at that
+    filter.
     """
     period = setting.rig.period
     frequency, _ = integer_mode(setting.model)
@@ -275,7 +309,9 @@ def _noisy_rivals(setting: Setting) -> dict[str, Builder]:
             "algebraic estimator + GPI",
             f"four equal error poles, ω² estimated in the first {ESTIMATION:g} s",
             lambda r, t: gpi_correction(r, frequency, filter_time=t, period=period),
-            lambda r, t: Algebraic(r, frequency, filter_time=t, period=period, until=ESTIMATION),
+            lambda r, t: Algebraic(
+                r, frequency, filter_time=t, period=period, until=ESTIMATION
+            ),
             (7, 12),
         ),
     }
@@ -298,7 +334,9 @@ def _shaping(setting: Setting, name: str, kind: Shaper) -> Rival:
 
 
 def builders(setting: Setting) -> dict[str, Builder]:
-    """Return how every rival is made, fraclink first; tuning happens when a builder is called."""
+    """Return how every rival is made, fraclink first; tuning happens when a builder is
+    called.
+    """
 
     request = "the request: gain crossover, phase margin, payloads"
     return {
@@ -315,13 +353,18 @@ def builders(setting: Setting) -> dict[str, Builder]:
     }
 
 
-DERIVATIVE_POLE = 300.0  # [rad/s] of the filtered derivative, about the inner loop's own filter
+DERIVATIVE_POLE = (
+    300.0  # [rad/s] of the filtered derivative, about the inner loop's own filter
+)
 
 
 def _gains(setting: Setting, pole: float) -> tuple[float, float]:
-    """Proportional [V/rad] and derivative gain [V·s/rad] for two hub poles at −`pole` without the link."""
+    """Proportional [V/rad] and derivative gain [V·s/rad] for two hub poles at −`pole`
+    without the link.
+    """
     motor = setting.rig.motor
-    # s² + (B + A k_d) s + A k_p = (s + p)²; a motor whose own friction is more than 2p needs no derivative.
+    # s² + (B + A k_d) s + A k_p = (s + p)²; a motor whose own friction is more than 2p
+    # needs no derivative.
     return pole**2 / motor.gain, max(2.0 * pole - motor.decay, 0.0) / motor.gain
 
 
@@ -342,7 +385,8 @@ def _hub(setting: Setting) -> NominalLoop:
     """Voltage to motor angle of the lumped arm on its free hub, held and delayed."""
     model, motor, period = setting.model, setting.rig.motor, setting.rig.period
     length = setting.rig.link.length
-    # Equation (5) backwards: the payload with which the massless beam has the model's frequency.
+    # Equation (5) backwards: the payload with which the massless beam has the model's
+    # frequency.
     mass = model.stiffness / (model.natural_frequency * length) ** 2
     ratio = motor.gear_ratio
     plant = assemble(
@@ -354,18 +398,24 @@ def _hub(setting: Setting) -> NominalLoop:
         hub_friction=ratio**2 * motor.viscous_friction,
     )
     gain = ratio * motor.torque_constant
-    held = sampled(plant, plant.outputs[0], period, setting.rig.motor_loop.delay_samples, gain=gain)
+    held = sampled(
+        plant, plant.outputs[0], period, setting.rig.motor_loop.delay_samples, gain=gain
+    )
     return NominalLoop(held, period, model.stiffness)
 
 
 def collocated(setting: Setting, bare: Law) -> Rival:
-    """Return the collocated PD with the hub's double pole raised until Ms is that of fraclink's design."""
+    """Return the collocated PD with the hub's double pole raised until Ms is that of
+    fraclink's design.
+    """
 
     loop = _hub(setting)
-    pole, controller, _ = tune(loop, lambda p: _controller(setting, p), (1.0, 300.0), setting.target)
+    pole, controller, _ = tune(
+        loop, lambda p: _controller(setting, p), (1.0, 300.0), setting.target
+    )
     proportional, derivative = _gains(setting, pole)
     inner = setting.law.drive
-    assert inner is not None  # noqa: S101  # the setting's law drives a motor
+    assert inner is not None  # the setting's law drives a motor  # noqa: S101
     shape = inner.loop
     c = DERIVATIVE_POLE
     half = 0.5 * setting.rig.period
@@ -383,7 +433,8 @@ def collocated(setting: Setting, bare: Law) -> Rival:
         filter_before=weight,
         filter_decay=(1.0 - c * half) / (1.0 + c * half),
     )
-    # Encoder only: a compensation of the coupling torque would be feedback of the gauge.
+    # Encoder only: a compensation of the coupling torque would be feedback of the
+    # gauge.
     drive: Drive = replace(inner, loop=pd, torque_voltage=0.0)
     return Rival(
         "collocated PD",

@@ -1,4 +1,6 @@
-"""From a log to a verdict: examine, identify, design, discretize, simulate, and try a thousand arms."""
+"""From a log to a verdict: examine, identify, design, discretize, simulate, and try a
+thousand arms.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,20 @@ from fraclink._simulate import Run, simulate
 from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
-__all__ = ["designed", "examined", "identified", "moved", "proved", "run", "simulate_move"]
+__all__ = [
+    "designed",
+    "examined",
+    "identified",
+    "moved",
+    "proved",
+    "run",
+    "simulate_move",
+]
 __all__ += ["subject", "tried"]
 
-# Each of a thousand arms draws payload, stiffness, order, motor, friction, delay, offset and noise anew: half
-# a second of work, and a share of failures of 0.3 % is seen with 95 % certainty.
+# Each of a thousand arms draws payload, stiffness, order, motor, friction, delay,
+# offset and noise anew: half a second of work, and a share of failures of 0.3 % is seen
+# with 95 % certainty.
 _ARMS = 1000
 
 
@@ -50,16 +61,19 @@ def run(
     begin: Callable[[str], None] = lambda part: None,
     **wanted: Any,
 ) -> Study:
-    """Examine a log, fit the four structures, design, and try the law on the model and on arms that differ.
+    """Examine a log, fit the four structures, design, and try the law on the model and
+    on arms that differ.
 
-    Moves are simulated at both ends of the payload range, and at the nominal payload where it lies within.
+    Moves are simulated at both ends of the payload range, and at the nominal payload
+    where it lies within.
 
     Parameters
     ----------
     rig, log
         the rig and what it recorded.
     structure
-        the model that the design uses; the one that the log supports where it is left out.
+        the model that the design uses; the one that the log supports where it is left
+        out.
     heldout
         share of the samples at the end that no fit sees, as in `identify`.
     certified
@@ -71,10 +85,11 @@ def run(
     begin
         called with the name of each step as it begins.
     wanted
-        what `design` is asked for, such as ``gain_crossover`` [rad/s]; the rig completes it.
+        what `design` is asked for, such as ``gain_crossover`` [rad/s]; the rig
+        completes it.
 
-    A step that fails ends the study and is named in its verdict; what was computed before it is kept.
-    Raises FieldError where an argument is out of its range.
+    A step that fails ends the study and is named in its verdict; what was computed
+    before it is kept. Raises FieldError where an argument is out of its range.
 
     >>> from fraclink._logs import bundled_log, read_log
     >>> rig = Rig.named("paper-2023-geared")
@@ -85,10 +100,17 @@ def run(
     """
     if structure is not None and structure not in STRUCTURES:
         allowed = ", ".join(STRUCTURES)
-        raise FieldError("structure", structure, "unknown", allowed=allowed, remedy="choose one of these")
+        raise FieldError(
+            "structure",
+            structure,
+            "unknown",
+            allowed=allowed,
+            remedy="choose one of these",
+        )
     begin("examining the log")
     study = examined(rig, log)
-    # Kept where they are computed: a campaign of a million arms that is cut goes on from its parts.
+    # Kept where they are computed: a campaign of a million arms that is cut goes on
+    # from its parts.
     folder = None if out is None else Path(out) / "arms"
     steps: dict[str, Callable[[Study], Study]] = {
         "identifying": lambda study: identified(study, structure, heldout),
@@ -96,17 +118,32 @@ def run(
         "simulating": moved,
     }
     steps |= {"proving": proved} if certified else {}
-    steps |= {f"trying {arms} arms": lambda study: tried(study, arms, seed, folder)} if arms else {}
+    steps |= (
+        {f"trying {arms} arms": lambda study: tried(study, arms, seed, folder)}
+        if arms
+        else {}
+    )
     for name, step in steps.items():
         begin(name)
         try:
             study = step(study)
         except FraclinkError as error:
             # A value that the caller gave is bad input; everything else is an answer.
-            if isinstance(error, FieldError) and error.field.partition(".")[0].partition("[")[0] in wanted:
+            if (
+                isinstance(error, FieldError)
+                and error.field.partition(".")[0].partition("[")[0] in wanted
+            ):
                 raise
-            why = str(error) if isinstance(error, InfeasibleError) else f"{name} failed: {error}"
-            study = replace(study, uncertified=why) if name == "proving" else replace(study, stopped=why)
+            why = (
+                str(error)
+                if isinstance(error, InfeasibleError)
+                else f"{name} failed: {error}"
+            )
+            study = (
+                replace(study, uncertified=why)
+                if name == "proving"
+                else replace(study, stopped=why)
+            )
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
         # Without a fit there is no design, and without a law nothing that moves.
@@ -122,14 +159,18 @@ def run(
 
 def examined(rig: Rig, log: Experiment) -> Study:
     """Return the study of a log with what its examination found."""
-    return Study(rig, log, (*rig.warnings, *diagnose(log, rig)), assumptions=rig.assumptions)
+    return Study(
+        rig, log, (*rig.warnings, *diagnose(log, rig)), assumptions=rig.assumptions
+    )
 
 
-def identified(study: Study, structure: str | None = None, heldout: float | None = None) -> Study:
+def identified(
+    study: Study, structure: str | None = None, heldout: float | None = None
+) -> Study:
     """Return the study with all four structures fitted.
 
-    `structure` is used, or the one that the log supports; `heldout` is the share of samples at the end that
-    the fits do not see, as in `identify`.
+    `structure` is used, or the one that the log supports; `heldout` is the share of
+    samples at the end that the fits do not see, as in `identify`.
     """
     assert study.rig is not None and study.experiment is not None  # noqa: S101
     rig, log = study.rig, study.experiment
@@ -143,18 +184,23 @@ def identified(study: Study, structure: str | None = None, heldout: float | None
 
 
 def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
-    """Return what a design of the study is made for: rig, link, and what had to be assumed of it.
+    """Return what a design of the study is made for: rig, link, and what had to be
+    assumed of it.
 
     Raises FieldError where the study has neither a fit nor a rig with a model.
     """
     rig = study.rig
     if study.fit is not None:
-        # Not `fit.model`: of a log that cannot show the stiffness its c is nobody's, and a law divides by it.
+        # Not `fit.model`: of a log that cannot show the stiffness its c is nobody's,
+        # and a law divides by it.
         link: LinkModel | None = study.fit.loop_model(rig) if rig else study.fit.model
     else:
         link = study.design.model if study.design else rig.model if rig else None
     if rig is None or link is None:
-        allowed, remedy = "a rig with its model", "identify a log first, or open a rig that states a model"
+        allowed, remedy = (
+            "a rig with its model",
+            "identify a log first, or open a rig that states a model",
+        )
         raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     return (rig, *_with_payload(link, rig)) if study.fit else (rig, link, ())
 
@@ -162,23 +208,35 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
 def designed(study: Study, **wanted: Any) -> Study:
     """Return the study with a design and its law; `wanted` as in `design_for`.
 
-    The law is None where no law follows the controller, which is a finding of the design.
+    The law is None where no law follows the controller, which is a finding of the
+    design.
     """
     rig, model, assumed = subject(study)
     made, more = design_for(rig, model, **wanted)
     made = made.doubted(study.fit.findings if study.fit else ()).with_law()
     assumptions = (*study.assumptions, *assumed, *more)
-    return replace(study, design=made, law=made.law() if made.has_law else None, assumptions=assumptions)
+    return replace(
+        study,
+        design=made,
+        law=made.law() if made.has_law else None,
+        assumptions=assumptions,
+    )
 
 
 def moved(study: Study) -> Study:
-    """Return the study with moves of the model: both ends of the payload range, the nominal one within."""
+    """Return the study with moves of the model: both ends of the payload range, the
+    nominal one within.
+    """
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads
     nominal = study.design.rig.payloads.nominal
-    # The margin is least at one of the ends, and the nominal payload is the one that people look at.
+    # The margin is least at one of the ends, and the nominal payload is the one that
+    # people look at.
     payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
-    return replace(study, runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads))
+    return replace(
+        study,
+        runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads),
+    )
 
 
 def proved(study: Study) -> Study:
@@ -191,10 +249,15 @@ def proved(study: Study) -> Study:
 
 
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
-    """Return the study with `arms` runs of arms that differ from the model, kept in `folder` if given."""
+    """Return the study with `arms` runs of arms that differ from the model, kept in
+    `folder` if given.
+    """
     assert study.rig is not None and study.design is not None and study.law is not None  # noqa: S101
-    # The model of the design and not of the fit: they differ where the log stated no payload.
-    campaign = Campaign.of(study.rig, study.design.model, study.law, runs=arms, seed=seed)
+    # The model of the design and not of the fit: they differ where the log stated no
+    # payload.
+    campaign = Campaign.of(
+        study.rig, study.design.model, study.law, runs=arms, seed=seed
+    )
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch) if folder is None else folder
         run_campaign(campaign, place)
@@ -202,11 +265,14 @@ def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) ->
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
-    """The model with the payload of its log: ω₀ can be carried to other payloads from there only."""
+    """The model with the payload of its log: ω₀ can be carried to other payloads from
+    there only.
+    """
     if model.payload is not None:
         return model, ()
-    # Without a payload ω₀ could be used at that of the log only, and no design over a range were possible;
-    # the assumption is written down, as a wrong one shifts every frequency by its root.
+    # Without a payload ω₀ could be used at that of the log only, and no design over a
+    # range were possible; the assumption is written down, as a wrong one shifts every
+    # frequency by its root.
     nominal = rig.payloads.nominal
     return replace(model, payload=nominal), (
         f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",
@@ -226,10 +292,12 @@ def simulate_move(
     inner: Literal["ideal", "sampled"] = "sampled",
     **options: Any,
 ) -> Run:
-    """Simulate a move of the tip at `payload` [kg]: `amplitude` [rad] in `move_time` [s], or `reference`.
+    """Simulate a move of the tip at `payload` [kg]: `amplitude` [rad] in `move_time`
+    [s], or `reference`.
 
-    `law` is the design's own where it is left out; making it takes a second. `options` are those of
-    `simulate`, such as ``gauge_offset`` [N·m], ``noise`` [N·m] and ``seed``.
+    `law` is the design's own where it is left out; making it takes a second. `options`
+    are those of `simulate`, such as ``gauge_offset`` [N·m], ``noise`` [N·m] and
+    ``seed``.
 
     >>> made, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
     >>> simulate_move(made, 0.020, amplitude=0.2).payload

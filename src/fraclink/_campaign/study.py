@@ -1,7 +1,8 @@
-"""A study: whatever was computed from one log, its verdict, and its folder with one file for each part:
+"""A study: whatever was computed from one log, its verdict, and its folder with one
+file for each part:
 
-rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json  certificate.json
-run-20g.npz …  arms/  faults.json  study.json
+rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json
+certificate.json run-20g.npz …  arms/  faults.json  study.json
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ __all__ = ["Refusal", "Study", "load_study", "save_study"]
 
 @dataclass(frozen=True)
 class Refusal:
-    """A request that no controller meets, and the nearest one that can be met, as arguments of `design`.
+    """A request that no controller meets, and the nearest one that can be met, as
+    arguments of `design`.
 
     Both are empty where the condition names none.
     """
@@ -44,20 +46,26 @@ class Refusal:
     @classmethod
     def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
         """What was asked for of the values that the nearest request names."""
-        asked = {name: float(wanted[name]) for name in nearest if isinstance(wanted.get(name), int | float)}
+        asked = {
+            name: float(wanted[name])
+            for name in nearest
+            if isinstance(wanted.get(name), int | float)
+        }
         return cls(dict(nearest) | asked, dict(nearest))
 
 
 @displayed
 @dataclass(frozen=True)
 class Study:
-    """What one log led to. Every part may be missing: a folder may hold some of the files only.
+    """What one log led to. Every part may be missing: a folder may hold some of the
+    files only.
 
-    rig, experiment, findings (of their examination); comparison of the structures; the fit that the design
-    used; design, law and certificate; stopped and uncertified: why there is none of them; refused: the
-    request and the nearest that can be met, where it was the request that stopped it; runs: simulated
-    moves, one for each payload; arms: the summary of many arms that differ; faults: a fault campaign;
-    assumptions: sentences on everything that was not stated.
+    rig, experiment, findings (of their examination); comparison of the structures; the
+    fit that the design used; design, law and certificate; stopped and uncertified: why
+    there is none of them; refused: the request and the nearest that can be met, where
+    it was the request that stopped it; runs: simulated moves, one for each payload;
+    arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
+    sentences on everything that was not stated.
 
     >>> Study().verdict.state
     'not run'
@@ -89,26 +97,47 @@ class Study:
     @property
     def verdict(self) -> Verdict:
         """The verdict in three scopes."""
-        # A design may be good and the log behind it wrong: a reversed gauge fits as well as a right one.
+        # A design may be good and the log behind it wrong: a reversed gauge fits as
+        # well as a right one.
         wrong = [("the log", finding) for finding in self.findings]
-        wrong += [("the model", finding) for finding in (self.fit.findings if self.fit else ())]
+        wrong += [
+            ("the model", finding)
+            for finding in (self.fit.findings if self.fit else ())
+        ]
         said = {finding for _, finding in wrong}
-        wrong += [("the design", f) for f in (self.design.findings if self.design else ()) if f not in said]
-        # Errors only: a warning asks for a look, an error says that the numbers do not describe the arm.
-        doubts = [f"{what}: {f.message}. {f.remedy}" for what, f in wrong if f.severity == "error"]
+        wrong += [
+            ("the design", f)
+            for f in (self.design.findings if self.design else ())
+            if f not in said
+        ]
+        # Errors only: a warning asks for a look, an error says that the numbers do not
+        # describe the arm.
+        doubts = [
+            f"{what}: {f.message}. {f.remedy}"
+            for what, f in wrong
+            if f.severity == "error"
+        ]
         return Verdict(
             _scope(self._broken_promises(), doubts, self.design is not None),
             _scope(
-                [_failed_move(run) for run in self.runs if not run.verdict.passed], doubts, bool(self.runs)
+                [_failed_move(run) for run in self.runs if not run.verdict.passed],
+                doubts,
+                bool(self.runs),
             ),
-            _scope(self._failures(), doubts, self.arms is not None or self.faults is not None),
+            _scope(
+                self._failures(),
+                doubts,
+                self.arms is not None or self.faults is not None,
+            ),
             ("the log is simulated, not measured",) if self.simulated else (),
         )
 
     @property
     def simulated(self) -> bool:
         """Whether the log's own header says that it was simulated."""
-        return self.experiment is not None and any(name == "simulated" for name, _ in self.experiment.notes)
+        return self.experiment is not None and any(
+            name == "simulated" for name, _ in self.experiment.notes
+        )
 
     def _broken_promises(self) -> list[str]:
         missed = [
@@ -116,16 +145,23 @@ class Study:
             for item in (self.design.requirements if self.design else ())
             if not item.passed
         ]
-        unproved = [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
+        unproved = (
+            [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
+        )
         return ([] if self.stopped is None else [self.stopped]) + missed + unproved
 
     def _failures(self) -> list[str]:
         failed = []
         if self.arms is not None and self.arms.failure.count:
             count, runs = self.arms.failure.count, self.arms.failure.runs
-            settling = next(metric for metric in self.arms.metrics if metric.name == "settling_time")
-            # The first two: in a thousand runs chance alone correlates by 3 %, and the third is soon there.
-            causes = " and ".join(name.replace("_", " ") for name, _ in settling.drivers[:2])
+            settling = next(
+                metric for metric in self.arms.metrics if metric.name == "settling_time"
+            )
+            # The first two: in a thousand runs chance alone correlates by 3 %, and the
+            # third is soon there.
+            causes = " and ".join(
+                name.replace("_", " ") for name, _ in settling.drivers[:2]
+            )
             failed.append(
                 f"{count} of {runs} arms fail ({100 * count / runs:.1f} %); most depends on {causes}"
             )
@@ -138,7 +174,8 @@ class Study:
 
 
 def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
-    # Failed before doubtful: what ran and missed is a fact, whatever is wrong with the model.
+    # Failed before doubtful: what ran and missed is a fact, whatever is wrong with the
+    # model.
     if failures:
         return Scope("failed", tuple(failures + doubts))
     if doubts:
@@ -147,7 +184,11 @@ def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
 
 
 def _stated(value: float, unit: str) -> str:
-    return f"{math.degrees(value):.1f}°" if unit == "rad" else f"{value:.4g} {unit}".strip()
+    return (
+        f"{math.degrees(value):.1f}°"
+        if unit == "rad"
+        else f"{value:.4g} {unit}".strip()
+    )
 
 
 def _failed_move(run: Run) -> str:
@@ -158,7 +199,8 @@ def _failed_move(run: Run) -> str:
 
 
 def save_study(study: Study, folder: Path | str) -> None:
-    """Write every part of `study` to its file in `folder`; `load_study` reads them back.
+    """Write every part of `study` to its file in `folder`; `load_study` reads them
+    back.
 
     >>> import tempfile
     >>> folder = Path(tempfile.mkdtemp())
@@ -174,13 +216,14 @@ def save_study(study: Study, folder: Path | str) -> None:
         "certificate.json": study.certificate,
     }
     for name, fit in study.fits.items():
-        # The fit that the design used is model.json, so that the commands that take a model need no name of a
-        # structure.
+        # The fit that the design used is model.json, so that the commands that take a
+        # model need no name of a structure.
         chosen = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if chosen else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
     for name, part in parts.items():
-        # What a study has not got leaves no empty file: a folder tells by its files what was done.
+        # What a study has not got leaves no empty file: a folder tells by its files
+        # what was done.
         if part is not None:
             part.save(place / name)
     if study.experiment is not None:
@@ -201,27 +244,38 @@ def _remarks_of(study: Study) -> _Remarks:
         findings=study.findings,
         comparison=None
         if found is None
-        else _Preference(found.preferred, found.contest, found.verdict, found.undecided),
+        else _Preference(
+            found.preferred, found.contest, found.verdict, found.undecided
+        ),
         verdict=study.verdict,
     )
 
 
 def load_study(folder: Path | str) -> Study:
-    """Read a folder that `fraclink run` or its single steps wrote, whatever its files are called.
+    """Read a folder that `fraclink run` or its single steps wrote, whatever its files
+    are called.
 
-    Raises FileFormatError where the folder holds nothing of fraclink, or a file in it is damaged.
+    Raises FileFormatError where the folder holds nothing of fraclink, or a file in it
+    is damaged.
     """
     place = checked_path("folder", folder)
     if not place.is_dir():
         allowed, remedy = "a folder of results", "check the path"
-        raise FileFormatError("folder", str(place), "not a folder", allowed=allowed, remedy=remedy)
+        raise FileFormatError(
+            "folder", str(place), "not a folder", allowed=allowed, remedy=remedy
+        )
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
         by_kind.setdefault(_kind(path), []).append(path)
     # A certificate or a table of faults alone has no arm to be shown with.
     if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
-        allowed, remedy = "model, design or run files", "run `fraclink run` with --out in this folder"
-        raise FileFormatError("folder", str(place), "without results", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "model, design or run files",
+            "run `fraclink run` with --out in this folder",
+        )
+        raise FileFormatError(
+            "folder", str(place), "without results", allowed=allowed, remedy=remedy
+        )
     return _gathered(place, by_kind)
 
 
@@ -243,17 +297,23 @@ class _Preference:
 
 
 def _from_first_format(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of study.json of release 0.1, which had no digest; the verdict follows from the rest."""
+    """The content of study.json of release 0.1, which had no digest; the verdict
+    follows from the rest.
+    """
     data |= {"stopped": data.get("stopped", data.get("infeasible"))}
-    return {key: data[key] for key in (item.name for item in fields(_Remarks)) if key in data} | {
-        "verdict": None
-    }
+    return {
+        key: data[key]
+        for key in (item.name for item in fields(_Remarks))
+        if key in data
+    } | {"verdict": None}
 
 
 @document("study", version=2, upgrades={1: _from_first_format})
 @dataclass(frozen=True)
 class _Remarks:
-    """What study.json adds to the other files of its folder; the verdict is for people and not read back."""
+    """What study.json adds to the other files of its folder; the verdict is for people
+    and not read back.
+    """
 
     structure: str | None = None
     stopped: str | None = None
@@ -272,7 +332,8 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
     about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
     made, proof = first("design", Design.load), first("certificate", Certificate.load)
-    # A certificate that says no is kept as the file that it is, and is a reason in the verdict, not a proof.
+    # A certificate that says no is kept as the file that it is, and is a reason in the
+    # verdict, not a proof.
     refuted = proof is not None and not proof.passed
     campaign = load_campaign(place / "arms") if (place / "arms").is_dir() else None
     return Study(
@@ -287,7 +348,9 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         refused=about.refused,
         certificate=None if refuted else proof,
         uncertified=proof.verdict if refuted else about.uncertified,
-        runs=tuple(sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)),
+        runs=tuple(
+            sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
+        ),
         arms=None if campaign is None else summarise(campaign, place / "arms"),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
         assumptions=about.assumptions,
@@ -295,8 +358,11 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
 
 
 def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison | None:
-    # A comparison of some structures would name one as preferred that was never held against the others.
+    # A comparison of some structures would name one as preferred that was never held
+    # against the others.
     if about is None or set(fits) != set(STRUCTURES):
         return None
     ordered = {name: fits[name] for name in STRUCTURES}
-    return Comparison(ordered, {}, about.preferred, about.contest, about.verdict, about.undecided)
+    return Comparison(
+        ordered, {}, about.preferred, about.contest, about.verdict, about.undecided
+    )

@@ -15,7 +15,16 @@ from fraclink._campaign.run import part_path, parts_there, read_part
 from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FraclinkError
 
-__all__ = ["METRICS", "PARAMETERS", "Failure", "MetricSummary", "Quantile", "Summary", "columns", "summarise"]
+__all__ = [
+    "METRICS",
+    "PARAMETERS",
+    "Failure",
+    "MetricSummary",
+    "Quantile",
+    "Summary",
+    "columns",
+    "summarise",
+]
 
 Real = NDArray[np.float64]
 
@@ -44,8 +53,8 @@ PARAMETERS = (
     "gauge_delay",
     "gauge_gain",
 )
-# The 99.9 % quantile of 1000 runs has no upper bound, and is told with an infinite one: a reader sees how
-# many runs would be needed.
+# The 99.9 % quantile of 1000 runs has no upper bound, and is told with an infinite one:
+# a reader sees how many runs would be needed.
 PROBABILITIES = (0.05, 0.5, 0.95, 0.99, 0.999)
 CONFIDENCE = 0.95
 WORST = 5
@@ -53,7 +62,8 @@ WORST = 5
 
 @dataclass(frozen=True)
 class Quantile:
-    """A quantile and its 95 % interval, free of any distribution: order statistics of the sample.
+    """A quantile and its 95 % interval, free of any distribution: order statistics of
+    the sample.
 
     An end of the interval is infinite where the sample is too small to bound it.
     """
@@ -66,8 +76,8 @@ class Quantile:
 
 @dataclass(frozen=True)
 class MetricSummary:
-    """One metric: quantiles, the run numbers of its worst cases, and Spearman's rank correlation with
-    every parameter, largest first."""
+    """One metric: quantiles, the run numbers of its worst cases, and Spearman's rank
+    correlation with every parameter, largest first."""
 
     name: str
     quantiles: tuple[Quantile, ...]
@@ -77,7 +87,9 @@ class MetricSummary:
 
 @dataclass(frozen=True)
 class Failure:
-    """How often the law fails: count, estimate, and the two-sided 95 % Clopper–Pearson interval."""
+    """How often the law fails: count, estimate, and the two-sided 95 % Clopper–Pearson
+    interval.
+    """
 
     count: int
     runs: int
@@ -99,12 +111,13 @@ class Failure:
 @displayed
 @dataclass(frozen=True)
 class Summary:
-    """What `summarise` found: failures, tripped runs by (mode, reason), every metric, and what the law was
-    given of the payloads, in words; empty where it was given nothing.
+    """What `summarise` found: failures, tripped runs by (mode, reason), every metric,
+    and what the law was given of the payloads, in words; empty where it was given
+    nothing.
 
-    damaged: numbers of the parts that are there and are not believed: cut, edited, of another campaign, or
-    beyond the last run that campaign.json states; their runs are in no figure. left_out: what is missing, in
-    words; empty where nothing is.
+    damaged: numbers of the parts that are there and are not believed: cut, edited, of
+    another campaign, or beyond the last run that campaign.json states; their runs are
+    in no figure. left_out: what is missing, in words; empty where nothing is.
     """
 
     failure: Failure
@@ -134,19 +147,26 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
 
     missing = sorted(set(range(campaign.parts)) - set(parts))
     stated = _stated(campaign, place)
-    # A shorter request of a longer campaign is no reason to doubt the parts that it does not ask for.
-    asked = (part for part in parts_there(place) if not campaign.parts <= part < stated.parts)
+    # A shorter request of a longer campaign is no reason to doubt the parts that it
+    # does not ask for.
+    asked = (
+        part for part in parts_there(place) if not campaign.parts <= part < stated.parts
+    )
     damaged = tuple(sorted(set(asked) - set(parts)))
     # One column after the other: a million runs of 25 columns would be 200 MB at once.
     run, passed = column("run"), column("passed").astype(bool)
     failed = run[~passed]
     drawn = {name: _ranks(column(name)) for name in PARAMETERS}
-    metrics = tuple(_metric(name, np.asarray(column(name), dtype=float), run, drawn) for name in METRICS)
+    metrics = tuple(
+        _metric(name, np.asarray(column(name), dtype=float), run, drawn)
+        for name in METRICS
+    )
     return Summary(
         failure=_failure(len(failed), len(run)),
         trips=_trips(column("mode"), column("reason")),
         metrics=metrics,
-        # A hundred: enough to replay, and a page that still loads where everything fails.
+        # A hundred: enough to replay, and a page that still loads where everything
+        # fails.
         failed=tuple(int(n) for n in failed[:100]),
         given=_given(campaign),
         damaged=damaged,
@@ -155,22 +175,37 @@ def summarise(campaign: Campaign, folder: Path | str) -> Summary:
 
 
 def _stated(campaign: Campaign, place: Path) -> Campaign:
-    """The campaign that the folder states where it is a longer one of the same; else this one."""
+    """The campaign that the folder states where it is a longer one of the same; else
+    this one.
+    """
     try:
         known = load_campaign(place)
     except (FraclinkError, OSError):  # what cannot be read vouches for no part
         return campaign
-    return known if known.fingerprint == campaign.fingerprint and known.runs > campaign.runs else campaign
+    return (
+        known
+        if known.fingerprint == campaign.fingerprint and known.runs > campaign.runs
+        else campaign
+    )
 
 
-def _left_out(campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]) -> str:
+def _left_out(
+    campaign: Campaign, place: Path, missing: list[int], damaged: tuple[int, ...]
+) -> str:
     """Which runs are in no figure, and what brings them back."""
     inside = tuple(part for part in damaged if part < campaign.parts)
     told = []
     if missing:
-        runs, waiting = sum(campaign.part_runs(part) for part in missing), len(missing) - len(inside)
+        runs, waiting = (
+            sum(campaign.part_runs(part) for part in missing),
+            len(missing) - len(inside),
+        )
         causes = [f"{_named(place, inside)} damaged or edited"] if inside else []
-        causes += [f"{waiting} part{'s' if waiting > 1 else ''} not computed yet"] if waiting else []
+        causes += (
+            [f"{waiting} part{'s' if waiting > 1 else ''} not computed yet"]
+            if waiting
+            else []
+        )
         told.append(
             f"{runs} of {campaign.runs} runs are left out: {'; '.join(causes)}. "
             "The command that began the campaign computes them"
@@ -190,7 +225,9 @@ def _named(place: Path, parts: tuple[int, ...]) -> str:
 
 
 def _given(campaign: Campaign) -> str:
-    """What the law was given of each arm's payload; the bounds of the draw are ratios to it."""
+    """What the law was given of each arm's payload; the bounds of the draw are ratios
+    to it.
+    """
     if campaign.payloads is not None:
         return "the law was given the payload that it estimated of each arm"
     ratio = campaign.draws.payload_given
@@ -202,15 +239,23 @@ def _given(campaign: Campaign) -> str:
     return f"the law was given {100 * ratio.low:.4g} to {100 * ratio.high:.4g} % of the payload of each arm"
 
 
-def columns(campaign: Campaign, folder: Path | str, *names: str) -> tuple[NDArray[np.generic], ...]:
-    """Return columns of all finished parts of a campaign, by name; FieldError where no part is finished."""
+def columns(
+    campaign: Campaign, folder: Path | str, *names: str
+) -> tuple[NDArray[np.generic], ...]:
+    """Return columns of all finished parts of a campaign, by name; FieldError where no
+    part is finished.
+    """
     place = Path(folder)
     parts = _finished(campaign, place)
-    return tuple(np.concatenate([_column(campaign, place, part, name) for part in parts]) for name in names)
+    return tuple(
+        np.concatenate([_column(campaign, place, part, name) for part in parts])
+        for name in names
+    )
 
 
 def _finished(campaign: Campaign, place: Path) -> list[int]:
-    # every column: one that is damaged leaves its part out from the beginning, and not from one figure
+    # every column: one that is damaged leaves its part out from the beginning, and not
+    # from one figure
     there = (part for part in parts_there(place) if part < campaign.parts)
     parts = [part for part in there if _read(campaign, place, part) is not None]
     if not parts:
@@ -224,26 +269,41 @@ def _finished(campaign: Campaign, place: Path) -> list[int]:
     return parts
 
 
-def _read(campaign: Campaign, place: Path, part: int, *names: str) -> dict[str, NDArray[np.generic]] | None:
-    """A finished part; the first runs of it where it is the last one of a shorter request."""
+def _read(
+    campaign: Campaign, place: Path, part: int, *names: str
+) -> dict[str, NDArray[np.generic]] | None:
+    """A finished part; the first runs of it where it is the last one of a shorter
+    request.
+    """
     found = read_part(campaign, place, part, names=names)
     if found is not None or part != campaign.parts - 1:
         return found
-    # Only where campaign.json states more runs: a part that is longer than the file says may hide failures.
+    # Only where campaign.json states more runs: a part that is longer than the file
+    # says may hide failures.
     longer = read_part(_stated(campaign, place), place, part, names=names)
-    return longer and {name: values[: campaign.part_runs(part)] for name, values in longer.items()}
+    return longer and {
+        name: values[: campaign.part_runs(part)] for name, values in longer.items()
+    }
 
 
-def _column(campaign: Campaign, place: Path, part: int, name: str) -> NDArray[np.generic]:
+def _column(
+    campaign: Campaign, place: Path, part: int, name: str
+) -> NDArray[np.generic]:
     columns = _read(campaign, place, part, name)
     if columns is None:
         raise FieldError(
-            "part", part, "gone while it was read", allowed="a finished part", remedy="run the campaign again"
+            "part",
+            part,
+            "gone while it was read",
+            allowed="a finished part",
+            remedy="run the campaign again",
         )
     return columns[name]
 
 
-def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, Real]) -> MetricSummary:
+def _metric(
+    name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, Real]
+) -> MetricSummary:
     # The only metric with a sign; its worst case is the farthest, on either side.
     size = np.abs(values) if name == "steady_state_error" else values
     order = np.sort(size)
@@ -259,14 +319,16 @@ def _metric(name: str, values: Real, run: NDArray[np.generic], drawn: dict[str, 
 
 
 def _quantile(order: Real, probability: float) -> Quantile:
-    """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David and Nagaraja 2003)."""
+    """Order statistics l, u with P(B < l), P(B ≥ u) ≤ 2.5 %, B binomial(n, p) (David
+    and Nagaraja 2003).
+    """
     n, tail = len(order), 0.5 * (1.0 - CONFIDENCE)
     low = _binomial_quantile(tail, n, probability)
     high = _binomial_quantile(1.0 - tail, n, probability) + 1
     return Quantile(
         probability,
-        # The smallest value with at least that part of the sample at or below it; no interpolation, which a
-        # bound on order statistics would not cover.
+        # The smallest value with at least that part of the sample at or below it; no
+        # interpolation, which a bound on order statistics would not cover.
         float(order[max(math.ceil(probability * n), 1) - 1]),
         float(order[low - 1]) if low >= 1 else -math.inf,
         float(order[high - 1]) if high <= n else math.inf,
@@ -276,29 +338,47 @@ def _quantile(order: Real, probability: float) -> Quantile:
 def _binomial_quantile(tail: float, count: int, probability: float) -> int:
     """The smallest k with P(B ≤ k) ≥ tail."""
     above: int = math.ceil(bdtrik(tail, count, probability))
-    # The inverse is that of the continuous beta function: where it returns k + 1e-12 it means k.
-    return above - 1 if above > 0 and bdtr(above - 1, count, probability) >= tail else above
+    # The inverse is that of the continuous beta function: where it returns k + 1e-12 it
+    # means k.
+    return (
+        above - 1
+        if above > 0 and bdtr(above - 1, count, probability) >= tail
+        else above
+    )
 
 
 def _failure(count: int, runs: int) -> Failure:
     """Clopper and Pearson 1934: the beta quantiles that make the binomial tails 2.5 %."""
     tail = 0.5 * (1.0 - CONFIDENCE)
-    # No run failed: nothing bounds the share from below, and the interval is one-sided by its data.
+    # No run failed: nothing bounds the share from below, and the interval is one-sided
+    # by its data.
     low = float(betaincinv(count, runs - count + 1, tail)) if count else 0.0
-    high = float(betaincinv(count + 1, runs - count, 1.0 - tail)) if count < runs else 1.0
+    high = (
+        float(betaincinv(count + 1, runs - count, 1.0 - tail)) if count < runs else 1.0
+    )
     return Failure(count, runs, count / runs, low, high)
 
 
-def _trips(mode: NDArray[np.generic], reason: NDArray[np.generic]) -> tuple[tuple[int, int, int], ...]:
-    pairs, counts = np.unique(np.stack([mode, reason], axis=1), axis=0, return_counts=True)
-    return tuple((int(m), int(r), int(c)) for (m, r), c in zip(pairs, counts, strict=True) if m != 1)
+def _trips(
+    mode: NDArray[np.generic], reason: NDArray[np.generic]
+) -> tuple[tuple[int, int, int], ...]:
+    pairs, counts = np.unique(
+        np.stack([mode, reason], axis=1), axis=0, return_counts=True
+    )
+    return tuple(
+        (int(m), int(r), int(c))
+        for (m, r), c in zip(pairs, counts, strict=True)
+        if m != 1
+    )
 
 
 def _ranks(values: NDArray[np.generic]) -> Real:
-    """Mean ranks, centred and of length one: a dot product of two of them is Spearman's correlation."""
+    """Mean ranks, centred and of length one: a dot product of two of them is Spearman's
+    correlation.
+    """
     _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
-    # Ties share their mean rank: a parameter that is not varied then has rank zero everywhere, and a
-    # correlation of 0 instead of 0/0.
+    # Ties share their mean rank: a parameter that is not varied then has rank zero
+    # everywhere, and a correlation of 0 instead of 0/0.
     ranks = (np.cumsum(ties) - 0.5 * (ties - 1))[place] - 0.5 * (len(values) + 1)
     length = float(np.linalg.norm(ranks))
     return np.asarray(ranks / length if length else ranks)

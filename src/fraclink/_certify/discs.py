@@ -1,8 +1,10 @@
-"""Arrays of intervals and of discs in the complex plane that hold every value, rounding included.
+"""Arrays of intervals and of discs in the complex plane that hold every value, rounding
+included.
 
-One operation of IEEE arithmetic is off by at most 2^-50 of its result (a complex quotient, the worst of
-them), numpy's elementary functions by a few units in the last place: every result is widened by `ROUNDING` of
-itself, at least four times as much. The proof does not rest on this: the checker computes every leaf anew.
+One operation of IEEE arithmetic is off by at most 2^-50 of its result (a complex
+quotient, the worst of them), numpy's elementary functions by a few units in the last
+place: every result is widened by `ROUNDING` of itself, at least four times as much. The
+proof does not rest on this: the checker computes every leaf anew.
 """
 
 from __future__ import annotations
@@ -29,11 +31,15 @@ class Span:
 
     @staticmethod
     def around(first: Real, second: Real) -> Span:
-        """The intervals between computed ends, in either order, with what rounding may have moved them."""
+        """The intervals between computed ends, in either order, with what rounding may
+        have moved them.
+        """
         low, high = np.minimum(first, second), np.maximum(first, second)
-        # Outwards on both sides: an interval that is a hair too wide costs a leaf, one too narrow costs the
-        # proof.
-        return Span(low - 4 * ROUNDING * np.abs(low), high + 4 * ROUNDING * np.abs(high))
+        # Outwards on both sides: an interval that is a hair too wide costs a leaf, one
+        # too narrow costs the proof.
+        return Span(
+            low - 4 * ROUNDING * np.abs(low), high + 4 * ROUNDING * np.abs(high)
+        )
 
     @property
     def middle(self) -> Real:
@@ -47,18 +53,24 @@ class Span:
     def disc(self) -> Disc:
         """The discs about the midpoints that hold the intervals."""
         middle = self.middle
-        # The midpoint is rounded, so the two halves differ: the larger one holds both ends.
+        # The midpoint is rounded, so the two halves differ: the larger one holds both
+        # ends.
         half = np.maximum(self.high - middle, middle - self.low)
         return Disc(middle, half * (1 + ROUNDING) + ROUNDING * np.abs(middle))
 
 
 class Disc:
-    """Discs |z − c| <= r; an infinite radius stands for the whole plane. `d`: their slopes, by variable."""
+    """Discs |z − c| <= r; an infinite radius stands for the whole plane. `d`: their
+    slopes, by variable.
+    """
 
     __slots__ = ("c", "d", "r")
 
     def __init__(
-        self, centre: Complex | Real | complex, radius: Real | float = 0.0, slopes: Slopes | None = None
+        self,
+        centre: Complex | Real | complex,
+        radius: Real | float = 0.0,
+        slopes: Slopes | None = None,
     ) -> None:
         self.c, self.r, self.d = np.asarray(centre), np.asarray(radius), slopes or {}
 
@@ -70,7 +82,8 @@ class Disc:
     def __add__(self, other: Disc | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         centre = self.c + other.c
-        # By the terms and not by their sum: where they cancel the sum is small and its error is not.
+        # By the terms and not by their sum: where they cancel the sum is small and its
+        # error is not.
         rounding = ROUNDING * (np.abs(self.c) + np.abs(other.c))
         slopes = dict(self.d)
         for name, slope in other.d.items():
@@ -89,7 +102,8 @@ class Disc:
     def __mul__(self, other: Disc | Real | complex) -> Disc:
         other = other if isinstance(other, Disc) else Disc(other)
         size, by = np.abs(self.c), np.abs(other.c)
-        # (|a| + r)(|b| + s) − |a||b|: how far the product of two points can be from that of the centres.
+        # (|a| + r)(|b| + s) − |a||b|: how far the product of two points can be from
+        # that of the centres.
         radius = (size + self.r) * other.r + by * self.r + 2 * ROUNDING * size * by
         slopes = {name: slope * other.plain for name, slope in self.d.items()}
         for name, slope in other.d.items():
@@ -102,11 +116,13 @@ class Disc:
     def inverse(self) -> Disc:
         """1/z; the whole plane where a disc holds zero.
 
-        The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² − r²). What the difference
-        loses to rounding is more, the closer the disc comes to zero.
+        The image of a disc is the disc of centre c*/(|c|² − r²) and radius r/(|c|² −
+        r²). What the difference loses to rounding is more, the closer the disc comes to
+        zero.
         """
-        # The divisor |c|² − r² cancels where the disc nearly holds zero: one with less room than twice what
-        # the difference loses counts as holding it, so that `share` stays of the order of one.
+        # The divisor |c|² − r² cancels where the disc nearly holds zero: one with less
+        # room than twice what the difference loses counts as holding it, so that
+        # `share` stays of the order of one.
         square = np.abs(self.c) ** 2
         room = square - self.r**2
         lost = 8 * ROUNDING * (square + self.r**2)
@@ -114,34 +130,57 @@ class Disc:
         room = np.where(clear, room, 1.0)
         share = np.where(clear, 2 * lost / room + 8 * ROUNDING, 0.0)
         centre = np.where(clear, np.conj(self.c) / room, 0.0)
-        found = Disc(centre, np.where(clear, self.r / room * (1 + share) + share * np.abs(centre), np.inf))
+        found = Disc(
+            centre,
+            np.where(
+                clear, self.r / room * (1 + share) + share * np.abs(centre), np.inf
+            ),
+        )
         slopes = {name: -(slope * found * found) for name, slope in self.d.items()}
         return Disc(found.c, found.r, slopes)
 
     def exp(self) -> Disc:
         """e^z: |e^(c + h) − e^c| <= |e^c| (e^|h| − 1)."""
         centre = np.exp(self.c)
-        # The library's exponential errs by units of its result and by those of its argument: |c| of them.
-        found = Disc(centre, np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))))
-        return Disc(found.c, found.r, {name: slope * found for name, slope in self.d.items()})
+        # The library's exponential errs by units of its result and by those of its
+        # argument: |c| of them.
+        found = Disc(
+            centre,
+            np.abs(centre) * (np.expm1(self.r) + ROUNDING * (1 + np.abs(self.c))),
+        )
+        return Disc(
+            found.c, found.r, {name: slope * found for name, slope in self.d.items()}
+        )
 
     def closer(self, middle: Disc, steps: Mapping[str, Real]) -> Disc:
-        """The discs about the values at the middle of the variables, where their slopes make them smaller.
+        """The discs about the values at the middle of the variables, where their slopes
+        make them smaller.
 
         `steps`: how far each variable may be from its middle.
         """
-        # The mean value theorem along each variable: the slopes hold over the whole box, which is convex. It
-        # wins where a variable enters several times: term by term each of these adds its own width.
-        reach = sum((slope.most() * steps[name] for name, slope in self.d.items()), np.zeros(()))
+        # The mean value theorem along each variable: the slopes hold over the whole
+        # box, which is convex. It wins where a variable enters several times: term by
+        # term each of these adds its own width.
+        reach = sum(
+            (slope.most() * steps[name] for name, slope in self.d.items()), np.zeros(())
+        )
         radius = (middle.r + reach) * (1 + 8 * ROUNDING)
         smaller = radius < self.r
-        return Disc(np.where(smaller, middle.c, self.c), np.where(smaller, radius, self.r), self.d)
+        return Disc(
+            np.where(smaller, middle.c, self.c),
+            np.where(smaller, radius, self.r),
+            self.d,
+        )
 
     def placed(self, where: NDArray[np.bool_]) -> Disc:
         """One disc after the other at the places where that is so, zero at all others."""
         centre, radius = np.zeros(where.shape, dtype=complex), np.zeros(where.shape)
         centre[where], radius[where] = self.c, self.r
-        return Disc(centre, radius, {name: slope.placed(where) for name, slope in self.d.items()})
+        return Disc(
+            centre,
+            radius,
+            {name: slope.placed(where) for name, slope in self.d.items()},
+        )
 
     def most(self) -> Real:
         """Upper bound of |z|."""

@@ -1,20 +1,24 @@
-"""Enclosures of the sampled loop and of its slopes over boxes of frequencies and parameters.
+"""Enclosures of the sampled loop and of its slopes over boxes of frequencies and
+parameters.
 
-L = F H. F is what stands in front of the link: with x = 1/z = e^{-jωTs}, ``K = d + Σ g/(z − p)`` (so that
-Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled motor loop,
+L = F H. F is what stands in front of the link: with x = 1/z = e^{-jωTs}, ``K = d + Σ
+g/(z − p)`` (so that Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled
+motor loop,
 
-    F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2
-    F = 2j Ts K C (sin h)(sin h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)),    y = 1 − x
+    F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2 F = 2j Ts K C (sin h)(sin
+    h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)),    y = 1 − x
 
-with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is affine in 1/A.
-H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E (S/(1 + S) + R)``, with the link's
-``S = q s^λ/(1 + q μ s^α)``, what is read of the torque, ``E = κ c g e^{-jωτ_g}``, and the second mode R.
+with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is
+affine in 1/A. H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E
+(S/(1 + S) + R)``, with the link's ``S = q s^λ/(1 + q μ s^α)``, what is read of the
+torque, ``E = κ c g e^{-jωτ_g}``, and the second mode R.
 
-Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L, nearly affine in q. One
-form alone needs a thousand times as many boxes.
+Where |L| is small L is enclosed, with V = 1/S, affine in 1/q; where it is large 1/L,
+nearly affine in q. One form alone needs a thousand times as many boxes.
 
-An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist frequency the nearest
-few are enclosed as L is, `ALIASES`; of the others, and of all further down, the moduli are bounded.
+An alias is L at ω + 2πn/Ts in place of ω but for what is periodic. Towards the Nyquist
+frequency the nearest few are enclosed as L is, `ALIASES`; of the others, and of all
+further down, the moduli are bounded.
 """
 
 from __future__ import annotations
@@ -35,12 +39,18 @@ Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 _HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest that L holds
-_CLOSING = ("frequency", "delay", "motor")  # what the denominator of the sampled motor loop depends on
+_CLOSING = (
+    "frequency",
+    "delay",
+    "motor",
+)  # what the denominator of the sampled motor loop depends on
 
 
 @dataclass(frozen=True)
 class FrequencyWindow:
-    """Over frequencies: F of each shift but for delay and motor, what aliases share, x, and y (Cm1 + Cm2)."""
+    """Over frequencies: F of each shift but for delay and motor, what aliases share, x,
+    and y (Cm1 + Cm2).
+    """
 
     fronts: tuple[Disc, ...]
     alias: Real
@@ -49,7 +59,9 @@ class FrequencyWindow:
 
 
 class BoxLoop:
-    """The loop of a statement: a box is a row of lower and a row of upper ends, one a parameter of `AXES`."""
+    """The loop of a statement: a box is a row of lower and a row of upper ends, one a
+    parameter of `AXES`.
+    """
 
     def __init__(self, statement: Statement) -> None:
         self.statement = s = statement
@@ -62,9 +74,12 @@ class BoxLoop:
         self.low, self.high = s.box
         self.low["frequency"] = s.lowest
         # π/Ts is no double: the box ends a hair above it.
-        self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (1 + ROUNDING)
+        self.high["frequency"] = math.nextafter(math.pi / self.period, math.inf) * (
+            1 + ROUNDING
+        )
         self.axes = tuple(name for name in AXES if self.low[name] < self.high[name])
-        # Bound of all aliases of L below the lowest frequency, over |K| |y|: leaves alone hold some in L.
+        # Bound of all aliases of L below the lowest frequency, over |K| |y|: leaves
+        # alone hold some in L.
         low, high = self.root()
         low[:, 0] = 0.0
         self.tail = float(self._alias_sum(self.box(low, high))[0]) * 2 / self.period
@@ -79,28 +94,45 @@ class BoxLoop:
         return {name: Span(low[:, i], high[:, i]) for i, name in enumerate(AXES)}
 
     def _variable(self, name: str, span: Span) -> Disc:
-        """A parameter over boxes, as a disc that knows its slope; a parameter that is exact has none."""
+        """A parameter over boxes, as a disc that knows its slope; a parameter that is
+        exact has none.
+        """
         found = span.disc()
         one = Disc(np.ones(found.c.shape), np.zeros(found.c.shape))
         return Disc(found.c, found.r, {name: one} if name in self.axes else None)
 
     # ---- what stands in front of the link -----------------------------------------------------------------
 
-    def fronts(self, box: dict[str, Span], shifts: Shifts = _MAIN) -> tuple[list[Disc], Real]:
-        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases that L does not hold) over boxes."""
+    def fronts(
+        self, box: dict[str, Span], shifts: Shifts = _MAIN
+    ) -> tuple[list[Disc], Real]:
+        """(F at ω + 2πn/Ts for the shifts n, bound of the aliases that L does not hold)
+        over boxes.
+        """
         window = self._window(box["frequency"], shifts)
-        w, late = self._variable("frequency", box["frequency"]), self._variable("delay", box["delay"])
+        w, late = (
+            self._variable("frequency", box["frequency"]),
+            self._variable("delay", box["delay"]),
+        )
         slow = self._variable("motor", box["motor"]).inverse()
         places = [w + n * self.turn for n in shifts]
-        rests = [f * (at * late * -1j).exp() for f, at in zip(window.fronts, places, strict=True)]
+        rests = [
+            f * (at * late * -1j).exp()
+            for f, at in zip(window.fronts, places, strict=True)
+        ]
         alias = window.alias * self._alias_sum(box)
         if self.motor_loop == "ideal":
             lags = [(1 + at * slow * 1j).inverse() for at in places]
-            return [rest * lag * lag for rest, lag in zip(rests, lags, strict=True)], alias
-        # Near the motor loop's resonance X is small: its own slopes enclose it more closely than its terms.
+            return [
+                rest * lag * lag for rest, lag in zip(rests, lags, strict=True)
+            ], alias
+        # Near the motor loop's resonance X is small: its own slopes enclose it more
+        # closely than its terms.
         middle = box["frequency"].middle
         at_motor = Disc(box["motor"].middle).inverse()
-        centre = self.closing(self._window(Span(middle, middle)), Disc(late.c), at_motor)
+        centre = self.closing(
+            self._window(Span(middle, middle)), Disc(late.c), at_motor
+        )
         steps = {"frequency": w.r, "delay": late.r, "motor": box["motor"].disc().r}
         lag = self.closing(window, late, slow).closer(centre, steps).inverse()
         # the voltage beside Ĉ is C/X, X = A (y²/A + Z); the sum has A itself
@@ -124,28 +156,39 @@ class BoxLoop:
         if np.any(frequency.low < frequency.high):
             middle = self._window(Span(frequency.middle, frequency.middle), shifts)
             steps = {"frequency": w.r}
-            fronts = [f.closer(at, steps) for f, at in zip(fronts, middle.fronts, strict=True)]
+            fronts = [
+                f.closer(at, steps) for f, at in zip(fronts, middle.fronts, strict=True)
+            ]
         return FrequencyWindow(tuple(fronts), alias, x, both)
 
     def _open(self, s: Disc) -> Disc:
-        """Of F what is not periodic, but for delay and ideal motor; beside the PID it has the motor."""
-        return (s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)).inverse()
+        """Of F what is not periodic, but for delay and ideal motor; beside the PID it
+        has the motor.
+        """
+        return (
+            s if self.motor_loop == "ideal" else s * s * (s + self.statement.decay)
+        ).inverse()
 
     def held(self, frequency: Real) -> Flags:
         """Whether L holds the nearest aliases of boxes from these frequencies on."""
         return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
 
     def unbounded_along(self, low: Real, high: Real, alias: Real) -> NDArray[np.int64]:
-        """The axis to cut of boxes over which F is unbounded, where all others would be in vain; else -1.
+        """The axis to cut of boxes over which F is unbounded, where all others would be
+        in vain; else -1.
 
-        It is the frequency where its arc alone comes too close to a pole of Ĉ, else what moves the
-        denominator of the sampled motor loop most. `alias`, the bound of the aliases, is infinite there.
+        It is the frequency where its arc alone comes too close to a pole of Ĉ, else
+        what moves the denominator of the sampled motor loop most. `alias`, the bound of
+        the aliases, is infinite there.
         """
         wide, axis = ~np.isfinite(alias), np.full(alias.shape, -1)
         if not wide.any():
             return axis
         box = self.box(low[wide], high[wide])
-        window, moved = self._window(box["frequency"]), np.zeros((3, np.count_nonzero(wide)))
+        window, moved = (
+            self._window(box["frequency"]),
+            np.zeros((3, np.count_nonzero(wide))),
+        )
         if self.motor_loop == "sampled":
             late = self._variable("delay", box["delay"])
             slow = self._variable("motor", box["motor"]).inverse()
@@ -160,10 +203,14 @@ class BoxLoop:
     def _kernel(self, z: Disc) -> Disc:
         """K."""
         zero = np.zeros(z.c.shape)
-        return sum(((z - pole).inverse() * gain for pole, gain in self.modes), Disc(self.direct + zero, zero))
+        return sum(
+            ((z - pole).inverse() * gain for pole, gain in self.modes),
+            Disc(self.direct + zero, zero),
+        )
 
     def controllers(self, x: Disc) -> tuple[Disc, Disc]:
-        """(y Cm1, y (Cm1 + Cm2)) of the PID in the law's block, as polynomials in y over 1 − r x.
+        """(y Cm1, y (Cm1 + Cm2)) of the PID in the law's block, as polynomials in y
+        over 1 − r x.
 
         In x their large terms cancel, in y they do not.
         """
@@ -174,20 +221,29 @@ class BoxLoop:
 
         def over_lag(direct: float, now: float, before: float) -> Disc:
             linear = (direct - late) * (1 - r) + whole * r + now + before
-            return ((y * ((direct - late) * r - before) + linear) * y + whole * (1 - r)) * lag
+            return (
+                (y * ((direct - late) * r - before) + linear) * y + whole * (1 - r)
+            ) * lag
 
-        now, before = (p[f"filter_{when}"] + p[f"filter_angle_{when}"] for when in ("now", "before"))
+        now, before = (
+            p[f"filter_{when}"] + p[f"filter_angle_{when}"]
+            for when in ("now", "before")
+        )
         return (
             over_lag(p["inner_direct"], p["filter_now"], p["filter_before"]),
             over_lag(p["inner_direct"] + p["inner_angle"], now, before),
         )
 
     def closing(self, window: FrequencyWindow, late: Disc, slow: Disc) -> Disc:
-        """X/A = y²/A + Z, Z = y² (Cm1 + Cm2) P_τ/A with ``P_τ = A x (n x + y (n0 − n2 x))/(y (1 − e x))``."""
+        """X/A = y²/A + Z, Z = y² (Cm1 + Cm2) P_τ/A with ``P_τ = A x (n x + y (n0 − n2
+        x))/(y (1 − e x))``.
+        """
         x, y = window.back, 1 - window.back
         n, n0, n2 = self.held_motor(late)
         e = math.exp(-self.statement.decay * self.period)
-        return y * y * slow + window.both * x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
+        return y * y * slow + window.both * x * (1 - x * e).inverse() * (
+            x * n + y * (n0 - x * n2)
+        )
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
         """(n, n0, n2) of the motor under a voltage that is held, and late."""
@@ -196,58 +252,91 @@ class BoxLoop:
 
         def of(delay: Disc) -> list[Disc]:
             angles = (delay - period) * decay, delay * decay
-            return [(angle.exp() - 1 - angle) * scale for angle, scale in zip(angles, scales, strict=True)]
+            return [
+                (angle.exp() - 1 - angle) * scale
+                for angle, scale in zip(angles, scales, strict=True)
+            ]
 
         # Each is half a square, which the difference shows only through its slope.
         steps = {"delay": late.r}
-        n0, n2 = (wide.closer(point, steps) for wide, point in zip(of(late), of(Disc(late.c)), strict=True))
+        n0, n2 = (
+            wide.closer(point, steps)
+            for wide, point in zip(of(late), of(Disc(late.c)), strict=True)
+        )
         return period * -math.expm1(-decay * period) / decay, n0, n2
 
     # ---- the loop in two forms ----------------------------------------------------------------------------
 
-    def forms(self, low: Real, high: Real, held: Flags | None = None) -> tuple[Disc, Disc, Real]:
-        """(L, 1/L, bound of the aliases that L does not hold) over boxes, with their slopes.
+    def forms(
+        self, low: Real, high: Real, held: Flags | None = None
+    ) -> tuple[Disc, Disc, Real]:
+        """(L, 1/L, bound of the aliases that L does not hold) over boxes, with their
+        slopes.
 
-        Those along the motor are along p or A. A point of a box must hold the aliases that its box does: then
-        `held` is the box's.
+        Those along the motor are along p or A. A point of a box must hold the aliases
+        that its box does: then `held` is the box's.
         """
         # A box that is too wide gives infinities and NaN, which prove nothing.
         with np.errstate(all="ignore"):
-            return self._forms(self.box(low, high), self.held(low[:, 0]) if held is None else held)
+            return self._forms(
+                self.box(low, high), self.held(low[:, 0]) if held is None else held
+            )
 
     def _forms(self, box: dict[str, Span], held: Flags) -> tuple[Disc, Disc, Real]:
         (front,), alias = self.fronts(box)
-        w, log = self._variable("frequency", box["frequency"]), self._log(box["frequency"], 1.0)
+        w, log = (
+            self._variable("frequency", box["frequency"]),
+            self._log(box["frequency"], 1.0),
+        )
         read, mode = self._read(box, w), self._mode(box, w)
         plain = front * (1 - read * ((self._compliant(box, log) + 1).inverse() + mode))
         x = self._soft(box, log) + 1
         inverse = front.inverse() * (x * (read + (1 - read * (1 + mode)) * x).inverse())
         if not held.any():
             return plain, inverse, alias
-        part = {name: Span(span.low[held], span.high[held]) for name, span in box.items()}
+        part = {
+            name: Span(span.low[held], span.high[held]) for name, span in box.items()
+        }
         fronts, _ = self.fronts(part, ALIASES)
-        terms = [f * self._tip_at_alias(part, n) for f, n in zip(fronts, ALIASES, strict=True)]
+        terms = [
+            f * self._tip_at_alias(part, n)
+            for f, n in zip(fronts, ALIASES, strict=True)
+        ]
         aliases = sum(terms[1:], terms[0]).placed(held)
         return plain + aliases, inverse * (1 + aliases * inverse).inverse(), alias
 
     def _tip_at_alias(self, box: dict[str, Span], shift: int) -> Disc:
         """H at j(ω + 2πn/Ts)."""
         frequency, sign = box["frequency"], math.copysign(1.0, shift)
-        ends = (sign * (end + shift * self.turn) for end in (frequency.low, frequency.high))
-        share = (self._compliant(box, self._log(Span.around(*ends), sign)) + 1).inverse()
+        ends = (
+            sign * (end + shift * self.turn) for end in (frequency.low, frequency.high)
+        )
+        share = (
+            self._compliant(box, self._log(Span.around(*ends), sign)) + 1
+        ).inverse()
         w = self._variable("frequency", frequency) + shift * self.turn
         return 1 - self._read(box, w) * (share + self._mode(box, w))
 
     def _log(self, frequency: Span, sign: float) -> Disc:
-        """ln(±jω), with its slope along ω, which falls where the alias's frequency rises."""
-        found = Span.around(np.log(frequency.low), np.log(frequency.high)).disc() + sign * 0.5j * math.pi
-        slopes = {"frequency": self._variable("frequency", frequency).plain.inverse() * sign}
+        """ln(±jω), with its slope along ω, which falls where the alias's frequency
+        rises.
+        """
+        found = (
+            Span.around(np.log(frequency.low), np.log(frequency.high)).disc()
+            + sign * 0.5j * math.pi
+        )
+        slopes = {
+            "frequency": self._variable("frequency", frequency).plain.inverse() * sign
+        }
         return Disc(found.c, found.r + ROUNDING, slopes)
 
     def _compliant(self, box: dict[str, Span], log: Disc) -> Disc:
         """V = 1/S."""
         order = self._variable("order", box["order"])
-        found = self._variable("softness", box["softness"]).inverse() * (-(log * order)).exp()
+        found = (
+            self._variable("softness", box["softness"]).inverse()
+            * (-(log * order)).exp()
+        )
         if not self.high["damping"]:
             return found
         drag = (log * (self.statement.damping_order - order)).exp()
@@ -261,7 +350,9 @@ class BoxLoop:
         if not self.high["damping"]:
             return found
         drag = (log * self.statement.damping_order).exp()
-        return found * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
+        return (
+            found * (1 + q * self._variable("damping", box["damping"]) * drag).inverse()
+        )
 
     def _read(self, box: dict[str, Span], w: Disc) -> Disc:
         """E."""
@@ -279,11 +370,14 @@ class BoxLoop:
         s = w * 1j
         ratio = self._variable("mode_frequency", box["mode_frequency"]) * s.inverse()
         share = (1 + ratio * (ratio + 2 * self.statement.mode_damping)).inverse()
-        # Over wide boxes the denominator may seem to vanish; R itself never exceeds its peak.
+        # Over wide boxes the denominator may seem to vanish; R itself never exceeds its
+        # peak.
         most = self.mode_peak * (1 + 1e-9)
         # Negated, so that nan counts as wide.
         wide = ~(share.r < most)
-        share = Disc(np.where(wide, 0.0, share.c), np.where(wide, most, share.r), share.d)
+        share = Disc(
+            np.where(wide, 0.0, share.c), np.where(wide, most, share.r), share.d
+        )
         return share * self._variable("mode_gain", box["mode_gain"])
 
     def alias_at(self, place: dict[str, float]) -> float:
@@ -296,13 +390,16 @@ class BoxLoop:
     def _alias_sum(self, box: dict[str, Span]) -> Real:
         """Bound of ``Σ_{k≠0} |F(s_k)/s_k|`` but for what every term shares, over boxes.
 
-        The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is bounded with the box's
-        own gauge and motor. The others lie at 2jw + ω and (2j + 2)w − ω for j = 1, 2, …, where |F(s)/s| falls
-        at least like ω^-3: of t^-3, which is convex, the sum over all j but the first is at most half the
-        integral from one step before the second. Where L holds `ALIASES` these begin with j = 3.
+        The nearest alias of ω <= w, the Nyquist frequency, lies at v = 2w − ω, and is
+        bounded with the box's own gauge and motor. The others lie at 2jw + ω and (2j +
+        2)w − ω for j = 1, 2, …, where |F(s)/s| falls at least like ω^-3: of t^-3, which
+        is convex, the sum over all j but the first is at most half the integral from
+        one step before the second. Where L holds `ALIASES` these begin with j = 3.
         """
         w = math.pi / self.period
-        ratio = np.minimum(Span.around(box["frequency"].low / w, box["frequency"].high / w).high, 1.0)
+        ratio = np.minimum(
+            Span.around(box["frequency"].low / w, box["frequency"].high / w).high, 1.0
+        )
         near = w * (2.0 - ratio) * (1 - 1e-9)
         highest = (2.0 * w - box["frequency"].low) * (1 + 1e-9)
         motor = box["motor"].high
@@ -314,7 +411,9 @@ class BoxLoop:
         first, begin = np.where(held, 0.0, first), np.where(held, 2.0 * _HELD, 0.0)
         above, below = begin + 2.0 + box["frequency"].low / w, begin + 4.0 - ratio
         terms = sum(t**-3 + 0.25 / (t + 1.0) ** 2 for t in (above, below))
-        rest = self._tip_bound(box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf))
+        rest = self._tip_bound(
+            box, np.full(near.shape, 2.0 * w), np.full(near.shape, math.inf)
+        )
         return np.asarray(motor * (first + terms * rest / w**3) * (1 + 1e-9))
 
     def _tip_bound(self, box: dict[str, Span], low: Real, high: Real) -> Real:
@@ -323,20 +422,32 @@ class BoxLoop:
         |G| falls with q, λ and ω, and rises with the damping. |1 − E|² = (1 − g)² + 4 g sin²(θ/2) with θ the
         angle by which the gauge is late: at most 1 + g from half a turn on.
         """
-        gains = [self.read * end for end in (box["gauge_gain"].low, box["gauge_gain"].high)]
-        drag = box["softness"].low * box["damping"].high * low**self.statement.damping_order
-        # |G| = |1 + q μ s^α|/|1 + q s^λ + q μ s^α| is at most (1 + drag)/(|q s^λ| - 1 - drag) where that is
-        # positive.
+        gains = [
+            self.read * end for end in (box["gauge_gain"].low, box["gauge_gain"].high)
+        ]
+        drag = (
+            box["softness"].low
+            * box["damping"].high
+            * low**self.statement.damping_order
+        )
+        # |G| = |1 + q μ s^α|/|1 + q s^λ + q μ s^α| is at most (1 + drag)/(|q s^λ| - 1 -
+        # drag) where that is positive.
         stiff = box["softness"].low * low ** box["order"].low - 1 - drag
-        tip = np.where(stiff > 0, gains[1] * (1 + drag) / np.where(stiff > 0, stiff, 1.0), np.inf)
+        tip = np.where(
+            stiff > 0, gains[1] * (1 + drag) / np.where(stiff > 0, stiff, 1.0), np.inf
+        )
         late = box["gauge_delay"].high
-        turn = np.where(late > 0.0, np.minimum(np.where(late > 0.0, late, 1.0) * high, math.pi), 0.0)
+        turn = np.where(
+            late > 0.0, np.minimum(np.where(late > 0.0, late, 1.0) * high, math.pi), 0.0
+        )
         off = np.maximum(np.abs(1 - gains[0]), np.abs(1 - gains[1]))
         unread = np.sqrt(off**2 + 4 * gains[1] * np.sin(0.5 * turn) ** 2)
         ratio = box["mode_frequency"].high / low
         # Near the mode |R| is nowhere above its gain times 1/(2ζ sqrt(1 − ζ²)).
         peak = np.where(ratio < 0.7, 1 / np.maximum(1 - ratio**2, 0.5), self.mode_peak)
-        return np.asarray((tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9))
+        return np.asarray(
+            (tip + unread + gains[1] * box["mode_gain"].high * peak) * (1 + 1e-9)
+        )
 
     @property
     def mode_peak(self) -> float:
@@ -345,17 +456,22 @@ class BoxLoop:
         return 1 / (2 * zeta * math.sqrt(1 - zeta**2)) if zeta else 0.0
 
     def low_bound(self) -> float:
-        """Bound of |L| for ω in [0, lowest], aliases included: |M| and the hold are at most one there."""
+        """Bound of |L| for ω in [0, lowest], aliases included: |M| and the hold are at
+        most one there.
+        """
         s, w = self.statement, self.statement.lowest
-        # Below 1 rad/s the smallest order gives the largest power. Far below the resonance the tip follows
-        # the motor but for small parts, and 1/(1 - x) bounds what they divide by.
+        # Below 1 rad/s the smallest order gives the largest power. Far below the
+        # resonance the tip follows the motor but for small parts, and 1/(1 - x) bounds
+        # what they divide by.
         soft = self.high["softness"] * w ** self.low["order"]
         drag = self.high["softness"] * self.high["damping"] * w**s.damping_order
         ratio = w / self.low["mode_frequency"] if self.high["mode_gain"] else 0.0
         if not (soft + drag < 0.5 and w < 1 < math.pi / self.period and ratio < 0.5):
             return math.inf
         mode = self.high["mode_gain"] * ratio**2 / (1 - ratio**2)
-        tip = 1 + self.read * self.high["gauge_gain"] * (soft / (1 - soft - drag) + mode)
+        tip = 1 + self.read * self.high["gauge_gain"] * (
+            soft / (1 - soft - drag) + mode
+        )
         # |e^(−jωTs) − 1| ≤ ωTs: one disc holds the arc from 0 to the lowest frequency.
         arc = Disc(np.ones(1), np.array([w * self.period]))
         bound = float(self._kernel(arc).most()[0]) * w * self.period * (tip + self.tail)
@@ -367,30 +483,48 @@ class BoxLoop:
         first, both = self.controllers(arc)
         box = self.box(*self.root())
         window = FrequencyWindow((both,), np.zeros(1), arc, both)
-        closing = self.closing(window, box["delay"].disc(), box["motor"].inverse().disc())
+        closing = self.closing(
+            window, box["delay"].disc(), box["motor"].inverse().disc()
+        )
         size = first.most() * closing.inverse().most() / self.low["motor"]
-        return float(size[0]) * (self.period * self.high["motor"] / self.statement.decay + 2)
+        return float(size[0]) * (
+            self.period * self.high["motor"] / self.statement.decay + 2
+        )
 
     def inner_is_stable(self) -> bool:
-        """Whether the sampled motor loop is stable at the least delay and motor gain: Jury's reflections.
+        """Whether the sampled motor loop is stable at the least delay and motor gain:
+        Jury's reflections.
 
-        For every other delay and gain it follows from the tree: each leaf shows X ≠ 0 on its part of the unit
-        circle, so no pole can cross it while they grow.
+        For every other delay and gain it follows from the tree: each leaf shows X ≠ 0
+        on its part of the unit circle, so no pole can cross it while they grow.
         """
         return self.motor_loop == "ideal" or inside_circle(self._characteristic())
 
     def _characteristic(self) -> list[float]:
-        """Coefficients of (1 − e x)(1 − r x) X/A, ascending in x: the highest power of z first."""
+        """Coefficients of (1 − e x)(1 − r x) X/A, ascending in x: the highest power of
+        z first.
+        """
         p, motor = self.pid, self.low["motor"]
         e, r = math.exp(-self.statement.decay * self.period), p["filter_decay"]
         n, n0, n2 = self.held_motor(Disc(np.array([self.low["delay"]])))
-        edge, slow, filt = np.array([1.0, -1.0]), np.array([1.0, -e]), np.array([1.0, -r])
-        both = np.convolve(np.convolve(edge, filt), [p["inner_direct"] + p["inner_angle"]])
+        edge, slow, filt = (
+            np.array([1.0, -1.0]),
+            np.array([1.0, -e]),
+            np.array([1.0, -r]),
+        )
+        both = np.convolve(
+            np.convolve(edge, filt), [p["inner_direct"] + p["inner_angle"]]
+        )
         both = both + np.convolve([p["integral_now"], p["integral_before"]], filt)
-        lags = [p["filter_now"] + p["filter_angle_now"], p["filter_before"] + p["filter_angle_before"]]
+        lags = [
+            p["filter_now"] + p["filter_angle_now"],
+            p["filter_before"] + p["filter_angle_before"],
+        ]
         both = both + np.convolve(lags, edge)
         held = np.array([0.0, 0.0, n, 0.0])
         held += np.convolve(edge, [0.0, float(n0.c[0]), -float(n2.c[0])])
         total = np.convolve(both, held)
-        total[:5] += np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
+        total[:5] += (
+            np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
+        )
         return [float(x) for x in total]

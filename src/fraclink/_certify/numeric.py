@@ -1,4 +1,6 @@
-"""The same sampled loop in plain floating point: where to look before anything is proved."""
+"""The same sampled loop in plain floating point: where to look before anything is
+proved.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,8 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 _ROWS = 32
 _CORNERS = 512  # of a box with more than nine uncertain parameters a random choice
-# Ten of them, or a quarter of the points on the grid, lead to the same place on the bundled rigs.
+# Ten of them, or a quarter of the points on the grid, lead to the same place on the
+# bundled rigs.
 _STEPS = 40
 
 
@@ -33,40 +36,68 @@ def loop_values(
     *,
     held: NDArray[np.bool_] | None = None,
 ) -> Complex:
-    """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of the statement.
+    """Return L at `frequency` [rad/s], up to Nyquist; `place` has every other axis of
+    the statement.
 
-    It holds the aliases that the proof does: `ALIASES` from `ALIASES_FROM` on, or where `held`. "softness" is
-    q = 1/ω₀², "motor" p or A. All of them broadcast.
+    It holds the aliases that the proof does: `ALIASES` from `ALIASES_FROM` on, or where
+    `held`. "softness" is q = 1/ω₀², "motor" p or A. All of them broadcast.
     """
-    w, at = np.asarray(frequency, dtype=float), {k: np.asarray(v, dtype=float) for k, v in place.items()}
+    w, at = (
+        np.asarray(frequency, dtype=float),
+        {k: np.asarray(v, dtype=float) for k, v in place.items()},
+    )
     turn = 2.0 * math.pi / law.period
-    outer = law.frequency_response(w.ravel()).reshape(w.shape) * -np.expm1(-1j * w * law.period) / law.period
+    outer = (
+        law.frequency_response(w.ravel()).reshape(w.shape)
+        * -np.expm1(-1j * w * law.period)
+        / law.period
+    )
     if statement.motor_loop == "sampled":
         outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
-    # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the periodic factors
-    # outside.
+    # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the
+    # periodic factors outside.
     aliases = sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
     with_aliases = w >= 0.5 * ALIASES_FROM * turn if held is None else held
-    return np.asarray(outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0)))
+    return np.asarray(
+        outer * (_continuous(statement, w, at) + np.where(with_aliases, aliases, 0.0))
+    )
 
 
-def _continuous(statement: Statement, frequency: Real, at: Mapping[str, Real]) -> Complex:
-    """Motor, delay and tip angle as the law computes it, over s: what a held command goes through."""
+def _continuous(
+    statement: Statement, frequency: Real, at: Mapping[str, Real]
+) -> Complex:
+    """Motor, delay and tip angle as the law computes it, over s: what a held command
+    goes through.
+    """
     s = 1j * frequency
     drag = at["softness"] * at["damping"] * s**statement.damping_order
     tip = (1.0 + drag) / (1.0 + at["softness"] * s ** at["order"] + drag)
     mode = 0.0 * s
     if np.any(at["mode_gain"]):
         ratio = s / at["mode_frequency"]
-        mode = at["mode_gain"] * ratio**2 / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
-    read = float(statement.coefficients["compliance"]) * statement.stiffness * at["gauge_gain"]
-    link = (1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode)) * np.exp(-s * at["delay"]) / s
+        mode = (
+            at["mode_gain"]
+            * ratio**2
+            / (ratio**2 + 2 * statement.mode_damping * ratio + 1)
+        )
+    read = (
+        float(statement.coefficients["compliance"])
+        * statement.stiffness
+        * at["gauge_gain"]
+    )
+    link = (
+        (1.0 - read * np.exp(-s * at["gauge_delay"]) * (1.0 - tip + mode))
+        * np.exp(-s * at["delay"])
+        / s
+    )
     if statement.motor_loop == "ideal":
         return np.asarray(link / (1.0 + s / at["motor"]) ** 2)
     return np.asarray(link * at["motor"] / (s * (s + statement.decay)))
 
 
-def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real, gain: Real) -> Complex:
+def _voltage(
+    statement: Statement, law: Law, frequency: Real, delay: Real, gain: Real
+) -> Complex:
     """Cm1/(1 + (Cm1 + Cm2) P_τ) with the held motor late by any part of a period."""
     c, x = law.coefficients, np.exp(-1j * frequency * law.period)
     slow = 1.0 / (1.0 - float(c["filter_decay"]) * x)  # type: ignore[arg-type]
@@ -75,20 +106,28 @@ def _voltage(statement: Statement, law: Law, frequency: Real, delay: Real, gain:
         now, before = float(c[f"{name}_now"]), float(c[f"{name}_before"])  # type: ignore[arg-type]
         return np.asarray(now + before * x)
 
-    first = float(c["inner_direct"]) + pair("integral") / (1.0 - x) + slow * pair("filter")  # type: ignore[arg-type]
+    first = (
+        float(c["inner_direct"]) + pair("integral") / (1.0 - x) + slow * pair("filter")  # type: ignore[arg-type]
+    )
     both = first + float(c["inner_angle"]) + slow * pair("filter_angle")  # type: ignore[arg-type]
-    # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a partial fraction each for
-    # the integrator and for the pole, with the rest of the period `left` after the late edge.
+    # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a
+    # partial fraction each for the integrator and for the pole, with the rest of the
+    # period `left` after the late edge.
     decay, left = statement.decay, law.period - delay
     held = (decay * left - 1.0) + decay * law.period * x / (1.0 - x)
-    held = held + np.exp(-decay * left) * (1.0 - x) / (1.0 - np.exp(-decay * law.period) * x)
+    held = held + np.exp(-decay * left) * (1.0 - x) / (
+        1.0 - np.exp(-decay * law.period) * x
+    )
     return np.asarray(first / (1.0 + both * x * gain / decay**2 * held))
 
 
 def _grid(statement: Statement, law: Law, points: int) -> Real:
     """Frequencies up to Nyquist, dense where the modes of the payloads lie."""
     low, high = statement.box
-    modes = [end["softness"] ** (-1.0 / order["order"]) for end, order in ((high, high), (low, low))]
+    modes = [
+        end["softness"] ** (-1.0 / order["order"])
+        for end, order in ((high, high), (low, low))
+    ]
     nyquist = np.pi / law.period
     # |1 + L| is least beside the falling crossing, which lies above the mode and
     # within a factor of four of it.
@@ -102,19 +141,25 @@ def _grid(statement: Statement, law: Law, points: int) -> Real:
 
 
 def _corners(statement: Statement) -> dict[str, Real]:
-    """Corners of the box, each with its lightest, heaviest and middle payload; columns to broadcast."""
+    """Corners of the box, each with its lightest, heaviest and middle payload; columns
+    to broadcast.
+    """
     low, high = statement.box
     names = [name for name in AXES[1:] if low[name] < high[name]]
     ends = np.array(list(itertools.product((0.0, 1.0), repeat=len(names))))
     if len(ends) > _CORNERS:
         ends = ends[np.random.default_rng(0).choice(len(ends), _CORNERS, replace=False)]
     if "softness" in names:
-        # The payload is the widest axis by far: a loop may come closest to -1 between its ends, where no
-        # corner is.
+        # The payload is the widest axis by far: a loop may come closest to -1 between
+        # its ends, where no corner is.
         middle = np.unique(ends, axis=0)[:: max(1, len(ends) // 64)].copy()
         middle[:, names.index("softness")] = 0.4
         ends = np.concatenate([ends, middle])
-    ends = np.concatenate([ends, 0.5 * np.ones((1, len(names)))]) if names else np.zeros((1, 0))
+    ends = (
+        np.concatenate([ends, 0.5 * np.ones((1, len(names)))])
+        if names
+        else np.zeros((1, 0))
+    )
     place = {name: np.full((len(ends), 1), low[name]) for name in AXES[1:]}
     for k, name in enumerate(names):
         place[name] = (low[name] + (high[name] - low[name]) * ends[:, k])[:, None]
@@ -122,7 +167,9 @@ def _corners(statement: Statement) -> dict[str, Real]:
 
 
 def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, float]]:
-    """Return (|1 + L|, place) where a search finds the loop closest to -1: corners, then downhill."""
+    """Return (|1 + L|, place) where a search finds the loop closest to -1: corners,
+    then downhill.
+    """
     w, place = _grid(statement, law, 240), _corners(statement)
     distance = np.abs(1.0 + _over_corners(statement, law, w, place))
     closest = np.min(distance, axis=1)
@@ -135,10 +182,15 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
     return best
 
 
-def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[float, dict[str, float]]:
+def _downhill(
+    statement: Statement, law: Law, start: dict[str, float]
+) -> tuple[float, dict[str, float]]:
     """Follow |1 + L| down inside the box, one axis at a time with steps that shrink."""
     low, high = statement.box
-    low["frequency"], high["frequency"] = 0.5 * start["frequency"], 2.0 * start["frequency"]
+    low["frequency"], high["frequency"] = (
+        0.5 * start["frequency"],
+        2.0 * start["frequency"],
+    )
     high["frequency"] = min(high["frequency"], math.pi / law.period)
     names = [name for name in AXES if low[name] < high[name]]
     at = dict(start)
@@ -146,41 +198,58 @@ def _downhill(statement: Statement, law: Law, start: dict[str, float]) -> tuple[
     for _ in range(_STEPS):
         trial = {name: np.full(2 * len(names) + 1, at[name]) for name in AXES}
         for k, name in enumerate(names):
-            # The frequency's interval spans a factor of four; a fifth of it would step over a narrow second
-            # mode.
-            reach = step * (high[name] - low[name]) * (0.1 if name == "frequency" else 1.0)
+            # The frequency's interval spans a factor of four; a fifth of it would step
+            # over a narrow second mode.
+            reach = (
+                step * (high[name] - low[name]) * (0.1 if name == "frequency" else 1.0)
+            )
             for row, sign in ((2 * k, -1.0), (2 * k + 1, 1.0)):
-                trial[name][row] = min(max(at[name] + sign * reach, low[name]), high[name])
+                trial[name][row] = min(
+                    max(at[name] + sign * reach, low[name]), high[name]
+                )
         found = np.abs(1.0 + loop_values(statement, law, trial["frequency"], trial))
         row = int(np.argmin(found))
-        # The last row is the place itself: where no step finds less, the place stays and the step is halved.
+        # The last row is the place itself: where no step finds less, the place stays
+        # and the step is halved.
         step = step if found[row] < least else 0.5 * step
         least = min(least, float(found[row]))
         at = {name: float(trial[name][row]) for name in AXES}
     return least, at
 
 
-def _over_corners(statement: Statement, law: Law, w: Real, place: dict[str, Real]) -> Complex:
-    """L, a row for each corner; some rows at a time, as all of a rich box's would take 200 MB and longer."""
+def _over_corners(
+    statement: Statement, law: Law, w: Real, place: dict[str, Real]
+) -> Complex:
+    """L, a row for each corner; some rows at a time, as all of a rich box's would take
+    200 MB and longer.
+    """
     count = len(place["softness"])
     return np.concatenate(
         [
-            loop_values(statement, law, w, {name: column[k : k + _ROWS] for name, column in place.items()})
+            loop_values(
+                statement,
+                law,
+                w,
+                {name: column[k : k + _ROWS] for name, column in place.items()},
+            )
             for k in range(0, count, _ROWS)
         ]
     )
 
 
 def windings(statement: Statement, law: Law) -> dict[str, float] | None:
-    """Return an unstable corner with the ω of the crossing left of -1, None where there is none.
+    """Return an unstable corner with the ω of the crossing left of -1, None where there
+    is none.
 
-    -1 is encircled as often as the phase of 1 + L ends away from zero; L itself is open-loop stable.
+    -1 is encircled as often as the phase of 1 + L ends away from zero; L itself is
+    open-loop stable.
     """
-    # Five times as fine as for the distance: where 1 + L turns by more than π between two points, a turn is
-    # lost.
+    # Five times as fine as for the distance: where 1 + L turns by more than π between
+    # two points, a turn is lost.
     w, place = _grid(statement, law, 1200), _corners(statement)
     value = 1.0 + _over_corners(statement, law, w, place)
-    # From 0 to Nyquist 1 + L goes from 1 to a real number: half the encirclements of the whole unit circle.
+    # From 0 to Nyquist 1 + L goes from 1 to a real number: half the encirclements of
+    # the whole unit circle.
     turned = np.unwrap(np.angle(value), axis=-1)
     circled = np.round((turned[:, -1] - turned[:, 0]) / np.pi) != 0
     if not np.any(circled):
@@ -190,4 +259,6 @@ def windings(statement: Statement, law: Law) -> dict[str, float] | None:
     crossing = np.nonzero((value[row, :-1].imag > 0) != (value[row, 1:].imag > 0))[0]
     left = [i for i in crossing if value[row, i].real < 0.0]
     at = left[0] if left else int(np.argmin(np.abs(value[row])))
-    return {name: float(column[row, 0]) for name, column in place.items()} | {"frequency": float(w[at])}
+    return {name: float(column[row, 0]) for name, column in place.items()} | {
+        "frequency": float(w[at])
+    }

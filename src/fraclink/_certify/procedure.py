@@ -1,4 +1,6 @@
-"""`certify`: prove that a law keeps its distance from -1 for every payload and delay, or say where not."""
+"""`certify`: prove that a law keeps its distance from -1 for every payload and delay,
+or say where not.
+"""
 
 from __future__ import annotations
 
@@ -29,11 +31,11 @@ __all__ = ["certify"]
 PayloadRange = Annotated[tuple[Payload, Payload], Ordered()]
 ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
 InnerKind = Literal["ideal", "sampled"]
-# Between what a search finds and what is claimed. Half of it costs 3 to 7 % more leaves on four claims, a
-# fifth of it up to 19 %.
+# Between what a search finds and what is claimed. Half of it costs 3 to 7 % more leaves
+# on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
-# Nodes of the first proof, and of those with smaller claims that follow where it ends without one: a claim
-# that leaves more room takes fewer, so these give up early.
+# Nodes of the first proof, and of those with smaller claims that follow where it ends
+# without one: a claim that leaves more room takes fewer, so these give up early.
 _NODES = (80_000, *7 * (20_000,))
 
 
@@ -51,14 +53,16 @@ def certify(
     box: ParameterBox | None = None,
     others: Iterable[LinkModel] = (),
 ) -> Certificate:
-    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload, delay and arm of a box.
+    """Prove that the sampled loop is stable with ``|1 + L| > m`` for every payload,
+    delay and arm of a box.
 
-    The box holds the link's order, frequency and damping, the gauge's gain and delay, the second mode and the
-    motor loop. The proof covers the law's exact coefficients, the zero-order hold and all aliases;
-    tools/check_certificate.py checks it with other arithmetic.
+    The box holds the link's order, frequency and damping, the gauge's gain and delay,
+    the second mode and the motor loop. The proof covers the law's exact coefficients,
+    the zero-order hold and all aliases; tools/check_certificate.py checks it with other
+    arithmetic.
 
-    The certificate says ``passed``, ``verdict``, and where it fails the payload, the frequency and what was
-    found there.
+    The certificate says ``passed``, ``verdict``, and where it fails the payload, the
+    frequency and what was found there.
 
     Parameters
     ----------
@@ -69,19 +73,22 @@ def certify(
     payloads
         (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
-        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop; (0, Ts) when left out.
+        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop;
+        (0, Ts) when left out.
     modulus_margin
         m, 0 < m < 1; a hundredth or two below what a search finds when left out.
     law
-        the law to prove, where the design's own is not meant (single precision, another order).
+        the law to prove, where the design's own is not meant (single precision, another
+        order).
     inner
         "ideal" or "sampled" motor loop; the design's own when left out.
     box
         what the arm may be; when left out the box that the design was made for, else
-        ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's tolerances.
-        ``ParameterBox.at(model)`` is the model itself.
+        ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's
+        tolerances. ``ParameterBox.at(model)`` is the model itself.
     others
-        models of the same arm from other logs: the box is widened until it holds them, too.
+        models of the same arm from other logs: the box is widened until it holds them,
+        too.
 
     Raises
     ------
@@ -99,11 +106,13 @@ def certify(
     >>> certificate.passed
     True
     """
-    claim, proper = _statement(subject, model, rig, payloads, delay, law, inner, box, others)
+    claim, proper = _statement(
+        subject, model, rig, payloads, delay, law, inner, box, others
+    )
     if modulus_margin is not None:
         claim = replace(claim, modulus=modulus_margin)
-    # In plain floating point first: a loop that is unstable, or too close already, is told in milliseconds,
-    # and the branch and bound would only run out of nodes on it.
+    # In plain floating point first: a loop that is unstable, or too close already, is
+    # told in milliseconds, and the branch and bound would only run out of nodes on it.
     unstable = windings(claim, proper)
     if unstable is not None:
         return _unstable(claim, subject, model, unstable)
@@ -115,11 +124,15 @@ def certify(
     return _proved(claim, distance)
 
 
-def _largest_claim(claim: Statement, law: Law, distance: float, place: dict[str, float]) -> Certificate:
-    """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one where that is refuted."""
+def _largest_claim(
+    claim: Statement, law: Law, distance: float, place: dict[str, float]
+) -> Certificate:
+    """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one
+    where that is refuted.
+    """
     loop, step = BoxLoop(claim), _ROOM
-    # The proof holds fewer aliases than the loop has and allows for the rest by a bound: that much less is
-    # claimed.
+    # The proof holds fewer aliases than the loop has and allows for the rest by a
+    # bound: that much less is claimed.
     kept = distance - loop.alias_at(place) - _ROOM
     for most in _NODES:
         claim = replace(claim, modulus=max(math.floor(1000.0 * kept) / 1000.0, 0.001))
@@ -130,11 +143,14 @@ def _largest_claim(claim: Statement, law: Law, distance: float, place: dict[str,
             return _certificate(claim, outcome, distance)
         place = outcome.place
         found = float(abs(1.0 + loop_values(claim, law, place["frequency"], place)))
-        # Refuted: the next claim is what is left there. Else the bounds are too wide somewhere, nobody knows
-        # by how much: each step is twice the last.
+        # Refuted: the next claim is what is left there. Else the bounds are too wide
+        # somewhere, nobody knows by how much: each step is twice the last.
         step = step if outcome.refuted else 2.0 * step
         left = found - loop.alias_at(place) - _ROOM
-        distance, kept = min(distance, found), min(kept, left) if outcome.refuted else kept - step
+        distance, kept = (
+            min(distance, found),
+            min(kept, left) if outcome.refuted else kept - step,
+        )
     if distance > claim.modulus:
         return _certificate(claim, outcome, distance)
     return _too_close(claim, distance, place)
@@ -144,17 +160,27 @@ def _proved(claim: Statement, distance: float) -> Certificate:
     return _certificate(claim, prove(BoxLoop(claim)), distance)
 
 
-def _certificate(claim: Statement, outcome: MarginProof | MarginFailure, distance: float) -> Certificate:
+def _certificate(
+    claim: Statement, outcome: MarginProof | MarginFailure, distance: float
+) -> Certificate:
     if isinstance(outcome, MarginProof):
         return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
     if outcome.refuted:
         return _too_close(claim, outcome.distance, outcome.place)
     reason = f"Not certified: {outcome.reason} {_where(claim, outcome.place)}"
-    return _failed(claim, f"{reason}; a search finds |1 + L| = {distance:.4g}", outcome.place, distance)
+    return _failed(
+        claim,
+        f"{reason}; a search finds |1 + L| = {distance:.4g}",
+        outcome.place,
+        distance,
+    )
 
 
 def _failed(
-    claim: Statement, verdict: str, place: dict[str, float], distance: float | None = None
+    claim: Statement,
+    verdict: str,
+    place: dict[str, float],
+    distance: float | None = None,
 ) -> Certificate:
     return Certificate(
         claim,
@@ -169,9 +195,14 @@ def _failed(
 
 
 def _payload_at(claim: Statement, place: dict[str, float]) -> float:
-    """The payload [kg] of the range that has this q with a softness as close to the middle as there is."""
-    # Payload and the frequency's own doubt enter as one product q: many pairs give the place that was found.
-    return min(max(place["softness"] / claim.softness, claim.payload_low), claim.payload_high)
+    """The payload [kg] of the range that has this q with a softness as close to the
+    middle as there is.
+    """
+    # Payload and the frequency's own doubt enter as one product q: many pairs give the
+    # place that was found.
+    return min(
+        max(place["softness"] / claim.softness, claim.payload_low), claim.payload_high
+    )
 
 
 def _where(claim: Statement, place: dict[str, float]) -> str:
@@ -199,15 +230,22 @@ def _statement(
 ) -> tuple[Statement, Law]:
     if isinstance(subject, Design):
         model, rig = model or subject.model, rig or subject.rig
-        payloads, law = subject.payloads if payloads is None else payloads, law or subject.law()
+        payloads, law = (
+            subject.payloads if payloads is None else payloads,
+            law or subject.law(),
+        )
         box = subject.box if box is None else box
         settings = subject.controller.inner
         inner = (settings.kind if settings else "ideal") if inner is None else inner
     if isinstance(subject, Law) and not subject.has_gauge:
         allowed = "a law of an arm: the proof knows its motor, link and gauge, and no other plant"
-        remedy = "PidTuning.sampled_margins computes this loop's margins, which is no proof"
+        remedy = (
+            "PidTuning.sampled_margins computes this loop's margins, which is no proof"
+        )
         given = "a fractional PID's law"
-        raise FieldError("subject", given, "of another plant", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "subject", given, "of another plant", allowed=allowed, remedy=remedy
+        )
     if model is None or rig is None:
         raise FieldError(
             "model" if model is None else "rig",
@@ -219,12 +257,16 @@ def _statement(
     if isinstance(subject, Controller):
         law = law or discretize_controller(subject, rig.period, link=model, rig=rig)
     chosen = law if law is not None else subject
-    assert not isinstance(chosen, (Design, Controller))  # noqa: S101  # both branches above gave a law
+    # both branches above gave a law
+    assert not isinstance(chosen, (Design, Controller))  # noqa: S101
     kind, period = inner or "ideal", chosen.period
-    # From none to a whole period is what a board may take to compute; the design counted on one of them.
+    # From none to a whole period is what a board may take to compute; the design
+    # counted on one of them.
     first, last = (0.0, period) if delay is None else delay
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
-    last = checked_between("delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s")
+    last = checked_between(
+        "delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s"
+    )
     link = with_payload(model, rig)
     box = ParameterBox.of(link, rig) if box is None else box
     claim = state(
@@ -239,7 +281,9 @@ def _statement(
         # A placeholder: the caller puts what is to be claimed.
         modulus=0.5,
     )
-    return replace(claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))), chosen
+    return replace(
+        claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))
+    ), chosen
 
 
 def _middle(claim: Statement, link: LinkModel) -> LinkModel:
@@ -254,26 +298,32 @@ def _middle(claim: Statement, link: LinkModel) -> LinkModel:
 
 
 def _known(payload: float | None) -> float:
-    assert payload is not None  # noqa: S101  # with_payload gave it one
+    assert payload is not None  # with_payload gave it one  # noqa: S101
     return payload
 
 
 def _nominal_payload(law: Law, link: LinkModel) -> float:
-    """Return the payload [kg] at which `link` has the resonance that the law's limits were derived from.
+    """Return the payload [kg] at which `link` has the resonance that the law's limits
+    were derived from.
 
-    It ties the statement's link to the block on the board: a forged link has another resonance.
+    It ties the statement's link to the block on the board: a forged link has another
+    resonance.
     """
-    # The limits were derived as 1 − e^(−ω T/JUMP) of the link's resonance ω: solved for it here.
+    # The limits were derived as 1 − e^(−ω T/JUMP) of the link's resonance ω: solved for
+    # it here.
     wanted = -JUMP / law.period * math.log1p(-law.limits.reference_rate)
 
     def beyond(log_payload: float) -> float:
         return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
 
     try:
-        # From a milligram to ten tonnes: whatever arm a link model stands for lies between.
-        payload = math.exp(brentq(beyond, math.log(1e-6), math.log(1e4), xtol=1e-14, rtol=1e-14))
-        # Six digits are written into the statement; the checker forms the resonance from what is written, not
-        # from what was found.
+        # From a milligram to ten tonnes: whatever arm a link model stands for lies
+        # between.
+        payload = math.exp(
+            brentq(beyond, math.log(1e-6), math.log(1e4), xtol=1e-14, rtol=1e-14)
+        )
+        # Six digits are written into the statement; the checker forms the resonance
+        # from what is written, not from what was found.
         return float(f"{payload:.6g}")
     except ValueError as error:
         raise FieldError(
@@ -303,8 +353,14 @@ def _unstable(
             damping=place["damping"],
         )
         ideal = claim.motor_loop == "ideal"
-        pole = place["motor"] if ideal else (controller.inner.pole if controller.inner else 80.0)
-        poles = tuple(complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole))
+        pole = (
+            place["motor"]
+            if ideal
+            else (controller.inner.pole if controller.inner else 80.0)
+        )
+        poles = tuple(
+            complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole)
+        )
         if poles and poles[0].real > 0.0:
             text = f"; poles {poles[0].real:+.3f} ± {abs(poles[0].imag):.2f}j rad/s without hold and delay"
     payload = _payload_at(claim, place)
@@ -315,6 +371,8 @@ def _unstable(
     return replace(_failed(claim, verdict, place), poles=poles)
 
 
-def _too_close(claim: Statement, distance: float, place: dict[str, float]) -> Certificate:
+def _too_close(
+    claim: Statement, distance: float, place: dict[str, float]
+) -> Certificate:
     verdict = f"Not certified: |1 + L| = {distance:.4g} is not above {claim.modulus:g} {_where(claim, place)}"
     return _failed(claim, verdict, place, distance)

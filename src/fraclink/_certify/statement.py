@@ -1,4 +1,6 @@
-"""What a certificate states, in exact numbers and in one sentence, and the file that carries it."""
+"""What a certificate states, in exact numbers and in one sentence, and the file that
+carries it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ __all__ = [
 ]
 
 KIND, FORMAT = "certificate", 3
-# What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q = 1/ω₀², "motor" p or A.
+# What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q =
+# 1/ω₀², "motor" p or A.
 AXES = (
     "frequency",
     "softness",
@@ -50,13 +53,15 @@ AXES = (
     "mode_gain",
 )
 LETTERS = "wmtgdoupfa"
-# Aliases that L holds with their phase, at ω + 2πn/Ts, from this part of the Nyquist frequency on. Without a
-# filter |L| near Nyquist is as large as it likes: there the moduli of all aliases come to 0.4 of it, and of
-# those that are left to 0.02. Further down the nearest alone is less than (1/9)³ of L, and moduli do.
+# Aliases that L holds with their phase, at ω + 2πn/Ts, from this part of the Nyquist
+# frequency on. Without a filter |L| near Nyquist is as large as it likes: there the
+# moduli of all aliases come to 0.4 of it, and of those that are left to 0.02. Further
+# down the nearest alone is less than (1/9)³ of L, and moduli do.
 ALIASES = (-1, 1, -2, 2, -3)
 ALIASES_FROM = 0.2
 LEAVES = ".,"  # proved by L, proved by 1/L
-# The checker knows these sentences too: they lie inside the hash, and a file with others is rejected.
+# The checker knows these sentences too: they lie inside the hash, and a file with
+# others is rejected.
 ASSUMPTIONS = (
     "the link is G(s) = (1 + q μ s^α)/(1 + q s^λ + q μ s^α), q proportional to the payload",
     "gauge and encoder are linear, and gauge, second mode and motor lie within the intervals of the claim",
@@ -80,18 +85,23 @@ CLAIM = (
     "{period} s, {hold} hold, gauge compliance {compliance} rad/(N m)) is stable and |1 + L| > {modulus} at "
     "every frequency; tip errors up to {linear_range} rad meet no limit of the command."
 )
-COMPLIANCE_TOLERANCE = 1e-6  # of 1/c: what rounding to single precision takes, six times over
-# [rad per sample]: |L| is bounded from 0 to 2^-20 of the Nyquist frequency, 0.7 mrad/s at 4 ms, where |Ĉ| is
-# below 1e-3 of its crossover value; or to a twentieth of the rate of a mode that is slower than that.
+COMPLIANCE_TOLERANCE = (
+    1e-6  # of 1/c: what rounding to single precision takes, six times over
+)
+# [rad per sample]: |L| is bounded from 0 to 2^-20 of the Nyquist frequency, 0.7 mrad/s
+# at 4 ms, where |Ĉ| is below 1e-3 of its crossover value; or to a twentieth of the rate
+# of a mode that is slower than that.
 _LOWEST, _SLOWEST = 2.0**-20 * math.pi, 0.05
 
 
 @dataclass(frozen=True)
 class Statement:
-    """The claim: everywhere in a box of parameters the sampled loop is stable and |1 + L| > modulus.
+    """The claim: everywhere in a box of parameters the sampled loop is stable and |1 +
+    L| > modulus.
 
-    Period, gauge compliance, modes and limits are those of `block`, law.c's parameter block byte for byte.
-    `softness` κ gives q = 1/ω₀² = κ m. Every number is written to the file in hexadecimal.
+    Period, gauge compliance, modes and limits are those of `block`, law.c's parameter
+    block byte for byte. `softness` κ gives q = 1/ω₀² = κ m. Every number is written to
+    the file in hexadecimal.
     """
 
     __made_by__ = "certify(design).statement"
@@ -100,11 +110,14 @@ class Statement:
     digest: str  # SHA-256 of the block
     precision: layout.Precision
     hold: str  # "zero-order"
-    motor_loop: str  # "ideal": M(s) with its pole; "sampled": the block's PID on A/(s(s + B))
+    motor_loop: (
+        str  # "ideal": M(s) with its pole; "sampled": the block's PID on A/(s(s + B))
+    )
     stiffness: float  # c [N·m/rad]
     damping_order: float  # α
     mode_damping: float  # ζ of the second mode
-    nominal_payload: float  # [kg], at which the middle link has the resonance that the limits were made for
+    # [kg], at which the middle link has the resonance that the limits were made for
+    nominal_payload: float
     decay: float  # B [1/s]; 0 for the ideal loop
     payload_low: float  # [kg]
     payload_high: float
@@ -130,7 +143,9 @@ class Statement:
     gain_high: float
     modulus: float
     lowest: float  # [rad/s]: below it |L| is bounded, above it the tree takes over
-    linear_range: float  # [rad]: tip errors up to it meet none of the limits of the command
+    linear_range: (
+        float  # [rad]: tip errors up to it meet none of the limits of the command
+    )
 
     @cached_property
     def coefficients(self) -> dict[str, Any]:
@@ -144,21 +159,33 @@ class Statement:
 
     @property
     def box(self) -> tuple[dict[str, float], dict[str, float]]:
-        """Lower and upper ends of every axis but the frequency; q takes what its product rounds away."""
+        """Lower and upper ends of every axis but the frequency; q takes what its
+        product rounds away.
+        """
         motor = "pole" if self.motor_loop == "ideal" else "gain"
         low, high = (
-            {name: getattr(self, f"{motor if name == 'motor' else name}_{end}") for name in AXES[1:]}
+            {
+                name: getattr(self, f"{motor if name == 'motor' else name}_{end}")
+                for name in AXES[1:]
+            }
             for end in ("low", "high")
         )
         low["softness"] = math.nextafter(self.softness_low * self.payload_low, 0.0)
-        high["softness"] = math.nextafter(self.softness_high * self.payload_high, math.inf)
+        high["softness"] = math.nextafter(
+            self.softness_high * self.payload_high, math.inf
+        )
         if not self.mode_gain_high:
             low["mode_frequency"] = high["mode_frequency"] = 0.0
         return low, high
 
     def to_json(self) -> dict[str, str]:
-        """Every field as text: floats as hexadecimal, so that not one bit depends on a parser."""
-        return {k: v.hex() if isinstance(v, float) else str(v) for k, v in asdict(self).items()}
+        """Every field as text: floats as hexadecimal, so that not one bit depends on a
+        parser.
+        """
+        return {
+            k: v.hex() if isinstance(v, float) else str(v)
+            for k, v in asdict(self).items()
+        }
 
     @staticmethod
     def from_json(data: object) -> Statement:
@@ -168,17 +195,31 @@ class Statement:
             if not isinstance(data, Mapping) or set(data) != set(kinds):
                 raise KeyError("other fields")
             values: dict[str, Any] = {
-                k: float.fromhex(v) if kinds[k] == "float" else _text(v) for k, v in data.items()
+                k: float.fromhex(v) if kinds[k] == "float" else _text(v)
+                for k, v in data.items()
             }
             made = Statement(**values)
             _ = made.coefficients  # a block that cannot be read is found here
-        except (KeyError, TypeError, ValueError, ArithmeticError, struct.error) as error:
-            raise _damaged("statement", str(error)[:80], "every field of a statement, as text") from error
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            ArithmeticError,
+            struct.error,
+        ) as error:
+            raise _damaged(
+                "statement", str(error)[:80], "every field of a statement, as text"
+            ) from error
         return made
 
     def words(self) -> str:
-        """Return the statement as one sentence; tools/check_certificate.py writes it once more by itself."""
-        read = {k: self.coefficients[k] for k in ("real_modes", "pair_modes", "period", "compliance")}
+        """Return the statement as one sentence; tools/check_certificate.py writes it
+        once more by itself.
+        """
+        read = {
+            k: self.coefficients[k]
+            for k in ("real_modes", "pair_modes", "period", "compliance")
+        }
         return CLAIM.format(**asdict(self), **read, law=self.digest[:12])
 
 
@@ -232,23 +273,36 @@ class Certificate:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 over claim, assumptions, statement and tree: JSON in UTF-8, keys sorted, no spaces."""
-        text = json.dumps(self._hashed(), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        """SHA-256 over claim, assumptions, statement and tree: JSON in UTF-8, keys
+        sorted, no spaces.
+        """
+        text = json.dumps(
+            self._hashed(), sort_keys=True, separators=(",", ":"), ensure_ascii=False
+        )
         return hashlib.sha256(text.encode()).hexdigest()
 
     def save(self, path: Path | str) -> None:
-        """Write the certificate to one JSON file; NotCertifiedError where nothing was proved."""
+        """Write the certificate to one JSON file; NotCertifiedError where nothing was
+        proved.
+        """
         if not self.passed:
-            raise NotCertifiedError(self.verdict, payload=self.payload, frequency=self.frequency)
-        made = {"fraclink": version("fraclink"), "method": "branch and bound with slopes over discs"}
+            raise NotCertifiedError(
+                self.verdict, payload=self.payload, frequency=self.frequency
+            )
+        made = {
+            "fraclink": version("fraclink"),
+            "method": "branch and bound with slopes over discs",
+        }
         proof = {"leaves": self.leaves, "sha256": self.sha256, "made_with": made}
         write_json(path, KIND, FORMAT, self._hashed() | proof)
 
     @staticmethod
     def load(path: Path | str) -> Certificate:
-        """Read a certificate back; FileFormatError where its hash does not fit. Reading is not checking.
+        """Read a certificate back; FileFormatError where its hash does not fit. Reading
+        is not checking.
 
-        A file of format 1 or 2 is read with `passed` False: it covers one link, gauge and motor only.
+        A file of format 1 or 2 is read with `passed` False: it covers one link, gauge
+        and motor only.
         """
         data = read_json(path, KIND, (1, 2, FORMAT))
         if data["format"] != FORMAT:
@@ -256,40 +310,74 @@ class Certificate:
         statement = Statement.from_json(data.get("statement"))
         tree, leaves = data.get("tree"), data.get("leaves")
         if not isinstance(tree, str) or type(leaves) is not int:
-            raise _damaged("tree", type(tree).__name__, "a text, and a whole number of leaves")
+            raise _damaged(
+                "tree", type(tree).__name__, "a text, and a whole number of leaves"
+            )
         made = Certificate(statement, True, statement.words(), tree, leaves)
-        if any(data.get(key) != value for key, value in (made._hashed() | {"sha256": made.sha256}).items()):
+        if any(
+            data.get(key) != value
+            for key, value in (made._hashed() | {"sha256": made.sha256}).items()
+        ):
             raise _damaged("sha256", data.get("sha256"), made.sha256)
         return made
 
 
 def _earlier_format(data: Mapping[str, Any]) -> Certificate:
-    """What a file of format 1 or 2 stated, every interval a point; what it left out as it had to be."""
+    """What a file of format 1 or 2 stated, every interval a point; what it left out as
+    it had to be.
+    """
     old = data.get("statement")
     if not isinstance(old, Mapping) or not isinstance(old.get("block"), str):
-        raise _damaged("statement", type(old).__name__, "every field of a statement, as text")
+        raise _damaged(
+            "statement", type(old).__name__, "every field of a statement, as text"
+        )
     first = data["format"] == 1
     kinds = Statement.__annotations__
-    known: dict[str, Any] = {"motor_loop" if key == "inner" else key: value for key, value in old.items()}
-    left_out = {"hold": "zero-order", "linear_range": LEAST_RANGE.hex(), "gauge_gain": (1.0).hex()}
+    known: dict[str, Any] = {
+        "motor_loop" if key == "inner" else key: value for key, value in old.items()
+    }
+    left_out = {
+        "hold": "zero-order",
+        "linear_range": LEAST_RANGE.hex(),
+        "gauge_gain": (1.0).hex(),
+    }
     known = dict.fromkeys(_POINTS, (0.0).hex()) | left_out | known
     for name in [key for key in known if f"{key}_low" in kinds]:
         known[f"{name}_low"] = known[f"{name}_high"] = known.pop(name)
     statement = Statement.from_json(known)
     if first:
-        statement = replace(statement, stiffness=1.0 / float(statement.coefficients["compliance"]))
-    hashed = ("statement", "tree") if first else ("claim", "form", "assumed", "statement", "tree")
+        statement = replace(
+            statement, stiffness=1.0 / float(statement.coefficients["compliance"])
+        )
+    hashed = (
+        ("statement", "tree")
+        if first
+        else ("claim", "form", "assumed", "statement", "tree")
+    )
     signed = {key: data.get(key) for key in hashed}
     text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=first)
     if data.get("sha256") != hashlib.sha256(text.encode()).hexdigest():
         raise _damaged("sha256", data.get("sha256"), "the hash of the file's content")
-    why = "does not state the gauge" if first else "covers one link, gauge and motor only"
-    verdict = f"Not certified: a certificate of format {data['format']} {why}; certify again"
-    return Certificate(statement, False, verdict, str(data["tree"]), str(data["tree"]).count("."))
+    why = (
+        "does not state the gauge" if first else "covers one link, gauge and motor only"
+    )
+    verdict = (
+        f"Not certified: a certificate of format {data['format']} {why}; certify again"
+    )
+    return Certificate(
+        statement, False, verdict, str(data["tree"]), str(data["tree"]).count(".")
+    )
 
 
 # What format 1 did not have.
-_POINTS = ("gauge_delay", "mode_frequency", "mode_gain", "mode_damping", "nominal_payload", "stiffness")
+_POINTS = (
+    "gauge_delay",
+    "mode_frequency",
+    "mode_gain",
+    "mode_damping",
+    "nominal_payload",
+    "stiffness",
+)
 
 
 def _text(value: object) -> str:
@@ -300,14 +388,21 @@ def _text(value: object) -> str:
 
 def _damaged(field: str, value: object, allowed: str) -> FileFormatError:
     remedy = "make the certificate again"
-    return FileFormatError(field, value, "not that of a certificate", allowed=allowed, remedy=remedy)
+    return FileFormatError(
+        field, value, "not that of a certificate", allowed=allowed, remedy=remedy
+    )
 
 
 def _check_law(law: Law, model: LinkModel) -> None:
-    """FieldError where the law's gauge or its limits are not those of the link that the claim is about."""
+    """FieldError where the law's gauge or its limits are not those of the link that the
+    claim is about.
+    """
     c = law.coefficients
     deflection = float(c["compliance"]) * model.stiffness  # type: ignore[arg-type]
-    if not min(abs(deflection - 1), abs(deflection * model.gauge_gain - 1)) <= COMPLIANCE_TOLERANCE:
+    if (
+        not min(abs(deflection - 1), abs(deflection * model.gauge_gain - 1))
+        <= COMPLIANCE_TOLERANCE
+    ):
         raise FieldError(
             "law.stiffness",
             law.stiffness,
@@ -316,14 +411,27 @@ def _check_law(law: Law, model: LinkModel) -> None:
             remedy="discretise the controller with this link",
         )
     names = [name for name, _ in layout.REALS]
-    for name in (*layout.COUNTS[4:], *names[names.index("sum_limit") : names.index("inner_direct")]):
+    for name in (
+        *layout.COUNTS[4:],
+        *names[names.index("sum_limit") : names.index("inner_direct")],
+    ):
         if not float(c[name]) > 0:  # type: ignore[arg-type]
             remedy = "use the derived limits"
-            raise FieldError(f"law.limits.{name}", c[name], "not positive", allowed="> 0", remedy=remedy)
+            raise FieldError(
+                f"law.limits.{name}",
+                c[name],
+                "not positive",
+                allowed="> 0",
+                remedy=remedy,
+            )
 
 
-def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox, motor_loop: str) -> None:
-    """FieldError where the formulas of the proof do not describe the arm, with what would make them."""
+def _check_provable(
+    law: Law, model: LinkModel, rig: Rig, box: ParameterBox, motor_loop: str
+) -> None:
+    """FieldError where the formulas of the proof do not describe the arm, with what
+    would make them.
+    """
     if box.order[1] >= 2.0 and not box.damping[0]:
         raise FieldError(
             "model.order",
@@ -342,7 +450,13 @@ def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox, mot
         )
     if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
         remedy = "certify with the gauge's true sign and delay"
-        raise FieldError("model.gauge_delay", model.gauge_delay, "negative", allowed=">= 0 s", remedy=remedy)
+        raise FieldError(
+            "model.gauge_delay",
+            model.gauge_delay,
+            "negative",
+            allowed=">= 0 s",
+            remedy=remedy,
+        )
 
 
 def state(
@@ -373,10 +487,19 @@ def state(
         "pole": motor,
         "gain": gain,
     }
-    fields = ("order", "damping", "gauge_gain", "gauge_delay", "mode_frequency", "mode_gain")
+    fields = (
+        "order",
+        "damping",
+        "gauge_gain",
+        "gauge_delay",
+        "mode_frequency",
+        "mode_gain",
+    )
     intervals |= {name: outward(*getattr(box, name)) for name in fields}
     ends = {
-        f"{name}_{end}": pair[k] for name, pair in intervals.items() for k, end in enumerate(("low", "high"))
+        f"{name}_{end}": pair[k]
+        for name, pair in intervals.items()
+        for k, end in enumerate(("low", "high"))
     }
     return Statement(
         block=law.block.hex(),
@@ -386,7 +509,9 @@ def state(
         motor_loop=motor_loop,
         stiffness=float(model.stiffness),
         damping_order=float(model.damping_order),
-        mode_damping=0.0 if model.second_mode is None else float(model.second_mode.damping_ratio),
+        mode_damping=0.0
+        if model.second_mode is None
+        else float(model.second_mode.damping_ratio),
         nominal_payload=nominal_payload,
         decay=0.0 if ideal else float(rig.motor.decay),
         modulus=float(modulus),

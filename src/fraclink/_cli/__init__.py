@@ -11,9 +11,11 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line with `arguments` (default: the process's own) and return the exit code.
+    """Run the command line with `arguments` (default: the process's own) and return the
+    exit code.
 
-    0 passed, 1 failed (infeasible, not certified, a run that does not settle) or not shown, 2 bad input.
+    0 passed, 1 failed (infeasible, not certified, a run that does not settle) or not
+    shown, 2 bad input.
     """
     try:
         from fraclink._cli.app import run

@@ -46,7 +46,10 @@ _SECTIONS: dict[str, dict[str, str]] = {
     },
     "More on logs and models": {
         **dict.fromkeys(("compare-structures", "identify-payloads"), "models"),
-        **dict.fromkeys(("identify-motor", "identify-spectrum", "identify-driven-link"), "recordings"),
+        **dict.fromkeys(
+            ("identify-motor", "identify-spectrum", "identify-driven-link"),
+            "recordings",
+        ),
         "identify-structure": "recordings",
         **dict.fromkeys(("plan-experiment", "record"), "models"),
     },
@@ -59,17 +62,20 @@ _SECTIONS: dict[str, dict[str, str]] = {
     },
     "This installation": dict.fromkeys(("doctor", "man"), "installation"),
 }
-# A module of commands brings the library with it: the first screen must not pay for all of them, and lists
-# what it has not loaded from this table.
-_HOMES = {name: module for listed in _SECTIONS.values() for name, module in listed.items()}
+# A module of commands brings the library with it: the first screen must not pay for all
+# of them, and lists what it has not loaded from this table.
+_HOMES = {
+    name: module for listed in _SECTIONS.values() for name, module in listed.items()
+}
 _EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
 
 
 class _Group(TyperGroup):
     """A group of commands that lists each with its whole sentence.
 
-    click cuts a summary off behind some fifty characters and sorts by the order of registration; a user
-    who looks for the next stage finds neither what it does nor where it stands.
+    click cuts a summary off behind some fifty characters and sorts by the order of
+    registration; a user who looks for the next stage finds neither what it does nor
+    where it stands.
     """
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -78,23 +84,28 @@ class _Group(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
-        # Only of the program itself: a group's commands came with its module, and `export c` must not look
-        # for a stage of that name.
+        # Only of the program itself: a group's commands came with its module, and
+        # `export c` must not look for a stage of that name.
         if ctx.parent is None and cmd_name in _HOMES and cmd_name not in self.commands:
             app = import_module(f"fraclink._cli.{_HOMES[cmd_name]}").app
             self.commands.update(typer.main.get_group(app).commands)
         return super().get_command(ctx, cmd_name)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """As click has it; a name that is not there is looked for among all commands ("did you mean")."""
-        # Slow, and only on the way to an error: click looks for near names among what is loaded.
+        """As click has it; a name that is not there is looked for among all commands
+        ("did you mean").
+        """
+        # Slow, and only on the way to an error: click looks for near names among what
+        # is loaded.
         if ctx.parent is None and args and args[0] not in _HOMES:
             for name in _HOMES:
                 self.get_command(ctx, name)
         return super().resolve_command(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the commands; the first screen has no room for options that every program has."""
+        """Write the commands; the first screen has no room for options that every
+        program has.
+        """
         if ctx.parent is not None:
             super().format_options(ctx, formatter)
             return
@@ -106,7 +117,10 @@ class _Group(TyperGroup):
                     ("help all", "every command"),
                     ("help COMMAND", "its options, and an example"),
                     ("--version", "print the version"),
-                    ("--install-completion", "complete commands and options in this shell"),
+                    (
+                        "--install-completion",
+                        "complete commands and options in this shell",
+                    ),
                 ]
             )
 
@@ -115,9 +129,13 @@ class _Group(TyperGroup):
         with formatter.section("Commands"):
             self.list_with_sentences(ctx, formatter, list(self.commands))
 
-    def list_with_sentences(self, ctx: Any, formatter: Any, names: Sequence[str]) -> None:
+    def list_with_sentences(
+        self, ctx: Any, formatter: Any, names: Sequence[str]
+    ) -> None:
         """Write commands and the first sentence of their help."""
-        formatter.write_dl([(name, _sentence(self.get_command(ctx, name))) for name in names])
+        formatter.write_dl(
+            [(name, _sentence(self.get_command(ctx, name))) for name in names]
+        )
 
 
 def _sentence(command: Any) -> str:
@@ -150,10 +168,18 @@ def _show_version(wanted: bool) -> None:
 
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version",
+            callback=_show_version,
+            is_eager=True,
+            help="Print the version.",
+        ),
     ] = False,
 ) -> None:
-    """From the log of a flexible-link robot to the fractional-order controller on its board."""
+    """From the log of a flexible-link robot to the fractional-order controller on its
+    board.
+    """
 
 
 def application() -> typer.Typer:
@@ -162,8 +188,8 @@ def application() -> typer.Typer:
         name="fraclink",
         cls=_Group,
         epilog=_EPILOG,
-        # rich's tracebacks show local variables: keys and paths of the user's would land in a report of a
-        # defect.
+        # rich's tracebacks show local variables: keys and paths of the user's would
+        # land in a report of a defect.
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
         context_settings={"help_option_names": ["-h", "--help"]},
@@ -180,7 +206,11 @@ def every_command() -> dict[str, Any]:
     for name in top.list_commands(context):
         each = top.get_command(context, name)
         inner = getattr(each, "commands", None)
-        found |= {name: each} if inner is None else {f"{name} {word}": inner[word] for word in inner}
+        found |= (
+            {name: each}
+            if inner is None
+            else {f"{name} {word}": inner[word] for word in inner}
+        )
     return found
 
 
@@ -198,10 +228,14 @@ def run(arguments: Sequence[str]) -> int:
             return None
         streams = sys.stdout, sys.stderr
         try:
-            # Not standalone: click would print errors in its own words and end the process, also of a test.
-            result = application()(args=given, standalone_mode=False, prog_name="fraclink")
+            # Not standalone: click would print errors in its own words and end the
+            # process, also of a test.
+            result = application()(
+                args=given, standalone_mode=False, prog_name="fraclink"
+            )
         except SystemExit as end:
-            # Where a pipe's reader left typer exits with 1, which is a verdict, and wraps both streams.
+            # Where a pipe's reader left typer exits with 1, which is a verdict, and
+            # wraps both streams.
             if not isinstance(end.__context__, BrokenPipeError):
                 raise
             sys.stdout, sys.stderr = streams

@@ -31,7 +31,11 @@ from fraclink._cli.options import (
 )
 from fraclink._design import Design, Requirement
 from fraclink._design import optimise as better
-from fraclink._design.alternatives import Alternative, compare_at_equal_sensitivity, feasibility_map
+from fraclink._design.alternatives import (
+    Alternative,
+    compare_at_equal_sensitivity,
+    feasibility_map,
+)
 from fraclink._design.assess import (
     CurveKind,
     MarginCurve,
@@ -59,12 +63,16 @@ app = group()
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
 _FIGURES, _NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
 _COMPARISON = ("comparison.md", "comparison.json", "comparison.svg")
-_POINTS = 41  # payloads of a curve: the sampled margins take most of the second it costs
+_POINTS = (
+    41  # payloads of a curve: the sampled margins take most of the second it costs
+)
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a design is worth: phase budget, margins, tolerances, rivals at equal Ms, higher modes."""
+    """What a design is worth: phase budget, margins, tolerances, rivals at equal Ms,
+    higher modes.
+    """
 
     payloads: tuple[float, ...]
     budget: tuple[PhaseShare, ...]
@@ -91,10 +99,13 @@ def assess(
         float | None, "Damping ratio of modes 2 and 3; default: the model's damping"
     ] = None,
     out: Annotated[
-        Path | None, "Folder to write two figures and assessment.json to", Writes((*_FIGURES, _NUMBERS))
+        Path | None,
+        "Folder to write two figures and assessment.json to",
+        Writes((*_FIGURES, _NUMBERS)),
     ] = None,
 ) -> Answer:
-    """Assess a design: phase budget, margins, tolerances, rivals at equal Ms, higher modes.
+    """Assess a design: phase budget, margins, tolerances, rivals at equal Ms, higher
+    modes.
 
     $ fraclink assess design.json --link-mass 0.00735
     """
@@ -103,10 +114,13 @@ def assess(
     # Both ends and what lies between on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
     curves = tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS)
-    # Ms is one over the smallest distance from −1, of the loop as it is (the third curve): rivals tuned for
-    # more or less damping than that would not be compared, but handicapped.
+    # Ms is one over the smallest distance from −1, of the loop as it is (the third
+    # curve): rivals tuned for more or less damping than that would not be compared, but
+    # handicapped.
     peak = max_sensitivity or 1.0 / float(min(curves[2].modulus_margin))
-    link = made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
+    link = (
+        made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
+    )
     found = Assessment(
         payloads,
         tuple(phase_budget(made, low)),
@@ -114,7 +128,12 @@ def assess(
         tolerances(made),
         peak,
         tuple(compare_at_equal_sensitivity(made, max_sensitivity=peak)),
-        tuple(mode_gains(replace(made, rig=replace(made.rig, link=link)), damping_ratio=mode_damping)),
+        tuple(
+            mode_gains(
+                replace(made, rig=replace(made.rig, link=link)),
+                damping_ratio=mode_damping,
+            )
+        ),
     )
     if out is None:
         return Answer(found, found.passed)
@@ -125,12 +144,15 @@ def assess(
 
 def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     low, high = made.payloads
-    # Beyond both ends, as the first question behind a design is what a payload outside its range does.
+    # Beyond both ends, as the first question behind a design is what a payload outside
+    # its range does.
     masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
     curves = [margin_curve(made, masses, kind=kind) for kind in _KINDS]
     margin_curves_figure(curves, (low, high), made.phase_margin).save(out / _FIGURES[0])
     budget_figure(found.budget, low).save(out / _FIGURES[1])
-    shown = {"payload": masses.tolist()} | {c.kind: c.phase_margin.tolist() for c in curves}
+    shown = {"payload": masses.tolist()} | {
+        c.kind: c.phase_margin.tolist() for c in curves
+    }
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
 
@@ -144,18 +166,25 @@ class BoundOptions(TypedDict):
     ]
     max_sensitivity: Annotated[float | None, "Bound on Ms; default: the design's own"]
     gain_crossover: Annotated[
-        float | None, "Least crossover [rad/s], for the goal noise; default: as designed"
+        float | None,
+        "Least crossover [rad/s], for the goal noise; default: as designed",
     ]
-    noise_gain: Annotated[float | None, "Bound on the noise, for the goal crossover; default: as designed"]
+    noise_gain: Annotated[
+        float | None, "Bound on the noise, for the goal crossover; default: as designed"
+    ]
     mode_gain: ModeGain
 
 
 @command(app)
 def optimise(
     design_file: DesignFile,
-    out: Annotated[Path, "File to write the design to", Writes()] = Path("optimised.json"),
+    out: Annotated[Path, "File to write the design to", Writes()] = Path(
+        "optimised.json"
+    ),
     least_percent: Annotated[
-        float, Between(0.0, 100.0, "%"), "Improvement below which the simpler structure is kept"
+        float,
+        Between(0.0, 100.0, "%"),
+        "Improvement below which the simpler structure is kept",
     ] = 2.0,
     **bounds: Unpack[BoundOptions],
 ) -> Answer:
@@ -169,22 +198,30 @@ def optimise(
         found = better(Design.load(design_file), least=0.01 * least_percent, **bounds)
     found = replace(found, design=found.design.with_law())
     found.design.save(out)
-    return Answer(found, found.design.passed, written=(out,), following=f"fraclink assess {out}")
+    return Answer(
+        found, found.design.passed, written=(out,), following=f"fraclink assess {out}"
+    )
 
 
 @command(app)
 def compare(
     rig: RigName,
-    out: Annotated[Path, "Folder for table, figure and figures as JSON", Writes(_COMPARISON)] = Path(
-        "comparison"
-    ),
+    out: Annotated[
+        Path, "Folder for table, figure and figures as JSON", Writes(_COMPARISON)
+    ] = Path("comparison"),
     only: Annotated[
-        list[str] | None, typer.Option(metavar="TEXT"), "Run rivals whose name contains this"
+        list[str] | None,
+        typer.Option(metavar="TEXT"),
+        "Run rivals whose name contains this",
     ] = None,
     model: ModelFile = None,
     link_mass: LinkMass = None,
-    gain_crossover: Annotated[float, "Crossover of the design by fraclink [rad/s]"] = 12.0,
-    phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin of the design by fraclink"] = 50.0,
+    gain_crossover: Annotated[
+        float, "Crossover of the design by fraclink [rad/s]"
+    ] = 12.0,
+    phase_margin_deg: Annotated[
+        PhaseMarginDeg, "Phase margin of the design by fraclink"
+    ] = 50.0,
     filter_time: FilterTime = None,
     seed: SeedNumber = 0,
 ) -> Answer:
@@ -209,7 +246,9 @@ def compare(
     write_text(table, result.markdown())
     result.save(out / "comparison.json")
     result.draw(out / "comparison.svg")
-    return Answer(result, result.standings[0].passed, values={"out": str(out)}, written=(table,))
+    return Answer(
+        result, result.standings[0].passed, values={"out": str(out)}, written=(table,)
+    )
 
 
 class MapOptions(TypedDict):
@@ -225,9 +264,9 @@ class MapOptions(TypedDict):
 @command(app)
 def design_map(
     rig: RigName,
-    out: Annotated[Path, "Figure, .svg or .png; a .json with the numbers lies beside it", Writes()] = Path(
-        "design-map.svg"
-    ),
+    out: Annotated[
+        Path, "Figure, .svg or .png; a .json with the numbers lies beside it", Writes()
+    ] = Path("design-map.svg"),
     points: Annotated[int, Between(5, 400), "Values on each axis"] = 80,
     crossovers: Annotated[
         tuple[float, float],
@@ -246,8 +285,11 @@ def design_map(
     # Before the map is computed, which takes seconds.
     if out.suffix.lower() not in (".svg", ".png"):
         allowed, remedy = ".svg or .png", "end the figure's name in one of these"
-        raise FieldError("out", out.name, "of another kind", allowed=allowed, remedy=remedy)
-    # The numbers' file is looked at as well: it is written beside, under a name that was not given.
+        raise FieldError(
+            "out", out.name, "of another kind", allowed=allowed, remedy=remedy
+        )
+    # The numbers' file is looked at as well: it is written beside, under a name that
+    # was not given.
     numbers = output_path(out.with_suffix(".json"), force=force)
     known = load_rig(rig, model=model)
     found = feasibility_map(
@@ -273,15 +315,29 @@ class PidOptions(TypedDict):
 
     gain_crossover: Annotated[Frequency | None, "ω_c [rad/s]; default: by ITAE"]
     gain_margin: Annotated[float | None, "Least gain margin, a factor above 1"]
-    max_sensitivity: Annotated[float | None, "Bound on Ms; default: 2 where ω_c is free"]
-    flat_phase: Annotated[bool, "Phase flat at the crossover, against changes of the gain", Default(True)]
-    form: Annotated[Literal["PI", "PD", "PID"], "Parts of the controller", Default("PID")]
-    integral_order: Annotated[float | None, "λ where it is given; 1 for an ordinary integral"]
+    max_sensitivity: Annotated[
+        float | None, "Bound on Ms; default: 2 where ω_c is free"
+    ]
+    flat_phase: Annotated[
+        bool, "Phase flat at the crossover, against changes of the gain", Default(True)
+    ]
+    form: Annotated[
+        Literal["PI", "PD", "PID"], "Parts of the controller", Default("PID")
+    ]
+    integral_order: Annotated[
+        float | None, "λ where it is given; 1 for an ordinary integral"
+    ]
     derivative_order: Annotated[float | None, "μ where it is given"]
-    filter_time: Annotated[float | None, "T_f of the derivative [s]; default: 1/(20 ω_c)"]
-    horizon: Annotated[float | None, "Time over which ITAE is taken [s]; default: 40/ω_c"]
+    filter_time: Annotated[
+        float | None, "T_f of the derivative [s]; default: 1/(20 ω_c)"
+    ]
+    horizon: Annotated[
+        float | None, "Time over which ITAE is taken [s]; default: 40/ω_c"
+    ]
     output_limit: Annotated[float | None, "Largest output, for the law"]
-    measurement_limit: Annotated[float | None, "Largest credible reference and measurement, for the law"]
+    measurement_limit: Annotated[
+        float | None, "Largest credible reference and measurement, for the law"
+    ]
 
 
 @command(app)
@@ -293,12 +349,15 @@ def tune_pid(
     ],
     phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin at the crossover"] = 60.0,
     period_ms: Annotated[
-        float | None, Between(0.0, 1e6, "ms", low_open=True), "Period of the law, counted as delay"
+        float | None,
+        Between(0.0, 1e6, "ms", low_open=True),
+        "Period of the law, counted as delay",
     ] = None,
     out: Annotated[Path, "File to write the tuning to", Writes()] = Path("pid.json"),
     **wanted: Unpack[PidOptions],
 ) -> Answer:
-    """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export takes the file.
+    """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export
+    takes the file.
 
     $ fraclink tune-pid "1/(0.4*s**1.5 + 1)" --gain-crossover 2
     """
@@ -314,12 +373,14 @@ def tune_pid(
         "--output-limit": made.output_limit,
         "--measurement-limit": made.measurement_limit,
     }
-    # A law needs a period and limits that the plant's formula does not hold: a tuning without them is whole,
-    # and cannot be shipped yet.
+    # A law needs a period and limits that the plant's formula does not hold: a tuning
+    # without them is whole, and cannot be shipped yet.
     missing = ", ".join(name for name, value in needed.items() if not value)
     export = f"fraclink export c {out} --out firmware"
     again = f"the same with {missing}, then {export}"
-    return Answer(made, made.passed, written=(out,), following=again if missing else export)
+    return Answer(
+        made, made.passed, written=(out,), following=again if missing else export
+    )
 
 
 def _plant(text: str) -> FractionalTransferFunction:
@@ -329,6 +390,14 @@ def _plant(text: str) -> FractionalTransferFunction:
     expression = parse_expression(text)
     if expression.names:
         allowed = "numbers and s"
-        remedy = "write numbers, or give the file of identify-structure, which finds them"
-        raise FieldError("plant", ", ".join(expression.names), "unknown", allowed=allowed, remedy=remedy)
+        remedy = (
+            "write numbers, or give the file of identify-structure, which finds them"
+        )
+        raise FieldError(
+            "plant",
+            ", ".join(expression.names),
+            "unknown",
+            allowed=allowed,
+            remedy=remedy,
+        )
     return expression.function({})

@@ -39,19 +39,32 @@ from fraclink._cli.options import (
 )
 from fraclink._design import Design
 from fraclink._design.pid_tuning import PidTuning
-from fraclink._export import Proof, export_c, export_fmu, export_io, export_matlab, replay_log
+from fraclink._export import (
+    Proof,
+    export_c,
+    export_fmu,
+    export_io,
+    export_matlab,
+    replay_log,
+)
 from fraclink._files import kind_of
 from fraclink._law import Law, discretize
 from fraclink._logs.responses import read_recording
 from fraclink.errors import FieldError, LogError, MissingExtraError
 
 app = group()
-export = group("Write the controller for C on a board, MATLAB, an FMU, or a board's I/O.")
+export = group(
+    "Write the controller for C on a board, MATLAB, an FMU, or a board's I/O."
+)
 app.add_typer(export, name="export")
 
 Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"]
-UnsafeRemote = Annotated[bool, "Allow another host: any host that can send there moves the arm"]
-KeyFile = Annotated[Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"]
+UnsafeRemote = Annotated[
+    bool, "Allow another host: any host that can send there moves the arm"
+]
+KeyFile = Annotated[
+    Path | None, "File with a key of 16 bytes or more that both ends share (udp only)"
+]
 Address = typer.Option(metavar="ADDRESS")
 
 
@@ -59,14 +72,16 @@ def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
 ) -> realtime.Udp | realtime.SharedMemory | realtime.Library:
     """Return the way to an arm that the options of a command name."""
-    # From a file and never from the command line, which `ps` and the shell's history show to others. Bytes as
-    # they are: a line end belongs to the key at both ends.
+    # From a file and never from the command line, which `ps` and the shell's history
+    # show to others. Bytes as they are: a line end belongs to the key at both ends.
     key = None if key_file is None else key_file.read_bytes()
     return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
-    """The law of a design, with the design; or that of a fractional PID, which has none."""
+    """The law of a design, with the design; or that of a fractional PID, which has
+    none.
+    """
     # What the file says it is decides, not its name: a design may be called pid.json.
     if kind_of(path) == "pid-tuning":
         return PidTuning.load(path).law(), None
@@ -75,7 +90,8 @@ def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
 
 
 def _law(made: Design, *, motor: bool) -> Law:
-    # Without the motor loop the robot has its own servo, and no placement of poles reaches it.
+    # Without the motor loop the robot has its own servo, and no placement of poles
+    # reaches it.
     return made.law() if motor else discretize(made.controller, made.rig.period)
 
 
@@ -93,23 +109,36 @@ def _listed(paths: Iterable[Path], following: str = "") -> Answer:
 def c(
     design_file: DesignFile,
     out: Annotated[Path, "Folder to write to"] = Path("firmware"),
-    precision: Annotated[Literal["single", "double"], "Arithmetic of the board"] = "single",
+    precision: Annotated[
+        Literal["single", "double"], "Arithmetic of the board"
+    ] = "single",
     motor: Motor = True,
     name: Annotated[str, "C identifier of the block of coefficients"] = "law_data",
     title: Annotated[str, "Text for the first comment"] = "",
-    prove: Annotated[bool, "Prove what the page claims; exit code 1 where something is not proved"] = False,
-    estimate: Annotated[bool, "With the payload estimator, which gives the law its payload"] = False,
+    prove: Annotated[
+        bool, "Prove what the page claims; exit code 1 where something is not proved"
+    ] = False,
+    estimate: Annotated[
+        bool, "With the payload estimator, which gives the law its payload"
+    ] = False,
     force: bool = False,
 ) -> Answer:
-    """Write the law as C99: the files that were simulated, the coefficients, a self-test, a page to read.
+    """Write the law as C99: the files that were simulated, the coefficients, a
+    self-test, a page to read.
 
     $ fraclink export c design.json --out firmware
     """
     law, made = _of_file(design_file, motor=motor)
     if estimate and made is None:
-        problem, remedy = "given for a fractional PID", "leave it out: a PID knows no payload"
-        raise FieldError("estimate", True, problem, allowed="the design of an arm", remedy=remedy)
-    # Rounded before it is proved and written: the claim must be about the coefficients on the board.
+        problem, remedy = (
+            "given for a fractional PID",
+            "leave it out: a PID knows no payload",
+        )
+        raise FieldError(
+            "estimate", True, problem, allowed="the design of an arm", remedy=remedy
+        )
+    # Rounded before it is proved and written: the claim must be about the coefficients
+    # on the board.
     shipped = law.in_precision(precision)
     with steps(2 if prove else 0) as begin:
         certificate = None
@@ -132,14 +161,24 @@ def c(
     if not prove:
         return listed
     proof = Proof.load(out / "proof.json")
-    values = {"passed": proof.passed, "claims": [asdict(claim) for claim in proof.claims]}
-    return Answer(passed=proof.passed, text=f"{listed.text}\n{proof}", values=listed.values | values)
+    values = {
+        "passed": proof.passed,
+        "claims": [asdict(claim) for claim in proof.claims],
+    }
+    return Answer(
+        passed=proof.passed,
+        text=f"{listed.text}\n{proof}",
+        values=listed.values | values,
+    )
 
 
 def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
-    """The certificate of the loop that `law` closes; None, which leaves the claim open, without the extra."""
+    """The certificate of the loop that `law` closes; None, which leaves the claim open,
+    without the extra.
+    """
     try:
-        # Without the motor loop the servo is the robot's: the proof is for one that follows at once.
+        # Without the motor loop the servo is the robot's: the proof is for one that
+        # follows at once.
         return certify(made, law=law, inner=None if motor else "ideal")
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
@@ -156,15 +195,21 @@ def matlab(
 
     $ fraclink export matlab design.json --out arm_law.m
     """
-    return _listed([export_matlab(_law(Design.load(design_file), motor=False), out, force=force)])
+    return _listed(
+        [export_matlab(_law(Design.load(design_file), motor=False), out, force=force)]
+    )
 
 
 @command(export)
 def fmu(
     design_file: DesignFile,
     out: Annotated[Path, "File to write, .fmu"] = Path("arm_law.fmu"),
-    fmi: Annotated[Literal["2", "3"], "Version of the standard: 2 is what every importer reads"] = "2",
-    precision: Annotated[Literal["single", "double"], "Arithmetic of the law"] = "double",
+    fmi: Annotated[
+        Literal["2", "3"], "Version of the standard: 2 is what every importer reads"
+    ] = "2",
+    precision: Annotated[
+        Literal["single", "double"], "Arithmetic of the law"
+    ] = "double",
     compiler: Annotated[
         list[str] | None,
         typer.Option(metavar="CC"),
@@ -173,7 +218,8 @@ def fmu(
     source: Annotated[bool, "C sources only, no library"] = False,
     force: bool = False,
 ) -> Answer:
-    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola, OpenModelica, FMPy.
+    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola,
+    OpenModelica, FMPy.
 
     $ fraclink export fmu design.json --out arm_law.fmu
     """
@@ -182,7 +228,8 @@ def fmu(
         out,
         fmi=3 if fmi == "3" else 2,
         precision=precision,
-        # cc where nothing is said: an FMU without a library for this machine runs nowhere at first.
+        # cc where nothing is said: an FMU without a library for this machine runs
+        # nowhere at first.
         compilers=() if source else compiler or ("cc",),
         force=force,
     )
@@ -190,8 +237,11 @@ def fmu(
 
 
 @command(export)
-def io(out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool = False) -> Answer:
-    """Write the I/O of a board to start from, for the real-time loop: arm_io.h and a C library at rest.
+def io(
+    out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool = False
+) -> Answer:
+    """Write the I/O of a board to start from, for the real-time loop: arm_io.h and a C
+    library at rest.
 
     $ fraclink export io --out board
     """
@@ -200,58 +250,84 @@ def io(out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool =
 
 @command(app)
 def replay(
-    folder: Annotated[Path, typer.Argument(metavar="FIRMWARE"), "Folder made by `fraclink export c`"],
-    log_file: Annotated[str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FIRMWARE"), "Folder made by `fraclink export c`"
+    ],
+    log_file: Annotated[
+        str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"
+    ],
     rig: RigName = "paper-2023",
     column: Columns = None,
-    input: Annotated[str | None, "Column of a fractional PID's reference, instead of an arm's log"] = None,
+    input: Annotated[
+        str | None, "Column of a fractional PID's reference, instead of an arm's log"
+    ] = None,
     output: Annotated[str | None, "Column of its measurement"] = None,
-    allow_changed: Annotated[bool, "Compile and run C that differs from what fraclink exports"] = False,
+    allow_changed: Annotated[
+        bool, "Compile and run C that differs from what fraclink exports"
+    ] = False,
 ) -> Answer:
-    """Compile an exported law and run a log through it beside the package's: bit for bit, or exit code 1.
+    """Compile an exported law and run a log through it beside the package's: bit for
+    bit, or exit code 1.
 
-    The folder's law.c, law.h and data are compiled by cc and run on this computer, with your rights. Files
-    that are not as `fraclink export c` writes them are refused.
+    The folder's law.c, law.h and data are compiled by cc and run on this computer, with
+    your rights. Files that are not as `fraclink export c` writes them are refused.
 
     $ fraclink replay firmware log.csv --rig rig.toml
     """
     log: Experiment | Recording
-    # An arm's log needs a rig for its columns; a PID's has two columns that nobody knows the names of.
+    # An arm's log needs a rig for its columns; a PID's has two columns that nobody
+    # knows the names of.
     if input is None and output is None:
         log = load_log(log_file, load_rig(rig), column)
     else:
         log = read_recording(Path(log_file), *named_channels(input, output))
     result = replay_log(folder, log, allow_changed=allow_changed)
-    return Answer(result, result.passed, remarks=(f"{folder}/law.c was compiled and run on this computer",))
+    return Answer(
+        result,
+        result.passed,
+        remarks=(f"{folder}/law.c was compiled and run on this computer",),
+    )
 
 
 # --- real time --------------------------------------------------------------------------------------------
 
 
 class LoopOptions(TypedDict):
-    """The payload that the law is given; the time, the priority and the tolerance of the real-time loop."""
+    """The payload that the law is given; the time, the priority and the tolerance of
+    the real-time loop.
+    """
 
     payload: Annotated[GivenPayload, Default(0.0)]
     duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"]
     patience: Annotated[float, "Time to wait for the arm [s]", Default(5.0)]
-    priority: Annotated[int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none", Default(80)]
+    priority: Annotated[
+        int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none", Default(80)
+    ]
     lock_memory: Annotated[bool, "Keep the process in memory (mlockall)", Default(True)]
-    allowed_overruns: Annotated[int, "Commands after the next deadline that are tolerated", Default(0)]
+    allowed_overruns: Annotated[
+        int, "Commands after the next deadline that are tolerated", Default(0)
+    ]
 
 
 @command(app)
 def run_realtime(
     design_file: DesignFile,
     io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
-    out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path("realtime.npz"),
+    out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path(
+        "realtime.npz"
+    ),
     amplitude: Amplitude = None,
     move_time: MoveTime = None,
     reference: ReferenceFile = None,
     excitation: Annotated[
         Literal["move", "prbs"], "Reference of the tip: a move, or 20 s of a PRBS"
     ] = "move",
-    log: Annotated[Path | None, "File for the motion as a log (CSV), to identify from", Writes()] = None,
-    absolute: Annotated[bool, "The move begins at angle 0, not where the arm stands"] = False,
+    log: Annotated[
+        Path | None, "File for the motion as a log (CSV), to identify from", Writes()
+    ] = None,
+    absolute: Annotated[
+        bool, "The move begins at angle 0, not where the arm stands"
+    ] = False,
     gear: Gear = None,
     motor: Motor = True,
     single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
@@ -260,18 +336,26 @@ def run_realtime(
     key_file: KeyFile = None,
     **options: Unpack[LoopOptions],
 ) -> Answer:
-    """Run the shipped law on an arm in real time (Linux), with times, overruns and a safe stop.
+    """Run the shipped law on an arm in real time (Linux), with times, overruns and a
+    safe stop.
 
-    First it measures for half a second how late this machine wakes up, says so, and refuses a period that
-    is not kept: more than 1 % of the wake-ups later than a period.
+    First it measures for half a second how late this machine wakes up, says so, and
+    refuses a period that is not kept: more than 1 % of the wake-ups later than a
+    period.
 
-    The exit code is 1 after a safe stop (the law's guards, a signal, a broken connection) or too many
-    overruns; the record is written all the same. Without an arm: `fraclink serve-arm`.
+    The exit code is 1 after a safe stop (the law's guards, a signal, a broken
+    connection) or too many overruns; the record is written all the same. Without an
+    arm: `fraclink serve-arm`.
 
     $ fraclink run-realtime design.json --io udp:127.0.0.1:5005
     """
     if excitation == "prbs":
-        refuse_beside("--excitation prbs", "20 s of a PRBS", reference=reference, move_time=move_time)
+        refuse_beside(
+            "--excitation prbs",
+            "20 s of a PRBS",
+            reference=reference,
+            move_time=move_time,
+        )
         wanted = _excitation(1.0 if amplitude is None else amplitude)
     else:
         wanted = reference_of(reference, amplitude, move_time)
@@ -279,18 +363,19 @@ def run_realtime(
     made = load_design(design_file, gear=gear)
     law = _law(made, motor=motor)
     estimator = made.estimator() if estimate else None
-    # Measured before anything is opened: an arm whose controller misses its periods trips in the middle of a
-    # move.
+    # Measured before anything is opened: an arm whose controller misses its periods
+    # trips in the middle of a move.
     awake = realtime.measure_wake_ups(
         law.period, priority=options["priority"], lock_memory=options["lock_memory"]
     )
     tell(str(awake))
     awake.check()
-    # The record has its place kept by the loop itself; a log that cannot be written is found as early.
+    # The record has its place kept by the loop itself; a log that cannot be written is
+    # found as early.
     with nullcontext() if log is None else realtime.reserved(log, field="log"):
         run = realtime.run_realtime(
-            # The loop on this machine is double by default; single shows what a microcontroller's rounding
-            # does to the arm.
+            # The loop on this machine is double by default; single shows what a
+            # microcontroller's rounding does to the arm.
             law.in_precision("single") if single else law,
             wanted,
             connection,
@@ -300,7 +385,8 @@ def run_realtime(
             **options,
         )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
-    # The record went to a second place: the arm has moved, and its data must not be lost to a full disk.
+    # The record went to a second place: the arm has moved, and its data must not be
+    # lost to a full disk.
     remarks += () if run.saved == str(out) else (f"{out} could not be written",)
     written: tuple[Path, ...] = (Path(run.saved),)
     logged = True
@@ -310,18 +396,27 @@ def run_realtime(
             written += (log,)
         except LogError as error:  # the record of the run is kept in any case
             logged, remarks = False, (*remarks, f"no log: {error}")
-    return Answer(run, run.passed and logged, values={"out": run.saved}, remarks=remarks, written=written)
+    return Answer(
+        run,
+        run.passed and logged,
+        values={"out": run.saved},
+        remarks=remarks,
+        written=written,
+    )
 
 
 def _excitation(amplitude: float) -> Reference:
-    # As `fraclink record` excites the twin: bits of 0.24 s have their power where an arm's first mode is.
+    # As `fraclink record` excites the twin: bits of 0.24 s have their power where an
+    # arm's first mode is.
     return prbs(amplitude, 0.24, bits=81, register=9, start=0.5)
 
 
 def _refused(what: str, granted: str) -> tuple[str, ...]:
     if not granted.startswith("refused"):
         return ()
-    return (f"{what}: {granted}; the loop ran without it (limits rtprio and memlock of the user)",)
+    return (
+        f"{what}: {granted}; the loop ran without it (limits rtprio and memlock of the user)",
+    )
 
 
 @command(app)
@@ -331,28 +426,42 @@ def serve_arm(
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
     duration: Annotated[float, "Time to serve [s]"] = 600.0,
-    watchdog: Annotated[int, "Silent periods after which the drive is switched off"] = 10,
+    watchdog: Annotated[
+        int, "Silent periods after which the drive is switched off"
+    ] = 10,
     once: Annotated[bool, "End when the first controller has left"] = False,
     seed: Annotated[int, "Seed of the gauge's noise"] = 0,
-    priority: Annotated[int, "Priority of SCHED_FIFO, below the controller's; 0 asks for none"] = 70,
-    out: Annotated[Path | None, "File for the true motion of the arm (npz); default: none", Writes()] = None,
+    priority: Annotated[
+        int, "Priority of SCHED_FIFO, below the controller's; 0 asks for none"
+    ] = 70,
+    out: Annotated[
+        Path | None,
+        "File for the true motion of the arm (npz); default: none",
+        Writes(),
+    ] = None,
     **options: Unpack[ArmOptions],
 ) -> Answer:
-    """Serve a simulated arm in real time, for run-realtime to move; --duration, --once or Ctrl-C ends it.
+    """Serve a simulated arm in real time, for run-realtime to move; --duration, --once
+    or Ctrl-C ends it.
 
-    It is the twin on a clock. The exit code is 1 where a controller went silent and the watchdog had to
-    switch the drive off.
+    It is the twin on a clock. The exit code is 1 where a controller went silent and the
+    watchdog had to switch the drive off.
 
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
     connection = connection_of(io, unsafe_remote, key_file)
     made, arm = load_arm(design_file, options)
-    # Before it serves, as the command may run for hours and nobody reads what comes after.
+    # Before it serves, as the command may run for hours and nobody reads what comes
+    # after.
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
     with realtime.signals_held() as obeyed:
-        with nullcontext() if out is None else realtime.reserved(out, cls=realtime.ServedArm):
+        with (
+            nullcontext()
+            if out is None
+            else realtime.reserved(out, cls=realtime.ServedArm)
+        ):
             served = realtime.serve_arm(
                 arm,
                 connection,
@@ -363,7 +472,13 @@ def serve_arm(
                 seed=seed,
                 priority=priority,
             )
-        # Every signal asks for the end, which has come: one that comes now has only the file to wait for.
+        # Every signal asks for the end, which has come: one that comes now has only the
+        # file to wait for.
         obeyed.set()
         written = () if out is None else (realtime.saved(served, out),)
-    return Answer(served, served.passed, remarks=_refused("priority", served.scheduling), written=written)
+    return Answer(
+        served,
+        served.passed,
+        remarks=_refused("priority", served.scheduling),
+        written=written,
+    )

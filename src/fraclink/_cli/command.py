@@ -1,11 +1,14 @@
-"""One decorator for every command: it declares the options, checks, calls, shows, and returns the code.
+"""One decorator for every command: it declares the options, checks, calls, shows, and
+returns the code.
 
 What stands beside a parameter's type says everything about its option, once:
 
-    def simulate(payload: Annotated[Payload, "Payload"], out: Annotated[Path, "File", Writes()]): ...
+    def simulate(payload: Annotated[Payload, "Payload"], out: Annotated[Path, "File",
+    Writes()]): ...
 
-A text is the help, a range is checked and added to the help, `Writes` keeps what is already there, and a
-`typer.Option` or `typer.Argument` stands where the name alone does not say how it is written.
+A text is the help, a range is checked and added to the help, `Writes` keeps what is
+already there, and a `typer.Option` or `typer.Argument` stands where the name alone does
+not say how it is written.
 """
 
 from __future__ import annotations
@@ -22,7 +25,16 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 import typer
 from typer.models import OptionInfo, ParameterInfo
 
-from fraclink._cli.console import FAILED, PASSED, emit, emit_json, tell, tell_written, unread_allowed, width
+from fraclink._cli.console import (
+    FAILED,
+    PASSED,
+    emit,
+    emit_json,
+    tell,
+    tell_written,
+    unread_allowed,
+    width,
+)
 from fraclink._files import output_path
 from fraclink._show.records import to_json
 from fraclink._show.text import View, plain_text
@@ -35,11 +47,13 @@ __all__ = ["Answer", "Default", "Writes", "command"]
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: a result that `view` and `to_json` know, or text; and what follows from it.
+    """What a command found: a result that `view` and `to_json` know, or text; and what
+    follows from it.
 
-    text replaces the view and values the JSON; values are added to it otherwise. doubts are errors of the
-    input that leave nothing shown by the result. remarks go to standard error and are left out with --json.
-    written are the files; following is the command a user would give next; opened is a page for the browser.
+    text replaces the view and values the JSON; values are added to it otherwise. doubts
+    are errors of the input that leave nothing shown by the result. remarks go to
+    standard error and are left out with --json. written are the files; following is the
+    command a user would give next; opened is a page for the browser.
     """
 
     result: Any = None
@@ -55,7 +69,9 @@ class Answer:
 
 @dataclass(frozen=True)
 class Writes:
-    """Marks an option for a path that is written: a file, or a folder with files of these names."""
+    """Marks an option for a path that is written: a file, or a folder with files of
+    these names.
+    """
 
     names: tuple[str, ...] = ()
 
@@ -67,14 +83,18 @@ class Writes:
 
 @dataclass(frozen=True)
 class Default:
-    """The default of an option in a group (a TypedDict has none); without it None, or False for a flag."""
+    """The default of an option in a group (a TypedDict has none); without it None, or
+    False for a flag.
+    """
 
     value: Any
 
 
 @dataclass(frozen=True)
 class Declared:
-    """One parameter of a command: its plain type for typer, the type with its marks, and its default."""
+    """One parameter of a command: its plain type for typer, the type with its marks,
+    and its default.
+    """
 
     name: str
     kind: Any
@@ -104,7 +124,11 @@ class Declared:
         """
         text = (self.mark(str) or "").rstrip(".")
         text += f", {rule(self.hint).expected}" if self.ranged else ""
-        return text + ("; may be repeated." if list in (get_origin(k) for k in get_args(self.kind)) else ".")
+        return text + (
+            "; may be repeated."
+            if list in (get_origin(k) for k in get_args(self.kind))
+            else "."
+        )
 
     @property
     def parameter(self) -> inspect.Parameter:
@@ -114,21 +138,36 @@ class Declared:
         info.help = self.help
         if isinstance(info, OptionInfo) and not info.param_decls:
             word = self.name.replace("_", "-")
-            # A flag that is on must have a word that turns it off; one that is off needs none.
-            info.param_decls = (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
+            # A flag that is on must have a word that turns it off; one that is off
+            # needs none.
+            info.param_decls = (
+                (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
+            )
         hint = Annotated[self.kind, info]  # type: ignore[name-defined]  # made at run time
         return inspect.Parameter(
-            self.name, inspect.Parameter.KEYWORD_ONLY, default=self.default, annotation=hint
+            self.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=self.default,
+            annotation=hint,
         )
 
 
-_JSON = Declared("json", bool, Annotated[bool, "Print the result as one JSON object"], False)
-_FORCE = Declared("force", bool, Annotated[bool, "Overwrite files that are already there"], False)
+_JSON = Declared(
+    "json", bool, Annotated[bool, "Print the result as one JSON object"], False
+)
+_FORCE = Declared(
+    "force", bool, Annotated[bool, "Overwrite files that are already there"], False
+)
 
 
 def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
-    """The parameters of a command; those of ``**options: Unpack[Group]`` are the keys of that TypedDict."""
-    kinds, hints = get_type_hints(function), get_type_hints(function, include_extras=True)
+    """The parameters of a command; those of ``**options: Unpack[Group]`` are the keys
+    of that TypedDict.
+    """
+    kinds, hints = (
+        get_type_hints(function),
+        get_type_hints(function, include_extras=True),
+    )
     for name, parameter in inspect.signature(function).parameters.items():
         if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
             yield Declared(name, kinds[name], hints[name], parameter.default)
@@ -136,15 +175,18 @@ def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
         (group,) = get_args(hints[name])
         plain = get_type_hints(group)
         for key, hint in get_type_hints(group, include_extras=True).items():
-            # A TypedDict holds no defaults: what is not given is None, which the library takes for its own
-            # default.
-            usual = Declared(key, plain[key], hint, False if plain[key] is bool else None)
+            # A TypedDict holds no defaults: what is not given is None, which the
+            # library takes for its own default.
+            usual = Declared(
+                key, plain[key], hint, False if plain[key] is bool else None
+            )
             default = usual.mark(Default)
             yield usual if default is None else replace(usual, default=default.value)
 
 
 def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:
-    """Add a function that returns an Answer to `app`, with --json, and with --force where it writes.
+    """Add a function that returns an Answer to `app`, with --json, and with --force
+    where it writes.
 
     A function that checks its files itself takes `force` as an argument of its own.
     """
@@ -152,7 +194,8 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
-    # Every command that writes has --force; where the command checks its files itself it also hears of it.
+    # Every command that writes has --force; where the command checks its files itself
+    # it also hears of it.
     declared = [part for part in _declared(function) if part.name != "force"]
     own_force = "force" in inspect.signature(function).parameters
     writes = {part.name: mark for part in declared if (mark := part.mark(Writes))}
@@ -162,20 +205,23 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
 
     @functools.wraps(function)
     def run(*, json: bool = False, force: bool = False, **given: Any) -> int:
-        # Ranges before files before work: a typing error must not cost the minute that the work takes.
+        # Ranges before files before work: a typing error must not cost the minute that
+        # the work takes.
         for name, allowed in ranges.items():
             if given[name] is not None:
                 given[name] = allowed.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
-                # Before the work and not when it is written: what cannot be kept is not computed.
+                # Before the work and not when it is written: what cannot be kept is not
+                # computed.
                 mark.check(given[name], force=force)
         answer = function(**given, **({"force": force} if own_force else {}))
         with unread_allowed():
             (_show_json if json else _show_text)(answer)
         if answer.opened and not webbrowser.open(answer.opened.resolve().as_uri()):
             tell(f"no browser was found; open {answer.opened} yourself")
-        # Doubts are errors of the input: a result that rests on them shows nothing, however well it came out.
+        # Doubts are errors of the input: a result that rests on them shows nothing,
+        # however well it came out.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
     parameters = [part.parameter for part in (*declared, *added)]
@@ -191,9 +237,13 @@ def _show_json(answer: Answer) -> None:
         # The input's doubts first: they are why the rest is to be distrusted.
         values["findings"] = [*map(to_json, answer.doubts), *values.get("findings", ())]
     paths = [str(path) for path in answer.written]
-    # One file is a string, as most commands write one; scripts read `out` without an index.
-    out: dict[str, Any] = {"out": paths if len(paths) > 1 else paths[0]} if paths else {}
-    # What the command adds by itself has the last word, such as "out": null of a proof that failed.
+    # One file is a string, as most commands write one; scripts read `out` without an
+    # index.
+    out: dict[str, Any] = (
+        {"out": paths if len(paths) > 1 else paths[0]} if paths else {}
+    )
+    # What the command adds by itself has the last word, such as "out": null of a proof
+    # that failed.
     emit_json(values | out | answer.values)
 
 

@@ -1,8 +1,9 @@
 """What the command line prints, where, and with which exit code; never a traceback.
 
-Results go to standard output, everything else to standard error, so that a pipe carries results only.
-Names that come from files are stripped of terminal escapes before they are printed: a log's column
-called ``\\x1b]0;...`` must not retitle, recolour or rewrite a terminal.
+Results go to standard output, everything else to standard error, so that a pipe carries
+results only. Names that come from files are stripped of terminal escapes before they
+are printed: a log's column called ``\\x1b]0;...`` must not retitle, recolour or rewrite
+a terminal.
 """
 
 from __future__ import annotations
@@ -21,25 +22,54 @@ from typing import Any, TextIO
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+)
 
 from fraclink._show.text import folded, option
-from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError, MissingExtraError
+from fraclink.errors import (
+    FieldError,
+    FraclinkError,
+    FraclinkWarning,
+    InfeasibleError,
+    MissingExtraError,
+)
 
-__all__ = ["clean", "emit", "emit_json", "guarded", "steps", "tell", "tell_written", "unread_allowed"]
+__all__ = [
+    "clean",
+    "emit",
+    "emit_json",
+    "guarded",
+    "steps",
+    "tell",
+    "tell_written",
+    "unread_allowed",
+]
 __all__ += ["watching", "width"]
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
-DEFECT = 70  # a defect of fraclink itself, kept apart from the three verdicts (sysexits' EX_SOFTWARE)
+# a defect of fraclink itself, kept apart from the three verdicts (sysexits'
+# EX_SOFTWARE)
+DEFECT = 70
 INTERRUPTED = 130  # 128 + SIGINT, as shells report it
-UNREAD = 141  # 128 + SIGPIPE, as of any program whose reader left before it had said all
+UNREAD = (
+    141  # 128 + SIGPIPE, as of any program whose reader left before it had said all
+)
 
-# Words keep their signs where there are no colours: pipes, NO_COLOR, readers of screens.
+# Words keep their signs where there are no colours: pipes, NO_COLOR, readers of
+# screens.
 _COLOURS = (
     ("✓ passed|✓", "32"),
     ("✗ (?:failed|missed)|^error|✗", "31"),
     ("! (?:not shown|missing)|^warning", "33"),
-    (r"(?<=\(got ).+?(?=\)(?:;|\. |\.?$))", "1"),  # the value that an error complains about
+    (
+        r"(?<=\(got ).+?(?=\)(?:;|\. |\.?$))",
+        "1",
+    ),  # the value that an error complains about
 )
 
 
@@ -55,7 +85,8 @@ def clean(text: object) -> str:
 def _visible(character: str) -> str:
     if character.isprintable() or character == "\n":
         return character
-    # C0, C1 and bidirectional marks: a name that turns the line round can show another ending.
+    # C0, C1 and bidirectional marks: a name that turns the line round can show another
+    # ending.
     code = ord(character)
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
@@ -67,8 +98,11 @@ def width() -> int:
 
 def _plain(stream: TextIO) -> bool:
     """Whether nothing but text goes to `stream`."""
-    # no-color.org: the variable counts when it is set, whatever it holds, and before FORCE_COLOR.
-    return "NO_COLOR" in os.environ or not (stream.isatty() or "FORCE_COLOR" in os.environ)
+    # no-color.org: the variable counts when it is set, whatever it holds, and before
+    # FORCE_COLOR.
+    return "NO_COLOR" in os.environ or not (
+        stream.isatty() or "FORCE_COLOR" in os.environ
+    )
 
 
 def _coloured(text: str, stream: TextIO) -> str:
@@ -86,22 +120,26 @@ def emit(text: str) -> None:
 
 def emit_json(value: Mapping[str, object]) -> None:
     """Print a result for programs: one JSON object, numbers that read back exactly."""
-    # ASCII, for pipes whose locale is not UTF-8; NaN is no JSON, and readers differ in what they make of it.
+    # ASCII, for pipes whose locale is not UTF-8; NaN is no JSON, and readers differ in
+    # what they make of it.
     sys.stdout.write(json.dumps(value, allow_nan=False, ensure_ascii=True) + "\n")
 
 
 def tell(text: str) -> None:
     """Print a remark on standard error."""
     if sys.stderr.isatty():
-        # Only where somebody reads: a log file or `grep` wants one line for each remark.
+        # Only where somebody reads: a log file or `grep` wants one line for each
+        # remark.
         text = folded(text, width())
     sys.stderr.write(_coloured(clean(text), sys.stderr) + "\n")
 
 
 def tell_written(path: Path) -> None:
-    """Name a file that was written; a terminal opens it by a click (OSC 8), a pipe gets its name alone.
+    """Name a file that was written; a terminal opens it by a click (OSC 8), a pipe gets
+    its name alone.
 
-    The name is not folded: a link over two lines would be two links, and a name that is copied would break.
+    The name is not folded: a link over two lines would be two links, and a name that is
+    copied would break.
     """
     name = clean(path)
     if not _plain(sys.stderr) and os.environ.get("TERM") != "dumb":
@@ -114,38 +152,52 @@ def tell_written(path: Path) -> None:
 
 @contextmanager
 def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Show progress over `total` parts on standard error; silent where that is not a terminal."""
+    """Show progress over `total` parts on standard error; silent where that is not a
+    terminal.
+    """
     if not sys.stderr.isatty():
         yield lambda name: None
         return
     text = TextColumn("{task.description}", markup=False)
     columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        # One more than the parts: `begin` advances as a part starts, and the bar is full when the last one
-        # ends.
+        # One more than the parts: `begin` advances as a part starts, and the bar is
+        # full when the last one ends.
         task = progress.add_task("", total=total + 1)
         yield lambda name: progress.update(task, description=clean(name), advance=1)
 
 
 @contextmanager
 def watching(runs: int) -> Iterator[Callable[[Any], None] | None]:
-    """Show runs done, their rate and the time that is left on standard error; silent where no terminal is."""
+    """Show runs done, their rate and the time that is left on standard error; silent
+    where no terminal is.
+    """
     if not sys.stderr.isatty():
         yield None
         return
     began = time.monotonic()
     text = TextColumn("{task.description}", markup=False)
-    with Progress(text, BarColumn(), console=Console(stderr=True), transient=True) as bar:
+    with Progress(
+        text, BarColumn(), console=Console(stderr=True), transient=True
+    ) as bar:
         task = bar.add_task("simulating", total=runs)
 
         def watch(progress: Any) -> None:
-            # What a resumed campaign finds finished took no time of this one, and is not in its rate.
+            # What a resumed campaign finds finished took no time of this one, and is
+            # not in its rate.
             now = progress.done - progress.before
             shown = f"{progress.done} / {runs}"
             if now:
-                rate = now / max(time.monotonic() - began, 1e-9)  # a clock may not have moved on yet
-                left, failed = (runs - progress.done) / rate, 100 * progress.failed / now
-                shown += f" · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
+                rate = now / max(
+                    time.monotonic() - began, 1e-9
+                )  # a clock may not have moved on yet
+                left, failed = (
+                    (runs - progress.done) / rate,
+                    100 * progress.failed / now,
+                )
+                shown += (
+                    f" · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
+                )
             bar.update(task, completed=progress.done, description=shown)
 
         yield watch
@@ -164,7 +216,11 @@ def _describe(error: BaseException) -> dict[str, object]:
         names = ("field", "value", "problem", "allowed", "remedy")
         return {name: clean(getattr(error, name)) for name in names}
     if isinstance(error, InfeasibleError):
-        return {"condition": error.condition, "problem": clean(error.explanation), "nearest": error.nearest}
+        return {
+            "condition": error.condition,
+            "problem": clean(error.explanation),
+            "nearest": error.nearest,
+        }
     text = error.format_message() if hasattr(error, "format_message") else str(error)
     return {"problem": _line(text)}
 
@@ -179,13 +235,16 @@ def _usage(error: Exception) -> str:
 
 def _answer(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
-    # Before FraclinkError, of which both are kinds: bad input is 2, and a missing package is no verdict on an
-    # arm.
+    # Before FraclinkError, of which both are kinds: bad input is 2, and a missing
+    # package is no verdict on an arm.
     if isinstance(error, FieldError | MissingExtraError):
         return BAD_INPUT, f"error: {error}"
     if isinstance(error, InfeasibleError) and error.nearest:
         options = " ".join(option(name, value) for name, value in error.nearest.items())
-        return FAILED, f"✗ failed: {error.condition}: {error.explanation}; nearest feasible: {options}"
+        return (
+            FAILED,
+            f"✗ failed: {error.condition}: {error.explanation}; nearest feasible: {options}",
+        )
     if isinstance(error, FraclinkError):
         return FAILED, f"✗ failed: {error}"
     if isinstance(error, OSError):
@@ -193,7 +252,10 @@ def _answer(error: BaseException) -> tuple[int, str]:
         name = error.filename if error.filename is not None else "file"
         return BAD_INPUT, f"error: {name}: {error.strerror or error}"
     if isinstance(error, KeyboardInterrupt):
-        return INTERRUPTED, "interrupted; finished files are complete, nothing is half written"
+        return (
+            INTERRUPTED,
+            "interrupted; finished files are complete, nothing is half written",
+        )
     return DEFECT, (
         f"error: fraclink failed inside ({type(error).__name__}: {error}); this is a defect, please report it"
         " (FRACLINK_TRACEBACK=1 shows where)"
@@ -202,9 +264,13 @@ def _answer(error: BaseException) -> tuple[int, str]:
 
 @contextmanager
 def _warnings_as_lines() -> Iterator[None]:
-    """Print fraclink's warnings as lines on standard error and drop those of other libraries."""
+    """Print fraclink's warnings as lines on standard error and drop those of other
+    libraries.
+    """
 
-    def show(message: Warning | str, category: type[Warning], *_: object, **__: object) -> None:
+    def show(
+        message: Warning | str, category: type[Warning], *_: object, **__: object
+    ) -> None:
         if issubclass(category, FraclinkWarning):
             tell(_line(f"warning: {message}"))
 
@@ -217,7 +283,9 @@ def _warnings_as_lines() -> Iterator[None]:
 
 @contextmanager
 def unread_allowed() -> Iterator[None]:
-    """Print what is inside to whoever reads: the exit code is known, and no reader who leaves changes it."""
+    """Print what is inside to whoever reads: the exit code is known, and no reader who
+    leaves changes it.
+    """
     try:
         yield
         sys.stdout.flush()
@@ -226,7 +294,9 @@ def unread_allowed() -> Iterator[None]:
 
 
 def _let_go() -> None:
-    """Send to nobody what a reader who left did not take: the interpreter flushes it again at its end."""
+    """Send to nobody what a reader who left did not take: the interpreter flushes it
+    again at its end.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -236,7 +306,8 @@ def _let_go() -> None:
 
 def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     """Run `work` and return its exit code, or the one its error stands for."""
-    # typer carries its own copy of click; its base of usage errors is reached through a public name.
+    # typer carries its own copy of click; its base of usage errors is reached through a
+    # public name.
     usage_error: type[Exception] = typer.BadParameter.__mro__[2]
     verdict = UNREAD
     try:
@@ -248,8 +319,9 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     except usage_error as error:
         code, lines, parts = BAD_INPUT, [f"error: {_usage(error)}"], _describe(error)
     except BrokenPipeError:
-        # The reader of a pipe left (`| head`): no error here, but stdout must not be flushed again. Nor is it
-        # a verdict: one that had been reached stands, and none is passed where it had not.
+        # The reader of a pipe left (`| head`): no error here, but stdout must not be
+        # flushed again. Nor is it a verdict: one that had been reached stands, and none
+        # is passed where it had not.
         _let_go()
         return verdict
     except (Exception, KeyboardInterrupt) as error:
@@ -258,7 +330,9 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
             raise
         (code, line), parts = _answer(error), _describe(error)
         lines = [line]
-        if faults := getattr(error, "faults", ()):  # a rig file lists all its faults at once: a line for each
+        if faults := getattr(
+            error, "faults", ()
+        ):  # a rig file lists all its faults at once: a line for each
             lines = [f"error: {fault}" for fault in faults]
             parts = parts | {"faults": [_describe(fault) for fault in faults]}
     # Each by itself: who reads the one stream may be there when nobody reads the other.

@@ -51,9 +51,10 @@ from fraclink._simulate import simulate as run_law
 
 app = group()
 
-# What a person may have put there before the first run, and what a run leaves: of all the files of a study
-# these are the ones whose loss would cost something. The moves and the models of other structures (run-*.npz,
-# model-*.json) come again from these, and are replaced.
+# What a person may have put there before the first run, and what a run leaves: of all
+# the files of a study these are the ones whose loss would cost something. The moves and
+# the models of other structures (run-*.npz, model-*.json) come again from these, and
+# are replaced.
 _STUDY = (
     "model.json",
     "design.json",
@@ -65,7 +66,9 @@ _STUDY = (
     "study.json",
 )
 
-Script = Annotated[bool, "With the arm that moves; without it the report holds no script at all"]
+Script = Annotated[
+    bool, "With the arm that moves; without it the report holds no script at all"
+]
 Open = Annotated[bool, "Open the page in a browser when it is written"]
 
 
@@ -80,16 +83,21 @@ def run(
     rig: RigName,
     log: Annotated[str, "The log; `demo` is the bundled one"],
     out: Annotated[Path, "Folder to write to", Writes(_STUDY)] = Path("results"),
-    structure: Annotated[str | None, "Structure of the model; default: what the log supports"] = None,
+    structure: Annotated[
+        str | None, "Structure of the model; default: what the log supports"
+    ] = None,
     heldout: HeldOutShare = None,
     certify: Annotated[bool, "Prove the design, too; takes a few seconds"] = False,
-    arms: Annotated[int, "Arms that differ from the model to try; 0 leaves them out"] = 1000,
+    arms: Annotated[
+        int, "Arms that differ from the model to try; 0 leaves them out"
+    ] = 1000,
     title: Annotated[str | None, "Title of the report"] = None,
     script: Script = True,
     open: Open = False,
     **options: Unpack[RunOptions],
 ) -> Answer:
-    """Take a log to a model, a controller, simulated moves and a report; the exit code is the verdict.
+    """Take a log to a model, a controller, simulated moves and a report; the exit code
+    is the verdict.
 
     $ fraclink run --rig paper-2023 --log demo --out results
     """
@@ -97,7 +105,8 @@ def run(
     # Both groups come in one dictionary: what reads the log must not reach the design.
     reading = {name: options.pop(name) for name in LogOptions.__annotations__}  # type: ignore[misc]
     with steps(6 + certify) as begin:
-        # Named before it is done: a reader that waits for a slow disk must be seen to wait.
+        # Named before it is done: a reader that waits for a slow disk must be seen to
+        # wait.
         begin("reading the log")
         study = run_study(
             known,
@@ -112,30 +121,49 @@ def run(
         )
         begin("writing the report")
         place = write_report(study, out / "report.html", title=title, script=script)
-    # The arms that fail come before the export: a worst case that can be replayed is the next thing to look
-    # at.
-    following = f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
+    # The arms that fail come before the export: a worst case that can be replayed is
+    # the next thing to look at.
+    following = (
+        f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
+    )
     if study.arms and study.arms.failure.count:
-        following = f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
+        following = (
+            f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
+        )
     values = {"report": str(place), "out": str(out)}
-    # "Not run" is no failure: --arms 0 leaves a scope out on purpose. The JSON's "passed" is stricter, and
-    # says so.
+    # "Not run" is no failure: --arms 0 leaves a scope out on purpose. The JSON's
+    # "passed" is stricter, and says so.
     passed, shown = not study.verdict.refuted, place if open else None
-    return Answer(study, passed, values=values, written=(place,), following=following, opened=shown)
+    return Answer(
+        study,
+        passed,
+        values=values,
+        written=(place,),
+        following=following,
+        opened=shown,
+    )
 
 
 class DesignOptions(DesignRequest):
     """Everything that a design can be asked for."""
 
     margins: Annotated[
-        str, "loop: filter, motor loop, hold and delay included; ideal: those of the paper", Default("loop")
+        str,
+        "loop: filter, motor loop, hold and delay included; ideal: those of the paper",
+        Default("loop"),
     ]
     filter_order: Annotated[int | None, "n, 1 or 2"]
     inner: Annotated[MotorLoopKind, Default("ideal")]
     placement: Annotated[Placement, Default("tustin")]
-    max_sensitivity: Annotated[float | None, "Bound on Ms; alone it replaces the phase margin"]
-    noise_gain: Annotated[float | None, "Bound on the motor reference's RMS per RMS of gauge noise"]
-    settling_time: Annotated[float | None, "Bound on 2π/ω_c [s]; alone it replaces the crossover"]
+    max_sensitivity: Annotated[
+        float | None, "Bound on Ms; alone it replaces the phase margin"
+    ]
+    noise_gain: Annotated[
+        float | None, "Bound on the motor reference's RMS per RMS of gauge noise"
+    ]
+    settling_time: Annotated[
+        float | None, "Bound on 2π/ω_c [s]; alone it replaces the crossover"
+    ]
     box: BoxFlag
 
 
@@ -147,26 +175,38 @@ def design(
     out: Annotated[Path, "File to write the design to", Writes()] = Path("design.json"),
     **request: Unpack[DesignOptions],
 ) -> Answer:
-    """Design the outer controller for a payload range; every requirement is listed with what was achieved.
+    """Design the outer controller for a payload range; every requirement is listed with
+    what was achieved.
 
     $ fraclink design --rig rig.toml --model model.json
     """
     known = load_rig(rig, link_mass=link_mass)
-    made, assumptions = design_for(known, load_link_model(model, known), **in_radians(request))
-    # Doubts of the fit travel with the design: requirements that are met for a model of nothing do not pass.
+    made, assumptions = design_for(
+        known, load_link_model(model, known), **in_radians(request)
+    )
+    # Doubts of the fit travel with the design: requirements that are met for a model of
+    # nothing do not pass.
     made = made.doubted(load_doubts(model)).with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     # With the lightest payload, at which the phase margin is smallest.
-    step = f"simulate {out} --payload {made.payloads[0]:g}" if made.passed else f"assess {out}"
-    return Answer(made, made.passed, remarks=assumed, written=(out,), following=f"fraclink {step}")
+    step = (
+        f"simulate {out} --payload {made.payloads[0]:g}"
+        if made.passed
+        else f"assess {out}"
+    )
+    return Answer(
+        made, made.passed, remarks=assumed, written=(out,), following=f"fraclink {step}"
+    )
 
 
 class MoveOptions(TypedDict):
     """The time, the disturbances and the motor loop of a simulation."""
 
     duration: Annotated[float, "Time to simulate [s]", Default(4.0)]
-    gauge_offset: Annotated[float | None, "Offset of the gauge [N·m]; default: the rig's"]
+    gauge_offset: Annotated[
+        float | None, "Offset of the gauge [N·m]; default: the rig's"
+    ]
     noise: Annotated[float | None, "Gauge noise [N·m]; default: the rig's"]
     inner: Annotated[MotorLoopKind, Default("sampled")]
     seed: Annotated[SeedNumber, Default(0)]
@@ -184,7 +224,8 @@ def simulate(
     out: Annotated[Path, "File to write the run to (npz)", Writes()] = Path("run.npz"),
     **options: Unpack[MoveOptions],
 ) -> Answer:
-    """Simulate a move of the tip with the shipped law; the exit code says whether it settles.
+    """Simulate a move of the tip with the shipped law; the exit code says whether it
+    settles.
 
     $ fraclink simulate design.json --payload 0.08 --told 0.08
     """
@@ -195,7 +236,9 @@ def simulate(
     move.save(out)
     following = f"fraclink twin {design_file} --payload {payload:g}"
     doubts = doubts_of_move(made, payload)
-    return Answer(move, move.verdict.passed, doubts=doubts, written=(out,), following=following)
+    return Answer(
+        move, move.verdict.passed, doubts=doubts, written=(out,), following=following
+    )
 
 
 @command(app)
@@ -209,7 +252,8 @@ def twin(
     seed: SeedNumber = 0,
     **options: Unpack[ArmOptions],
 ) -> Answer:
-    """Run the shipped law on the twin: an arm with distributed mass that is not the model.
+    """Run the shipped law on the twin: an arm with distributed mass that is not the
+    model.
 
     $ fraclink twin design.json --gear 50 --link-mass 0.00735
     """
@@ -218,36 +262,54 @@ def twin(
     given = told_or_estimated(made, told, estimate)
     move = run_law(made.law(), wanted, arm=arm, told=given, seed=seed)
     doubts = doubts_of_move(made, options["payload"])
-    following = f"fraclink certify {design_file}" if move.verdict.passed else f"fraclink assess {design_file}"
+    following = (
+        f"fraclink certify {design_file}"
+        if move.verdict.passed
+        else f"fraclink assess {design_file}"
+    )
     return Answer(move, move.verdict.passed, doubts=doubts, following=following)
 
 
 @command(app)
 def certify(
     design_file: DesignFile,
-    out: Annotated[Path, "File to write the certificate to", Writes()] = Path("certificate.json"),
-    modulus_margin: Annotated[float | None, "|1 + L| to prove; default: what can be proved"] = None,
+    out: Annotated[Path, "File to write the certificate to", Writes()] = Path(
+        "certificate.json"
+    ),
+    modulus_margin: Annotated[
+        float | None, "|1 + L| to prove; default: what can be proved"
+    ] = None,
     others: Annotated[
         list[Path] | None,
         typer.Option(metavar="MODEL"),
         "Model from another log of the same arm, which the proof is to hold for, too; may be repeated",
     ] = None,
 ) -> Answer:
-    """Prove stability for every payload and delay in range; exit code 1 where the proof fails.
+    """Prove stability for every payload and delay in range; exit code 1 where the proof
+    fails.
 
     $ fraclink certify design.json --modulus-margin 0.35
     """
     with steps(1) as begin:
         begin("proving")
         made = Design.load(design_file)
-        models = filter(None, (load_link_model(other, made.rig) for other in others or ()))
+        models = filter(
+            None, (load_link_model(other, made.rig) for other in others or ())
+        )
         certificate = prove(made, modulus_margin=modulus_margin, others=models)
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
-        # No file: a certificate that failed must not lie where the next stage looks for one.
-        return Answer(certificate, passed=False, values={"out": None}, following=following)
+        # No file: a certificate that failed must not lie where the next stage looks for
+        # one.
+        return Answer(
+            certificate, passed=False, values={"out": None}, following=following
+        )
     certificate.save(out)
-    return Answer(certificate, written=(out,), following=f"fraclink export c {design_file} --out firmware")
+    return Answer(
+        certificate,
+        written=(out,),
+        following=f"fraclink export c {design_file} --out firmware",
+    )
 
 
 @command(app)
@@ -272,13 +334,16 @@ def report(
 
 @command(app)
 def share(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER"), "Folder of results with a design"],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER"), "Folder of results with a design"
+    ],
     out: Annotated[Path, "File to write"] = Path("arm.html"),
     title: Annotated[str | None, "Title of the page; default: the rig's name"] = None,
     open: Open = False,
     force: bool = False,
 ) -> Answer:
-    """Write the arm as a page that moves: the same law in one HTML file, for any browser, without a server.
+    """Write the arm as a page that moves: the same law in one HTML file, for any
+    browser, without a server.
 
     $ fraclink share results --out arm.html
     """

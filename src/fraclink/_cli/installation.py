@@ -1,4 +1,6 @@
-"""`fraclink doctor`: what of this installation is there; `fraclink man`: the manual page of all commands."""
+"""`fraclink doctor`: what of this installation is there; `fraclink man`: the manual
+page of all commands.
+"""
 
 from __future__ import annotations
 
@@ -55,23 +57,37 @@ def doctor() -> Answer:
     $ fraclink doctor
     """
     extras = {name: _installed(name) for name, _, _ in _EXTRAS}
-    # `cc` alone, as replay and FMU call it: another compiler that is there does not help them.
+    # `cc` alone, as replay and FMU call it: another compiler that is there does not
+    # help them.
     compiler = shutil.which("cc")
     rows = [
         ("Python", platform.python_version(), "", "passed"),
         ("numpy", _installed("numpy") or "", "", "passed"),
-        # By distribution and not by import: an import of all would take seconds, and one that is broken would
-        # end the check that is to find it.
-        *(_row(name, extras[name], f"pip install 'fraclink[{extra}]'", use) for name, extra, use in _EXTRAS),
+        # By distribution and not by import: an import of all would take seconds, and
+        # one that is broken would end the check that is to find it.
+        *(
+            _row(name, extras[name], f"pip install 'fraclink[{extra}]'", use)
+            for name, extra, use in _EXTRAS
+        ),
         _row("C compiler", compiler, "none found", "replay, FMU"),
-        _row("real-time loop", "here" if _kernels.REALTIME else None, "Linux only", "run-realtime"),
+        _row(
+            "real-time loop",
+            "here" if _kernels.REALTIME else None,
+            "Linux only",
+            "run-realtime",
+        ),
     ]
     missing = [row[0] for row in rows if row[-1] == "missing"]
     headline = f"fraclink {__version__} on {platform.system()} {platform.machine()}"
     headline += f"; without {', '.join(missing)}" if missing else ""
     table = Table(("part", "version", "for", "state"), tuple(rows), judged=True)
     python = platform.python_version()
-    values = {"version": __version__, "python": python, "extras": extras, "compiler": compiler}
+    values = {
+        "version": __version__,
+        "python": python,
+        "extras": extras,
+        "compiler": compiler,
+    }
     return Answer(
         text=View(headline, (table,), state="passed"),
         values=values,
@@ -97,7 +113,9 @@ _ENVIRONMENT = (
 
 @command(app)
 def man(
-    out: Annotated[Path | None, "Write it here (fraclink.1); default: standard output", Writes()] = None,
+    out: Annotated[
+        Path | None, "Write it here (fraclink.1); default: standard output", Writes()
+    ] = None,
 ) -> Answer:
     """Write the manual page of all commands, for man(1).
 
@@ -109,7 +127,9 @@ def man(
     write_text(out, text)
     # man looks by section: elsewhere the page is shown by its file.
     inside = out.resolve().parent.name == "man1"
-    return Answer(written=(out,), following="man fraclink" if inside else f"man -l {out}")
+    return Answer(
+        written=(out,), following="man fraclink" if inside else f"man -l {out}"
+    )
 
 
 def manual_page() -> str:
@@ -122,7 +142,10 @@ def manual_page() -> str:
     lines = [
         '.\\" Made by `fraclink man`.',
         f'.TH FRACLINK 1 "" "fraclink {__version__}" "User commands"',
-        *_section("NAME", "fraclink \\- " + _text(_lowered(top.help or ""))),
+        *_section(
+            "NAME",
+            "fraclink \\- " + _text(_lowered(" ".join((top.help or "").split()))),
+        ),
         *_section("SYNOPSIS", ".B fraclink\n.I command\n[options]"),
         *_section(
             "DESCRIPTION",
@@ -136,8 +159,15 @@ def manual_page() -> str:
     ]
     for name, each in every_command().items():
         lines += _command(name, each)
-    lines += [".SH EXIT STATUS", *_listed(_EXIT), ".SH ENVIRONMENT", *_listed(_ENVIRONMENT)]
-    lines += _section("SEE ALSO", _text("fraclink help all, fraclink help COMMAND, fraclink doctor"))
+    lines += [
+        ".SH EXIT STATUS",
+        *_listed(_EXIT),
+        ".SH ENVIRONMENT",
+        *_listed(_ENVIRONMENT),
+    ]
+    lines += _section(
+        "SEE ALSO", _text("fraclink help all, fraclink help COMMAND, fraclink doctor")
+    )
     return "\n".join(lines) + "\n"
 
 
@@ -161,7 +191,12 @@ def _command(name: str, each: Any) -> Iterator[str]:
     if example:
         yield from (".PP", ".EX", _text("$ " + " ".join(example.split())), ".EE")
     options = [item for item in each.params if item.param_type_name == "option"]
-    yield from _listed([(", ".join((*item.opts, *item.secondary_opts)), item.help or "") for item in options])
+    yield from _listed(
+        [
+            (", ".join((*item.opts, *item.secondary_opts)), item.help or "")
+            for item in options
+        ]
+    )
 
 
 def _listed(rows: Any) -> Iterator[str]:
@@ -170,8 +205,10 @@ def _listed(rows: Any) -> Iterator[str]:
 
 
 def _text(text: str) -> str:
-    """A text as roff reads it back: backslashes, hyphens, and a dot or quote that begins a line."""
-    # Backslashes first, as the others bring their own; a bare hyphen would be printed as a dash and not be
-    # found by a search for --out.
+    """A text as roff reads it back: backslashes, hyphens, and a dot or quote that
+    begins a line.
+    """
+    # Backslashes first, as the others bring their own; a bare hyphen would be printed
+    # as a dash and not be found by a search for --out.
     escaped = text.replace("\\", "\\e").replace("-", "\\-").replace('"', "\\(dq")
     return re.sub(r"^([.'])", r"\\&\1", escaped)

@@ -1,4 +1,6 @@
-"""Commands on logs and link models: inspect, diagnose, record, and every fit of a link to a log."""
+"""Commands on logs and link models: inspect, diagnose, record, and every fit of a link
+to a log.
+"""
 
 from __future__ import annotations
 
@@ -41,14 +43,17 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 
 StructureName = Annotated[
-    str | None, "UD-IOM, D-IOM, UD-FOM or D-FOM; the one that the log supports where it is left out"
+    str | None,
+    "UD-IOM, D-IOM, UD-FOM or D-FOM; the one that the log supports where it is left out",
 ]
 
 app = group()
 
 
 def _errors(log: Experiment, rig: Rig | RigDraft) -> tuple[Finding, ...]:
-    """Findings that make a log unusable: a model fits a reversed gauge as well as a right one."""
+    """Findings that make a log unusable: a model fits a reversed gauge as well as a
+    right one.
+    """
     return errors_of(examine(log, whole(rig)))
 
 
@@ -56,12 +61,17 @@ def _known_stiffness(log: Experiment, rig: Rig | RigDraft) -> float | None:
     """A deflection log cannot show the stiffness; a torque log measures it."""
     known = whole(rig)
     # Γ = c (θm − θt): of the deflection alone every c fits as well.
-    return known.link.stiffness if known is not None and log.output_kind == "deflection" else None
+    return (
+        known.link.stiffness
+        if known is not None and log.output_kind == "deflection"
+        else None
+    )
 
 
 @command(app)
 def inspect(log: LogName) -> Answer:
-    """List a log's channels, rates and ranges, and a mapping to paste into the rig file.
+    """List a log's channels, rates and ranges, and a mapping to paste into the rig
+    file.
 
     $ fraclink inspect log.csv
     """
@@ -71,15 +81,19 @@ def inspect(log: LogName) -> Answer:
 
 @command(app)
 def diagnose(log: LogName, rig: RigName, **reading: Unpack[LogOptions]) -> Answer:
-    """Examine a log: offset, sign, delay, saturation, excitation; each finding with a remedy.
+    """Examine a log: offset, sign, delay, saturation, excitation; each finding with a
+    remedy.
 
     $ fraclink diagnose log.csv --rig rig.toml
     """
     known = load_rig_for_logs(rig)
     findings = examine(load_log(log, known, **reading), whole(known))
-    # Warnings do not fail a log: a model can be fitted to it, and the fit has gates of its own.
+    # Warnings do not fail a log: a model can be fitted to it, and the fit has gates of
+    # its own.
     failed = bool(errors_of(findings))
-    following = "" if failed else f"fraclink identify {log} --rig {rig}{as_stated(reading)}"
+    following = (
+        "" if failed else f"fraclink identify {log} --rig {rig}{as_stated(reading)}"
+    )
     return Answer(findings, not failed, following=following)
 
 
@@ -104,7 +118,9 @@ def identify(
         doubts = _errors(experiment, known)
         begin(f"fitting {structure or 'every structure'}")
         stiffness = _known_stiffness(experiment, known)
-        fit = identification.identify(experiment, structure, heldout=heldout, stiffness=stiffness)
+        fit = identification.identify(
+            experiment, structure, heldout=heldout, stiffness=stiffness
+        )
     fit.save(out)
     # A rig with blanks has no length and mass that the model could contradict.
     if (rig_in_full := whole(known)) is not None:
@@ -119,7 +135,10 @@ def identify(
 
 @command(app)
 def compare_structures(
-    log: LogName, rig: RigName, heldout: HeldOutShare = None, **reading: Unpack[LogOptions]
+    log: LogName,
+    rig: RigName,
+    heldout: HeldOutShare = None,
+    **reading: Unpack[LogOptions],
 ) -> Answer:
     """Fit all four structures to a log and compare them.
 
@@ -139,11 +158,17 @@ def compare_structures(
 
 @command(app)
 def identify_payloads(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG"), "Two or more logs, each of another payload"],
+    logs: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG"),
+        "Two or more logs, each of another payload",
+    ],
     rig: RigName,
     structure: StructureName = None,
     payload: Annotated[
-        list[float] | None, typer.Option(metavar="KG"), "Payload of each log [kg], in their order"
+        list[float] | None,
+        typer.Option(metavar="KG"),
+        "Payload of each log [kg], in their order",
     ] = None,
     tied: Annotated[bool, "Tie ω₀ to the payload by equation (5)"] = False,
     column: Columns = None,
@@ -152,15 +177,26 @@ def identify_payloads(
 
     $ fraclink identify-payloads 20g.csv 40g.csv --rig rig.toml
     """
-    # In the order of the logs: a mass that went to another log would tie ω₀ to the wrong payload and look
-    # like physics.
+    # In the order of the logs: a mass that went to another log would tie ω₀ to the
+    # wrong payload and look like physics.
     if payload and len(payload) != len(logs):
         problem, remedy = "not one for each log", "repeat --payload"
-        raise FieldError("payload", len(payload), problem, allowed=f"{len(logs)} values", remedy=remedy)
+        raise FieldError(
+            "payload",
+            len(payload),
+            problem,
+            allowed=f"{len(logs)} values",
+            remedy=remedy,
+        )
     known = load_rig(rig)
     masses: list[float | None] = list(payload) if payload else [None] * len(logs)
-    experiments = [load_log(log, known, column, mass) for log, mass in zip(logs, masses, strict=True)]
-    fit = identification.identify_payloads(experiments, structure, tied=tied, length=known.link.length)
+    experiments = [
+        load_log(log, known, column, mass)
+        for log, mass in zip(logs, masses, strict=True)
+    ]
+    fit = identification.identify_payloads(
+        experiments, structure, tied=tied, length=known.link.length
+    )
     return Answer(fit, fit.test.common)
 
 
@@ -193,7 +229,9 @@ def plan_experiment(
     )
 
 
-AT_REST = 0.5  # [s] before the excitation: an identification takes the first sample for rest
+AT_REST = (
+    0.5  # [s] before the excitation: an identification takes the first sample for rest
+)
 Excitation = Literal["prbs", "pulse", "chirp"]
 
 
@@ -205,20 +243,28 @@ def _excitation(kind: Excitation, amplitude: float, duration: float) -> Referenc
         # 0.2 to 5 Hz, about the 2 Hz at which the paper's arm rings.
         return chirp(amplitude, 0.2, 5.0, duration=duration)
     bit = 0.24
-    return prbs(amplitude, bit, bits=max(1, int(duration / bit)), register=9, start=AT_REST)
+    return prbs(
+        amplitude, bit, bits=max(1, int(duration / bit)), register=9, start=AT_REST
+    )
 
 
 @command(app)
 def record(
     rig: RigName,
-    out: Annotated[Path, "File to write the log to (CSV)", Writes()] = Path("twin_log.csv"),
+    out: Annotated[Path, "File to write the log to (CSV)", Writes()] = Path(
+        "twin_log.csv"
+    ),
     payload: Annotated[Payload | None, "Payload; default: nominal"] = None,
     link_mass: LinkMass = None,
     model: ModelFile = None,
     excitation: Annotated[Excitation, "Motor reference"] = "prbs",
     amplitude: Annotated[float, "Size of the excitation [rad]"] = 0.1,
-    duration: Annotated[float, Between(2.0, 3600.0, "s", remedy="20 s is usual"), "Length of the log"] = 20.0,
-    gauge_delay: Annotated[float, "Delay of the strain amplifier [s], whole milliseconds"] = 0.0,
+    duration: Annotated[
+        float, Between(2.0, 3600.0, "s", remedy="20 s is usual"), "Length of the log"
+    ] = 20.0,
+    gauge_delay: Annotated[
+        float, "Delay of the strain amplifier [s], whole milliseconds"
+    ] = 0.0,
     seed: SeedNumber = 0,
 ) -> Answer:
     """Record a log of the twin, in the same CSV a rig writes, marked as simulated.
@@ -229,7 +275,9 @@ def record(
     # Said before the twin is built, whose own error would speak of damping.
     required_model(known)  # the twin takes its damping from there
     reference = _excitation(excitation, amplitude, duration)
-    arm = Twin.from_rig(known, payload=payload, link_mass=link_mass, gauge_delay=gauge_delay)
+    arm = Twin.from_rig(
+        known, payload=payload, link_mass=link_mass, gauge_delay=gauge_delay
+    )
     # Both ends: a log of 20 s has a sample at 20 s.
     count = round(duration / known.period) + 1
     log = simulate_log(

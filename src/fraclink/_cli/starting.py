@@ -1,4 +1,6 @@
-"""The command `start`: from a log that nobody has described to rig.toml, a first model and a picture."""
+"""The command `start`: from a log that nobody has described to rig.toml, a first model
+and a picture.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ _PICTURE = "fit.svg"
 def start(
     log: LogName,
     out: Annotated[
-        Path, "Folder for rig.toml, model.json and fit.svg", Writes((*START_FILES, _PICTURE))
+        Path,
+        "Folder for rig.toml, model.json and fit.svg",
+        Writes((*START_FILES, _PICTURE)),
     ] = Path(),
     column: Annotated[
         list[str] | None,
@@ -42,14 +46,19 @@ def start(
         '"motor_angle=pot * 36.8 [deg]"; a minus turns the sign, a plus keeps it',
     ] = None,
     period_ms: Annotated[
-        float | None, Between(0.0, 1000.0, "ms", low_open=True), "Sampling period of a log without stamps"
+        float | None,
+        Between(0.0, 1000.0, "ms", low_open=True),
+        "Sampling period of a log without stamps",
     ] = None,
     payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,
-    resample: Annotated[bool, "Interpolate over gaps, repeated stamps and strong jitter"] = False,
+    resample: Annotated[
+        bool, "Interpolate over gaps, repeated stamps and strong jitter"
+    ] = False,
     interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"] = False,
     force: bool = False,
 ) -> Answer:
-    """Guess columns, units and sign of a log, say why, and fit a first model; asks what it cannot know.
+    """Guess columns, units and sign of a log, say why, and fit a first model; asks what
+    it cannot know.
 
     $ fraclink start log.csv --out mine
     """
@@ -60,7 +69,8 @@ def start(
         payload=payload,
         resample=resample,
         interpolate=interpolate,
-        # A script cannot answer: it gets the error with the option that decides instead.
+        # A script cannot answer: it gets the error with the option that decides
+        # instead.
         ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None,
     )
     written = found.save(out, force=force)
@@ -80,15 +90,17 @@ def _following(found: Start, log: str, out: Path) -> str:
         return f"fraclink diagnose {shlex.quote(log)} --rig {rig}"
     fill = f"fill in the {found.blanks} blanks of {rig}, then"
     if found.fit.model.payload is None:
-        # No number of the rig file says with which payload this log was made; without it `design` could not
-        # use the ω₀ that was found.
+        # No number of the rig file says with which payload this log was made; without
+        # it `design` could not use the ω₀ that was found.
         again = f"fraclink identify {shlex.quote(log)} --rig {rig} --payload KG --out {model} --force"
         return f"{fill} {again}, with the payload of this log for KG"
     return f"{fill} fraclink design --rig {rig} --model {model}"
 
 
 def _ask(question: Question) -> str:
-    """Ask on the terminal until the answer is understood; a number stands for the choice in that place."""
+    """Ask on the terminal until the answer is understood; a number stands for the
+    choice in that place.
+    """
     tell(question.text)
     for number, choice in enumerate(question.choices, 1):
         tell(f"  {number}  {choice}")
@@ -118,7 +130,14 @@ def _understood(question: Question, text: str) -> str:
     known = text in question.choices or question.part not in ("column", "sign")
     if not text or not known:
         allowed, remedy = ", ".join(question.choices), "type one of them, or its number"
-        raise FieldError("answer", text or "(nothing)", "not understood", allowed=allowed, remedy=remedy)
-    # Tried on an empty statement: a unit that cannot be read is asked for again, not found out at the end.
+        raise FieldError(
+            "answer",
+            text or "(nothing)",
+            "not understood",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    # Tried on an empty statement: a unit that cannot be read is asked for again, not
+    # found out at the end.
     answered(ColumnStatement(question.role), question, text)
     return text

@@ -27,31 +27,44 @@ def studio(
         "A folder of results, a log, or a design; without it the rig's own model",
     ] = None,
     rig: Annotated[
-        str | None, typer.Option(metavar="RIG"), "A rig file or a bundled rig; default: the study's own"
+        str | None,
+        typer.Option(metavar="RIG"),
+        "A rig file or a bundled rig; default: the study's own",
     ] = None,
-    out: Annotated[Path, "Folder that Keep writes to where no folder is opened"] = Path("results"),
-    port: Annotated[int, Between(0, 65535), "Port to listen on; 0 takes a free one"] = 0,
+    out: Annotated[Path, "Folder that Keep writes to where no folder is opened"] = Path(
+        "results"
+    ),
+    port: Annotated[
+        int, Between(0, 65535), "Port to listen on; 0 takes a free one"
+    ] = 0,
     open: Annotated[bool, "Open the page in a browser"] = True,
     host: Annotated[str, "Address to listen on"] = "127.0.0.1",
     unsafe_remote: Annotated[
-        bool, "Allow an address that others can reach: the token then crosses the network unencrypted"
+        bool,
+        "Allow an address that others can reach: the token then crosses the network unencrypted",
     ] = False,
 ) -> Answer:
-    """Open a study in a page on this machine: drag the loop, see the arm; Keep writes the commands' files.
+    """Open a study in a page on this machine: drag the loop, see the arm; Keep writes
+    the commands' files.
 
     $ fraclink studio results
     """
     try:
         from fraclink._studio.serving import serve
-    # Of the extra's own packages only: a module of fraclink that is missing is a defect, and must look like
-    # one.
+    # Of the extra's own packages only: a module of fraclink that is missing is a
+    # defect, and must look like one.
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn", "anyio", "h11", "click", "idna"):
             raise
         raise MissingExtraError(error.name, "studio") from error
     if place is not None and not place.exists():
-        allowed, remedy = "a folder, a log or a design that is there", "check the name, or leave it out"
-        raise FieldError("place", str(place), "no such file", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "a folder, a log or a design that is there",
+            "check the name, or leave it out",
+        )
+        raise FieldError(
+            "place", str(place), "no such file", allowed=allowed, remedy=remedy
+        )
     session = serve(
         lambda: _opened(place, rig, out),
         host=host,
@@ -60,11 +73,16 @@ def studio(
         open_page=open,
         say=emit,
     )
-    return Answer(text=f"kept in {session.folder}" if session.folder.is_dir() else "nothing was kept")
+    return Answer(
+        text=f"kept in {session.folder}"
+        if session.folder.is_dir()
+        else "nothing was kept"
+    )
 
 
 def _opened(place: Path | None, rig: str | None, out: Path) -> Session:
-    # Everything numerical is loaded here, a second of work, while the browser loads the page.
+    # Everything numerical is loaded here, a second of work, while the browser loads the
+    # page.
     from fraclink._cli.options import load_rig
     from fraclink._studio.session import opened
 

@@ -1,4 +1,6 @@
-"""The commands `tune` and `watch`: an unknown arm, moved until it has a law, and watched afterwards."""
+"""The commands `tune` and `watch`: an unknown arm, moved until it has a law, and
+watched afterwards.
+"""
 
 from __future__ import annotations
 
@@ -40,25 +42,38 @@ _LIMITS = {
 @command(app)
 def tune(
     io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
-    payload: Annotated[Payload | None, "Payload at the tip while it is tuned [kg]"] = None,
+    payload: Annotated[
+        Payload | None, "Payload at the tip while it is tuned [kg]"
+    ] = None,
     payloads: PayloadRange = None,
     angle_deg: Annotated[
         float | None,
         Between(10.0, 5e4, "°"),
         "Limit of the motor's angle to each side of where it stands",
     ] = None,
-    speed: Annotated[float | None, "Limit of the motor's speed at the gear's output [rad/s]"] = None,
-    torque: Annotated[float | None, "Limit of the torque that the gauge shows [N·m]"] = None,
-    voltage: Annotated[float | None, "Limit of the voltage at the amplifier's input [V]"] = None,
+    speed: Annotated[
+        float | None, "Limit of the motor's speed at the gear's output [rad/s]"
+    ] = None,
+    torque: Annotated[
+        float | None, "Limit of the torque that the gauge shows [N·m]"
+    ] = None,
+    voltage: Annotated[
+        float | None, "Limit of the voltage at the amplifier's input [V]"
+    ] = None,
     rig: Annotated[
-        str | None, typer.Option(metavar="RIG"), "What is known of the arm, to compare scales with"
+        str | None,
+        typer.Option(metavar="RIG"),
+        "What is known of the arm, to compare scales with",
     ] = None,
     period_ms: Annotated[
-        float | None, Between(0.05, 1000.0, "ms"), "Period of a library's board; udp and shm state theirs"
+        float | None,
+        Between(0.05, 1000.0, "ms"),
+        "Period of a library's board; udp and shm state theirs",
     ] = None,
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
     resume: Annotated[
-        bool, "Go on behind the last stage that is whole; with another --payload of the range, move it"
+        bool,
+        "Go on behind the last stage that is whole; with another --payload of the range, move it",
     ] = False,
     yes: Annotated[bool, "Do not ask before the arm moves"] = False,
     moves: Annotated[bool, "Make the first moves under the new law"] = True,
@@ -66,22 +81,35 @@ def tune(
     key_file: KeyFile = None,
     force: bool = False,
 ) -> Answer:
-    """Tune an unknown arm within limits: wiring, motor, link, design, proof, law and first moves.
+    """Tune an unknown arm within limits: wiring, motor, link, design, proof, law and
+    first moves.
 
-    Limits and payload that are not given are asked for; without them nothing moves. The plan is shown
-    first. Ctrl-C, a limit, a lost link or a wrong sign switches the drive off; the record is kept, and
-    --resume goes on. The arm needs its own watchdog and an emergency stop.
+    Limits and payload that are not given are asked for; without them nothing moves. The
+    plan is shown first. Ctrl-C, a limit, a lost link or a wrong sign switches the drive
+    off; the record is kept, and --resume goes on. The arm needs its own watchdog and an
+    emergency stop.
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
-    given = {"angle_deg": angle_deg, "speed": speed, "torque": torque, "voltage": voltage, "payload": payload}
+    given = {
+        "angle_deg": angle_deg,
+        "speed": speed,
+        "torque": torque,
+        "voltage": voltage,
+        "payload": payload,
+    }
     stated, before = None if rig is None else load_rig(rig), None
     if resume and (out / FILES[0]).is_file():
         known: Tuning = load(out / FILES[0], Tuning)
         # The payload that was measured, to tell whether another one is moved now.
         before = known.payload
-        given, payloads, stated = _as_before(known, given), payloads or known.payloads, stated or known.rig
-    # Before the limits are asked for: nobody answers five questions to learn that a file is in the way.
+        given, payloads, stated = (
+            _as_before(known, given),
+            payloads or known.payloads,
+            stated or known.rig,
+        )
+    # Before the limits are asked for: nobody answers five questions to learn that a
+    # file is in the way.
     elif not (resume or force):
         for name in FILES:
             output_path(out / name, force=False)
@@ -89,7 +117,8 @@ def tune(
     carried = values.pop("payload")
     limits = MotionLimits(
         angle=math.radians(values["angle_deg"]),
-        # no defaults for these: what an arm may do is for whoever stands beside it to say
+        # no defaults for these: what an arm may do is for whoever stands beside it to
+        # say
         **{name: values[name] for name in ("speed", "torque", "voltage")},
     )
     plan = TuningPlan(
@@ -103,13 +132,19 @@ def tune(
     # On standard error, so that it is read although the result goes to a pipe.
     tell(plan.text)
     if resume and before not in (None, carried):
-        tell(f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g")
+        tell(
+            f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g"
+        )
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
     # Every stage is told as it begins: a motor that turns must not come as a surprise.
-    found = tune_arm(connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell)
+    found = tune_arm(
+        connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell
+    )
     written = tuple(out / name for name in FILES if (out / name).is_file())
-    return Answer(found, found.passed, written=written, following=_following(found, io, out))
+    return Answer(
+        found, found.passed, written=written, following=_following(found, io, out)
+    )
 
 
 def _following(found: Tuning, io: str, out: Path) -> str:
@@ -118,12 +153,17 @@ def _following(found: Tuning, io: str, out: Path) -> str:
     # What ended early goes on with the stages that are whole.
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --resume"
-    # A law whose first moves are not what was promised is not one to go on with, proof or not.
+    # A law whose first moves are not what was promised is not one to go on with, proof
+    # or not.
     return f"fraclink diagnose {out / 'log.npz'}"
 
 
-def _as_before(known: Tuning, given: dict[str, float | None]) -> dict[str, float | None]:
-    """The limits and the payload of the tuning that is resumed, where they are not given anew."""
+def _as_before(
+    known: Tuning, given: dict[str, float | None]
+) -> dict[str, float | None]:
+    """The limits and the payload of the tuning that is resumed, where they are not
+    given anew.
+    """
     limits = known.limits
     before: dict[str, Any] = {
         "angle_deg": math.degrees(limits.angle),
@@ -132,11 +172,15 @@ def _as_before(known: Tuning, given: dict[str, float | None]) -> dict[str, float
         "voltage": limits.voltage,
         "payload": known.payload,
     }
-    return {name: before[name] if value is None else value for name, value in given.items()}
+    return {
+        name: before[name] if value is None else value for name, value in given.items()
+    }
 
 
 def _asked(name: str, value: float | None) -> float:
-    """The value, or the answer to its question; FieldError where there is nobody to ask."""
+    """The value, or the answer to its question; FieldError where there is nobody to
+    ask.
+    """
     if value is not None:
         return value
     question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
@@ -145,8 +189,8 @@ def _asked(name: str, value: float | None) -> float:
         allowed, remedy = "a number: nothing moves without it", f"give {option}"
         raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
     while True:
-        # Outside the `try`: an input that has ended is a FieldError, which is a ValueError, too, and would
-        # be asked again for ever.
+        # Outside the `try`: an input that has ended is a FieldError, which is a
+        # ValueError, too, and would be asked again for ever.
         answer = _line(question)
         try:
             return float(answer)
@@ -168,7 +212,9 @@ def _line(question: str) -> str:
     line = sys.stdin.readline()
     if not line:
         allowed, remedy = "an answer", "give the options"
-        raise FieldError("answer", "(end of input)", "missing", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "answer", "(end of input)", "missing", allowed=allowed, remedy=remedy
+        )
     return line.strip()
 
 
@@ -181,7 +227,8 @@ def watch(
     ],
     tuned: Annotated[Path, "Folder of the tuning, or its tuning.json"] = Path("tuned"),
 ) -> Answer:
-    """Compare a record of a running arm with its tuning, and say what has changed: ω₀, gauge, friction.
+    """Compare a record of a running arm with its tuning, and say what has changed: ω₀,
+    gauge, friction.
 
     The exit code is 1 where a retune is due.
 
@@ -197,7 +244,11 @@ def watch(
             "a run in real time, or a log",
             "record one: `fraclink run-realtime --out realtime.npz`",
         )
-        raise FieldError("record", str(record), "neither", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "record", str(record), "neither", allowed=allowed, remedy=remedy
+        )
     seen = watch_arm(log, load(place, Tuning))
-    following = "" if seen.passed else "fraclink tune --io ADDRESS --payload KG --out retuned"
+    following = (
+        "" if seen.passed else "fraclink tune --io ADDRESS --payload KG --out retuned"
+    )
     return Answer(seen, seen.passed, following=following)

@@ -6,4 +6,13 @@ from fraclink._design.optimisation import Optimised, Step, optimise
 from fraclink._design.procedure import design
 from fraclink._law.design import Design, Requirement, Specification, deg
 
-__all__ = ["Design", "Optimised", "Requirement", "Specification", "Step", "deg", "design", "optimise"]
+__all__ = [
+    "Design",
+    "Optimised",
+    "Requirement",
+    "Specification",
+    "Step",
+    "deg",
+    "design",
+    "optimise",
+]

@@ -1,4 +1,6 @@
-"""What else could be asked for, and what else could be built: the feasibility map, rivals at one Ms."""
+"""What else could be asked for, and what else could be built: the feasibility map,
+rivals at one Ms.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +36,15 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 PeakBound = Annotated[float, Between(1.0, 100.0, low_open=True)]
-# Ms and noise are smooth over ω₀; nine links, as for the requirements of a design, so that two figures of one
-# controller agree.
+# Ms and noise are smooth over ω₀; nine links, as for the requirements of a design, so
+# that two figures of one controller agree.
 _PAYLOADS = 9
-_POINTS = 320  # trial values of ω̄_c of a map; a root is then closed in on by secant steps
+_POINTS = (
+    320  # trial values of ω̄_c of a map; a root is then closed in on by secant steps
+)
 _CELLS = 1_000_000
-_MARGINAL = 1e-6  # [rad] of ln ω: below the falling crossing, so that it is not taken for the rising one
+# [rad] of ln ω: below the falling crossing, so that it is not taken for the rising one
+_MARGINAL = 1e-6
 
 
 # ---- the same distance from -1 for all --------------------------------------------------------------------
@@ -47,7 +52,9 @@ _MARGINAL = 1e-6  # [rad] of ln ω: below the falling crossing, so that it is no
 
 @dataclass(frozen=True)
 class Alternative:
-    """A controller and its worst values over the payload range of a design, on the loop that runs."""
+    """A controller and its worst values over the payload range of a design, on the loop
+    that runs.
+    """
 
     name: str
     controller: Controller
@@ -59,31 +66,45 @@ class Alternative:
     settling_time: float  # 2π/gain_crossover [s]
 
 
-def compare_at_equal_sensitivity(design: Design, *, max_sensitivity: float) -> tuple[Alternative, ...]:
-    """Rate C, C', PD and the best β at one worst Ms, and the paper's printed controllers as they are.
+def compare_at_equal_sensitivity(
+    design: Design, *, max_sensitivity: float
+) -> tuple[Alternative, ...]:
+    """Rate C, C', PD and the best β at one worst Ms, and the paper's printed
+    controllers as they are.
 
-    C' has the order of the integer-model design matched to the design at the nominal payload (eq. (42) with
-    λ = 2); PD is β = 1. Each gets the largest gain that the bound on Ms allows, with the design's own filter.
-    For matched designs the published advantage of the fractional model vanishes; this shows by how much.
+    C' has the order of the integer-model design matched to the design at the nominal
+    payload (eq. (42) with λ = 2); PD is β = 1. Each gets the largest gain that the
+    bound on Ms allows, with the design's own filter. For matched designs the published
+    advantage of the fractional model vanishes; this shows by how much.
     """
     own = design.controller
     w0 = design.natural_frequency(design.rig.payloads.nominal)
     found = design.ideal_loop.crossings(w0)
     upper = int(np.argmax(found.frequency))
     crossover = float(found.frequency[upper])
-    # The angle itself, 0 to 360°: a margin above 180° must not come as a negative one, which asks for another
-    # β.
+    # The angle itself, 0 to 360°: a margin above 180° must not come as a negative one,
+    # which asks for another β.
     margin = float(np.remainder(found.phase_margin[upper], 2.0 * math.pi))
-    matched = match_at(replace(design.model, order=2.0, damping=0.0), w0, crossover, margin)
-    entries = [("C, fractional model", own.order), ("C', integer model", matched.order), ("PD", 1.0)]
+    matched = match_at(
+        replace(design.model, order=2.0, damping=0.0), w0, crossover, margin
+    )
+    entries = [
+        ("C, fractional model", own.order),
+        ("C', integer model", matched.order),
+        ("PD", 1.0),
+    ]
     rivals = []
     for name, order in entries:
-        # From the same |Ĉ| at the crossover: the factor on the gain that is then sought lies between 0.01 and
-        # 100.
+        # From the same |Ĉ| at the crossover: the factor on the gain that is then sought
+        # lies between 0.01 and 100.
         start = _start(own, order, crossover)
-        rivals.append(_rate(design, name, scale_to_sensitivity(design, start, max_sensitivity)))
+        rivals.append(
+            _rate(design, name, scale_to_sensitivity(design, start, max_sensitivity))
+        )
     rivals.append(_best_order(design, max_sensitivity))
-    rivals += [_rate(design, f"printed {name}", printed) for name, printed in PRINTED.items()]
+    rivals += [
+        _rate(design, f"printed {name}", printed) for name, printed in PRINTED.items()
+    ]
     return tuple(rivals)
 
 
@@ -104,50 +125,67 @@ def _rate(design: Design, name: str, controller: Controller) -> Alternative:
         sensitivity_peak=float(np.max(got.sensitivity_peak)),
         gain_crossover=slowest,
         phase_margin=float(np.min(got.phase_margin)),
-        # Of an unstable loop the integral is finite, and says nothing: no stationary noise exists there.
+        # Of an unstable loop the integral is finite, and says nothing: no stationary
+        # noise exists there.
         noise_gain=float(np.max(got.noise_gain)) if stable else math.inf,
         settling_time=2.0 * math.pi / slowest if slowest else math.inf,
     )
 
 
 @checked
-def scale_to_sensitivity(design: Design, controller: Controller, max_sensitivity: PeakBound) -> Controller:
-    """Return the controller with the largest gain whose worst Ms over the payloads is `max_sensitivity` > 1.
+def scale_to_sensitivity(
+    design: Design, controller: Controller, max_sensitivity: PeakBound
+) -> Controller:
+    """Return the controller with the largest gain whose worst Ms over the payloads is
+    `max_sensitivity` > 1.
 
     Raises InfeasibleError where no gain reaches it.
     """
     bound = max_sensitivity
-    loop, w0 = _loop_of(design, controller), np.geomspace(*design.natural_frequencies, _PAYLOADS)
-    # Steps of 4 %: Ms need not grow with the gain, so that the root is sought beside the last one that keeps
-    # it.
+    loop, w0 = (
+        _loop_of(design, controller),
+        np.geomspace(*design.natural_frequencies, _PAYLOADS),
+    )
+    # Steps of 4 %: Ms need not grow with the gain, so that the root is sought beside
+    # the last one that keeps it.
     ratios = np.geomspace(1e-2, 1e2, 240)
     kept = _rough_peaks(loop, w0, ratios) <= bound
     if not kept.any():
         raise InfeasibleError(
-            "sensitivity peak", f"no gain brings Ms to {bound:g} with β = {controller.order:g}"
+            "sensitivity peak",
+            f"no gain brings Ms to {bound:g} with β = {controller.order:g}",
         )
 
     def excess(ratio: float) -> float:
-        return float(np.max(replace(loop, gain=ratio * loop.gain).sensitivity_peak(w0))) - bound
+        return (
+            float(np.max(replace(loop, gain=ratio * loop.gain).sensitivity_peak(w0)))
+            - bound
+        )
 
     last = int(np.nonzero(kept)[0][-1])
-    # A step to either side: the grid's peaks are a per cent low, and the true one may already exceed the
-    # bound at the last that kept it.
-    good, bad = float(ratios[max(last - 1, 0)]), float(ratios[min(last + 1, ratios.size - 1)])
+    # A step to either side: the grid's peaks are a per cent low, and the true one may
+    # already exceed the bound at the last that kept it.
+    good, bad = (
+        float(ratios[max(last - 1, 0)]),
+        float(ratios[min(last + 1, ratios.size - 1)]),
+    )
     if excess(bad) > 0.0:
         good = float(brentq(excess, good, bad, xtol=1e-11 * good, rtol=1e-11))
     return replace(controller, gain=good * controller.gain)
 
 
 def _rough_peaks(loop: Loop, w0: Real, ratios: Real) -> Real:
-    """Worst Ms for each factor on the gain, on a grid; infinite from the first factor that is unstable on.
+    """Worst Ms for each factor on the gain, on a grid; infinite from the first factor
+    that is unstable on.
 
-    L is linear in the gain and keeps its phase: -1 is passed where |L| at the phase crossing reaches one.
+    L is linear in the gain and keeps its phase: -1 is passed where |L| at the phase
+    crossing reaches one.
     """
     w = np.minimum(loop.peak(w0)[:, None] * np.geomspace(0.2, 60.0, 400), loop.highest)
     log = loop.log(w, w0[:, None])
     value, beyond = np.exp(log), log.imag <= -math.pi
-    # The initial value stands for a phase that never reaches −180°: no gain makes that loop unstable.
+    # The initial value stands for a phase that never reaches −180°: no gain makes that
+    # loop unstable.
     crossing = float(np.max(np.abs(value), where=beyond, initial=1e-300))
     peaks = np.array([float(np.max(1.0 / np.abs(1.0 + r * value))) for r in ratios])
     return np.where(ratios * crossing < 1.0, peaks, math.inf)
@@ -155,15 +193,24 @@ def _rough_peaks(loop: Loop, w0: Real, ratios: Real) -> Real:
 
 def _start(own: Controller, order: float, frequency: float) -> Controller:
     """The design's controller with another β and the same gain at `frequency` [rad/s]."""
-    # As `design` chooses n: a single pole behind s^β, β >= 1, leaves Ĉ and its noise rising (32).
+    # As `design` chooses n: a single pole behind s^β, β >= 1, leaves Ĉ and its noise
+    # rising (32).
     n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
-    return replace(own, order=order, gain=own.gain * frequency ** (own.order - order), filter_order=n)
+    return replace(
+        own,
+        order=order,
+        gain=own.gain * frequency ** (own.order - order),
+        filter_order=n,
+    )
 
 
 def _best_order(design: Design, max_sensitivity: float) -> Alternative:
-    """The β, with the design's own filter, that crosses highest for the worst payload at this Ms."""
+    """The β, with the design's own filter, that crosses highest for the worst payload
+    at this Ms.
+    """
     best: Alternative | None = None
-    # Three rounds of seven, each a third as wide: β to 0.013 with 21 fits, where its crossover is flat.
+    # Three rounds of seven, each a third as wide: β to 0.013 with 21 fits, where its
+    # crossover is flat.
     centre, width = design.controller.order, 0.35
     for _ in range(3):
         for order in map(float, centre + width * np.linspace(-1.0, 1.0, 7)):
@@ -172,7 +219,11 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
                 continue
             start = _start(design.controller, order, design.gain_crossover_upper)
             try:
-                rival = _rate(design, "best β", scale_to_sensitivity(design, start, max_sensitivity))
+                rival = _rate(
+                    design,
+                    "best β",
+                    scale_to_sensitivity(design, start, max_sensitivity),
+                )
             except InfeasibleError:
                 continue
             if best is None or rival.gain_crossover > best.gain_crossover:
@@ -180,7 +231,9 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
         centre = best.controller.order if best is not None else centre
         width /= 3.0
     if best is None:
-        raise InfeasibleError("sensitivity peak", f"no order β brings Ms to {max_sensitivity:g}")
+        raise InfeasibleError(
+            "sensitivity peak", f"no order β brings Ms to {max_sensitivity:g}"
+        )
     return best
 
 
@@ -191,10 +244,11 @@ def _best_order(design: Design, max_sensitivity: float) -> Alternative:
 @compared
 @dataclass(frozen=True, eq=False)
 class FeasibilityMap:
-    """Arrays of shape (len(phase_margin), len(gain_crossover)); NaN where no admissible controller exists.
+    """Arrays of shape (len(phase_margin), len(gain_crossover)); NaN where no admissible
+    controller exists.
 
-    ``gain`` k_d, ``order`` β, ``upper`` ω̄_c [rad/s], ``filter_time`` δ [s], ``settling_time`` 2π/ω_c [s] and
-    ``noise_gain`` at the lightest payload.
+    ``gain`` k_d, ``order`` β, ``upper`` ω̄_c [rad/s], ``filter_time`` δ [s],
+    ``settling_time`` 2π/ω_c [s] and ``noise_gain`` at the lightest payload.
     """
 
     gain_crossover: Real
@@ -227,11 +281,12 @@ def feasibility_map(
     inner: Literal["ideal", "sampled"] = "ideal",
     placement: Literal["tustin", "direct"] = "tustin",
 ) -> FeasibilityMap:
-    """Solve the closed procedure for every pair of crossover [rad/s] and phase margin [rad] at once.
+    """Solve the closed procedure for every pair of crossover [rad/s] and phase margin
+    [rad] at once.
 
-    The options are those of `design`, with one n for the whole map. Each cell satisfies (54), (55) and the
-    exact condition of Theorem 1, and keeps the margin where |L| rises through one, too, at both ends of the
-    range.
+    The options are those of `design`, with one n for the whole map. Each cell satisfies
+    (54), (55) and the exact condition of Theorem 1, and keeps the margin where |L|
+    rises through one, too, at both ends of the range.
 
     Raises FieldError, or SizeError beyond a million cells.
 
@@ -247,10 +302,13 @@ def feasibility_map(
     if crossovers.size * angles.size > _CELLS:
         count = crossovers.size * angles.size
         allowed, remedy = f"at most {_CELLS}", "take fewer values"
-        raise SizeError("gain_crossovers", count, "too many cells", allowed=allowed, remedy=remedy)
+        raise SizeError(
+            "gain_crossovers", count, "too many cells", allowed=allowed, remedy=remedy
+        )
     spec = Specification(
-        # One task for all cells: the easiest crossover, so that the bandwidth is refused only where no cell
-        # has it. The equations then take each cell's own pair.
+        # One task for all cells: the easiest crossover, so that the bandwidth is
+        # refused only where no cell has it. The equations then take each cell's own
+        # pair.
         gain_crossover=float(crossovers.min()),
         phase_margin=float(angles.max()),
         filter_order=filter_order,
@@ -262,19 +320,28 @@ def feasibility_map(
         placement=placement,
     )
     task = task_of(model, rig, spec)
-    cells = _Cells(task.bare(filter_order), (task.low, task.high), task.inside and filter_time is None)
+    cells = _Cells(
+        task.bare(filter_order),
+        (task.low, task.high),
+        task.inside and filter_time is None,
+    )
     rows = [cells.row(crossovers, float(angle)) for angle in angles]
     order, upper, time, chi = (np.array(column) for column in zip(*rows, strict=True))
     gain = chi / crossovers**order
     rising = [
         cells.rising((gain, order, time), w0, falling)
-        for w0, falling in ((task.low, np.broadcast_to(crossovers, order.shape)), (task.high, upper))
+        for w0, falling in (
+            (task.low, np.broadcast_to(crossovers, order.shape)),
+            (task.high, upper),
+        )
     ]
-    # Only the two ends of the range are asked. The falling crossing's margin is (55) itself there; that no
-    # payload between is worse is what a test compares cell by cell with `design`, which asks over the whole
-    # range.
+    # Only the two ends of the range are asked. The falling crossing's margin is (55)
+    # itself there; that no payload between is worse is what a test compares cell by
+    # cell with `design`, which asks over the whole range.
     kept = np.minimum(*rising) >= angles[:, None]
-    order, upper, time, gain = (np.where(kept, v, np.nan) for v in (order, upper, time, gain))
+    order, upper, time, gain = (
+        np.where(kept, v, np.nan) for v in (order, upper, time, gain)
+    )
     settling = np.where(np.isfinite(order), 2.0 * math.pi / crossovers, np.nan)
     noise = cells.noise((gain, order, time), task.high, rig.period)
     return FeasibilityMap(crossovers, angles, gain, order, upper, time, settling, noise)
@@ -282,42 +349,58 @@ def feasibility_map(
 
 @dataclass(frozen=True)
 class _Cells:
-    """The equations of a map: the loop beside Ĉ, the ends of the range, whether the filter is the rule's."""
+    """The equations of a map: the loop beside Ĉ, the ends of the range, whether the
+    filter is the rule's.
+    """
 
     bare: Loop
     ends: tuple[float, float]
     rule: bool
 
     def row(self, crossovers: Real, margin: float) -> tuple[Real, Real, Real, Real]:
-        """(β, ω̄_c, δ, χ) for one margin and every crossover: the lowest admissible root of each."""
+        """(β, ω̄_c, δ, χ) for one margin and every crossover: the lowest admissible
+        root of each.
+        """
         low, high = self.ends
         limit = min(self.bare.link_order, 2.0)
 
         def terms(upper: Real, crossover: Real) -> tuple[Real, Real, Real, Real]:
             at_low = self.bare.log(crossover, low)
-            return equation(self.bare, high, upper, (crossover, at_low), margin, rule=self.rule)
+            return equation(
+                self.bare, high, upper, (crossover, at_low), margin, rule=self.rule
+            )
 
         top = min(self.bare.highest, 50.0 * float(crossovers.max()) * (high / low) ** 2)
         grid = np.geomspace(0.9 * float(crossovers.min()), top, _POINTS)
         residual, beta, _, _ = terms(grid[None, :], crossovers[:, None])
-        # The same lower end, 0.9 ω_c, as `solutions`: a map and a single design must not differ in what they
-        # look at.
-        inside = (grid[None, :] >= 0.9 * crossovers[:, None]) & (beta > 0.0) & (beta < limit)
-        # |L| falls through one: the residual goes from plus to minus, which is the exact condition at ω̄_c.
+        # The same lower end, 0.9 ω_c, as `solutions`: a map and a single design must
+        # not differ in what they look at.
+        inside = (
+            (grid[None, :] >= 0.9 * crossovers[:, None]) & (beta > 0.0) & (beta < limit)
+        )
+        # |L| falls through one: the residual goes from plus to minus, which is the
+        # exact condition at ω̄_c.
         change = (residual[:, :-1] > 0.0) & (residual[:, 1:] <= 0.0) & inside[:, :-1]
-        # The lowest root, as `attempt` takes the first admissible one; a row without any is masked behind.
+        # The lowest root, as `attempt` takes the first admissible one; a row without
+        # any is masked behind.
         at = np.argmax(change, axis=1)
-        upper = bracketed_roots(lambda x: terms(x, crossovers)[0], grid[at], grid[at + 1])
+        upper = bracketed_roots(
+            lambda x: terms(x, crossovers)[0], grid[at], grid[at + 1]
+        )
         _, beta, chi, time = terms(upper, crossovers)
         slope = self.bare.slope(crossovers, low).real + beta
         if self.rule:
             square = (time * crossovers) ** 2
             slope = slope - self.bare.filter_order * square / (1.0 + square)
         good = change.any(axis=1) & (slope < 0.0) & (beta > 0.0) & (beta < limit)
-        order, place, delta, level = (np.where(good, v, np.nan) for v in (beta, upper, time, np.exp(chi)))
+        order, place, delta, level = (
+            np.where(good, v, np.nan) for v in (beta, upper, time, np.exp(chi))
+        )
         return order, place, delta, level
 
-    def _log(self, cells: tuple[Real, Real, Real], frequency: Real, natural_frequency: float) -> Complex:
+    def _log(
+        self, cells: tuple[Real, Real, Real], frequency: Real, natural_frequency: float
+    ) -> Complex:
         """ln L of every cell at its own frequency [rad/s]."""
         gain, order, time = cells
         value = self.bare.log(frequency, natural_frequency) + np.log(gain)
@@ -326,8 +409,11 @@ class _Cells:
             value = value - self.bare.filter_order * np.log(1.0 + 1j * time * frequency)
         return np.asarray(value)
 
-    def rising(self, cells: tuple[Real, Real, Real], natural_frequency: float, falling: Real) -> Real:
-        """Phase margin where |L| rises through one, below the `falling` crossing [rad/s]; NaN where NaN.
+    def rising(
+        self, cells: tuple[Real, Real, Real], natural_frequency: float, falling: Real
+    ) -> Real:
+        """Phase margin where |L| rises through one, below the `falling` crossing
+        [rad/s]; NaN where NaN.
 
         The phase there is positive, so the margin is what is left to π.
         """
@@ -337,23 +423,42 @@ class _Cells:
             above = np.log(falling) - _MARGINAL
             peaked = self._log(cells, peak, natural_frequency).real > 0.0
             high = np.where(peaked, np.minimum(np.log(peak), above), above)
-            # Below the resonance |G| is at most its value at the peak: |L| < 1 there for certain.
+            # Below the resonance |G| is at most its value at the peak: |L| < 1 there
+            # for certain.
             loudest = self.bare.level(peak, natural_frequency)
-            low = np.minimum(-(np.log(gain) + np.maximum(loudest, 0.0)) / order, high) - 1.0
+            low = (
+                np.minimum(-(np.log(gain) + np.maximum(loudest, 0.0)) / order, high)
+                - 1.0
+            )
             low = np.maximum(low, -300.0)
-            place = bracketed_roots(lambda x: self._log(cells, np.exp(x), natural_frequency).real, low, high)
-            return np.asarray(math.pi - np.abs(self._log(cells, np.exp(place), natural_frequency).imag))
+            place = bracketed_roots(
+                lambda x: self._log(cells, np.exp(x), natural_frequency).real, low, high
+            )
+            return np.asarray(
+                math.pi
+                - np.abs(self._log(cells, np.exp(place), natural_frequency).imag)
+            )
 
-    def noise(self, cells: tuple[Real, Real, Real], natural_frequency: float, period: float) -> Real:
-        """Noise gain of every feasible cell at one ω₀; all cells share one set of frequencies."""
+    def noise(
+        self, cells: tuple[Real, Real, Real], natural_frequency: float, period: float
+    ) -> Real:
+        """Noise gain of every feasible cell at one ω₀; all cells share one set of
+        frequencies.
+        """
         w, weights = noise_points(self.bare, natural_frequency, period)
-        # The filter's lag differs from cell to cell and is multiplied with Ĉ below: here it would count
-        # twice.
+        # The filter's lag differs from cell to cell and is multiplied with Ĉ below:
+        # here it would count twice.
         rest = replace(self.bare, filter_time=0.0)(w, natural_frequency)
         found, n = np.full(cells[1].shape, np.nan), self.bare.filter_order
         for row in range(len(found)):
             good = np.isfinite(cells[1][row])
             gain, order, time = (v[row, good][:, None] for v in cells)
-            outer = gain * np.exp(order * (np.log(w) + 0.5j * math.pi)) / (1.0 + 1j * time * w) ** n
-            found[row, good] = np.sqrt(np.sum(np.abs(outer / (1.0 + outer * rest)) ** 2 * weights, axis=1))
+            outer = (
+                gain
+                * np.exp(order * (np.log(w) + 0.5j * math.pi))
+                / (1.0 + 1j * time * w) ** n
+            )
+            found[row, good] = np.sqrt(
+                np.sum(np.abs(outer / (1.0 + outer * rest)) ** 2 * weights, axis=1)
+            )
         return found

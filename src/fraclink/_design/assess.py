@@ -1,4 +1,5 @@
-"""What a user asks of a finished design: where the phase goes, how margins move, what it tolerates.
+"""What a user asks of a finished design: where the phase goes, how margins move, what
+it tolerates.
 
 Also the closed-loop poles, and the controllers that the paper printed.
 """
@@ -49,7 +50,8 @@ __all__ = [
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# (58) from the fractional model and (59) from the integer one, as section 7.1 prints them.
+# (58) from the fractional model and (59) from the integer one, as section 7.1 prints
+# them.
 PRINTED: dict[str, Controller] = {
     "(58)": Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2),
     "(59)": Controller(gain=0.241, order=0.65, filter_time=0.16, filter_order=2),
@@ -72,9 +74,11 @@ class PhaseShare:
 
 @checked
 def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
-    """Return what each element of the loop gives at the upper gain crossover, at `payload` [kg] > 0.
+    """Return what each element of the loop gives at the upper gain crossover, at
+    `payload` [kg] > 0.
 
-    The shares and the 180° of feedback add up to the phase margin of the loop with everything inside.
+    The shares and the 180° of feedback add up to the phase margin of the loop with
+    everything inside.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -89,13 +93,24 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
     crossings = loop.crossings(w0).frequency
     if crossings.size == 0:
         allowed, remedy = "a payload at which |L| crosses one", "give the mass in kg"
-        raise FieldError("payload", payload, "without a gain crossover", allowed=allowed, remedy=remedy)
-    # The highest crossing: where |L| rises through one the loop is slow, and no delay costs anything there.
+        raise FieldError(
+            "payload",
+            payload,
+            "without a gain crossover",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    # The highest crossing: where |L| rises through one the loop is slow, and no delay
+    # costs anything there.
     w = float(np.max(crossings))
     hold = 0.5 * design.rig.period
-    # What the gauge adds is the difference to a perfect one: its delay alone would leave out what the second
-    # mode does to the phase.
-    tip = float(replace(loop, gauge_delay=0.0, gauge_gain=1.0, second_mode=None).link_log(w, w0).imag)
+    # What the gauge adds is the difference to a perfect one: its delay alone would
+    # leave out what the second mode does to the phase.
+    tip = float(
+        replace(loop, gauge_delay=0.0, gauge_gain=1.0, second_mode=None)
+        .link_log(w, w0)
+        .imag
+    )
     gauge = float(loop.link_log(w, w0).imag) - tip
     return (
         PhaseShare("link", tip),
@@ -113,7 +128,8 @@ def phase_budget(design: Design, payload: float) -> tuple[PhaseShare, ...]:
 class MarginCurve:
     """Margins against payload (Fig. 10): arrays of shape (N,) in kg, rad/s, rad and 1.
 
-    ``phase_margin`` is the smallest over all gain crossings, below zero where the loop is unstable.
+    ``phase_margin`` is the smallest over all gain crossings, below zero where the loop
+    is unstable.
     """
 
     kind: str
@@ -124,7 +140,9 @@ class MarginCurve:
 
 
 @checked
-def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop") -> MarginCurve:
+def margin_curve(
+    design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop"
+) -> MarginCurve:
     """Return the margins of a design against payload (Fig. 10).
 
     Parameters
@@ -134,13 +152,15 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop
     payloads
         masses at the tip [kg], > 0, shape (N,).
     kind
-        "ideal" (the paper's L), "motor" (its LM, with M(s) and the filter), "loop" (hold and delay too) or
-        "sampled" (the law that is shipped, in the exactly sampled loop).
+        "ideal" (the paper's L), "motor" (its LM, with M(s) and the filter), "loop"
+        (hold and delay too) or "sampled" (the law that is shipped, in the exactly
+        sampled loop).
     """
     whole, masses = design.full_loop, axis_of("payloads", payloads, Payload)
     if kind == "sampled":
         found = [design.sampled_at(float(m)) for m in masses]
-        # An unstable loop may show a large margin at a crossing: it is drawn below zero.
+        # An unstable loop may show a large margin at a crossing: it is drawn below
+        # zero.
         sign = np.where([bool(f.stable) for f in found], 1.0, -1.0)
         return MarginCurve(
             kind,
@@ -150,27 +170,47 @@ def margin_curve(design: Design, payloads: ArrayLike, *, kind: CurveKind = "loop
             np.array([f.modulus_margin for f in found]),
         )
     loops = {
-        # Up to the Nyquist frequency, as the others: a crossing of the paper's L beyond it belongs to no
-        # controller.
+        # Up to the Nyquist frequency, as the others: a crossing of the paper's L beyond
+        # it belongs to no controller.
         "ideal": replace(design.ideal_loop, highest=whole.highest),
         "motor": replace(
-            whole, delay=0.0, correction=None, gauge_delay=0.0, gauge_gain=1.0, second_mode=None
+            whole,
+            delay=0.0,
+            correction=None,
+            gauge_delay=0.0,
+            gauge_gain=1.0,
+            second_mode=None,
         ),
         "loop": whole,
     }
     w0 = np.array([design.natural_frequency(float(m)) for m in masses])
     got = loops[kind].achieved(w0, design.rig.period)
-    return MarginCurve(kind, masses, got.gain_crossover, got.phase_margin, 1.0 / got.sensitivity_peak)
+    return MarginCurve(
+        kind, masses, got.gain_crossover, got.phase_margin, 1.0 / got.sensitivity_peak
+    )
 
 
 def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
-    """One number or a list of them as an array of shape (N,), N > 0, each in the range of its annotation."""
-    single = isinstance(values, int | float | np.number) and not isinstance(values, bool)
-    axis = checked_series(field, [values] if single else values, remedy="give one axis of numbers")
+    """One number or a list of them as an array of shape (N,), N > 0, each in the range
+    of its annotation.
+    """
+    single = isinstance(values, int | float | np.number) and not isinstance(
+        values, bool
+    )
+    axis = checked_series(
+        field, [values] if single else values, remedy="give one axis of numbers"
+    )
     if axis.size == 0:
-        raise FieldError(field, 0, "without values", allowed="one or more", remedy="give numbers")
-    # The annotation's own range: a series is then refused in the words of the single number.
-    (bounds,) = (item for item in getattr(annotation, "__metadata__", ()) if isinstance(item, Between))
+        raise FieldError(
+            field, 0, "without values", allowed="one or more", remedy="give numbers"
+        )
+    # The annotation's own range: a series is then refused in the words of the single
+    # number.
+    (bounds,) = (
+        item
+        for item in getattr(annotation, "__metadata__", ())
+        if isinstance(item, Between)
+    )
     for value in axis:
         bounds.check(field, float(value))
     return axis
@@ -178,11 +218,13 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How far one thing may be wrong before the loop is unstable at some payload of the design.
+    """How far one thing may be wrong before the loop is unstable at some payload of the
+    design.
 
-    ``delay`` [s] more than assumed; ``payload_low`` and ``payload_high`` [kg], the lightest and heaviest
-    stable payload (0 and infinity where there is no limit within a factor of 49); ``stiffness_low`` and
-    ``stiffness_high``, true over assumed stiffness; ``motor_pole`` [rad/s], the slowest motor loop.
+    ``delay`` [s] more than assumed; ``payload_low`` and ``payload_high`` [kg], the
+    lightest and heaviest stable payload (0 and infinity where there is no limit within
+    a factor of 49); ``stiffness_low`` and ``stiffness_high``, true over assumed
+    stiffness; ``motor_pole`` [rad/s], the slowest motor loop.
     """
 
     delay: float
@@ -195,34 +237,47 @@ class Tolerances:
 
 @checked
 def tolerances(design: Design) -> Tolerances:
-    """Return how much delay, payload, stiffness and motor-pole error the loop that runs tolerates."""
+    """Return how much delay, payload, stiffness and motor-pole error the loop that runs
+    tolerates.
+    """
     loop = design.full_loop
     low, high = design.natural_frequencies
     grid = np.geomspace(low, high, _PAYLOADS)
     found = loop.crossings(grid)
-    # More delay at a falling crossing adds an encirclement of −1, and takes one away at a rising one
-    # (`Loop.margins`): only the falling ones are lost to it.
+    # More delay at a falling crossing adds an encirclement of −1, and takes one away at
+    # a rising one (`Loop.margins`): only the falling ones are lost to it.
     falling = found.slope < 0.0
-    # φ_m/ω_c at each, in [0, 2π): the smallest is not that of the smallest margin where a late gauge crosses
-    # often.
-    delay = float(np.min(np.remainder(found.phase_margin[falling], 2 * math.pi) / found.frequency[falling]))
+    # φ_m/ω_c at each, in [0, 2π): the smallest is not that of the smallest margin where
+    # a late gauge crosses often.
+    delay = float(
+        np.min(
+            np.remainder(found.phase_margin[falling], 2 * math.pi)
+            / found.frequency[falling]
+        )
+    )
 
     def margin(changed: Loop, w0: Real | float) -> float:
         return float(np.min(changed.margins(w0)[1]))
 
     def stiff(ratio: float) -> float:
-        # θte = θm − Γ/c with the assumed c: a stiffer link moves the mode and shows in the gauge as gain.
+        # θte = θm − Γ/c with the assumed c: a stiffer link moves the mode and shows in
+        # the gauge as gain.
         changed = replace(loop, gauge_gain=ratio * loop.gauge_gain)
-        # Ends and middle: the least margin lies at an end, or inside where a late gauge puts it, and every
-        # link more is asked for at up to 120 stiffnesses.
+        # Ends and middle: the least margin lies at an end, or inside where a late gauge
+        # puts it, and every link more is asked for at up to 120 stiffnesses.
         return margin(changed, grid[[0, 4, 8]] * math.sqrt(ratio))
 
-    # A factor of 7 in ω₀ is one of 49 in payload, further than any design is asked about.
+    # A factor of 7 in ω₀ is one of 49 in payload, further than any design is asked
+    # about.
     light = _edge(lambda w0: margin(loop, w0), high, 7.0 * high)
     heavy = _edge(lambda w0: margin(loop, w0), low, low / 7.0)
     slow = None
     if loop.lag:
-        slow = _edge(lambda p: margin(replace(loop, lag=1.0 / p), grid), 1.0 / loop.lag, 0.02 / loop.lag)
+        slow = _edge(
+            lambda p: margin(replace(loop, lag=1.0 / p), grid),
+            1.0 / loop.lag,
+            0.02 / loop.lag,
+        )
     # A factor of 20 either way is farther than anybody is wrong about a stiffness.
     soft, hard = _edge(stiff, 1.0, 0.05), _edge(stiff, 1.0, 20.0)
     return Tolerances(
@@ -236,9 +291,12 @@ def tolerances(design: Design) -> Tolerances:
 
 
 def _edge(margin: Callable[[float], float], start: float, end: float) -> float | None:
-    """Where between `start` (stable) and `end` the signed margin first reaches zero; None where never."""
+    """Where between `start` (stable) and `end` the signed margin first reaches zero;
+    None where never.
+    """
 
-    # The first edge counts, and a margin may come back behind it: so steps of a few percent, and then a root.
+    # The first edge counts, and a margin may come back behind it: so steps of a few
+    # percent, and then a root.
     steps = [float(x) for x in np.geomspace(start, end, 60)]
     for good, bad in itertools.pairwise(steps):
         if margin(bad) <= 0.0:
@@ -249,7 +307,9 @@ def _edge(margin: Callable[[float], float], start: float, end: float) -> float |
 @checked(prefix="mode.")
 @dataclass(frozen=True)
 class VibrationMode:
-    """A higher mode of a distributed link: ω_i [rad/s], damping ratio, static share in the tip estimate."""
+    """A higher mode of a distributed link: ω_i [rad/s], damping ratio, static share in
+    the tip estimate.
+    """
 
     frequency: Frequency
     damping_ratio: Annotated[float, Between(0.0, 1.0, low_open=True)]
@@ -260,21 +320,27 @@ class VibrationMode:
 def spillover(
     design: Design, modes: Sequence[VibrationMode], *, limit: GainLimit = MODE_LIMIT
 ) -> tuple[Requirement, ...]:
-    """Return the loop gain at each higher mode against `limit`: below one it cannot be destabilised by phase.
+    """Return the loop gain at each higher mode against `limit`: below one it cannot be
+    destabilised by phase.
 
-    A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)`` at its peak; the loop
-    gain there is ``|Ĉ M| share/(2ζ)``.
+    A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)``
+    at its peak; the loop gain there is ``|Ĉ M| share/(2ζ)``.
     """
     loop = design.full_loop
     found = []
     for number, mode in enumerate(modes, start=2):
         w, zeta = mode.frequency, mode.damping_ratio
-        # Above the first mode the lumped link is gone (G → 0): what the mode is multiplied with is Ĉ·M alone.
+        # Above the first mode the lumped link is gone (G → 0): what the mode is
+        # multiplied with is Ĉ·M alone.
         rest = math.exp(float((loop.outer_log(w) + loop.motor_log(w)).real))
-        # At the peak 1 − (ω/ω_i)² is 0 and 2jζ is left; the phase is nobody's to know, so the size alone is
-        # judged.
+        # At the peak 1 − (ω/ω_i)² is 0 and 2jζ is left; the phase is nobody's to know,
+        # so the size alone is judged.
         value = rest * abs(mode.share) / (2.0 * zeta)
-        found.append(Requirement.at_most(f"loop gain at mode {number}", limit, value, "", design.payloads[0]))
+        found.append(
+            Requirement.at_most(
+                f"loop gain at mode {number}", limit, value, "", design.payloads[0]
+            )
+        )
     return tuple(found)
 
 
@@ -282,11 +348,12 @@ def spillover(
 def mode_gains(
     design: Design, *, limit: GainLimit = MODE_LIMIT, damping_ratio: float | None = None
 ) -> tuple[Requirement, ...]:
-    """Return the loop gain at the link's higher modes against `limit`; empty where none is known.
+    """Return the loop gain at the link's higher modes against `limit`; empty where none
+    is known.
 
-    Below one a mode cannot be destabilised, whatever its phase. The modes are those of the rig's link mass
-    (``[link] mass_kg``), with the model's damping unless `damping_ratio` is given, and the second mode that
-    was identified.
+    Below one a mode cannot be destabilised, whatever its phase. The modes are those of
+    the rig's link mass (``[link] mass_kg``), with the model's damping unless
+    `damping_ratio` is given, and the second mode that was identified.
 
     Examples
     --------
@@ -301,17 +368,27 @@ def mode_gains(
     (True, 0.5)
     """
     loop = design.full_loop
-    modes = higher_modes(design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio)
-    return () if modes is None else tuple(item for _, item in mode_requirements(modes, loop, limit))
+    modes = higher_modes(
+        design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio
+    )
+    return (
+        ()
+        if modes is None
+        else tuple(item for _, item in mode_requirements(modes, loop, limit))
+    )
 
 
 # ---- poles ------------------------------------------------------------------------------------------------
 
 
 def match_at(
-    model: LinkModel, natural_frequency: float, gain_crossover: float, phase_margin: float
+    model: LinkModel,
+    natural_frequency: float,
+    gain_crossover: float,
+    phase_margin: float,
 ) -> Controller:
-    """Return the unfiltered controller that has this crossover and margin at one ω₀ (eq. (42)): C'.
+    """Return the unfiltered controller that has this crossover and margin at one ω₀
+    (eq. (42)): C'.
 
     One complex equation in k_d and β; `gain_crossover` [rad/s], `phase_margin` [rad].
 
@@ -320,7 +397,9 @@ def match_at(
     >>> print(f"{matched.order:.6f} {matched.gain:.6f}")
     0.786021 0.208339
     """
-    return matched_in(Loop.ideal(model), natural_frequency, gain_crossover, phase_margin)
+    return matched_in(
+        Loop.ideal(model), natural_frequency, gain_crossover, phase_margin
+    )
 
 
 def matched_in(
@@ -328,6 +407,7 @@ def matched_in(
 ) -> Controller:
     """Return the same for any loop without its Ĉ: what stands beside k_d s^β."""
     value = complex(beside.log(gain_crossover, natural_frequency))
-    # The phase of k_d (jω)^β is βπ/2 whatever k_d: (55) is linear in β, and k_d follows from |L| = 1.
+    # The phase of k_d (jω)^β is βπ/2 whatever k_d: (55) is linear in β, and k_d follows
+    # from |L| = 1.
     order = 2.0 / math.pi * (phase_margin - math.pi - value.imag)
     return Controller(gain=math.exp(-value.real) / gain_crossover**order, order=order)

@@ -1,4 +1,6 @@
-"""A design completed from its rig: what is asked for where neither the request nor the rig says."""
+"""A design completed from its rig: what is asked for where neither the request nor the
+rig says.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +18,33 @@ from fraclink.errors import FieldError, InfeasibleError
 
 __all__ = ["design_for"]
 
-# The source paper's own proportions on its rig: a crossover of 12 rad/s where the heaviest payload's
-# torque resonates at 10.4 rad/s. Below 1 there is no crossing right of the peak; each further step costs
-# phase margin at the light end.
+# The source paper's own proportions on its rig: a crossover of 12 rad/s where the
+# heaviest payload's torque resonates at 10.4 rad/s. Below 1 there is no crossing right
+# of the peak; each further step costs phase margin at the light end.
 _CROSSOVER_RATIO = 1.15
 # 50° where it is feasible; an arm with a slow control period cannot have them.
 _MARGINS_DEG = (50.0, 45.0, 40.0, 35.0, 30.0)
 
-# A loop gain of 0.7 at a mode that was not in the request leaves 3 dB before its phase matters.
+# A loop gain of 0.7 at a mode that was not in the request leaves 3 dB before its phase
+# matters.
 _MODE_GAIN = 0.7
 
 
 @checked
-def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple[Design, tuple[str, ...]]:
-    """Design what is wanted, completed from the rig; also return what had to be assumed, in sentences.
+def design_for(
+    rig: Rig, model: LinkModel | None = None, **wanted: Any
+) -> tuple[Design, tuple[str, ...]]:
+    """Design what is wanted, completed from the rig; also return what had to be
+    assumed, in sentences.
 
-    `wanted` are the options of `design`; None leaves one to the rig's ``[design]`` table. Where that is
-    silent, too, the gain crossover is 1.15 times the torque resonance of the heaviest payload [rad/s], or the
-    feasible one nearest to it, and the phase margin 50°, or the largest of 45, 40, 35 and 30° that is
-    feasible. What request or rig states is never changed.
+    `wanted` are the options of `design`; None leaves one to the rig's ``[design]``
+    table. Where that is silent, too, the gain crossover is 1.15 times the torque
+    resonance of the heaviest payload [rad/s], or the feasible one nearest to it, and
+    the phase margin 50°, or the largest of 45, 40, 35 and 30° that is feasible. What
+    request or rig states is never changed.
 
-    Raises InfeasibleError where what is stated cannot be met, FieldError where a value is out of its range.
+    Raises InfeasibleError where what is stated cannot be met, FieldError where a value
+    is out of its range.
 
     >>> made, assumed = design_for(Rig.named("paper-2023"), filter_time=0.0)
     >>> round(made.controller.gain, 4), assumed
@@ -44,7 +52,10 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
     """
     link = model or rig.model
     if link is None:
-        allowed, remedy = "a model file", "identify a log first, then give --model model.json"
+        allowed, remedy = (
+            "a model file",
+            "identify a log first, then give --model model.json",
+        )
         raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     asked = {name: value for name, value in wanted.items() if value is not None}
     asked.setdefault("payloads", (rig.payloads.low, rig.payloads.high))
@@ -54,7 +65,9 @@ def design_for(rig: Rig, model: LinkModel | None = None, **wanted: Any) -> tuple
             asked[name] = stated
     known = with_payload(link, rig)
     crossing = {"gain_crossover", "settling_time"} & set(asked)
-    made, assumed = (_completed_margin if crossing else _usual_crossover)(known, rig, asked)
+    made, assumed = (_completed_margin if crossing else _usual_crossover)(
+        known, rig, asked
+    )
     return made, (*_assumed_payload(link, known), *assumed)
 
 
@@ -77,9 +90,13 @@ _COMPLETED = {
 }
 
 
-def _usual_crossover(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
+def _usual_crossover(
+    link: LinkModel, rig: Rig, asked: Mapping[str, Any]
+) -> tuple[Design, tuple[str, ...]]:
     """The design with the usual crossover, or with the feasible one nearest to it."""
-    heavy = link.at_payload(max(asked["payloads"]) if len(asked["payloads"]) == 2 else rig.payloads.high)
+    heavy = link.at_payload(
+        max(asked["payloads"]) if len(asked["payloads"]) == 2 else rig.payloads.high
+    )
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
     usual = _CROSSOVER_RATIO * resonance
     rule = (
@@ -100,12 +117,22 @@ def _usual_crossover(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tup
 
 
 def _keeps(asked: Mapping[str, Any], nearest: Mapping[str, float]) -> bool:
-    """Whether the nearest feasible request keeps every value that was stated; the others may move."""
-    return all(math.isclose(asked[name], value) for name, value in nearest.items() if name in asked)
+    """Whether the nearest feasible request keeps every value that was stated; the
+    others may move.
+    """
+    return all(
+        math.isclose(asked[name], value)
+        for name, value in nearest.items()
+        if name in asked
+    )
 
 
-def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
-    """The design asked for; where no margin is, the one with the largest usual margin that is feasible."""
+def _completed_margin(
+    link: LinkModel, rig: Rig, asked: Mapping[str, Any]
+) -> tuple[Design, tuple[str, ...]]:
+    """The design asked for; where no margin is, the one with the largest usual margin
+    that is feasible.
+    """
     if {"phase_margin", "max_sensitivity"} & set(asked):
         return _least_mode_gain(link, rig, asked)
 
@@ -116,8 +143,8 @@ def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tu
     try:
         return ask(largest), (_margin_sentence(largest),)
     except InfeasibleError as error:
-        # A refusal searches the nearest feasible request, for seconds: where the least margin is refused,
-        # too, those between are not tried.
+        # A refusal searches the nearest feasible request, for seconds: where the least
+        # margin is refused, too, those between are not tried.
         try:
             made = ask(least)
         except InfeasibleError:
@@ -130,15 +157,24 @@ def _completed_margin(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tu
     return made, (_margin_sentence(least),)
 
 
-def _least_mode_gain(link: LinkModel, rig: Rig, asked: Mapping[str, Any]) -> tuple[Design, tuple[str, ...]]:
-    """The design with the usual bound on the gain at the second mode, or the least that is feasible."""
+def _least_mode_gain(
+    link: LinkModel, rig: Rig, asked: Mapping[str, Any]
+) -> tuple[Design, tuple[str, ...]]:
+    """The design with the usual bound on the gain at the second mode, or the least that
+    is feasible.
+    """
     try:
         return design(link, rig, **asked, law=False), ()
     except InfeasibleError as error:
         least = error.nearest.get("mode_gain", math.inf)
-        if "mode_gain" in asked or set(error.nearest) != {"mode_gain"} or least > _MODE_GAIN:
+        if (
+            "mode_gain" in asked
+            or set(error.nearest) != {"mode_gain"}
+            or least > _MODE_GAIN
+        ):
             raise
-    # The nearest feasible bound is met exactly: a hundredth more leaves room for rounding.
+    # The nearest feasible bound is met exactly: a hundredth more leaves room for
+    # rounding.
     bound = math.ceil(100 * least) / 100
     sentence = f"gain of {bound:g} at the second mode, as 0.5 is not feasible with this crossover and margin"
     return design(link, rig, **asked, mode_gain=bound, law=False), (sentence,)

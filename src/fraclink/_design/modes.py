@@ -1,17 +1,18 @@
-"""What the link's modes do to a closed loop: how fast the first dies, whether the higher ones stay small.
+"""What the link's modes do to a closed loop: how fast the first dies, whether the
+higher ones stay small.
 
-A phase margin bounds what the loop does where |L| is one. A crossover at the resonance can keep it and leave
-the resonance as undamped as it was, or less damped: the moves of such a design ring. `vibration` finds the
-roots of 1 + L(s) beside the axis.
+A phase margin bounds what the loop does where |L| is one. A crossover at the resonance
+can keep it and leave the resonance as undamped as it was, or less damped: the moves of
+such a design ring. `vibration` finds the roots of 1 + L(s) beside the axis.
 
-The closed procedure does not see the higher modes, and the strain gauge sees them well. On a uniform clamped
-beam with a payload the estimate of the tip answers the motor with
+The closed procedure does not see the higher modes, and the strain gauge sees them well.
+On a uniform clamped beam with a payload the estimate of the tip answers the motor with
 
     Θ̂t/Θm = 1 - Σ share_i s²/(s² + ω_i² D_i(s)),   share_i = Γi² ω_i²/c,
 
-where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ω₀². For a massless link the sum has one
-term, of share one, and is the G of the design. A second mode that was identified takes the place of the
-beam's.
+where D is the damping law of the link model: s^(2-λ), or 1 + μ s^α/ω₀². For a massless
+link the sum has one term, of share one, and is the G of the design. A second mode that
+was identified takes the place of the beam's.
 """
 
 from __future__ import annotations
@@ -46,11 +47,17 @@ Complex = NDArray[np.complex128]
 
 # ---- the vibration that a move leaves -----------------------------------------------------------------
 
-# Of its own periods, until a vibration has fallen to 2 %: what takes longer is seen as ringing. A link of
-# order 1.95 without a controller takes fifteen, one of order 1.85 five: -cos(π/λ) is its damping ratio.
+# Of its own periods, until a vibration has fallen to 2 %: what takes longer is seen as
+# ringing. A link of order 1.95 without a controller takes fifteen, one of order 1.85
+# five: -cos(π/λ) is its damping ratio.
 _PERIODS = 10
-_BAND = (0.3, 4.0)  # of the resonance: farther out a root belongs to the motor loop or to the gauge's delay
-_STEPS = 40  # of Newton's method at most; from a minimum of |1 + L| it needs five to eight
+_BAND = (
+    0.3,
+    4.0,
+)  # of the resonance: farther out a root belongs to the motor loop or to the gauge's delay
+_STEPS = (
+    40  # of Newton's method at most; from a minimum of |1 + L| it needs five to eight
+)
 _STILL = 1e-13  # of ω: a step of rounding errors, behind which no other follows
 
 
@@ -63,10 +70,14 @@ class Vibration:
 
     @property
     def periods(self) -> float:
-        """Its own periods until it has fallen to 2 %, ``ln 50 √(1 − ζ²)/(2πζ)``; infinite where it grows."""
+        """Its own periods until it has fallen to 2 %, ``ln 50 √(1 − ζ²)/(2πζ)``;
+        infinite where it grows.
+        """
         ratio = self.damping_ratio
         return (
-            math.log(50.0) * math.sqrt(1.0 - ratio**2) / (2.0 * math.pi * ratio) if ratio > 0.0 else math.inf
+            math.log(50.0) * math.sqrt(1.0 - ratio**2) / (2.0 * math.pi * ratio)
+            if ratio > 0.0
+            else math.inf
         )
 
     @property
@@ -77,52 +88,77 @@ class Vibration:
 
 
 def vibration(loop: Loop, natural_frequency: float) -> Vibration | None:
-    """Return the least damped vibration near the link's own resonance; None where there is none.
+    """Return the least damped vibration near the link's own resonance; None where there
+    is none.
 
-    Newton's method on ``1 + L(s) = 0`` from every minimum of |1 + L| on the axis about the resonance. A well
-    damped loop may have no root there: its response does not oscillate.
+    Newton's method on ``1 + L(s) = 0`` from every minimum of |1 + L| on the axis about
+    the resonance. A well damped loop may have no root there: its response does not
+    oscillate.
     """
     mode = float(loop.peak(natural_frequency))
     w = np.minimum(mode * np.geomspace(*_BAND, 160), loop.highest)
-    # A root beside the axis dents |1 + L| on it, so every dent is a start. The open loop's own pole would be
-    # one only where the correction is weak.
+    # A root beside the axis dents |1 + L| on it, so every dent is a start. The open
+    # loop's own pole would be one only where the correction is weak.
     distance = np.abs(1.0 + loop(w, natural_frequency))
-    inner = np.flatnonzero((distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])) + 1
+    inner = (
+        np.flatnonzero(
+            (distance[1:-1] <= distance[:-2]) & (distance[1:-1] <= distance[2:])
+        )
+        + 1
+    )
     roots = _roots(loop, w[inner].astype(complex), natural_frequency)
     # ω = s/j: the decay rate is Im ω.
-    found = [Vibration(float(abs(root)), float(root.imag / abs(root))) for root in roots]
+    found = [
+        Vibration(float(abs(root)), float(root.imag / abs(root))) for root in roots
+    ]
     low, high = _BAND[0] * mode, _BAND[1] * mode
     near = [one for one in found if low < one.frequency < high]
     return min(near, key=lambda one: one.damping_ratio, default=None)
 
 
 def _roots(loop: Loop, w: Complex, natural_frequency: float) -> Complex:
-    """Roots of 1 + L at complex ω, by Newton's method with a central difference; those that converged."""
+    """Roots of 1 + L at complex ω, by Newton's method with a central difference; those
+    that converged.
+    """
     for _ in range(_STEPS):
         step = 1e-6 * np.abs(w)
-        # One call for all three: a drag in the studio waits for it, and most of a call is its overhead.
+        # One call for all three: a drag in the studio waits for it, and most of a call
+        # is its overhead.
         value, above, below = loop(np.stack([w, w + step, w - step]), natural_frequency)
         change = (1.0 + value) * (2.0 * step) / (above - below)
-        # A step of at most a tenth keeps ω in the right half plane, where the principal powers are L's own.
-        w = w - change * np.minimum(1.0, 0.1 * np.abs(w) / np.maximum(np.abs(change), 1e-300))
+        # A step of at most a tenth keeps ω in the right half plane, where the principal
+        # powers are L's own.
+        w = w - change * np.minimum(
+            1.0, 0.1 * np.abs(w) / np.maximum(np.abs(change), 1e-300)
+        )
         if np.all(np.abs(change) <= _STILL * np.abs(w)):
             break
     kept = (np.abs(1.0 + loop(w, natural_frequency)) < 1e-8) & (w.real > 0.0)
-    # In the right half plane of ω, the upper of s: the other of the pair is its mirror image.
+    # In the right half plane of ω, the upper of s: the other of the pair is its mirror
+    # image.
     return np.asarray(w[kept])
 
 
-def ringing(loop: Loop, ends: Mapping[float, float], *, whose: str = "") -> tuple[Finding, ...]:
-    """Return W409 where a move leaves a vibration that takes more than ten of its periods to fall to 2 %.
+def ringing(
+    loop: Loop, ends: Mapping[float, float], *, whose: str = ""
+) -> tuple[Finding, ...]:
+    """Return W409 where a move leaves a vibration that takes more than ten of its
+    periods to fall to 2 %.
 
-    `ends` has payload [kg] to ω₀ [s^(-λ/2)]; damping is smallest at one end of a range of payloads.
-    `whose` says in the sentence whose moves they are, where it is not the model's.
+    `ends` has payload [kg] to ω₀ [s^(-λ/2)]; damping is smallest at one end of a range
+    of payloads. `whose` says in the sentence whose moves they are, where it is not the
+    model's.
     """
     found = {payload: vibration(loop, w0) for payload, w0 in ends.items()}
-    slow = {payload: one for payload, one in found.items() if one is not None and one.periods > _PERIODS}
+    slow = {
+        payload: one
+        for payload, one in found.items()
+        if one is not None and one.periods > _PERIODS
+    }
     if not slow:
         return ()
-    # The least damped is the one that a user sees longest, and the finding names one payload.
+    # The least damped is the one that a user sees longest, and the finding names one
+    # payload.
     payload, worst = min(slow.items(), key=lambda item: item[1].damping_ratio)
     return (
         Finding(
@@ -130,7 +166,11 @@ def ringing(loop: Loop, ends: Mapping[float, float], *, whose: str = "") -> tupl
             "error",
             f"moves{whose} ring: the residual vibration falls to 2 % only after {worst.time:.3g} s, "
             f"more than {_PERIODS} of its periods",
-            {"damping_ratio": worst.damping_ratio, "frequency": worst.frequency, "payload_kg": payload},
+            {
+                "damping_ratio": worst.damping_ratio,
+                "frequency": worst.frequency,
+                "payload_kg": payload,
+            },
             "a gain crossover farther above the resonance, or a larger phase margin, damps it",
         ),
     )
@@ -138,19 +178,26 @@ def ringing(loop: Loop, ends: Mapping[float, float], *, whose: str = "") -> tupl
 
 # ---- modes 2 and 3 ------------------------------------------------------------------------------------
 
-MODE_LIMIT = 0.5  # of the loop gain: 6 dB below the one at which phase alone would decide
-# The gain of a mode changes by 3 % over a range of two: its ends and the middle are plenty.
+MODE_LIMIT = (
+    0.5  # of the loop gain: 6 dB below the one at which phase alone would decide
+)
+# The gain of a mode changes by 3 % over a range of two: its ends and the middle are
+# plenty.
 _MODE_PAYLOADS = 3
-_WIDEST = 0.035  # so that the points of a mode that is damped away do not reach down to the first mode
-_POINTS = np.sinh(np.linspace(-3.0, 3.0, 61))  # of ln ω in damping ratios: closest at the peak
+# so that the points of a mode that is damped away do not reach down to the first mode
+_WIDEST = 0.035
+_POINTS = np.sinh(
+    np.linspace(-3.0, 3.0, 61)
+)  # of ln ω in damping ratios: closest at the peak
 
 
 @dataclass(frozen=True)
 class HigherModes:
     """Where modes 2 and 3 of a link lie, and what the loop there is without Ĉ.
 
-    One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg], ``frequency`` (K, N) [rad/s] as
-    the computer sees it, ``level`` (K, N), ln|hold · M · Θ̂t/Θm|.
+    One row for each payload and mode: ``number`` (K,), ``payload`` (K,) [kg],
+    ``frequency`` (K, N) [rad/s] as the computer sees it, ``level`` (K, N), ln|hold · M
+    · Θ̂t/Θm|.
     """
 
     number: NDArray[np.int64]
@@ -160,7 +207,9 @@ class HigherModes:
 
     def gains(self, loop: Loop) -> Real:
         """Return the largest loop gain of each row with the Ĉ of `loop`, shape (K,)."""
-        return np.asarray(np.max(np.exp(loop.outer_log(self.frequency).real + self.level), axis=1))
+        return np.asarray(
+            np.max(np.exp(loop.outer_log(self.frequency).real + self.level), axis=1)
+        )
 
 
 def higher_modes(
@@ -171,12 +220,14 @@ def higher_modes(
     *,
     damping_ratio: float | None = None,
 ) -> HigherModes | None:
-    """Return the higher modes of the link over `payloads` [kg], None where neither rig nor model knows one.
+    """Return the higher modes of the link over `payloads` [kg], None where neither rig
+    nor model knows one.
 
     Parameters
     ----------
     model
-        its second mode, where it was identified; its damping law for the modes of the rig's beam.
+        its second mode, where it was identified; its damping law for the modes of the
+        rig's beam.
     rig
         length, stiffness and mass of the link; control period.
     loop
@@ -184,22 +235,29 @@ def higher_modes(
     payloads
         (lightest, heaviest) [kg], > 0.
     damping_ratio
-        of the beam's modes, 0 < ζ < 1, instead of the model's law; 0.02 where the model has no damping.
+        of the beam's modes, 0 < ζ < 1, instead of the model's law; 0.02 where the model
+        has no damping.
     """
     if rig.link.mass <= 0.0 and model.second_mode is None:
         return None
     if damping_ratio is not None:
-        damping_ratio = checked_between("mode_damping", damping_ratio, 0.0, 0.999, open_low=True)
+        damping_ratio = checked_between(
+            "mode_damping", damping_ratio, 0.0, 0.999, open_low=True
+        )
     else:
-        # A fractional or viscous law damps the higher modes as it does the first; without one they would be
-        # infinitely high, and no filter would do.
+        # A fractional or viscous law damps the higher modes as it does the first;
+        # without one they would be infinitely high, and no filter would do.
         damping_ratio = assumed_ratio(model)
     rows: list[tuple[int, float, Real, Real]] = []
     for payload in np.geomspace(*payloads, _MODE_PAYLOADS).tolist():
         if model.second_mode is not None:
             width = min(model.second_mode.damping_ratio, _WIDEST)
             w = model.second_mode.frequency * np.exp(width * _POINTS)
-            link = model.at_payload(payload).natural_frequency if model.payload else model.natural_frequency
+            link = (
+                model.at_payload(payload).natural_frequency
+                if model.payload
+                else model.natural_frequency
+            )
             rows.append((2, payload, w, loop.link_log(w, link).real))
         if rig.link.mass > 0.0:
             rows += _beam_modes(model, rig, payload, damping_ratio)
@@ -220,9 +278,16 @@ def _beam_modes(
         s = np.asarray(1j * w, dtype=np.complex128)
         answer = np.ones(s.shape, dtype=np.complex128)
         for frequency, share in zip(frequencies, sizes / model.stiffness, strict=True):
-            answer -= share * s**2 / (s**2 + frequency**2 * material_law(model, s, float(frequency), ratio))
-        # The whole sum and not the mode's own term: the tails of its neighbours, with it or against it, are
-        # part of what the gauge shows there.
+            answer -= (
+                share
+                * s**2
+                / (
+                    s**2
+                    + frequency**2 * material_law(model, s, float(frequency), ratio)
+                )
+            )
+        # The whole sum and not the mode's own term: the tails of its neighbours, with
+        # it or against it, are part of what the gauge shows there.
         found.append((i + 1, payload, w, np.log(np.abs(answer))))
     return found
 
@@ -230,12 +295,14 @@ def _beam_modes(
 def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
     """Frequencies about the peak of a mode: a power law moves it, by 25 % for λ = 1.92."""
     peak = frequency
-    for _ in range(30):  # ω² = ω_i² Re D(jω), a contraction as Re D grows by less than ω^1
+    for _ in range(
+        30
+    ):  # ω² = ω_i² Re D(jω), a contraction as Re D grows by less than ω^1
         law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
         peak = frequency * math.sqrt(max(law.real, 0.25))
     law = complex(material_law(model, np.asarray(1j * peak), frequency, ratio))
-    # arg D is 2ζ for a small ζ. The floor keeps points on either side of a peak that the iteration above has
-    # placed to three digits only, as it may for α near 2.
+    # arg D is 2ζ for a small ζ. The floor keeps points on either side of a peak that
+    # the iteration above has placed to three digits only, as it may for α near 2.
     width = min(max(0.5 * abs(math.atan2(law.imag, law.real)), 1e-3), _WIDEST)
     return np.asarray(peak * np.exp(width * _POINTS))
 
@@ -243,7 +310,9 @@ def _around(model: LinkModel, frequency: float, ratio: float | None) -> Real:
 def _seen(w: Real, period: float) -> Real:
     """Where the computer sees ω: beyond the Nyquist frequency it is folded back."""
     nyquist = math.pi / period
-    return np.maximum(np.abs(np.remainder(w + nyquist, 2.0 * nyquist) - nyquist), 1e-3 * nyquist)
+    return np.maximum(
+        np.abs(np.remainder(w + nyquist, 2.0 * nyquist) - nyquist), 1e-3 * nyquist
+    )
 
 
 def _rest(loop: Loop, w: Real, period: float) -> Real:
@@ -253,7 +322,9 @@ def _rest(loop: Loop, w: Real, period: float) -> Real:
     return np.asarray(np.log(np.abs(np.sin(half)) / half + 1e-300) + motor)
 
 
-def mode_requirements(modes: HigherModes, loop: Loop, limit: float) -> tuple[tuple[int, Requirement], ...]:
+def mode_requirements(
+    modes: HigherModes, loop: Loop, limit: float
+) -> tuple[tuple[int, Requirement], ...]:
     """Return (number, the worst loop gain against `limit`) of each higher mode."""
     gains = modes.gains(loop)
     found = []
@@ -261,5 +332,7 @@ def mode_requirements(modes: HigherModes, loop: Loop, limit: float) -> tuple[tup
         rows = np.flatnonzero(modes.number == number)
         worst = rows[int(np.argmax(gains[rows]))]
         name, payload = f"loop gain at mode {number}", float(modes.payload[worst])
-        found.append((number, Requirement.at_most(name, limit, float(gains[worst]), "", payload)))
+        found.append(
+            (number, Requirement.at_most(name, limit, float(gains[worst]), "", payload))
+        )
     return tuple(found)

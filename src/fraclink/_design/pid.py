@@ -9,7 +9,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from fraclink._arm.fractional_pid import FractionalPid, PidOrder
-from fraclink._design.pid_search import PidProblem, best_of, crossover_grid, itae, searched
+from fraclink._design.pid_search import (
+    PidProblem,
+    best_of,
+    crossover_grid,
+    itae,
+    searched,
+)
 from fraclink._design.pid_tuning import PERIODS, PidTuning
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._law.requirement import LEAST_SHARE
@@ -24,11 +30,15 @@ __all__ = ["tune_pid"]
 
 FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
 HORIZON = 40.0  # of ITAE, times 1/ω_c: six periods of an oscillation at the crossover
-# Of a law's phase margin: its own tolerance of 0.5°, and what 1.5 periods of delay leave out of the hold.
+# Of a law's phase margin: its own tolerance of 0.5°, and what 1.5 periods of delay
+# leave out of the hold.
 LAW_LOSS = math.radians(1.0)
 MARGIN = math.radians(60.0)
-SENSITIVITY = 2.0  # of a crossover that nothing but ITAE chooses: ITAE alone goes to Ms of 3 to 6
-# With λ below a half an error lasts as t^(−λ) beyond every horizon, which ITAE does not see.
+SENSITIVITY = (
+    2.0  # of a crossover that nothing but ITAE chooses: ITAE alone goes to Ms of 3 to 6
+)
+# With λ below a half an error lasts as t^(−λ) beyond every horizon, which ITAE does not
+# see.
 _INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
 
 Form = Literal["PI", "PD", "PID"]
@@ -52,7 +62,8 @@ def tune_pid(
     measurement_limit: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None,
     horizon: Duration | None = None,
 ) -> PidTuning:
-    """Tune ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` for a plant, integer or fractional.
+    """Tune ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f s)^n`` for a plant, integer or
+    fractional.
 
     |L| = 1 with the phase margin φ_m at ω_c, and d arg L/d ln ω = 0 there (flat phase: the margin then
     outlasts a change of the plant's gain), are three linear equations in the gains for each (λ, μ). Of all
@@ -62,16 +73,19 @@ def tune_pid(
     Parameters
     ----------
     plant
-        P(s): a function of `fraclink.s`, the result of `identify_structure`, or a python-control system with
-        one input and one output; of positive gain at rest, without poles in Re s > 0.
+        P(s): a function of `fraclink.s`, the result of `identify_structure`, or a
+        python-control system with one input and one output; of positive gain at rest,
+        without poles in Re s > 0.
     phase_margin
         φ_m [rad], met at ω_c and kept at every other crossing.
     gain_crossover
-        ω_c [rad/s]; chosen by ITAE when left out, which needs a plant with a delay, or `period`.
+        ω_c [rad/s]; chosen by ITAE when left out, which needs a plant with a delay, or
+        `period`.
     gain_margin
         least factor, > 1, by which the gain may change before the loop is unstable.
     max_sensitivity
-        bound on Ms = max |1/(1 + L)|; 2 where it is left out together with `gain_crossover`.
+        bound on Ms = max |1/(1 + L)|; 2 where it is left out together with
+        `gain_crossover`.
     flat_phase
         False leaves the slope of the phase to ITAE, too.
     form
@@ -81,22 +95,27 @@ def tune_pid(
     filter_time
         T_f [s]; 1/(20 ω_c) when left out.
     period
-        of the law [s]: 1.5 periods of delay (hold and computation) are then part of the loop.
+        of the law [s]: 1.5 periods of delay (hold and computation) are then part of the
+        loop.
     output_limit, measurement_limit
         largest |u|, and largest credible |r| and |y|, kept for `PidTuning.law`.
     horizon
-        of ITAE [s]; 40/ω_c when left out (40 over the highest feasible ω_c where that is chosen). With λ < 1
-        and a plant without integrators ITAE grows without bound: e dies away as t^(−λ).
+        of ITAE [s]; 40/ω_c when left out (40 over the highest feasible ω_c where that
+        is chosen). With λ < 1 and a plant without integrators ITAE grows without bound:
+        e dies away as t^(−λ).
 
     Raises
     ------
     FieldError
-        a plant that is unstable or of negative gain, and requests that leave nothing free.
+        a plant that is unstable or of negative gain, and requests that leave nothing
+        free.
     InfeasibleError
-        no controller of this form meets them; `nearest` holds the nearest phase margin that one does.
+        no controller of this form meets them; `nearest` holds the nearest phase margin
+        that one does.
 
-    Source: flat phase: Chen and Moore, Nonlinear Dynamics 38 (2005); the equations: Monje et al., Control
-    Engineering Practice 16 (2008) 798–812, solved here in the gains.
+    Source: flat phase: Chen and Moore, Nonlinear Dynamics 38 (2005); the equations:
+    Monje et al., Control Engineering Practice 16 (2008) 798–812, solved here in the
+    gains.
 
     Examples
     --------
@@ -110,7 +129,8 @@ def tune_pid(
     if max_sensitivity is None and gain_crossover is None:
         max_sensitivity = SENSITIVITY
     own = _plant_of(plant)
-    # Hold and computation stand in the plant from the start: a margin met without them is lost by ω_c·1.5 T.
+    # Hold and computation stand in the plant from the start: a margin met without them
+    # is lost by ω_c·1.5 T.
     problem = _problem(
         own.delayed(PERIODS * (period or 0.0)),
         form,
@@ -123,20 +143,25 @@ def tune_pid(
         derivative_order=derivative_order,
         filter_time=filter_time,
     )
-    crossovers = [gain_crossover] if gain_crossover is not None else list(crossover_grid(problem))
+    crossovers = (
+        [gain_crossover]
+        if gain_crossover is not None
+        else list(crossover_grid(problem))
+    )
     found = searched(problem, crossovers)
     if not found.count:
         raise _infeasible(problem, crossovers)
-    # One horizon for all candidates: with 40/ω_c of each its own, a slow loop would be given more time to be
-    # late in, and its ITAE could not be compared with a fast one's.
+    # One horizon for all candidates: with 40/ω_c of each its own, a slow loop would be
+    # given more time to be late in, and its ITAE could not be compared with a fast
+    # one's.
     length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
     best = best_of(problem, found, length, free=gain_crossover is None)
     made = PidTuning(
         plant=own,
         controller=best.controller(0),
         phase_margin=phase_margin,
-        # Eight times the search's samples: the value is stated, not only compared. To 1e-5 of the exact
-        # response's on the plants of the tests.
+        # Eight times the search's samples: the value is stated, not only compared. To
+        # 1e-5 of the exact response's on the plants of the tests.
         itae=float(itae(problem, best, length, 8192)[0]),
         horizon=length,
         gain_crossover=gain_crossover,
@@ -148,11 +173,17 @@ def tune_pid(
         measurement_limit=measurement_limit,
         findings=_lasting(problem, best.controller(0)),
     )
-    return made if period is None else replace(made, findings=(*made.findings, *_of_law(made)))
+    return (
+        made
+        if period is None
+        else replace(made, findings=(*made.findings, *_of_law(made)))
+    )
 
 
 def _of_law(made: PidTuning) -> tuple[Finding, ...]:
-    """What the law that ships keeps less of the phase margin, with the plant behind its hold."""
+    """What the law that ships keeps less of the phase margin, with the plant behind its
+    hold.
+    """
     if any(term.delay for term in made.plant.denominator):
         return (
             Finding(
@@ -163,11 +194,16 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
                 "keep a larger margin, or simulate the law on the arm's own software",
             ),
         )
-    # The limits play no part in the linear loop: any finite ones do, as the caller need not have given them.
+    # The limits play no part in the linear loop: any finite ones do, as the caller need
+    # not have given them.
     found = made.sampled_margins(made.law(output_limit=1.0, measurement_limit=1.0))
-    # A stable loop's nearest crossing may lie on either side of -1; what counts is how far.
+    # A stable loop's nearest crossing may lie on either side of -1; what counts is how
+    # far.
     kept = abs(found.phase_margin)
-    evidence = {"asked, °": math.degrees(made.phase_margin), "kept, °": math.degrees(kept)}
+    evidence = {
+        "asked, °": math.degrees(made.phase_margin),
+        "kept, °": math.degrees(kept),
+    }
     if not found.stable:
         return (
             Finding(
@@ -183,7 +219,8 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
     return (
         Finding(
             "W422",
-            # As W404 judges a design: below half of the margin it is another loop than the one asked for.
+            # As W404 judges a design: below half of the margin it is another loop than
+            # the one asked for.
             "error" if kept < LEAST_SHARE * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,
@@ -194,8 +231,8 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
 
 def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, ...]:
     """What is left of a step for ever, where neither controller nor plant integrates."""
-    # An integral of any order λ > 0 has infinite gain at rest: the error then vanishes, if as slowly as
-    # t^(−λ).
+    # An integral of any order λ > 0 has infinite gain at rest: the error then vanishes,
+    # if as slowly as t^(−λ).
     if controller.integral or problem.integrators > 0.0:
         return ()
     top, bottom = problem.plant.numerator[-1], problem.plant.denominator[-1]
@@ -215,16 +252,29 @@ def _lasting(problem: PidProblem, controller: FractionalPid) -> tuple[Finding, .
 def _words(problem: PidProblem) -> str:
     """The form that was asked for, in words."""
     form = "P" + "I" * problem.integral + "D" * problem.derivative
-    return f"{form} controller with a flat phase" if problem.flat else f"{form} controller"
+    return (
+        f"{form} controller with a flat phase" if problem.flat else f"{form} controller"
+    )
 
 
 def _plant_of(plant: Any) -> FractionalTransferFunction:
     """The plant as a function; FieldError for one whose loop the search cannot count."""
-    own = plant.transfer_function if isinstance(plant, StructureFit) else from_control(plant)
+    own = (
+        plant.transfer_function
+        if isinstance(plant, StructureFit)
+        else from_control(plant)
+    )
     if not own.numerator:
-        raise FieldError("plant", "0", "zero", allowed="a plant that answers", remedy="build it from s")
-    # |L| of a plant that does not fall may stay above one for ever, and the 1.5 periods of delay then turn it
-    # round −1 without end: no count of turns, which decides stability here, comes to rest.
+        raise FieldError(
+            "plant",
+            "0",
+            "zero",
+            allowed="a plant that answers",
+            remedy="build it from s",
+        )
+    # |L| of a plant that does not fall may stay above one for ever, and the 1.5 periods
+    # of delay then turn it round −1 without end: no count of turns, which decides
+    # stability here, comes to rest.
     if own.relative_degree <= 0.0:
         raise FieldError(
             "plant",
@@ -234,8 +284,9 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             remedy="write down the lag of its sensor or actuator",
         )
     order = own.denominator[-1].order
-    # A pole at the origin is no instability here: the scan knows how far L turns there. It is divided out,
-    # and what is left must be stable, as a Nyquist count without right half-plane poles is used.
+    # A pole at the origin is no instability here: the scan knows how far L turns there.
+    # It is divided out, and what is left must be stable, as a Nyquist count without
+    # right half-plane poles is used.
     free = own / FractionalTransferFunction.power(-order) if order else own
     if not is_stable(free):
         raise FieldError(
@@ -245,12 +296,14 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             allowed="a stable plant, or one with integrators",
             remedy="close an inner loop first, and tune for what that makes of it",
         )
-    # The sign of the gain at rest: with gains of C that are >= 0, a plant of negative gain closes a positive
-    # feedback.
+    # The sign of the gain at rest: with gains of C that are >= 0, a plant of negative
+    # gain closes a positive feedback.
     lowest = own.numerator[-1].coefficient / own.denominator[-1].coefficient
     if lowest < 0.0:
         remedy = "tune for -plant, and negate the controller's output"
-        raise FieldError("plant", str(own), "of negative gain at rest", allowed="> 0", remedy=remedy)
+        raise FieldError(
+            "plant", str(own), "of negative gain at rest", allowed="> 0", remedy=remedy
+        )
     return own
 
 
@@ -275,8 +328,11 @@ def _problem(
     for name, order, used in orders:
         if order is not None and not used:
             remedy = f"leave it out, or ask for another form than {form}"
-            raise FieldError(name, order, f"given for a {form}", allowed="none", remedy=remedy)
-    # Two gains are spent on ω_c and φ_m, so of a PI or PD the order is the one number left for a flat phase.
+            raise FieldError(
+                name, order, f"given for a {form}", allowed="none", remedy=remedy
+            )
+    # Two gains are spent on ω_c and φ_m, so of a PI or PD the order is the one number
+    # left for a flat phase.
     single = integral_order if integral else derivative_order
     if flat_phase and not (integral and derivative) and single is not None:
         raise FieldError(
@@ -306,8 +362,12 @@ def _ends(given: float | None, usual: tuple[float, float]) -> tuple[float, float
     return usual if given is None else (given, given)
 
 
-def _crossovers(plant: FractionalTransferFunction, given: float | None) -> tuple[float, float]:
-    """Range of ω_c: the one that is given, or three decades below where the delay alone turns by 180°."""
+def _crossovers(
+    plant: FractionalTransferFunction, given: float | None
+) -> tuple[float, float]:
+    """Range of ω_c: the one that is given, or three decades below where the delay alone
+    turns by 180°.
+    """
     if given is not None:
         return given, given
     delay = plant.delay
@@ -319,7 +379,8 @@ def _crossovers(plant: FractionalTransferFunction, given: float | None) -> tuple
             allowed="> 0 rad/s",
             remedy="give gain_crossover=, or period= of the law, whose delay bounds it",
         )
-    # Above π/τ the delay alone takes 180°. Three decades down no plant is left whose delay decides anything.
+    # Above π/τ the delay alone takes 180°. Three decades down no plant is left whose
+    # delay decides anything.
     return 1e-3 * math.pi / delay, math.pi / delay
 
 
@@ -327,12 +388,19 @@ def _infeasible(problem: PidProblem, crossovers: list[float]) -> InfeasibleError
     """The error, with the nearest phase margin for which there is a controller."""
     asked = problem.phase_margin
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
-    # Nearest first, so that the first that works is the offer; steps of 2.5° and every fourth crossover, as
-    # each trial is a search of its own and a person asks again in whole degrees.
-    steps = sorted(np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked))
+    # Nearest first, so that the first that works is the offer; steps of 2.5° and every
+    # fourth crossover, as each trial is a search of its own and a person asks again in
+    # whole degrees.
+    steps = sorted(
+        np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked)
+    )
     for angle in steps:
         if searched(replace(problem, phase_margin=float(angle)), crossovers[::4]).count:
             explanation = f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
-            return InfeasibleError("phase_margin", explanation, {"phase_margin": float(angle)})
-    explanation = f"no {_words(problem)} with gains >= 0 crosses there in a stable loop; {more}"
+            return InfeasibleError(
+                "phase_margin", explanation, {"phase_margin": float(angle)}
+            )
+    explanation = (
+        f"no {_words(problem)} with gains >= 0 crosses there in a stable loop; {more}"
+    )
     return InfeasibleError("gain_crossover", explanation)

@@ -1,4 +1,6 @@
-"""The result of `tune_pid`: a fractional PID with its plant, its margins, its law, its answer to a step."""
+"""The result of `tune_pid`: a fractional PID with its plant, its margins, its law, its
+answer to a step.
+"""
 
 from __future__ import annotations
 
@@ -30,13 +32,18 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 PERIODS = 1.5  # of delay: half of the hold, and one until the output takes effect
-LAW_BAND = (200.0, 50.0)  # of the law's fit below and above ω_c: what a loop is judged by lies inside
+LAW_BAND = (
+    200.0,
+    50.0,
+)  # of the law's fit below and above ω_c: what a loop is judged by lies inside
 SPAN = 25.0  # of the sampled plant's modes, times the horizon: exact from ω_c/1000 on
 _EXACT = 1e-6  # relative: what was asked for is met to rounding and search
 
 
 class PidStep(NamedTuple):
-    """Answer to a step of the reference: time [s], measurement and controller's output, shape (N,)."""
+    """Answer to a step of the reference: time [s], measurement and controller's output,
+    shape (N,).
+    """
 
     time: Real
     measurement: Real
@@ -60,11 +67,13 @@ class PidTuning:
     controller
         C(s).
     gain_crossover, phase_margin, gain_margin, max_sensitivity
-        what was asked for: [rad/s], [rad], factor, and bound of Ms; None where it was not.
+        what was asked for: [rad/s], [rad], factor, and bound of Ms; None where it was
+        not.
     itae
         ∫ t |e| dt [s²] over `horizon` [s] after a unit step of the reference.
     period
-        of the law [s]; None for a controller without sampling. The tuning counts 1.5 periods of delay.
+        of the law [s]; None for a controller without sampling. The tuning counts 1.5
+        periods of delay.
     output_limit, measurement_limit
         of the law; None where they were not given.
     findings
@@ -113,42 +122,58 @@ class PidTuning:
     @cached_property
     def stable(self) -> bool:
         """Whether the closed loop is stable."""
-        # The engine says None for a plant whose open-loop poles it cannot count; the closed loop's are then
-        # sought themselves.
+        # The engine says None for a plant whose open-loop poles it cannot count; the
+        # closed loop's are then sought themselves.
         found = self.margins.stable
         return bool(is_stable(self.open_loop.feedback())) if found is None else found
 
     @property
     def phase_slope(self) -> float:
         """d arg L/d ln ω at the gain crossover [rad]: 0 where the phase is flat."""
-        # A central difference, 1e-10 off: the loop has delays and arbitrary orders, and its derivative in
-        # closed form would have to be written for every kind of plant. By the ratio, so that no turn of 2π
-        # comes between.
+        # A central difference, 1e-10 off: the loop has delays and arbitrary orders, and
+        # its derivative in closed form would have to be written for every kind of
+        # plant. By the ratio, so that no turn of 2π comes between.
         w, step = self.margins.gain_crossover, 1e-5
         loop = self.open_loop
-        return float(np.angle(loop(1j * w * math.exp(step)) / loop(1j * w * math.exp(-step))) / (2.0 * step))
+        return float(
+            np.angle(loop(1j * w * math.exp(step)) / loop(1j * w * math.exp(-step)))
+            / (2.0 * step)
+        )
 
     @property
     def kept(self) -> tuple[tuple[str, float, float, bool], ...]:
-        """Each requirement: its name, what was asked for, what was achieved, and whether it is kept."""
+        """Each requirement: its name, what was asked for, what was achieved, and
+        whether it is kept.
+        """
         found = self.margins
         rows = [("phase margin [rad]", self.phase_margin, found.phase_margin, 1)]
         if self.gain_crossover is not None:
-            rows.append(("gain crossover [rad/s]", self.gain_crossover, found.gain_crossover, 0))
+            rows.append(
+                ("gain crossover [rad/s]", self.gain_crossover, found.gain_crossover, 0)
+            )
         if self.gain_margin is not None:
-            # A loop that becomes unstable with less gain has a margin below one: what is asked for is a
-            # factor either way.
+            # A loop that becomes unstable with less gain has a margin below one: what
+            # is asked for is a factor either way.
             nearest = found.gain_margin
-            rows.append(("gain margin", self.gain_margin, max(nearest, 1.0 / nearest), 1))
+            rows.append(
+                ("gain margin", self.gain_margin, max(nearest, 1.0 / nearest), 1)
+            )
         if self.max_sensitivity is not None:
-            rows.append(("sensitivity peak", self.max_sensitivity, found.sensitivity_peak, -1))
+            rows.append(
+                ("sensitivity peak", self.max_sensitivity, found.sensitivity_peak, -1)
+            )
         if self.flat_phase:
             rows.append(("slope of the phase [rad]", 0.0, self.phase_slope, 0))
-        return tuple((name, asked, got, _is_kept(asked, got, sense)) for name, asked, got, sense in rows)
+        return tuple(
+            (name, asked, got, _is_kept(asked, got, sense))
+            for name, asked, got, sense in rows
+        )
 
     @property
     def passed(self) -> bool:
-        """Whether the closed loop is stable and every requirement is kept, and no finding is an error."""
+        """Whether the closed loop is stable and every requirement is kept, and no
+        finding is an error.
+        """
         held = all(kept for *_, kept in self.kept)
         return self.stable and held and not errors_of(self.findings)
 
@@ -158,7 +183,9 @@ class PidTuning:
             for name, asked, got, kept in self.kept
         ]
         value = f"ITAE {self.itae:.5g} s² over {self.horizon:.4g} s"
-        return "\n".join([self.controller.formula, *rows, value, *map(str, self.findings)])
+        return "\n".join(
+            [self.controller.formula, *rows, value, *map(str, self.findings)]
+        )
 
     def law(
         self,
@@ -171,26 +198,33 @@ class PidTuning:
     ) -> Law:
         """Return the law that runs the controller, by `fraclink.discretize_pid`.
 
-        What is left out is what the tuning was given; its filter is closest to C within two decades below
-        the crossover and fifty times it.
+        What is left out is what the tuning was given; its filter is closest to C within
+        two decades below the crossover and fifty times it.
         """
         given = {
             "period": self.period if period is None else period,
             "output_limit": self.output_limit if output_limit is None else output_limit,
-            "measurement_limit": self.measurement_limit if measurement_limit is None else measurement_limit,
+            "measurement_limit": self.measurement_limit
+            if measurement_limit is None
+            else measurement_limit,
         }
         for name, value in given.items():
             if value is None:
                 option = "period-ms" if name == "period" else name.replace("_", "-")
                 remedy = f"give {name}= here or to tune_pid (--{option})"
-                raise FieldError(name, None, "missing", allowed="a number > 0", remedy=remedy)
+                raise FieldError(
+                    name, None, "missing", allowed="a number > 0", remedy=remedy
+                )
         chosen = Between(0.0, 1e3, "s", low_open=True).check("period", given["period"])
         crossover, high = self.margins.gain_crossover, 0.5 * math.pi / chosen
         band = None
-        # A crossover in the last fifth of the band has no fifty-fold above it: the default band then serves
-        # as well.
+        # A crossover in the last fifth of the band has no fifty-fold above it: the
+        # default band then serves as well.
         if math.isfinite(crossover) and crossover < 0.2 * high:
-            band = (max(crossover / LAW_BAND[0], 1e-5 * high), min(LAW_BAND[1] * crossover, high))
+            band = (
+                max(crossover / LAW_BAND[0], 1e-5 * high),
+                min(LAW_BAND[1] * crossover, high),
+            )
         return discretize_pid(
             self.controller,
             chosen,
@@ -202,37 +236,52 @@ class PidTuning:
         )
 
     def sampled_margins(self, law: Law) -> Margins:
-        """Return every margin of the sampled loop that `law` closes, one period of computation included.
+        """Return every margin of the sampled loop that `law` closes, one period of
+        computation included.
 
-        The plant behind its zero-order hold is exact (`discrete_modes`), the law is its coefficients.
+        The plant behind its zero-order hold is exact (`discrete_modes`), the law is its
+        coefficients.
         """
         modes = discrete_modes(self.plant, law.period, span=SPAN * self.horizon)
 
         def loop(s: Complex) -> Complex:
             w = np.imag(s)
-            # A whole period, where `open_loop` counts one and a half: the half is the hold, which `modes` has
-            # exactly.
+            # A whole period, where `open_loop` counts one and a half: the half is the
+            # hold, which `modes` has exactly.
             late = np.exp(-1j * w * law.period)
             return np.asarray(pid_response(law, w) * modes.frequency_response(w) * late)
 
         return margins(loop, limit=math.pi / law.period, unstable_poles=0)
 
-    def step(self, *, law: Law | None = None, size: float = 1.0, duration: float | None = None) -> PidStep:
-        """Return the answer to a step of the reference by `size`, over `duration` [s] (default `horizon`).
+    def step(
+        self,
+        *,
+        law: Law | None = None,
+        size: float = 1.0,
+        duration: float | None = None,
+    ) -> PidStep:
+        """Return the answer to a step of the reference by `size`, over `duration` [s]
+        (default `horizon`).
 
-        Without `law` it is that of C(s) in continuous time. With it law.c runs, period by period, on the
-        plant behind its hold: with its limit, its anti-windup and a period of computation. A plant with a
-        delay in a loop without sampling is inverted numerically, which takes seconds.
+        Without `law` it is that of C(s) in continuous time. With it law.c runs, period
+        by period, on the plant behind its hold: with its limit, its anti-windup and a
+        period of computation. A plant with a delay in a loop without sampling is
+        inverted numerically, which takes seconds.
         """
         length = self.horizon if duration is None else duration
         if law is not None:
             return _run(self.plant, law, size, max(2, round(length / law.period) + 1))
-        # A thousand points are more than a drawing shows; a loop without a delay is exact at each of them,
-        # whatever their number.
+        # A thousand points are more than a drawing shows; a loop without a delay is
+        # exact at each of them, whatever their number.
         time = np.linspace(0.0, length, 1001)
         loop, pressed = self.open_loop, np.full(time.size, size)
-        closed, outer = loop.feedback(), self.controller.transfer().feedback(self.plant.delayed(self.delay))
-        answers = [time_response(system, pressed, time[1]).output for system in (closed, outer)]
+        closed, outer = (
+            loop.feedback(),
+            self.controller.transfer().feedback(self.plant.delayed(self.delay)),
+        )
+        answers = [
+            time_response(system, pressed, time[1]).output for system in (closed, outer)
+        ]
         return PidStep(time, *answers)
 
     def save(self, path: Path | str) -> None:
@@ -246,24 +295,34 @@ class PidTuning:
 
 
 def _is_kept(asked: float, got: float, sense: int) -> bool:
-    # Absolute below one, as a slope of 0 rad is asked for: relative room of nothing is nothing.
+    # Absolute below one, as a slope of 0 rad is asked for: relative room of nothing is
+    # nothing.
     room = _EXACT * max(1.0, abs(asked))
     return abs(got - asked) <= room if sense == 0 else sense * (got - asked) >= -room
 
 
-def _run(plant: FractionalTransferFunction, law: Law, size: float, count: int) -> PidStep:
+def _run(
+    plant: FractionalTransferFunction, law: Law, size: float, count: int
+) -> PidStep:
     """law.c on the exactly held plant; its output takes effect one period later."""
     modes = discrete_modes(plant, law.period, span=count * law.period)
-    # Convolution with the plant's pulse response, O(N²): a state that is carried along would need the modes
-    # of a delayed plant written out once more, and N is a few thousand.
-    weights = modes.respond(np.eye(1, count)[0])  # to a pulse of one period, at the later samples
+    # Convolution with the plant's pulse response, O(N²): a state that is carried along
+    # would need the modes of a delayed plant written out once more, and N is a few
+    # thousand.
+    weights = modes.respond(
+        np.eye(1, count)[0]
+    )  # to a pulse of one period, at the later samples
     state, given = law.initial_state(), np.zeros(count)
     measured = np.zeros(count)
     for k in range(count):
         measured[k] = given[: k + 1] @ weights[k::-1]
-        state, answer = law.step(state, LawInputs(size, 0.0, measured[k], 0.0), tick=k + 1)
+        state, answer = law.step(
+            state, LawInputs(size, 0.0, measured[k], 0.0), tick=k + 1
+        )
         if k + 1 < count:
             given[k + 1] = answer.voltage
     return PidStep(
-        np.asarray(law.period * np.arange(count), dtype=np.float64), measured, np.append(given[1:], given[-1])
+        np.asarray(law.period * np.arange(count), dtype=np.float64),
+        measured,
+        np.append(given[1:], given[-1]),
     )

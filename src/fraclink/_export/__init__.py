@@ -1,4 +1,6 @@
-"""Out of the building: C, MATLAB and FMU files, replay of logs through them, a board to begin with."""
+"""Out of the building: C, MATLAB and FMU files, replay of logs through them, a board to
+begin with.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What else a board is given: a start for the library that reaches it, and a reference as a table."""
+"""What else a board is given: a start for the library that reaches it, and a reference
+as a table.
+"""
 
 from __future__ import annotations
 
@@ -65,8 +67,9 @@ void arm_close(void)
 def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     """Write arm_io.h and my_board.c to `folder` and return their paths.
 
-    The header is the one that `fraclink._realtime.Library` was built with; the board compiles as it is and
-    gives an arm that stands still. Raises FieldError where one of them is there and `force` is not given.
+    The header is the one that `fraclink._realtime.Library` was built with; the board
+    compiles as it is and gives an arm that stands still. Raises FieldError where one of
+    them is there and `force` is not given.
 
     >>> import tempfile
     >>> [path.name for path in export_io(tempfile.mkdtemp())]
@@ -110,17 +113,22 @@ static const law_real {name}_acceleration[{guard}_LENGTH] = {{
 
 
 @checked
-def export_reference(reference: Reference, path: Path, *, period: Period, force: bool = False) -> Path:
-    """Write a reference as a table with a row each `period` [s], up to its rest, and return the file.
+def export_reference(
+    reference: Reference, path: Path, *, period: Period, force: bool = False
+) -> Path:
+    """Write a reference as a table with a row each `period` [s], up to its rest, and
+    return the file.
 
     A name that ends in .csv gets the columns time_s, angle_rad, velocity_rad_per_s and
-    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; one in .h the angles and
-    accelerations as constant arrays in C99, named after the file, for a program that runs the exported law.
+    acceleration_rad_per_s2, which `read_reference` reads back bit for bit; one in .h
+    the angles and accelerations as constant arrays in C99, named after the file, for a
+    program that runs the exported law.
 
     Raises
     ------
     FieldError
-        another ending, a name that is no C identifier, a file that is there already without `force`.
+        another ending, a name that is no C identifier, a file that is there already
+        without `force`.
     SizeError
         more than 2 000 000 rows.
 
@@ -135,21 +143,27 @@ def export_reference(reference: Reference, path: Path, *, period: Period, force:
     place = output_path(path, force=force)
     if place.suffix not in (".csv", ".h"):
         allowed, remedy = ".csv or .h", "end the name in .csv, or in .h for C"
-        raise FieldError("out", place.name, "of another kind", allowed=allowed, remedy=remedy)
-    # The last row lies at or behind the end of the motion, where the reference rests. Pieces of 0.1 and
-    # 0.2 s last 3.0000000000000004 periods of 0.1 s: without the 1e-9 there would be a second row of rest.
+        raise FieldError(
+            "out", place.name, "of another kind", allowed=allowed, remedy=remedy
+        )
+    # The last row lies at or behind the end of the motion, where the reference rests.
+    # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s: without the 1e-9
+    # there would be a second row of rest.
     count = math.ceil(reference.duration / period - 1e-9) + 1
     values = sampled(reference, period, count)
     write_text(
-        place, _rows(values, period) if place.suffix == ".csv" else _arrays(values, period, place.stem)
+        place,
+        _rows(values, period)
+        if place.suffix == ".csv"
+        else _arrays(values, period, place.stem),
     )
     return place
 
 
 def _rows(values: NDArray[np.float64], period: float) -> str:
     time = period * np.arange(values.shape[1])
-    # repr is the shortest text that reads back to the same double, and tolist() makes Python floats of
-    # numpy's, whose repr has their type in front.
+    # repr is the shortest text that reads back to the same double, and tolist() makes
+    # Python floats of numpy's, whose repr has their type in front.
     lines = (",".join(map(repr, row)) for row in np.vstack([time, values]).T.tolist())
     return "\n".join([",".join(COLUMNS), *lines]) + "\n"
 
@@ -158,9 +172,11 @@ def _arrays(values: NDArray[np.float64], period: float, stem: str) -> str:
     name = identifier("out", stem)
 
     def listed(row: NDArray[np.float64]) -> str:
-        # In double precision, and cast: one table serves both builds of law.c, and the cast rounds as the
-        # simulation did when it rounded the reference.
-        return "\n".join(f"    (law_real){hex_float(value, 'double')}," for value in row.tolist())
+        # In double precision, and cast: one table serves both builds of law.c, and the
+        # cast rounds as the simulation did when it rounded the reference.
+        return "\n".join(
+            f"    (law_real){hex_float(value, 'double')}," for value in row.tolist()
+        )
 
     return _HEADER.format(
         version=__version__,

@@ -1,4 +1,6 @@
-"""Export the law to C: law.h and law.c as they were simulated, the data, a self-test and a page to read."""
+"""Export the law to C: law.h and law.c as they were simulated, the data, a self-test
+and a page to read.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ from pathlib import Path
 from fraclink import _kernels
 from fraclink._certify import Certificate
 from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_case
-from fraclink._export.data import data_header, exact_flags, exact_sizes, identifier, law_source, title_text
+from fraclink._export.data import (
+    data_header,
+    exact_flags,
+    exact_sizes,
+    identifier,
+    law_source,
+    title_text,
+)
 from fraclink._export.payload import payload_files, payload_readme
 from fraclink._export.selftest import expected, selftest_source
 from fraclink._files import atomic_write, output_path
@@ -39,15 +48,16 @@ def export_c(
 ) -> tuple[Path, ...]:
     """Write the law as C99 to `folder` and return the paths written.
 
-    law.h and law.c are the files that were simulated, to the byte; law_data.h holds the coefficients as
-    hex floats; law_selftest.c prints a hash to compare on the target; law.json is the law for
-    `replay`; README.md tells the call sequence,
-    memory in [B], limits in [rad], [N·m] and [V], and what is claimed.
+    law.h and law.c are the files that were simulated, to the byte; law_data.h holds the
+    coefficients as hex floats; law_selftest.c prints a hash to compare on the target;
+    law.json is the law for `replay`; README.md tells the call sequence, memory in [B],
+    limits in [rad], [N·m] and [V], and what is claimed.
 
     Parameters
     ----------
     law
-        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor loop too.
+        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor
+        loop too.
     folder
         Made where it is missing; an existing one that is not empty needs `force`.
     precision
@@ -57,15 +67,18 @@ def export_c(
     title
         Plain text for the first comment, at most 80 characters.
     prove
-        Prove what can be proved about these very files with the provers that are installed (Debian's
-        frama-c-base, z3 or cvc5, gappa; python-flint): README.md then claims what was proved and nothing
-        else, proof.json lists it (`Proof.load`), proof/ holds the logs. Half a minute on a desktop. Needs
-        the package fraclink-prove (folder prove/ of the repository).
+        Prove what can be proved about these very files with the provers that are
+        installed (Debian's frama-c-base, z3 or cvc5, gappa; python-flint): README.md
+        then claims what was proved and nothing else, proof.json lists it
+        (`Proof.load`), proof/ holds the logs. Half a minute on a desktop. Needs the
+        package fraclink-prove (folder prove/ of the repository).
     certificate
-        Of the loop that the exported law closes, from `certify`; with `prove` it becomes a claim.
+        Of the loop that the exported law closes, from `certify`; with `prove` it
+        becomes a claim.
     estimator
-        From `Design.estimator`: payload_estimator.c and .h, its tables and a self-test of its own stand
-        beside the law, in its precision, and README.md says how to call it. It is tested, not proved.
+        From `Design.estimator`: payload_estimator.c and .h, its tables and a self-test
+        of its own stand beside the law, in its precision, and README.md says how to
+        call it. It is tested, not proved.
     force
         Overwrite the files in an existing folder.
 
@@ -95,9 +108,12 @@ def export_c(
             allowed="a new or an empty folder",
             remedy="choose another name or add --force",
         )
-    output_path(place / "law.c", force=True)  # a folder that cannot be made is told before the work
-    # From here on everything is about the law in the precision that is shipped: limits and coefficients are
-    # rounded once, here, and the self-test, the bounds and the proof are those of the rounded numbers.
+    output_path(
+        place / "law.c", force=True
+    )  # a folder that cannot be made is told before the work
+    # From here on everything is about the law in the precision that is shipped: limits
+    # and coefficients are rounded once, here, and the self-test, the bounds and the
+    # proof are those of the rounded numbers.
     shipped = law if precision is None else law.in_precision(precision)
     data = f"{name}.h"
     files: dict[str, bytes] = {
@@ -106,18 +122,25 @@ def export_c(
         data: data_header(shipped, name=name, title=title).encode(),
         "law_selftest.c": selftest_source(shipped, name=name, data=data).encode(),
     }
-    proof, logs = _proved(shipped, files, name, data, certificate) if prove else (None, {})
+    proof, logs = (
+        _proved(shipped, files, name, data, certificate) if prove else (None, {})
+    )
     page = readme(shipped, name=name, data=data, proof=proof)
-    # The estimator in the law's precision: both include one law.h, which has one law_real.
+    # The estimator in the law's precision: both include one law.h, which has one
+    # law_real.
     bank = None if estimator is None else estimator_for(shipped, estimator)
     if bank is not None:
-        files |= {file: law_source(file) for file in ("payload_estimator.h", "payload_estimator.c")}
+        files |= {
+            file: law_source(file)
+            for file in ("payload_estimator.h", "payload_estimator.c")
+        }
         files |= payload_files(bank)
         page += payload_readme(bank)
     # Written into the table last, as it tells what the files above it are.
     files["README.md"] = page.encode()
     files |= logs
-    # Everything is made before anything is written: a failure above leaves no half folder.
+    # Everything is made before anything is written: a failure above leaves no half
+    # folder.
     place.mkdir(parents=True, exist_ok=True)
     # a proof of what stood here before says nothing about what is written now
     (place / "proof.json").unlink(missing_ok=True)
@@ -134,7 +157,11 @@ def export_c(
 
 
 def _proved(
-    law: Law, files: Mapping[str, bytes], name: str, data: str, certificate: Certificate | None
+    law: Law,
+    files: Mapping[str, bytes],
+    name: str,
+    data: str,
+    certificate: Certificate | None,
 ) -> tuple[Proof, dict[str, bytes]]:
     """Prove in a scratch folder, so that a failure in between leaves nothing behind."""
     try:
@@ -146,13 +173,19 @@ def _proved(
         for file, content in files.items():
             (folder / file).write_bytes(content)
         proof = prove_folder(law, folder, name=name, data=data, certificate=certificate)
-        logs = {f"proof/{path.name}": path.read_bytes() for path in sorted((folder / "proof").glob("*"))}
+        logs = {
+            f"proof/{path.name}": path.read_bytes()
+            for path in sorted((folder / "proof").glob("*"))
+        }
     return proof, logs
 
 
 # What each field of the law's limits is: its unit, and what happens at it.
 _LIMITS = {
-    "sum_limit": ("rad", "largest credible correction and feed-forward; beyond, the states are healed"),
+    "sum_limit": (
+        "rad",
+        "largest credible correction and feed-forward; beyond, the states are healed",
+    ),
     "correction_limit": ("rad", "largest state of the correction"),
     "forward_limit": ("rad/s²", "largest state of the feed-forward"),
     "angle_limit": ("rad", "encoder and reference beyond it are not credible"),
@@ -160,24 +193,60 @@ _LIMITS = {
     "torque_limit": ("N·m", "gauge readings beyond it are not credible"),
     "torque_step": ("N·m", "largest credible change of the gauge in a period"),
     "torque_trip": ("N·m", "a link that pushes more is blocked: hold"),
-    "torque_block": ("N·m", "a link that pushes more and does not swing back is blocked: hold"),
-    "reference_step": ("rad", "the reference is followed at no more than this in a period"),
-    "reference_rate": ("1", "part of a jump of the reference that is followed in a period"),
+    "torque_block": (
+        "N·m",
+        "a link that pushes more and does not swing back is blocked: hold",
+    ),
+    "reference_step": (
+        "rad",
+        "the reference is followed at no more than this in a period",
+    ),
+    "reference_rate": (
+        "1",
+        "part of a jump of the reference that is followed in a period",
+    ),
     "acceleration_limit": ("rad/s²", "largest acceleration that is fed forward"),
-    "payload_limit": ("kg", "a payload beyond it is not credible, and as one that is not given"),
-    "scale_step": ("1", "largest change of the feed-forward's scale in a period, 1 for the nominal payload"),
+    "payload_limit": (
+        "kg",
+        "a payload beyond it is not credible, and as one that is not given",
+    ),
+    "scale_step": (
+        "1",
+        "largest change of the feed-forward's scale in a period, 1 for the nominal payload",
+    ),
     "motor_limit": ("rad", "range of the motor reference"),
     "motor_step": ("rad", "largest change of the motor reference in a period"),
-    "fade_step": ("1", "fade of the correction in a period, once the gauge is given up"),
+    "fade_step": (
+        "1",
+        "fade of the correction in a period, once the gauge is given up",
+    ),
     "residual_angle": ("rad", "motor farther from its model is a fault: off"),
-    "frozen_angle": ("rad", "an encoder that stands still while the motor model moves this far is frozen"),
-    "stuck_torque": ("N·m", "a gauge that stands still while the model's torque moves this far is stuck"),
-    "wiring_energy": ("rad²", "sum of squared motor steps from which the wiring test decides"),
+    "frozen_angle": (
+        "rad",
+        "an encoder that stands still while the motor model moves this far is frozen",
+    ),
+    "stuck_torque": (
+        "N·m",
+        "a gauge that stands still while the model's torque moves this far is stuck",
+    ),
+    "wiring_energy": (
+        "rad²",
+        "sum of squared motor steps from which the wiring test decides",
+    ),
     "bad_limit": ("periods", "rejected samples in a row before the reaction"),
     "missed_limit": ("periods", "missed periods in a row that are ridden through"),
-    "residual_limit": ("periods", "periods in a row away from the motor model before switching off"),
-    "stuck_limit": ("periods", "periods in a row of a gauge that stands still before it is given up"),
-    "frozen_limit": ("periods", "periods in a row of a frozen encoder before switching off"),
+    "residual_limit": (
+        "periods",
+        "periods in a row away from the motor model before switching off",
+    ),
+    "stuck_limit": (
+        "periods",
+        "periods in a row of a gauge that stands still before it is given up",
+    ),
+    "frozen_limit": (
+        "periods",
+        "periods in a row of a frozen encoder before switching off",
+    ),
     "block_limit": ("periods", "periods in a row above `torque_block` before holding"),
 }
 
@@ -196,11 +265,13 @@ def _for_one_design(law: Law) -> str:
 
 def _rounding(bounds: CommandBounds, proof: Proof | None) -> str:
     if proof is not None and proof["rounding"].status == "proved":
-        return ""  # a sharper bound stands among the claims; two for one thing would confuse
+        # a sharper bound stands among the claims; two for one thing would confuse
+        return ""
     return f"| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |\n"
 
 
-# Of a PID: the guards that can act, and what they mean there. The rest belongs to motor, gauge and link.
+# Of a PID: the guards that can act, and what they mean there. The rest belongs to
+# motor, gauge and link.
 _OF_PID = {
     "angle_limit": "reference and measurement beyond it are not credible",
     "sum_limit": "largest credible value of the filter 1 + Ĉ; beyond, its states are healed",
@@ -214,9 +285,18 @@ _OF_PID = {
 def _limit_rows(law: Law) -> list[str]:
     limits = asdict(law.limits)
     if law.has_gauge:
-        return [f"| `{key}` | {value:.6g} | {' | '.join(_LIMITS[key])} |" for key, value in limits.items()]
-    units = {key: "periods" if _LIMITS[key][0] == "periods" else "of the measurement" for key in _OF_PID}
-    return [f"| `{key}` | {limits[key]:.6g} | {units[key]} | {text} |" for key, text in _OF_PID.items()]
+        return [
+            f"| `{key}` | {value:.6g} | {' | '.join(_LIMITS[key])} |"
+            for key, value in limits.items()
+        ]
+    units = {
+        key: "periods" if _LIMITS[key][0] == "periods" else "of the measurement"
+        for key in _OF_PID
+    }
+    return [
+        f"| `{key}` | {limits[key]:.6g} | {units[key]} | {text} |"
+        for key, text in _OF_PID.items()
+    ]
 
 
 def _connected(law: Law) -> str:
@@ -257,24 +337,38 @@ def _forward_row(law: Law) -> str:
 
 
 def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str:
-    """Return the text of the exported README.md; with `proof`, its claims are those of this very folder."""
+    """Return the text of the exported README.md; with `proof`, its claims are those of
+    this very folder.
+    """
     bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
-    # A bound in doubles is right in practice and no proof: the page says which one it is.
-    made = "ball arithmetic" if bounds.rigorous else "double precision; python-flint was not installed"
+    # A bound in doubles is right in practice and no proof: the page says which one it
+    # is.
+    made = (
+        "ball arithmetic"
+        if bounds.rigorous
+        else "double precision; python-flint was not installed"
+    )
     limits = "\n".join(_limit_rows(law))
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
 Law `{law.digest}`.
-`law.h` and `law.c` are the files that were simulated; `{data}` holds this design's numbers. Order
+`law.h` and `law.c` are the files that were simulated; `{
+        data
+    }` holds this design's numbers. Order
 {law.order}; {_connected(law)}.
 
 ## Build and check
 ```
-cc -std=c99 -ffp-contract=off{flag} -O2 law_selftest.c law.c -o law_selftest && ./law_selftest
+cc -std=c99 -ffp-contract=off{
+        flag
+    } -O2 law_selftest.c law.c -o law_selftest && ./law_selftest
 ```
-must print `hash {expected(law).hash:08X}`. Run it on the target too, with the target's compiler and flags.
+must print `hash {
+        expected(
+            law
+        ).hash:08X}`. Run it on the target too, with the target's compiler and flags.
 {
         _for_one_design(law)
     }Never use `-ffast-math` (refused) and never let the compiler fuse multiply and add: both change what was
@@ -305,8 +399,8 @@ if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 ## How exact
 | what | value |
 |---|---|
-| C = 1 + Ĉ against the design, {law.band[0]:g} to {law.band[1]:g} rad/s | {law.correction_error[0]:.3f} dB, {
-        law.correction_error[1]:.3f}° |
+| C = 1 + Ĉ against the design, {law.band[0]:g} to {law.band[1]:g} rad/s | {
+        law.correction_error[0]:.3f} dB, {law.correction_error[1]:.3f}° |
 {_forward_row(law)}| Ĉ at constant input | exactly 0 |
 | worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |
 {_rounding(bounds, proof)}

@@ -1,4 +1,6 @@
-"""What goes into generated C: checked names, the files of csrc, and law_data.h, every number a hex float."""
+"""What goes into generated C: checked names, the files of csrc, and law_data.h, every
+number a hex float.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,18 @@ from fraclink._law import Law
 from fraclink._law import block as layout
 from fraclink.errors import FieldError
 
-__all__ = ["data_header", "exact_flags", "exact_sizes", "hex_float", "identifier", "law_source", "title_text"]
+__all__ = [
+    "data_header",
+    "exact_flags",
+    "exact_sizes",
+    "hex_float",
+    "identifier",
+    "law_source",
+    "title_text",
+]
 
 _KEYWORDS = frozenset(
-    (  # noqa: SIM905 - words read better than quotes
+    (  # noqa: SIM905
         "auto break case char const continue default do double else enum extern float for goto if inline "
         "int long register restrict return short signed sizeof static struct switch typedef union unsigned "
         "void volatile while main "
@@ -26,14 +36,18 @@ _KEYWORDS = frozenset(
 
 
 def identifier(field: str, name: object) -> str:
-    """Return `name` if C takes it as an identifier: a letter, then letters, digits or _, at most 31, no
-    keyword.
+    """Return `name` if C takes it as an identifier: a letter, then letters, digits or
+    _, at most 31, no keyword.
 
     >>> identifier("name", "arm_law")
     'arm_law'
     """
-    # 31 characters is what C99 guarantees for external names; a leading _ belongs to the compiler.
-    fits = isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name) is not None
+    # 31 characters is what C99 guarantees for external names; a leading _ belongs to
+    # the compiler.
+    fits = (
+        isinstance(name, str)
+        and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,30}", name) is not None
+    )
     if not isinstance(name, str) or not fits or name in _KEYWORDS:
         raise FieldError(
             field,
@@ -42,11 +56,15 @@ def identifier(field: str, name: object) -> str:
             allowed="a letter, then letters, digits or _, at most 31, no keyword",
             remedy="choose a name such as law_data",
         )
-    # law.h takes every name that begins so, in either case for its macros. "law_data" alone is free: it is
-    # the default, and law.h has no such name.
+    # law.h takes every name that begins so, in either case for its macros. "law_data"
+    # alone is free: it is the default, and law.h has no such name.
     if name.lower().startswith("law_") and name != "law_data":
         raise FieldError(
-            field, name, "in the law's own name space", allowed="another prefix", remedy="e.g. arm_law"
+            field,
+            name,
+            "in the law's own name space",
+            allowed="another prefix",
+            remedy="e.g. arm_law",
         )
     return name
 
@@ -57,9 +75,12 @@ def title_text(title: object) -> str:
     >>> title_text("Arm 2, 20-40 g")
     'Arm 2, 20-40 g'
     """
-    # No * and no / : two of them end a comment. No backslash: at a line's end it would continue a // comment
-    # of a reader's tool. No ?: ??/ is a backslash in C99's trigraphs.
-    if not isinstance(title, str) or not re.fullmatch(r"[A-Za-z0-9 .,:()+=-]{0,80}", title):
+    # No * and no / : two of them end a comment. No backslash: at a line's end it would
+    # continue a // comment of a reader's tool. No ?: ??/ is a backslash in C99's
+    # trigraphs.
+    if not isinstance(title, str) or not re.fullmatch(
+        r"[A-Za-z0-9 .,:()+=-]{0,80}", title
+    ):
         raise FieldError(
             "title",
             title,
@@ -71,19 +92,24 @@ def title_text(title: object) -> str:
 
 
 def law_source(name: str) -> bytes:
-    """Return the bytes of "law.h", "law.c" or "arm_io.h" as this package was built from.
+    """Return the bytes of "law.h", "law.c" or "arm_io.h" as this package was built
+    from.
 
     >>> law_source("law.h").startswith(b"/* The control law")
     True
     """
     here = Path(__file__).resolve()
-    # A checkout is asked first: there csrc/ is what an edited law.c was built from, while the copy beside the
-    # kernels is as old as the last build.
+    # A checkout is asked first: there csrc/ is what an edited law.c was built from,
+    # while the copy beside the kernels is as old as the last build.
     for folder in (here.parents[3] / "csrc", Path(_kernels.__file__).parent / "csrc"):
         if (folder / name).is_file():
             return (folder / name).read_bytes()
     raise FieldError(
-        name, "missing", "not in this installation", allowed="a complete package", remedy="reinstall"
+        name,
+        "missing",
+        "not in this installation",
+        allowed="a complete package",
+        remedy="reinstall",
     )
 
 
@@ -109,14 +135,16 @@ static const law_params {name} = {{
 
 
 def hex_float(value: float, precision: layout.Precision) -> str:
-    """Return `value`, already rounded to `precision`, as a C99 hex float; its digits are exact.
+    """Return `value`, already rounded to `precision`, as a C99 hex float; its digits
+    are exact.
 
     >>> hex_float(0.1, "double"), hex_float(-2.0, "single")
     ('0x1.999999999999ap-4', '-0x1.0p+1F')
     """
     mantissa, exponent = value.hex().split("p")
     whole, _, digits = mantissa.partition(".")
-    # float.hex writes 13 digits always; of a float that was rounded to single precision seven are zeros.
+    # float.hex writes 13 digits always; of a float that was rounded to single precision
+    # seven are zeros.
     digits = digits.rstrip("0") or "0"
     return f"{whole}.{digits}p{exponent}" + ("F" if precision == "single" else "")
 
@@ -130,23 +158,26 @@ def _modes(law: Law) -> dict[str, int]:
 
 
 def exact_flags(law: Law) -> tuple[str, ...]:
-    """Return the compiler flags that build law.c for this law alone; none where it has no modes of a kind
-    that C needs an array for.
+    """Return the compiler flags that build law.c for this law alone; none where it has
+    no modes of a kind that C needs an array for.
     """
     modes = _modes(law)
-    # C99 has no array of length 0. Pairs are left out of the structs by the preprocessor; the other two kinds
-    # are in every design of an arm, and a PID, which has no feed-forward, takes the general build.
+    # C99 has no array of length 0. Pairs are left out of the structs by the
+    # preprocessor; the other two kinds are in every design of an arm, and a PID, which
+    # has no feed-forward, takes the general build.
     if not (modes["real"] and modes["forward"]):
         return ()
-    return tuple(f"-DLAW_{kind.upper()}S={count}U" for kind, count in modes.items() if count)
+    return tuple(
+        f"-DLAW_{kind.upper()}S={count}U" for kind, count in modes.items() if count
+    )
 
 
 def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
-    # 21 reals behind the modes and 14 words in front (56 bytes): law_state of law.h, which test_export_readme
-    # compares with sizeof.
+    # 21 reals behind the modes and 14 words in front (56 bytes): law_state of law.h,
+    # which test_export_readme compares with sizeof.
     states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 21
     return layout.exact_header(law.block, law.precision, modes)[0], 56 + width * states
 
@@ -155,23 +186,28 @@ def _exact(law: Law) -> str:
     flags = exact_flags(law)
     if not flags:
         return '#ifdef LAW_EXACT\n#error "this law has no modes of one kind: leave -DLAW_REALS out"\n#endif\n'
-    differs = " || ".join(f"(LAW_{kind.upper()}_MODES != {count}U)" for kind, count in _modes(law).items())
-    return (
-        f'#if defined(LAW_EXACT) && ({differs})\n#error "this block was made for {" ".join(flags)}"\n#endif\n'
+    differs = " || ".join(
+        f"(LAW_{kind.upper()}_MODES != {count}U)" for kind, count in _modes(law).items()
     )
+    return f'#if defined(LAW_EXACT) && ({differs})\n#error "this block was made for {" ".join(flags)}"\n#endif\n'
 
 
 def data_header(law: Law, *, name: str, title: str) -> str:
-    """Return the text of law_data.h for `law`; the same law gives the same text, to the byte."""
+    """Return the text of law_data.h for `law`; the same law gives the same text, to the
+    byte.
+    """
     values, modes = law.coefficients, _modes(law)
     whole = struct.unpack(
         f"<{len(layout.HEADER) + len(layout.COUNTS)}I",
         law.block[: 4 * (len(layout.HEADER) + len(layout.COUNTS))],
     )
-    rows = [f"    .{f} = {n}U," for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)]
+    rows = [
+        f"    .{f} = {n}U,"
+        for f, n in zip((*layout.HEADER, *layout.COUNTS), whole, strict=True)
+    ]
     size, crc = layout.exact_header(law.block, law.precision, modes)
-    # Size and CRC are of the struct that is compiled, and differ between the general build and that for this
-    # law alone: the preprocessor chooses.
+    # Size and CRC are of the struct that is compiled, and differ between the general
+    # build and that for this law alone: the preprocessor chooses.
     rows[1:4] = [
         f"#ifdef LAW_EXACT\n    .size = {size}U,\n    .crc = 0x{crc:08X}U,",
         f"#else\n    .size = {whole[1]}U,\n    .crc = 0x{whole[3]:08X}U,\n#endif",
@@ -180,18 +216,24 @@ def data_header(law: Law, *, name: str, title: str) -> str:
     for field, _ in layout.REALS:
         value = values[field]
         if isinstance(value, list):
-            # An initialiser of no elements is not C99; an array that is left out is zero.
+            # An initialiser of no elements is not C99; an array that is left out is
+            # zero.
             if modes[field] == 0:  # C fills it with zeros, or has no such array
                 continue
             listed = [hex_float(x, law.precision) for x in value]
             group = 4 if field == "pair" else 2
-            parts = (", ".join(listed[i : i + group]) for i in range(0, modes[field] * group, group))
-            rows.append(f"    .{field} = {{" + ", ".join(f"{{{part}}}" for part in parts) + "},")
+            parts = (
+                ", ".join(listed[i : i + group])
+                for i in range(0, modes[field] * group, group)
+            )
+            rows.append(
+                f"    .{field} = {{" + ", ".join(f"{{{part}}}" for part in parts) + "},"
+            )
         else:
             rows.append(f"    .{field} = {hex_float(value, law.precision)},")
     single = law.precision == "single"
-    # No date, no user, no path: the same law gives the same bytes, by which `replay` knows a header that was
-    # changed.
+    # No date, no user, no path: the same law gives the same bytes, by which `replay`
+    # knows a header that was changed.
     return _TEMPLATE.format(
         version=__version__,
         title=f" {title}" if title else "",

@@ -1,4 +1,5 @@
-"""What an FMU of the law describes: variables, units and identity, written as FMI 2.0 and as FMI 3.0 want it.
+"""What an FMU of the law describes: variables, units and identity, written as FMI 2.0
+and as FMI 3.0 want it.
 
 Source: FMI 2.0.4, sections 2.2, 2.3 and 4.3; FMI 3.0, sections 2.4 and 2.5.
 """
@@ -28,10 +29,12 @@ __all__ = [
 
 
 class Variable(NamedTuple):
-    """One variable; its position in `VARIABLES` is its value reference, which csrc/fmu/fmu_core.h knows.
+    """One variable; its position in `VARIABLES` is its value reference, which
+    csrc/fmu/fmu_core.h knows.
 
-    `start_from` names what its value before the first step follows from; in a step no output depends on the
-    inputs at the step's end, so that an importer need not look for algebraic loops.
+    `start_from` names what its value before the first step follows from; in a step no
+    output depends on the inputs at the step's end, so that an importer need not look
+    for algebraic loops.
     """
 
     name: str
@@ -49,11 +52,24 @@ class Variable(NamedTuple):
 
 VARIABLES: tuple[Variable, ...] = (
     Variable("reference", "input", "tip reference", "rad"),
-    Variable("reference_acceleration", "input", "acceleration of the tip reference", "rad/s2"),
+    Variable(
+        "reference_acceleration", "input", "acceleration of the tip reference", "rad/s2"
+    ),
     Variable("motor_angle", "input", "encoder, at the gear's output", "rad"),
     Variable("torque", "input", "gauge: coupling torque", "N.m"),
-    Variable("motor_reference", "output", "reference of the motor angle", "rad", start_from=("motor_angle",)),
-    Variable("voltage", "output", "voltage of the motor; 0 where the robot has its own servo", "V"),
+    Variable(
+        "motor_reference",
+        "output",
+        "reference of the motor angle",
+        "rad",
+        start_from=("motor_angle",),
+    ),
+    Variable(
+        "voltage",
+        "output",
+        "voltage of the motor; 0 where the robot has its own servo",
+        "V",
+    ),
     Variable(
         "tip_estimate",
         "output",
@@ -68,12 +84,21 @@ VARIABLES: tuple[Variable, ...] = (
         largest=len(MODES) - 1,
     ),
     Variable(
-        "reason", "output", "why a mode above run was entered, LAW_... in law.h", largest=len(REASONS) - 1
+        "reason",
+        "output",
+        "why a mode above run was entered, LAW_... in law.h",
+        largest=len(REASONS) - 1,
     ),
     # 1023: all ten bits of law.h.
-    Variable("flags", "output", "bits of the last period, LAW_FLAG_... in law.h", largest=1023),
-    # FMI 3 wants the independent variable declared, FMI 2 allows it. It and the payload, an input, stand
-    # behind the outputs, as they came later: a value reference that somebody's importer has stored must stay.
+    Variable(
+        "flags",
+        "output",
+        "bits of the last period, LAW_FLAG_... in law.h",
+        largest=1023,
+    ),
+    # FMI 3 wants the independent variable declared, FMI 2 allows it. It and the
+    # payload, an input, stand behind the outputs, as they came later: a value reference
+    # that somebody's importer has stored must stay.
     Variable("time", "independent", "simulation time", "s"),
     Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
 )
@@ -82,20 +107,30 @@ VARIABLES: tuple[Variable, ...] = (
 _RENAMED = {
     "reference": ("reference", "reference of the measurement"),
     "motor_angle": ("measurement", "measurement"),
-    "motor_reference": ("filtered_reference", "measurement + (1 + C^) error, what the integral sees"),
+    "motor_reference": (
+        "filtered_reference",
+        "measurement + (1 + C^) error, what the integral sees",
+    ),
     "voltage": ("output", "output of the controller, limited"),
-    "tip_estimate": ("measurement_used", "measurement, bridged where a sample was rejected"),
+    "tip_estimate": (
+        "measurement_used",
+        "measurement, bridged where a sample was rejected",
+    ),
 }
 _NO_EFFECT = "leave it at 0: without effect in a PID"
 
 
 def _of_pid(variable: Variable) -> Variable:
-    """A variable of the law as one of a PID, whose quantities have units that only its user knows."""
+    """A variable of the law as one of a PID, whose quantities have units that only its
+    user knows.
+    """
     if not variable.real or variable.causality == "independent":
         return variable
     name, description = _RENAMED.get(variable.name, (variable.name, _NO_EFFECT))
     start = ("measurement",) if variable.start_from else ()
-    return variable._replace(name=name, description=description, unit="1", start_from=start)
+    return variable._replace(
+        name=name, description=description, unit="1", start_from=start
+    )
 
 
 PID_VARIABLES: tuple[Variable, ...] = tuple(_of_pid(variable) for variable in VARIABLES)
@@ -112,8 +147,8 @@ UNITS: Mapping[str, Unit] = {
     "kg": Unit({"kg": 1}),
     "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
     "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
-    # FMI defines display = factor·value (2.0.4, section 2.2.2), which is 180/π for degrees and not its
-    # inverse.
+    # FMI defines display = factor·value (2.0.4, section 2.2.2), which is 180/π for
+    # degrees and not its inverse.
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
     "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
     "s": Unit({"s": 1}),
@@ -125,9 +160,9 @@ UNITS: Mapping[str, Unit] = {
 class FmuModel:
     """The model that modelDescription.xml describes.
 
-    `name` is the model's C identifier, `token` (FMI 2: guid) ties the description to the library, `period`
-    [s] is the only communication step, `digest` identifies the law, `variables` are `VARIABLES` or those of
-    a PID, in the same order.
+    `name` is the model's C identifier, `token` (FMI 2: guid) ties the description to
+    the library, `period` [s] is the only communication step, `digest` identifies the
+    law, `variables` are `VARIABLES` or those of a PID, in the same order.
     """
 
     name: str
@@ -139,15 +174,22 @@ class FmuModel:
     @property
     def description(self) -> str:
         """One line for the importer's user."""
-        what = "Control law of a flexible link" if self.variables is VARIABLES else "Fractional PID"
+        what = (
+            "Control law of a flexible link"
+            if self.variables is VARIABLES
+            else "Fractional PID"
+        )
         return f"{what}, one step each period of {self.period:g} s; law {self.digest}"
 
     def interface(self, state_word: str) -> dict[str, str]:
-        """Attributes of the element CoSimulation; FMI 2 and 3 write "state" of `state_word` differently."""
+        """Attributes of the element CoSimulation; FMI 2 and 3 write "state" of
+        `state_word` differently.
+        """
         return {
             "modelIdentifier": self.name,
             "needsExecutionTool": "false",
-            # The filter's poles are those of one period: another step would be another filter.
+            # The filter's poles are those of one period: another step would be another
+            # filter.
             "canHandleVariableCommunicationStepSize": "false",
             # law.c has no statics: two arms in one simulation are two instances.
             "canBeInstantiatedOnlyOncePerProcess": "false",
@@ -157,34 +199,58 @@ class FmuModel:
 
 
 def token_of(sources: Mapping[str, str]) -> str:
-    """Return the token of an FMU made of these sources: another law or another wrapper, another token."""
-    # Between the texts a character that C has not: two that share their ends at another place are another
-    # text.
-    digits = hashlib.sha256("\0".join(sources[name] for name in sorted(sources)).encode()).hexdigest()[:32]
-    return "{" + "-".join((digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])) + "}"
+    """Return the token of an FMU made of these sources: another law or another wrapper,
+    another token.
+    """
+    # Between the texts a character that C has not: two that share their ends at another
+    # place are another text.
+    digits = hashlib.sha256(
+        "\0".join(sources[name] for name in sorted(sources)).encode()
+    ).hexdigest()[:32]
+    return (
+        "{"
+        + "-".join(
+            (digits[:8], digits[8:12], digits[12:16], digits[16:20], digits[20:])
+        )
+        + "}"
+    )
 
 
 def _text(root: ET.Element) -> str:
     """Return the document of `root`, indented."""
     ET.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        + ET.tostring(root, encoding="unicode")
+        + "\n"
+    )
 
 
 def _add_general(root: ET.Element, model: FmuModel) -> None:
-    """Add what both versions write alike: units, the only category of messages, 500 periods to start with."""
+    """Add what both versions write alike: units, the only category of messages, 500
+    periods to start with.
+    """
     units = ET.SubElement(root, "UnitDefinitions")
     used = {variable.unit for variable in model.variables}
     for name, unit in ((name, unit) for name, unit in UNITS.items() if name in used):
         element = ET.SubElement(units, "Unit", name=name)
-        ET.SubElement(element, "BaseUnit", {key: str(power) for key, power in unit.base.items()})
+        ET.SubElement(
+            element, "BaseUnit", {key: str(power) for key, power in unit.base.items()}
+        )
         if unit.display is not None:
             display, factor = unit.display
             ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
     categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="why a call failed")
-    # 500 periods: two seconds at 4 ms, a move and its settling. An importer may choose another end, but no
-    # other step.
-    times = {"startTime": "0", "stopTime": repr(500 * model.period), "stepSize": repr(model.period)}
+    ET.SubElement(
+        categories, "Category", name="logStatusError", description="why a call failed"
+    )
+    # 500 periods: two seconds at 4 ms, a move and its settling. An importer may choose
+    # another end, but no other step.
+    times = {
+        "startTime": "0",
+        "stopTime": repr(500 * model.period),
+        "stepSize": repr(model.period),
+    }
     ET.SubElement(root, "DefaultExperiment", times)
 
 
@@ -193,27 +259,37 @@ def _about(variable: Variable, reference: int) -> dict[str, str]:
         "name": variable.name,
         "valueReference": str(reference),
         "causality": variable.causality,
-        # Outputs change at the ends of steps only and stand still between them: what FMI calls discrete,
-        # although the values are real.
+        # Outputs change at the ends of steps only and stand still between them: what
+        # FMI calls discrete, although the values are real.
         "variability": "discrete" if variable.causality == "output" else "continuous",
         "description": variable.description,
     }
 
 
 def _value(variable: Variable) -> dict[str, str]:
-    """Attributes of a variable's value: unit and start of a real one, range of a whole one."""
+    """Attributes of a variable's value: unit and start of a real one, range of a whole
+    one.
+    """
     if not variable.real:
         return {"min": "0", "max": str(variable.largest)}
-    # A start value belongs to inputs; that of an output is calculated (FMI 2.0.4, table of section 2.2.7),
-    # from those that `start_from` names.
-    return {"unit": variable.unit} | ({"start": "0"} if variable.causality == "input" else {})
+    # A start value belongs to inputs; that of an output is calculated (FMI 2.0.4, table
+    # of section 2.2.7), from those that `start_from` names.
+    return {"unit": variable.unit} | (
+        {"start": "0"} if variable.causality == "input" else {}
+    )
 
 
 def _unknowns(listed: tuple[Variable, ...], first: int) -> list[tuple[str, str]]:
-    """Of each output its place, counted from `first`, and those of what its start value follows from."""
-    place = {variable.name: str(index) for index, variable in enumerate(listed, start=first)}
+    """Of each output its place, counted from `first`, and those of what its start value
+    follows from.
+    """
+    place = {
+        variable.name: str(index) for index, variable in enumerate(listed, start=first)
+    }
     outputs = [variable for variable in listed if variable.causality == "output"]
-    return [(place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs]
+    return [
+        (place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs
+    ]
 
 
 def _descriptions_2(model: FmuModel) -> dict[str, str]:
@@ -226,16 +302,23 @@ def _descriptions_2(model: FmuModel) -> dict[str, str]:
         generationTool="fraclink",
     )
     # the wrapper takes its few bytes from malloc: FMI 2 wants that stated
-    interface = model.interface("state") | {"canNotUseMemoryManagementFunctions": "true"}
+    interface = model.interface("state") | {
+        "canNotUseMemoryManagementFunctions": "true"
+    }
     simulation = ET.SubElement(root, "CoSimulation", interface)
     ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name="all.c")
     _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(model.variables):
-        element = ET.SubElement(variables, "ScalarVariable", _about(variable, reference))
+        element = ET.SubElement(
+            variables, "ScalarVariable", _about(variable, reference)
+        )
         ET.SubElement(element, "Real" if variable.real else "Integer", _value(variable))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs, initial = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
+    outputs, initial = (
+        ET.SubElement(structure, "Outputs"),
+        ET.SubElement(structure, "InitialUnknowns"),
+    )
     for index, known in _unknowns(
         model.variables, first=1
     ):  # FMI 2 counts variables from 1, FMI 3 names value references
@@ -253,8 +336,8 @@ def _descriptions_3(model: FmuModel) -> dict[str, str]:
         description=model.description,
         generationTool="fraclink",
     )
-    # No fixedInternalStepSize: it would allow communication steps of several periods, in which the law would
-    # run on sensors that stand still.
+    # No fixedInternalStepSize: it would allow communication steps of several periods,
+    # in which the law would run on sensors that stand still.
     ET.SubElement(root, "CoSimulation", model.interface("State"))
     _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")
@@ -265,17 +348,25 @@ def _descriptions_3(model: FmuModel) -> dict[str, str]:
     for place, _ in _unknowns(model.variables, first=0):
         ET.SubElement(structure, "Output", valueReference=place, dependencies="")
     for place, known in _unknowns(model.variables, first=0):
-        ET.SubElement(structure, "InitialUnknown", valueReference=place, dependencies=known)
+        ET.SubElement(
+            structure, "InitialUnknown", valueReference=place, dependencies=known
+        )
     build = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(build, "BuildConfiguration", modelIdentifier=model.name)
+    configuration = ET.SubElement(
+        build, "BuildConfiguration", modelIdentifier=model.name
+    )
     sources = ET.SubElement(configuration, "SourceFileSet", language="C99")
     ET.SubElement(sources, "SourceFile", name="all.c")
-    return {"modelDescription.xml": _text(root), "sources/buildDescription.xml": _text(build)}
+    return {
+        "modelDescription.xml": _text(root),
+        "sources/buildDescription.xml": _text(build),
+    }
 
 
 class Standard(NamedTuple):
-    """A version of the standard: sources in csrc/fmu (the first is compiled), folders below binaries/ by
-    the platform as FMI 3 names it, and the descriptions of a model by their file names."""
+    """A version of the standard: sources in csrc/fmu (the first is compiled), folders
+    below binaries/ by the platform as FMI 3 names it, and the descriptions of a model
+    by their file names."""
 
     sources: tuple[str, ...]
     platforms: Mapping[str, str]
@@ -283,10 +374,18 @@ class Standard(NamedTuple):
 
 
 # FMI 2.0 names systems of x86 alone: an FMU for ARM is one of FMI 3.
-_PLATFORMS_2 = {"x86_64-linux": "linux64", "x86_64-windows": "win64", "x86_64-darwin": "darwin64"}
+_PLATFORMS_2 = {
+    "x86_64-linux": "linux64",
+    "x86_64-windows": "win64",
+    "x86_64-darwin": "darwin64",
+}
 _PLATFORMS_3 = (*_PLATFORMS_2, "aarch64-linux", "aarch64-darwin")
 
 STANDARDS: Mapping[int, Standard] = {
     2: Standard(("fmi2.c",), _PLATFORMS_2, _descriptions_2),
-    3: Standard(("fmi3.c", "fmi3_not_offered.h"), {name: name for name in _PLATFORMS_3}, _descriptions_3),
+    3: Standard(
+        ("fmi3.c", "fmi3_not_offered.h"),
+        {name: name for name in _PLATFORMS_3},
+        _descriptions_3,
+    ),
 }

@@ -1,4 +1,6 @@
-"""Export the law as an FMU for co-simulation, FMI 2.0 or 3.0: sources, libraries made of them, a page."""
+"""Export the law as an FMU for co-simulation, FMI 2.0 or 3.0: sources, libraries made
+of them, a page.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,14 @@ from fraclink._law.block import Precision
 from fraclink._validate import checked, checked_noun
 from fraclink.errors import FieldError
 
-__all__ = ["SUFFIXES", "compiled", "documentation", "export_fmu", "found", "platform_of"]
+__all__ = [
+    "SUFFIXES",
+    "compiled",
+    "documentation",
+    "export_fmu",
+    "found",
+    "platform_of",
+]
 
 
 @checked
@@ -35,35 +44,40 @@ def export_fmu(
     compilers: Sequence[str] = ("cc",),
     force: bool = False,
 ) -> Path:
-    """Write the law as an FMU for co-simulation to `path`, ending in .fmu, and return it.
+    """Write the law as an FMU for co-simulation to `path`, ending in .fmu, and return
+    it.
 
-    Inputs: reference [rad], reference_acceleration [rad/s²], motor_angle [rad], torque [N·m],
-    payload [kg] (0: not given). Outputs:
-    motor_reference [rad], voltage [V], tip_estimate [rad], mode, reason, flags. One communication step is one
-    period [s]; another step size is an error. The outputs of a step answer the inputs at its beginning, so
-    the co-simulation adds the one period of delay that the design counts on. In every period they are, to
-    the bit, those of `simulate`.
+    Inputs: reference [rad], reference_acceleration [rad/s²], motor_angle [rad], torque
+    [N·m], payload [kg] (0: not given). Outputs: motor_reference [rad], voltage [V],
+    tip_estimate [rad], mode, reason, flags. One communication step is one period [s];
+    another step size is an error. The outputs of a step answer the inputs at its
+    beginning, so the co-simulation adds the one period of delay that the design counts
+    on. In every period they are, to the bit, those of `simulate`.
 
     Parameters
     ----------
     law
-        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor loop too.
+        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor
+        loop too.
     path
-        The file; its stem is the model's name and must be a C identifier. An existing one needs `force`.
+        The file; its stem is the model's name and must be a C identifier. An existing
+        one needs `force`.
     fmi
-        Version of the standard. 2.0 is what every importer reads, so it is the default; 3.0 has unsigned
-        whole numbers, and names for more platforms.
+        Version of the standard. 2.0 is what every importer reads, so it is the default;
+        3.0 has unsigned whole numbers, and names for more platforms.
     precision
-        Arithmetic of the law, its own where it is left out; the FMU's variables are in double precision.
+        Arithmetic of the law, its own where it is left out; the FMU's variables are in
+        double precision.
     compilers
-        Each adds a library for the platform it compiles for: ``("cc", "x86_64-w64-mingw32-gcc")`` makes an
-        FMU for Linux and Windows. Sources are always inside; without a compiler nothing else is.
+        Each adds a library for the platform it compiles for: ``("cc",
+        "x86_64-w64-mingw32-gcc")`` makes an FMU for Linux and Windows. Sources are
+        always inside; without a compiler nothing else is.
 
     Raises
     ------
     FieldError
-        a bad name or version, a compiler that is missing or fails, and a platform without a
-        name in the version.
+        a bad name or version, a compiler that is missing or fails, and a platform
+        without a name in the version.
 
     Source: FMI 2.0.4 and FMI 3.0, chapters 2 and 4.
 
@@ -75,17 +89,25 @@ def export_fmu(
     """
     place = output_path(path, force=force)
     if place.suffix != ".fmu":
-        raise FieldError("out", place.name, "of another kind", allowed=".fmu", remedy="end the name in .fmu")
+        raise FieldError(
+            "out",
+            place.name,
+            "of another kind",
+            allowed=".fmu",
+            remedy="end the name in .fmu",
+        )
     name = identifier("out", place.stem)
     standard = STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)
-    # The token is a hash of the C: who pairs a library with the description of another law is refused by the
-    # FMU itself at instantiation.
+    # The token is a hash of the C: who pairs a library with the description of another
+    # law is refused by the FMU itself at instantiation.
     sources, token = _sources(shipped, name, standard.sources)
     listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
     model = FmuModel(name, token, shipped.period, shipped.digest, listed)
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
-    parts |= {file: text.encode() for file, text in standard.descriptions(model).items()}
+    parts |= {
+        file: text.encode() for file, text in standard.descriptions(model).items()
+    }
     parts["documentation/index.html"] = documentation(model, shipped).encode()
     for compiler in compilers:
         platform = platform_of(compiler)
@@ -105,10 +127,17 @@ def export_fmu(
     return place
 
 
-def _sources(law: Law, name: str, wrapper: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def _sources(
+    law: Law, name: str, wrapper: tuple[str, ...]
+) -> tuple[dict[str, str], str]:
     """Return the FMU's C files and its token."""
     sources = {"law_data.h": data_header(law, name="law_data", title="")}
-    for file in ("law.h", "law.c", "fmu/fmu_core.h", *(f"fmu/{file}" for file in wrapper)):
+    for file in (
+        "law.h",
+        "law.c",
+        "fmu/fmu_core.h",
+        *(f"fmu/{file}" for file in wrapper),
+    ):
         sources[Path(file).name] = law_source(file).decode()
     token = token_of(sources)
     lines = [
@@ -120,7 +149,8 @@ def _sources(law: Law, name: str, wrapper: tuple[str, ...]) -> tuple[dict[str, s
             for function in ("law_check", "law_init", "law_step", "law_check_wiring")
         ),
         f'#define FMU_TOKEN "{token}"',
-        # Hexadecimal, as the step is compared with it: 0.004 read by another parser may be a neighbour.
+        # Hexadecimal, as the step is compared with it: 0.004 read by another parser may
+        # be a neighbour.
         f"#define FMU_PERIOD {law.period.hex()} /* {law.period!r} s */",
         '#include "law.c"',
         '#include "law_data.h"',
@@ -145,7 +175,8 @@ def _folder(platform: str, known: Mapping[str, str], fmi: int) -> str:
 def _zipped(parts: Mapping[str, bytes]) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w") as archive:
-        # Sorted, and each deflated alone: neither the order of a dict nor the time of day reaches the bytes.
+        # Sorted, and each deflated alone: neither the order of a dict nor the time of
+        # day reaches the bytes.
         for file in sorted(parts):
             # a fixed date: the same law gives the same file
             about = zipfile.ZipInfo(file, (1980, 1, 1, 0, 0, 0))
@@ -158,12 +189,23 @@ def _zipped(parts: Mapping[str, bytes]) -> bytes:
 SUFFIXES: Mapping[str, str] = {"linux": ".so", "windows": ".dll", "darwin": ".dylib"}
 
 # -ffp-contract=off: a fused multiply-add rounds once where the simulation rounds twice
-_FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-fvisibility=hidden")
+_FLAGS = (
+    "-std=c99",
+    "-O2",
+    "-ffp-contract=off",
+    "-fPIC",
+    "-shared",
+    "-fvisibility=hidden",
+)
 
 
 def found(compiler: str, remedy: str = "install it, or export sources only") -> str:
-    """Return the path of a compiler; FieldError, with its `remedy`, where it is not installed."""
-    path = shutil.which(checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc"))
+    """Return the path of a compiler; FieldError, with its `remedy`, where it is not
+    installed.
+    """
+    path = shutil.which(
+        checked_noun("compiler", compiler, str, remedy="a name on the PATH, such as cc")
+    )
     if path is None:
         raise FieldError(
             "compiler",
@@ -177,8 +219,9 @@ def found(compiler: str, remedy: str = "install it, or export sources only") -> 
 
 def complaint(command: Sequence[str], folder: Path) -> str:
     """Run a compiler in `folder`; return its first error, or "" where it has none."""
-    # The error's line, as those before it name only the function; in English, to know it by its word.
-    answer = subprocess.run(  # noqa: S603 - the compiler that the caller named
+    # The error's line, as those before it name only the function; in English, to know
+    # it by its word.
+    answer = subprocess.run(  # noqa: S603
         command,
         cwd=folder,
         env=os.environ | {"LC_ALL": "C"},
@@ -189,11 +232,15 @@ def complaint(command: Sequence[str], folder: Path) -> str:
     )
     if not answer.returncode:
         return ""
-    return next((line for line in answer.stderr.splitlines() if "error" in line), "no message")
+    return next(
+        (line for line in answer.stderr.splitlines() if "error" in line), "no message"
+    )
 
 
 def platform_of(compiler: str) -> str:
-    """Return what a compiler compiles for, as FMI 3 names it: "x86_64-linux", "aarch64-darwin" ..."""
+    """Return what a compiler compiles for, as FMI 3 names it: "x86_64-linux",
+    "aarch64-darwin" ...
+    """
     answer = subprocess.run(  # noqa: S603
         [found(compiler), "-dumpmachine"], capture_output=True, text=True, check=False
     )
@@ -206,12 +253,16 @@ def platform_of(compiler: str) -> str:
 
 
 def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
-    """Return the shared library of all.c; FieldError with the compiler's first complaint where it fails."""
+    """Return the shared library of all.c; FieldError with the compiler's first
+    complaint where it fails.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         for name, text in sources.items():
             (folder / name).write_text(text, encoding="utf-8")
-        library = folder / "law.library"  # with a suffix of its own: compilers for Windows add one else
+        library = (
+            folder / "law.library"
+        )  # with a suffix of its own: compilers for Windows add one else
         command = [found(compiler), *_FLAGS, "all.c", "-o", library.name]
         if said := complaint(command, folder):
             raise FieldError(
@@ -236,7 +287,9 @@ def documentation(model: FmuModel, law: Law) -> str:
     """Return the page as HTML, complete in itself."""
     flags = _FLAG.findall(law_source("law.h").decode())
     servo = _connected(law)
-    variables = [(v.name, v.causality, v.unit or "–", v.description) for v in model.variables]
+    variables = [
+        (v.name, v.causality, v.unit or "–", v.description) for v in model.variables
+    ]
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>{escape(model.name)}</title>
 <style>{_STYLE}</style></head><body>
@@ -278,6 +331,12 @@ def _resting(law: Law) -> str:
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = ["<table>", "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>"]
-    lines += ["<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows]
+    lines = [
+        "<table>",
+        "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>",
+    ]
+    lines += [
+        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>"
+        for row in rows
+    ]
     return "\n".join([*lines, "</table>"])

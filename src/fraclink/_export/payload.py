@@ -1,4 +1,6 @@
-"""The payload estimator's part of an export to C: its data, its self-test, and what README.md says of it."""
+"""The payload estimator's part of an export to C: its data, its self-test, and what
+README.md says of it.
+"""
 
 from __future__ import annotations
 
@@ -16,9 +18,13 @@ PERIODS = 1000
 
 
 def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
-    """Return payload_data.h and payload_selftest.c by name; the C itself is the package's."""
+    """Return payload_data.h and payload_selftest.c by name; the C itself is the
+    package's.
+    """
     digits = f"0x{_hash(estimator):08X}U"
-    selftest = _SELFTEST.replace("@HASH@", digits).replace("@PERIODS@ periods", f"{PERIODS} periods")
+    selftest = _SELFTEST.replace("@HASH@", digits).replace(
+        "@PERIODS@ periods", f"{PERIODS} periods"
+    )
     selftest = selftest.replace("@PERIODS@", f"{PERIODS}U")
     return {DATA: _data(estimator).encode(), SELFTEST: selftest.encode()}
 
@@ -26,19 +32,33 @@ def payload_files(estimator: PayloadEstimator) -> dict[str, bytes]:
 def _data(estimator: PayloadEstimator) -> str:
     """The block as C, every real a hex float, rounded to its precision."""
     single = estimator.precision == "single"
-    # Four words of header and four counts, then reals in the order of the C struct: the block itself is
-    # taken apart, so that the text cannot hold another number than the package uses.
+    # Four words of header and four counts, then reals in the order of the C struct: the
+    # block itself is taken apart, so that the text cannot hold another number than the
+    # package uses.
     words = struct.unpack("<8I", estimator.block[:32])
     code = "f" if single else "d"
     reals = struct.unpack(
-        f"<{(len(estimator.block) - 32) // struct.calcsize(code)}{code}", estimator.block[32:]
+        f"<{(len(estimator.block) - 32) // struct.calcsize(code)}{code}",
+        estimator.block[32:],
     )
-    rows = [f"    .{name} = {word}U," for name, word in zip((*HEADER, *COUNTS), words, strict=True)]
+    rows = [
+        f"    .{name} = {word}U,"
+        for name, word in zip((*HEADER, *COUNTS), words, strict=True)
+    ]
     texts = [hex_float(x, estimator.precision) for x in reals]
-    rows += [f"    .{name} = {text}," for name, text in zip(REALS, texts[: len(REALS)], strict=True)]
+    rows += [
+        f"    .{name} = {text},"
+        for name, text in zip(REALS, texts[: len(REALS)], strict=True)
+    ]
     rest = texts[len(REALS) :]
-    models = (", ".join(rest[i : i + len(MODEL)]) for i in range(0, len(rest), len(MODEL)))
-    rows.append("    .model = {\n" + ",\n".join(f"        {{{model}}}" for model in models) + "},")
+    models = (
+        ", ".join(rest[i : i + len(MODEL)]) for i in range(0, len(rest), len(MODEL))
+    )
+    rows.append(
+        "    .model = {\n"
+        + ",\n".join(f"        {{{model}}}" for model in models)
+        + "},"
+    )
     return _DATA.format(
         version=__version__,
         digest=estimator.digest,
@@ -50,11 +70,13 @@ def _data(estimator: PayloadEstimator) -> str:
 
 
 def _hash(estimator: PayloadEstimator) -> int:
-    """Run the package's own estimator on the self-test's inputs and return the hash of what it gave."""
+    """Run the package's own estimator on the self-test's inputs and return the hash of
+    what it gave.
+    """
     seed, tick, rows = 1, 0, []
     for k in range(PERIODS):
-        # As in the law's self-test: three missed periods, one that is called twice, lost samples of both
-        # sensors. The same sequence is written in C below.
+        # As in the law's self-test: three missed periods, one that is called twice,
+        # lost samples of both sensors. The same sequence is written in C below.
         tick += 4 if k == 500 else 0 if k == 520 else 1
         phase = k % 512
         ramp = phase if phase < 256 else 512 - phase
@@ -62,10 +84,11 @@ def _hash(estimator: PayloadEstimator) -> int:
         for _ in range(2):
             seed = (seed * 1664525 + 1013904223) % 2**32
             noise.append((seed >> 20) - 2048)
-        # A parabola up to 0.5 rad: a constant acceleration, the one motion whose torque tells the payload.
+        # A parabola up to 0.5 rad: a constant acceleration, the one motion whose torque
+        # tells the payload.
         angle = ramp * ramp / 131072 + noise[0] / 2**24
-        # ±1/16 N·m beside it, with noise of 2¹¹/2¹⁷ = 0.016 N·m. Powers of two, so that no product is rounded
-        # before the estimator sees it.
+        # ±1/16 N·m beside it, with noise of 2¹¹/2¹⁷ = 0.016 N·m. Powers of two, so that
+        # no product is rounded before the estimator sees it.
         torque = (64 if phase < 256 else -64) / 1024 + noise[1] / 2**17
         rows.append(
             (

@@ -1,7 +1,9 @@
-"""Replay: compile an exported law and run a log through it, period by period, beside the package's own.
+"""Replay: compile an exported law and run a log through it, period by period, beside
+the package's own.
 
-The C of the folder runs on this computer with the rights of its user. Files that are not what `export_c`
-writes for the folder's law.json are therefore refused, unless the caller allows them.
+The C of the folder runs on this computer with the rights of its user. Files that are
+not what `export_c` writes for the folder's law.json are therefore refused, unless the
+caller allows them.
 """
 
 from __future__ import annotations
@@ -66,10 +68,12 @@ int main(void)
 @compared
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the exported law and the package's law gave for the same log; signals have shape (N,).
+    """What the exported law and the package's law gave for the same log; signals have
+    shape (N,).
 
-    motor_reference [rad], voltage [V], tip_estimate [rad] and mode of the exported law; `first_difference`
-    is the first period in which any output differs from the package's, None where all agree to the last bit.
+    motor_reference [rad], voltage [V], tip_estimate [rad] and mode of the exported law;
+    `first_difference` is the first period in which any output differs from the
+    package's, None where all agree to the last bit.
     """
 
     motor_reference: Real
@@ -99,8 +103,8 @@ def replay(
     compiler: str = "cc",
     allow_changed: bool = False,
 ) -> Replay:
-    """Compile the law exported to `folder`, run the log through it and compare it with `law`, period by
-    period.
+    """Compile the law exported to `folder`, run the log through it and compare it with
+    `law`, period by period.
 
     The C of the folder is compiled and run on this computer.
 
@@ -117,13 +121,14 @@ def replay(
     compiler
         a C compiler on the PATH.
     allow_changed
-        whether law.c, law.h or the header of the block may differ from what `export_c` writes.
+        whether law.c, law.h or the header of the block may differ from what `export_c`
+        writes.
 
     Raises
     ------
     FieldError
-        the folder holds no export, its block is not that of `law`, its files were changed, or the compiler
-        fails.
+        the folder holds no export, its block is not that of `law`, its files were
+        changed, or the compiler fails.
 
     >>> import fraclink as fl, tempfile
     >>> from fraclink._export import export_c, replay
@@ -145,12 +150,15 @@ def replay(
         torque=torque,
     )
     # One payload for the whole log: logs do not hold one for each sample.
-    given = np.full(signals[0].shape, checked_between("payload", payload, 0.0, 1e9, "kg"))
-    # A row for each period, as the program below reads them: five doubles at a time from its standard input.
-    # Neither text nor a file comes between, so that no digit is lost.
+    given = np.full(
+        signals[0].shape, checked_between("payload", payload, 0.0, 1e9, "kg")
+    )
+    # A row for each period, as the program below reads them: five doubles at a time
+    # from its standard input. Neither text nor a file comes between, so that no digit
+    # is lost.
     rows = np.ascontiguousarray(np.column_stack([*signals, given]))
-    # First whose law it is, then whether its C is ours: "another law" is the plainer answer where both are
-    # so. Nothing is compiled before.
+    # First whose law it is, then whether its C is ours: "another law" is the plainer
+    # answer where both are so. Nothing is compiled before.
     _check_block(place, law, name)
     if not allow_changed:
         _check_unchanged(place, law, name)
@@ -158,15 +166,26 @@ def replay(
     got = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
     _, own = law.run(law.initial_state(), *rows.T)
     wanted = np.column_stack(
-        [own.motor_reference, own.voltage, own.tip_estimate, own.error, own.mode, own.flags]
+        [
+            own.motor_reference,
+            own.voltage,
+            own.tip_estimate,
+            own.error,
+            own.mode,
+            own.flags,
+        ]
     )
     # Fewer rows: the program ended early, as law_init refused the block.
     if got.shape != wanted.shape:
         raise FieldError(
-            "firmware", got.shape, "incomplete", allowed=f"{wanted.shape}", remedy="export the law again"
+            "firmware",
+            got.shape,
+            "incomplete",
+            allowed=f"{wanted.shape}",
+            remedy="export the law again",
         )
-    # A comparison of values: NaN would differ from itself, but the law gives none; −0 and 0 are the same
-    # command.
+    # A comparison of values: NaN would differ from itself, but the law gives none; −0
+    # and 0 are the same command.
     differs = np.flatnonzero(np.any(got != wanted, axis=1))
     return Replay(
         motor_reference=got[:, 0].copy(),
@@ -180,25 +199,38 @@ def replay(
 
 
 def _signals(**given: ArrayLike) -> list[Real]:
-    """The four columns; FieldError where one is none, or of another length than the first."""
+    """The four columns; FieldError where one is none, or of another length than the
+    first.
+    """
     columns = [checked_series(field, values) for field, values in given.items()]
     for field, column in zip(given, columns, strict=True):
         if column.shape != columns[0].shape:
             allowed = f"{columns[0].size} samples, as many as the reference has"
-            raise FieldError(field, column.size, "of another length", allowed=allowed, remedy="cut or extend")
+            raise FieldError(
+                field,
+                column.size,
+                "of another length",
+                allowed=allowed,
+                remedy="cut or extend",
+            )
     return columns
 
 
 def replay_log(
-    folder: Path | str, log: Experiment | Recording, *, compiler: str = "cc", allow_changed: bool = False
+    folder: Path | str,
+    log: Experiment | Recording,
+    *,
+    compiler: str = "cc",
+    allow_changed: bool = False,
 ) -> Replay:
-    """Run the sensors of a log through the law exported to `folder` and through the package's, and compare.
+    """Run the sensors of a log through the law exported to `folder` and through the
+    package's, and compare.
 
-    The motor's own path is the reference, with acceleration 0, so that the guards see a motor that
-    follows. A `Recording` is for the law of a fractional PID: its input is the reference, its output the
-    measurement. The law is the folder's law.json. Raises FieldError where its period [s] is not that of the
-    log, or where the C of the folder was changed, unless `allow_changed`: it is compiled and run on this
-    computer.
+    The motor's own path is the reference, with acceleration 0, so that the guards see a
+    motor that follows. A `Recording` is for the law of a fractional PID: its input is
+    the reference, its output the measurement. The law is the folder's law.json. Raises
+    FieldError where its period [s] is not that of the log, or where the C of the folder
+    was changed, unless `allow_changed`: it is compiled and run on this computer.
     """
     if not isinstance(log, Recording):
         checked_noun("log", log, Experiment, remedy="read_log makes one")
@@ -206,19 +238,29 @@ def replay_log(
     law_file = place / "law.json"
     if not law_file.is_file():
         raise FieldError(
-            "firmware", str(place), "not an export", allowed="a folder of export_c", remedy="export the law"
+            "firmware",
+            str(place),
+            "not an export",
+            allowed="a folder of export_c",
+            remedy="export the law",
         )
     law = Law.load(law_file)
-    # Stamps in decimals leave a period that is off by a part in 10⁹; a millionth is no other rate, and in an
-    # hour 4 ms.
+    # Stamps in decimals leave a period that is off by a part in 10⁹; a millionth is no
+    # other rate, and in an hour 4 ms.
     if abs(log.period - law.period) > 1e-6 * law.period:
         raise FieldError(
-            "period", log.period, "not the law's", allowed=f"{law.period} s", remedy="resample the log"
+            "period",
+            log.period,
+            "not the law's",
+            allowed=f"{law.period} s",
+            remedy="resample the log",
         )
-    # The block's name was free at the export. The header is known by the digest in its first comment, which
-    # stands in no other file.
+    # The block's name was free at the export. The header is known by the digest in its
+    # first comment, which stands in no other file.
     headers = [
-        file.stem for file in sorted(place.glob("*.h")) if f"law {law.digest}" in file.read_text("utf-8")
+        file.stem
+        for file in sorted(place.glob("*.h"))
+        if f"law {law.digest}" in file.read_text("utf-8")
     ]
     reference, measured, torque = _sensors(law, log)
     return replay(
@@ -238,16 +280,21 @@ def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
     """Reference, motor angle (of a PID: its measurement) and torque."""
     if isinstance(log, Recording) == law.has_gauge:
         given = "a recording" if isinstance(log, Recording) else "an arm's log"
-        remedy = (
-            "the law of an arm takes an Experiment, that of a fractional PID a Recording (--input, --output)"
+        remedy = "the law of an arm takes an Experiment, that of a fractional PID a Recording (--input, --output)"
+        raise FieldError(
+            "log",
+            given,
+            "of another kind than the law",
+            allowed="its own",
+            remedy=remedy,
         )
-        raise FieldError("log", given, "of another kind than the law", allowed="its own", remedy=remedy)
     if isinstance(log, Recording):
         return log.input, log.output, np.zeros_like(log.output)
     # Γ = c (θm − θt): the law knows the torque alone.
     torque = log.output if log.output_kind == "torque" else law.stiffness * log.output
-    # A log has no reference. With the motor's own path as one the error of the motor loop is small, and the
-    # guards see a motor that follows; the two commands are compared, not judged.
+    # A log has no reference. With the motor's own path as one the error of the motor
+    # loop is small, and the guards see a motor that follows; the two commands are
+    # compared, not judged.
     return log.motor_angle, log.motor_angle, torque
 
 
@@ -272,10 +319,13 @@ def _check_block(place: Path, law: Law, name: str) -> None:
 
 
 def _check_unchanged(place: Path, law: Law, name: str) -> None:
-    """Refuse C that this release does not export for `law`; only the title in the first comment is free."""
+    """Refuse C that this release does not export for `law`; only the title in the first
+    comment is free.
+    """
 
     def code(text: bytes) -> bytes:
-        # What follows the first comment, in which a title stands; a file that begins otherwise is all code.
+        # What follows the first comment, in which a title stands; a file that begins
+        # otherwise is all code.
         return text.partition(b"*/")[2] if text.startswith(b"/*") else text
 
     ours = {file: law_source(file) for file in ("law.h", "law.c")}
@@ -283,7 +333,8 @@ def _check_unchanged(place: Path, law: Law, name: str) -> None:
     changed = [
         file
         for file, text in ours.items()
-        if not (place / file).is_file() or code((place / file).read_bytes()) != code(text)
+        if not (place / file).is_file()
+        or code((place / file).read_bytes()) != code(text)
     ]
     if changed:
         raise FieldError(
@@ -296,15 +347,37 @@ def _check_unchanged(place: Path, law: Law, name: str) -> None:
 
 
 def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> bytes:
-    command = [found(compiler, "install gcc or clang"), "-std=c99", "-O2", "-ffp-contract=off"]
+    command = [
+        found(compiler, "install gcc or clang"),
+        "-std=c99",
+        "-O2",
+        "-ffp-contract=off",
+    ]
     command += ["-DLAW_SINGLE"] if law.precision == "single" else []
     with tempfile.TemporaryDirectory() as scratch:
         source, program = Path(scratch) / "replay.c", Path(scratch) / "replay"
-        for file in ("law.h", "law.c", f"{name}.h"):  # alone: a math.h beside them would be taken for C's own
+        for file in (
+            "law.h",
+            "law.c",
+            f"{name}.h",
+        ):  # alone: a math.h beside them would be taken for C's own
             if (place / file).is_file():
                 shutil.copyfile(place / file, Path(scratch) / file)
-        source.write_text(_HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name), encoding="utf-8")
-        if said := complaint([*command, source.name, "law.c", "-o", program.name], Path(scratch)):
+        source.write_text(
+            _HARNESS.replace("@DATA@", f"{name}.h").replace("@NAME@", name),
+            encoding="utf-8",
+        )
+        if said := complaint(
+            [*command, source.name, "law.c", "-o", program.name], Path(scratch)
+        ):
             allowed, remedy = "C99", "export the law again"
-            raise FieldError("firmware", said, "refused by the compiler", allowed=allowed, remedy=remedy)
-        return subprocess.run([program], input=log, capture_output=True, check=True).stdout  # noqa: S603
+            raise FieldError(
+                "firmware",
+                said,
+                "refused by the compiler",
+                allowed=allowed,
+                remedy=remedy,
+            )
+        return subprocess.run(  # noqa: S603
+            [program], input=log, capture_output=True, check=True
+        ).stdout

@@ -1,8 +1,9 @@
-"""law_selftest.c: a thousand periods with faults among them, and the hash that the user's target must print.
+"""law_selftest.c: a thousand periods with faults among them, and the hash that the
+user's target must print.
 
-The inputs are integers times powers of two and the law's own outputs, so that every machine forms them
-without rounding; whatever differs afterwards is the compiler's doing (contraction, fast-math, wide
-registers).
+The inputs are integers times powers of two and the law's own outputs, so that every
+machine forms them without rounding; whatever differs afterwards is the compiler's doing
+(contraction, fast-math, wide registers).
 """
 
 from __future__ import annotations
@@ -18,14 +19,17 @@ __all__ = ["SelfTest", "expected", "selftest_source"]
 
 # Long enough for every reaction below to begin and to end.
 PERIODS = 1000
-# The start, a motion, the first payload, the last period before the encoder's fault, after it, after the
-# missed periods, before the gauge's loss, the end: the first that differs says where to look.
+# The start, a motion, the first payload, the last period before the encoder's fault,
+# after it, after the missed periods, before the gauge's loss, the end: the first that
+# differs says where to look.
 CHECKPOINTS = (1, 50, 200, 299, 400, 599, 799, 999)
 
 
 @dataclass(frozen=True)
 class SelfTest:
-    """What the law must give: the hash of all outputs, and the two commands at the checkpoints."""
+    """What the law must give: the hash of all outputs, and the two commands at the
+    checkpoints.
+    """
 
     hash: int
     checkpoints: tuple[tuple[int, float, float], ...]
@@ -40,48 +44,55 @@ class _Inputs:
         self.scale = None if law.has_gauge else _scale(law)
 
     def _noise(self) -> int:
-        # The linear congruential generator of Numerical Recipes: one line of C without a library, in which
-        # every operation is exact.
+        # The linear congruential generator of Numerical Recipes: one line of C without
+        # a library, in which every operation is exact.
         self.seed = (self.seed * 1664525 + 1013904223) % 2**32
-        # The upper 12 bits, as the lower ones of such a generator have short periods; in −2048 … 2047.
+        # The upper 12 bits, as the lower ones of such a generator have short periods;
+        # in −2048 … 2047.
         return (self.seed >> 20) - 2048
 
     def next(self, k: int, motor_reference: float) -> tuple[int, LawInputs]:
-        # Three periods are missed and one is called twice: both must be ridden through, and say so in their
-        # flags.
+        # Three periods are missed and one is called twice: both must be ridden through,
+        # and say so in their flags.
         self.tick = (self.tick + (4 if k == 500 else 0 if k == 520 else 1)) % 2**32
         phase = k % 512
         ramp = phase if phase < 256 else 512 - phase
         reference = ramp / 512
         acceleration = self._noise() / 2048
         if self.scale is None:
-            # The encoder follows the command within 2048/2²² = 0.5 mrad, so that no guard of the motor trips
-            # early.
+            # The encoder follows the command within 2048/2²² = 0.5 mrad, so that no
+            # guard of the motor trips early.
             angle = motor_reference + self._noise() / 2**22
             torque = self._noise() / 2**15
         else:
             reference *= self.scale
             angle, torque = self._noise() / 4096 * self.scale, 0.0
-        # Three lost samples are bridged (bad_limit is 5), those from 950 on are not: the drive goes off. The
-        # gauge's loss at 850 degrades the law 100 periods before that.
+        # Three lost samples are bridged (bad_limit is 5), those from 950 on are not:
+        # the drive goes off. The gauge's loss at 850 degrades the law 100 periods
+        # before that.
         angle = math.nan if 300 <= k < 303 or k >= 950 else angle
         torque = math.nan if k == 350 or k >= 850 else torque
-        # Payloads up to 256/8192 = 31 g; one that is no number must be taken for one that is not given.
+        # Payloads up to 256/8192 = 31 g; one that is no number must be taken for one
+        # that is not given.
         payload = 0.0 if k < 200 else math.nan if k == 420 else ramp / 8192
         return self.tick, LawInputs(reference, acceleration, angle, torque, payload)
 
 
 def _scale(law: Law) -> float:
-    """A power of two, with which no product rounds: within the range of a PID's measurement, and such that
-    its output is limited now and then but not always.
+    """A power of two, with which no product rounds: within the range of a PID's
+    measurement, and such that its output is limited now and then but not always.
     """
     largest = law.limits.angle_limit
     if law.drive is not None:
         loop = law.drive.loop
         gain = loop.direct + loop.integral_gain * loop.period
-        # The output's range divided by the largest gain of a step of the error: beyond it the output would
-        # stand at its limit throughout, and the hash would say nothing of the filter.
-        largest = min(largest, law.drive.voltage_limit / (gain * (1.0 + 2.0 * abs(law.correction.direct))))
+        # The output's range divided by the largest gain of a step of the error: beyond
+        # it the output would stand at its limit throughout, and the hash would say
+        # nothing of the filter.
+        largest = min(
+            largest,
+            law.drive.voltage_limit / (gain * (1.0 + 2.0 * abs(law.correction.direct))),
+        )
     return float(2.0 ** math.floor(math.log2(largest)))
 
 
@@ -101,7 +112,12 @@ def _words(outputs: LawOutputs, single: bool) -> list[int]:
     )
     packed = struct.pack(f"<5{'f' if single else 'd'}", *reals)
     # Bits, not values: −0 and 0, or two NaNs, are different words.
-    return [*struct.unpack(f"<{len(packed) // 4}I", packed), outputs.mode, outputs.reason, outputs.flags]
+    return [
+        *struct.unpack(f"<{len(packed) // 4}I", packed),
+        outputs.mode,
+        outputs.reason,
+        outputs.flags,
+    ]
 
 
 def expected(law: Law) -> SelfTest:
@@ -113,8 +129,8 @@ def expected(law: Law) -> SelfTest:
         tick, inputs = source.next(k, command)
         state, outputs = law.step(state, _rounded(inputs, single), tick=tick)
         command = outputs.motor_reference
-        # FNV-1a, over 32-bit words: it needs one exclusive or and one multiplication modulo 2³², and every
-        # later word depends on each earlier bit.
+        # FNV-1a, over 32-bit words: it needs one exclusive or and one multiplication
+        # modulo 2³², and every later word depends on each earlier bit.
         for word in _words(outputs, single):
             digest = ((digest ^ word) * 16777619) % 2**32
         if k in CHECKPOINTS:
@@ -123,13 +139,19 @@ def expected(law: Law) -> SelfTest:
 
 
 def selftest_source(law: Law, *, name: str, data: str) -> str:
-    """Return the text of law_selftest.c for `law`, whose block `name` stands in the header `data`."""
+    """Return the text of law_selftest.c for `law`, whose block `name` stands in the
+    header `data`.
+    """
     test = expected(law)
     rows = "\n".join(
         f"    {{{k}U, {hex_float(a, law.precision)}, {hex_float(v, law.precision)}}},"
         for k, a, v in test.checkpoints
     )
-    inputs = _OF_ARM if law.has_gauge else _OF_PID.replace("@SCALE@", hex_float(_scale(law), law.precision))
+    inputs = (
+        _OF_ARM
+        if law.has_gauge
+        else _OF_PID.replace("@SCALE@", hex_float(_scale(law), law.precision))
+    )
     return (
         _SOURCE.replace("@DATA@", data)
         .replace("@INPUTS@", inputs)

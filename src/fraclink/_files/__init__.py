@@ -1,6 +1,7 @@
 """Results on disk: one versioned codec for frozen dataclasses, as JSON or NPZ.
 
-A class becomes a document by one decorator; its type hints say how each field is written:
+A class becomes a document by one decorator; its type hints say how each field is
+written:
 
     @document("design", version=3, upgrades={1: from_format_1, 2: from_format_2})
     @dataclass(frozen=True)
@@ -9,10 +10,11 @@ A class becomes a document by one decorator; its type hints say how each field i
     save(design, "design.json")
     load("design.json", kind=Design)
 
-A document is one JSON object: what it is ("fraclink"), the format's version, the tool's version, units, the
-period and the hashes of its sources where there are any, a SHA-256, and the content. The hash covers
-everything but the tool's version, arrays included, so that an edited gain is refused. In an NPZ file the same
-object is the header and the arrays are members that `numpy.load` opens.
+A document is one JSON object: what it is ("fraclink"), the format's version, the tool's
+version, units, the period and the hashes of its sources where there are any, a SHA-256,
+and the content. The hash covers everything but the tool's version, arrays included, so
+that an edited gain is refused. In an NPZ file the same object is the header and the
+arrays are members that `numpy.load` opens.
 """
 
 from __future__ import annotations
@@ -94,8 +96,8 @@ _ZIP = b"PK"  # how every zip archive begins
 def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     """Write a result to one file and return its path; `load` reads back an equal one.
 
-    The file is complete or not there. Designs, fits, laws, certificates and tables become JSON, runs and logs
-    NPZ, a rig TOML.
+    The file is complete or not there. Designs, fits, laws, certificates and tables
+    become JSON, runs and logs NPZ, a rig TOML.
 
     Parameters
     ----------
@@ -129,30 +131,39 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     found = _fitting(found, place)
     container = found.container
     if found.own:
-        getattr(value, "save")(place)  # noqa: B009 - what such a class offers
+        getattr(value, "save")(place)  # noqa: B009
         return place
     if container == "toml":
-        write_text(place, getattr(value, "to_toml")())  # noqa: B009 - what such a class offers
+        write_text(place, getattr(value, "to_toml")())  # noqa: B009
         return place
-    # Encoded whole before the file is opened: a value that does not fit leaves nothing behind.
+    # Encoded whole before the file is opened: a value that does not fit leaves nothing
+    # behind.
     envelope, arrays = _enveloped(value, found)
     if container == "npz":
         with atomic_write(place, "wb") as stream:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
         return place
     text = json_text(envelope) + "\n"
-    # What `load` would refuse is not written: a result that cannot be read back is lost in silence.
+    # What `load` would refuse is not written: a result that cannot be read back is lost
+    # in silence.
     if len(text) > JSON_LIMIT:
-        allowed, remedy = f"<= {JSON_LIMIT} bytes, which can be read back", "save a shorter one"
-        raise SizeError(found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            f"<= {JSON_LIMIT} bytes, which can be read back",
+            "save a shorter one",
+        )
+        raise SizeError(
+            found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy
+        )
     write_text(place, text)
     return place
 
 
 def check_ending(cls: type, place: Path) -> None:
-    """Raise FieldError where `save` would refuse a value of that class for the ending of the name.
+    """Raise FieldError where `save` would refuse a value of that class for the ending
+    of the name.
 
-    For work that cannot be repeated, such as the motion of an arm: a wrong name is found before it.
+    For work that cannot be repeated, such as the motion of an arm: a wrong name is
+    found before it.
     """
     _fitting(document_of_class(cls), place)
 
@@ -160,16 +171,25 @@ def check_ending(cls: type, place: Path) -> None:
 def _fitting(found: Document, place: Path) -> Document:
     """The document in the container that the ending of the name asks for."""
     if found.container == "either":
-        found = dataclasses.replace(found, container="npz" if place.suffix == ".npz" else "json")
-    # Only endings that promise another container are refused; a name without one, or with a person's own, is
-    # taken as it is, since `load` looks at the first bytes.
+        found = dataclasses.replace(
+            found, container="npz" if place.suffix == ".npz" else "json"
+        )
+    # Only endings that promise another container are refused; a name without one, or
+    # with a person's own, is taken as it is, since `load` looks at the first bytes.
     if place.suffix in _ENDINGS - {f".{found.container}"}:
-        allowed, remedy = f".{found.container}, the ending of a {found.kind}", "change the ending"
-        raise FieldError("out", place.name, "of another kind of file", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            f".{found.container}, the ending of a {found.kind}",
+            "change the ending",
+        )
+        raise FieldError(
+            "out", place.name, "of another kind of file", allowed=allowed, remedy=remedy
+        )
     return found
 
 
-def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def _enveloped(
+    value: object, found: Document
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     arrays: dict[str, NDArray[Any]] = {}
     storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
     content = codec_of(found.cls).encode(value, "", storage)
@@ -181,7 +201,10 @@ def _enveloped(value: object, found: Document) -> tuple[dict[str, Any], dict[str
     }
     head = _head(found.kind, found.version)
     head |= {key: item for key, item in optional.items() if item not in (None, {})}
-    return head | {"sha256": _digest(head | {"content": content}), "content": content}, arrays
+    return head | {
+        "sha256": _digest(head | {"content": content}),
+        "content": content,
+    }, arrays
 
 
 def _head(kind: str, version: int) -> dict[str, Any]:
@@ -189,16 +212,28 @@ def _head(kind: str, version: int) -> dict[str, Any]:
 
 
 def _digest(data: Mapping[str, Any]) -> str:
-    """SHA-256 of everything in a document but the tool's version: sorted keys, no spaces, ASCII."""
-    # Without the tool's version two releases give one digest to one result; sorted keys and no blanks make it
-    # independent of who wrote the file.
-    covered = {key: value for key, value in data.items() if key not in ("sha256", "tool")}
+    """SHA-256 of everything in a document but the tool's version: sorted keys, no
+    spaces, ASCII.
+    """
+    # Without the tool's version two releases give one digest to one result; sorted keys
+    # and no blanks make it independent of who wrote the file.
+    covered = {
+        key: value for key, value in data.items() if key not in ("sha256", "tool")
+    }
     text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
 _BEFORE_DIGESTS = {"fraclink", "format", "tool", "units"}
-_ENVELOPE = {*_BEFORE_DIGESTS, "period", "sources", "summary", "arrays", "sha256", "content"}
+_ENVELOPE = {
+    *_BEFORE_DIGESTS,
+    "period",
+    "sources",
+    "summary",
+    "arrays",
+    "sha256",
+    "content",
+}
 
 
 @overload
@@ -206,36 +241,45 @@ def load(path: Path | str, kind: type[T]) -> T: ...
 @overload
 def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
 def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:
-    """Read back what `save` wrote; files of earlier formats are upgraded while they are read.
+    """Read back what `save` wrote; files of earlier formats are upgraded while they are
+    read.
 
-    `kind` is the class that is expected, or several of them; any when it is left out. FileFormatError is
-    raised for every other file: missing, foreign, of another kind, of a later format, damaged, edited.
+    `kind` is the class that is expected, or several of them; any when it is left out.
+    FileFormatError is raised for every other file: missing, foreign, of another kind,
+    of a later format, damaged, edited.
 
     >>> import fraclink as fl
     >>> fl.load("no-such-file.json")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     fraclink.errors.FileFormatError: file: ...
     """
-    place, wanted = checked_path("path", path), (kind if isinstance(kind, tuple) else (kind,) if kind else ())
+    place, wanted = (
+        checked_path("path", path),
+        (kind if isinstance(kind, tuple) else (kind,) if kind else ()),
+    )
     if place.suffix == ".toml":
         found = registered("rig", wanted, place)
-        return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
+        return getattr(found.cls, "load")(place)  # noqa: B009
     data, arrays = _read(place)
     found = registered(data.get("fraclink"), wanted, place)
     if found.own:
-        return getattr(found.cls, "load")(place)  # noqa: B009 - what such a class offers
+        return getattr(found.cls, "load")(place)  # noqa: B009
     content = _content(data, arrays, found, place)
     return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
 
 
 def from_plain(kind: type[T], data: Any, path: str = "") -> T:
-    """Return the `kind` that plain JSON holds; FileFormatError names the place, below `path`."""
+    """Return the `kind` that plain JSON holds; FileFormatError names the place, below
+    `path`.
+    """
     hint: Any = kind
     return cast(T, codec_of(hint).decode(data, path, Storage()))
 
 
 def kind_of(path: Path | str) -> str:
-    """Return the kind in the envelope of a file; an empty text where it is damaged or foreign."""
+    """Return the kind in the envelope of a file; an empty text where it is damaged or
+    foreign.
+    """
     place = Path(path)
     if place.suffix == ".toml":
         return "rig"
@@ -243,8 +287,8 @@ def kind_of(path: Path | str) -> str:
         return ""
     start = b""
     with contextlib.suppress(OSError), place.open("rb") as stream:
-        # Kind and format stand in front of everything in what `save` writes: 200 bytes tell a folder's files
-        # apart, however large they are.
+        # Kind and format stand in front of everything in what `save` writes: 200 bytes
+        # tell a folder's files apart, however large they are.
         start = stream.read(200)
     # In an archive the same text is the member "about", whose beginning is enough.
     if start.startswith(_ZIP):
@@ -254,7 +298,9 @@ def kind_of(path: Path | str) -> str:
 
 
 def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Return the object of a document and its arrays, JSON or NPZ by the file's first bytes."""
+    """Return the object of a document and its arrays, JSON or NPZ by the file's first
+    bytes.
+    """
     what, archive = "a file of fraclink", False
     arrays: dict[str, NDArray[Any]] = {}
     existing_file(place, what)
@@ -270,15 +316,24 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     return data, arrays
 
 
-def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: Document, place: Path) -> Any:
-    """Return the content in today's format, after the digest of what was written has been compared."""
+def _content(
+    data: dict[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    found: Document,
+    place: Path,
+) -> Any:
+    """Return the content in today's format, after the digest of what was written has
+    been compared.
+    """
     # The version first: a later format may count its digest otherwise.
     steps = _steps(str(data["fraclink"]), data.get("format"), found)
     if "content" in data:
         _check_digest(data, arrays, place)
         content = data["content"]
     elif steps:  # of the first formats, which had no digest: content and envelope were one object
-        content = {key: item for key, item in data.items() if key not in _BEFORE_DIGESTS}
+        content = {
+            key: item for key, item in data.items() if key not in _BEFORE_DIGESTS
+        }
         content = guarded(lambda: renamed(content), "") | dict(arrays)
     else:
         raise misfit("content", "(nothing)", "missing", "content and sha256")
@@ -290,8 +345,8 @@ def _content(data: dict[str, Any], arrays: Mapping[str, NDArray[Any]], found: Do
 def _steps(kind: str, version: object, found: Document) -> list[Upgrade]:
     """Return the upgrades that lead from one kind and version to those of today."""
     steps: list[Upgrade] = []
-    # One step for each version, so that an upgrade is written once and never again touched. A kind that was
-    # merged into another has its steps under (kind, version).
+    # One step for each version, so that an upgrade is written once and never again
+    # touched. A kind that was merged into another has its steps under (kind, version).
     while type(version) is int and (kind, version) != (found.kind, found.version):
         own = found.upgrades.get(version) if kind == found.kind else None
         step = found.upgrades.get((kind, version), own)
@@ -306,17 +361,30 @@ def _steps(kind: str, version: object, found: Document) -> list[Upgrade]:
 
 def _unread(found: Document, version: object) -> FileFormatError:
     allowed = ", ".join(sorted({str(found.version), *map(str, found.upgrades)}))
-    problem, remedy = "a version this release does not read", "update fraclink, or make the file again"
+    problem, remedy = (
+        "a version this release does not read",
+        "update fraclink, or make the file again",
+    )
     return FileFormatError("format", version, problem, allowed=allowed, remedy=remedy)
 
 
-def _check_digest(data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path) -> None:
-    # A key that the digest covers and no release writes: the file was made by something else.
+def _check_digest(
+    data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path
+) -> None:
+    # A key that the digest covers and no release writes: the file was made by something
+    # else.
     if unknown := sorted(set(data) - _ENVELOPE):
-        raise misfit(unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE)))
+        raise misfit(
+            unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE))
+        )
     actual = {name: array_digest(values) for name, values in arrays.items()}
     if data.get("arrays", {}) != actual:
-        raise misfit("arrays", ", ".join(actual), "changed after they were written", "the arrays as written")
+        raise misfit(
+            "arrays",
+            ", ".join(actual),
+            "changed after they were written",
+            "the arrays as written",
+        )
     digest = guarded(lambda: _digest(data), "sha256")
     if data.get("sha256") != digest:
         raise edited(place, data.get("sha256"), digest)
@@ -335,23 +403,38 @@ def renamed(data: Any) -> Any:
         return [renamed(item) for item in data]
     if not isinstance(data, dict):
         return data
-    # Renaming one onto the other would keep whichever stands last: a forged file could show one verdict and
-    # mean another.
-    twice = next((old for old, new in RENAMED.items() if old in data and new in data), None)
+    # Renaming one onto the other would keep whichever stands last: a forged file could
+    # show one verdict and mean another.
+    twice = next(
+        (old for old, new in RENAMED.items() if old in data and new in data), None
+    )
     if twice is not None:
-        problem, allowed = "given twice, under its old and its new name", "each key once"
-        raise FileFormatError(twice, data[twice], problem, allowed=allowed, remedy="remove one")
+        problem, allowed = (
+            "given twice, under its old and its new name",
+            "each key once",
+        )
+        raise FileFormatError(
+            twice, data[twice], problem, allowed=allowed, remedy="remove one"
+        )
     return {RENAMED.get(key, key): renamed(item) for key, item in data.items()}
 
 
-def write_json(path: Path | str, kind: str, version: int, payload: Mapping[str, Any]) -> None:
-    """Write values with their envelope; floats round-trip exactly, NaN and infinity are refused."""
+def write_json(
+    path: Path | str, kind: str, version: int, payload: Mapping[str, Any]
+) -> None:
+    """Write values with their envelope; floats round-trip exactly, NaN and infinity are
+    refused.
+    """
     text = json.dumps(_head(kind, version) | dict(payload), indent=1, allow_nan=False)
     write_text(path, text + "\n")
 
 
-def read_json(path: Path | str, kind: str, versions: tuple[int, ...] = (1,)) -> dict[str, Any]:
-    """Read back what `write_json` wrote, after checking its kind and its format's version."""
+def read_json(
+    path: Path | str, kind: str, versions: tuple[int, ...] = (1,)
+) -> dict[str, Any]:
+    """Read back what `write_json` wrote, after checking its kind and its format's
+    version.
+    """
     data = parse_json(read_text(path, f"a {kind} file"), source=Path(path).name)
     return checked_envelope(data, kind, versions, Path(path))
 
@@ -363,25 +446,40 @@ def write_npz(
     about: Mapping[str, Any],
     arrays: Mapping[str, NDArray[Any]],
 ) -> None:
-    """Write arrays with their envelope (`kind`, `version`, `about`) in one step; `about` holds no NaN."""
+    """Write arrays with their envelope (`kind`, `version`, `about`) in one step;
+    `about` holds no NaN.
+    """
     header = json.dumps(_head(kind, version) | dict(about), allow_nan=False)
     plain = {
         # Little-endian, whatever the machine: a file is compared by its bytes.
-        name: np.asarray(values).astype("<u4" if np.asarray(values).dtype == np.uint32 else "<f8", order="C")
+        name: np.asarray(values).astype(
+            "<u4" if np.asarray(values).dtype == np.uint32 else "<f8", order="C"
+        )
         for name, values in arrays.items()
     }
     with atomic_write(path, "wb") as stream:
         write_archive(stream, header, plain)
 
 
-def checked_envelope(data: object, kind: str, versions: tuple[int, ...], place: Path) -> dict[str, Any]:
-    """Return the object of a saved result after checking its kind and its format's version."""
+def checked_envelope(
+    data: object, kind: str, versions: tuple[int, ...], place: Path
+) -> dict[str, Any]:
+    """Return the object of a saved result after checking its kind and its format's
+    version.
+    """
     found = data.get("fraclink") if isinstance(data, dict) else None
     if not isinstance(data, dict) or found != kind:
         problem, remedy = f"of kind {found!r}", f"give a {kind} file"
-        raise FileFormatError("file", str(place), problem, allowed=f"kind {kind!r}", remedy=remedy)
+        raise FileFormatError(
+            "file", str(place), problem, allowed=f"kind {kind!r}", remedy=remedy
+        )
     if data.get("format") not in versions:
-        allowed, remedy = ", ".join(map(str, versions)), "make the file again with this release"
+        allowed, remedy = (
+            ", ".join(map(str, versions)),
+            "make the file again with this release",
+        )
         problem = "a version this release does not read"
-        raise FileFormatError("format", data.get("format"), problem, allowed=allowed, remedy=remedy)
+        raise FileFormatError(
+            "format", data.get("format"), problem, allowed=allowed, remedy=remedy
+        )
     return dict(guarded(lambda: renamed(data), kind))

@@ -12,8 +12,9 @@
     dataclass, NamedTuple   an object with a key for each field
     A | B            the first that fits; of several dataclasses with "type": the class's name
 
-What does not fit its hint raises FileFormatError with the field's path, whatever the file held: a reader of
-files meets every possible value, and a constructor fed with them may raise anything.
+What does not fit its hint raises FileFormatError with the field's path, whatever the
+file held: a reader of files meets every possible value, and a constructor fed with them
+may raise anything.
 """
 
 from __future__ import annotations
@@ -43,14 +44,18 @@ _HEX = re.compile(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}")
 
 @dataclasses.dataclass(frozen=True)
 class Storage:
-    """How a document keeps reals and arrays: `arrays` are the members of an archive, None for JSON alone."""
+    """How a document keeps reals and arrays: `arrays` are the members of an archive,
+    None for JSON alone.
+    """
 
     hex_floats: bool = False
     arrays: dict[str, NDArray[Any]] | None = None
 
 
 class Codec(Protocol):
-    """Turns the values of one type into plain JSON and back; `path` names the field in errors."""
+    """Turns the values of one type into plain JSON and back; `path` names the field in
+    errors.
+    """
 
     def encode(self, value: Any, path: str, storage: Storage, /) -> Any: ...
     def decode(self, data: Any, path: str, storage: Storage, /) -> Any: ...
@@ -61,13 +66,17 @@ def _child(path: str, key: object) -> str:
 
 
 class _Scalar:
-    """bool, int, str and None: what JSON has itself. A bool is no int here, and a numpy scalar is written."""
+    """bool, int, str and None: what JSON has itself. A bool is no int here, and a numpy
+    scalar is written.
+    """
 
     def __init__(self, *kinds: type) -> None:
         self.kinds = kinds
 
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        return self.decode(value.item() if isinstance(value, np.generic) else value, path, storage)
+        return self.decode(
+            value.item() if isinstance(value, np.generic) else value, path, storage
+        )
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         # Not isinstance: True is an int to Python, and to no other reader of the file.
@@ -79,10 +88,13 @@ class _Scalar:
 
 class _Float:
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+        if isinstance(value, bool) or not isinstance(
+            value, int | float | np.integer | np.floating
+        ):
             raise misfit(path, value, "not a number", "a real number")
         number = self._made(float, value, path)
-        # JSON has no word for them, and a reader of another language would stop at NaN: they are texts.
+        # JSON has no word for them, and a reader of another language would stop at NaN:
+        # they are texts.
         if not math.isfinite(number):
             return str(number)
         return number.hex() if storage.hex_floats else number
@@ -94,7 +106,11 @@ class _Float:
             return self._made(float.fromhex, data, path)
         if not storage.hex_floats and type(data) in (int, float):
             return self._made(float, data, path)
-        allowed = "a hexadecimal real such as 0x1.8p+1" if storage.hex_floats else "a real number"
+        allowed = (
+            "a hexadecimal real such as 0x1.8p+1"
+            if storage.hex_floats
+            else "a real number"
+        )
         raise misfit(path, data, "not a number", allowed)
 
     @staticmethod
@@ -102,7 +118,9 @@ class _Float:
         try:
             return make(value)
         except OverflowError as error:
-            raise misfit(path, value, "beyond the largest float", "a real number") from error
+            raise misfit(
+                path, value, "beyond the largest float", "a real number"
+            ) from error
 
 
 class _Complex:
@@ -123,16 +141,26 @@ class _Bytes:
 
     def decode(self, data: Any, path: str, storage: Storage) -> bytes:
         if not isinstance(data, str) or not re.fullmatch("([0-9a-f]{2})*", data):
-            raise misfit(path, data, "not hexadecimal text", "two lower-case hexadecimal digits a byte")
+            raise misfit(
+                path,
+                data,
+                "not hexadecimal text",
+                "two lower-case hexadecimal digits a byte",
+            )
         return bytes.fromhex(data)
 
 
 class _Plain:
-    """Hints `Any` and `object`: whatever JSON holds itself, non-finite reals as words, tuples as lists."""
+    """Hints `Any` and `object`: whatever JSON holds itself, non-finite reals as words,
+    tuples as lists.
+    """
 
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
         if isinstance(value, Mapping):
-            return {str(key): self.encode(item, _child(path, key), storage) for key, item in value.items()}
+            return {
+                str(key): self.encode(item, _child(path, key), storage)
+                for key, item in value.items()
+            }
         if isinstance(value, list | tuple):
             return [self.encode(item, path, storage) for item in value]
         if isinstance(value, float | np.floating):
@@ -169,7 +197,12 @@ class _Array:
         values = np.asarray(value)
         if values.dtype != self.dtype or not values.ndim:
             found = f"{values.dtype} of shape {values.shape}"
-            raise misfit(path, found, "an array of another type", f"{self.dtype}, at least one axis")
+            raise misfit(
+                path,
+                found,
+                "an array of another type",
+                f"{self.dtype}, at least one axis",
+            )
         if storage.arrays is not None:
             storage.arrays[path] = values
             return {"array": path}
@@ -178,28 +211,42 @@ class _Array:
         return _PLAIN.encode(values.tolist(), path, storage)
 
     def decode(self, data: Any, path: str, storage: Storage) -> NDArray[Any]:
-        if isinstance(data, dict) and set(data) == {"array"} and storage.arrays is not None:
+        if (
+            isinstance(data, dict)
+            and set(data) == {"array"}
+            and storage.arrays is not None
+        ):
             data = storage.arrays.get(str(data["array"]))
         values = data if isinstance(data, np.ndarray) else self._unlisted(data, path)
         if values.dtype != self.dtype:
-            raise misfit(path, str(values.dtype), "an array of another type", str(self.dtype))
+            raise misfit(
+                path, str(values.dtype), "an array of another type", str(self.dtype)
+            )
         values.flags.writeable = False
         return values
 
     def _unlisted(self, data: Any, path: str) -> NDArray[Any]:
         if not isinstance(data, list):
             raise misfit(path, data, "not an array", "a list of numbers")
-        # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true and false.
+        # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true and
+        # false.
         item = codec_of({"f": float, "c": float, "b": bool}.get(self.dtype.kind, int))
         try:
             found = np.array(_leaves(data, item, path))
             if self.dtype.kind == "c":
-                found = found.astype(float).reshape(-1, 2).view(complex).reshape(found.shape[:-1] or (0,))
+                found = (
+                    found.astype(float)
+                    .reshape(-1, 2)
+                    .view(complex)
+                    .reshape(found.shape[:-1] or (0,))
+                )
             values = found.astype(self.dtype)
         except (ValueError, OverflowError, IndexError) as error:
             if isinstance(error, FileFormatError):
                 raise
-            raise misfit(path, str(error), "not an array", f"equal rows of {self.dtype}") from error
+            raise misfit(
+                path, str(error), "not an array", f"equal rows of {self.dtype}"
+            ) from error
         # astype wraps round: 300 as an unsigned byte would be 44.
         if self.dtype.kind in "iu" and not np.array_equal(values, found):
             raise misfit(path, "an integer", "out of range", str(self.dtype))
@@ -213,23 +260,35 @@ def _leaves(data: Any, item: Codec, path: str) -> Any:
 
 
 class _Sequence:
-    """list[T] and tuple[T, ...], one codec repeated; tuple[A, B, C], one for each place."""
+    """list[T] and tuple[T, ...], one codec repeated; tuple[A, B, C], one for each
+    place.
+    """
 
-    def __init__(self, make: Callable[..., Any], items: tuple[Any, ...], *, repeated: bool) -> None:
+    def __init__(
+        self, make: Callable[..., Any], items: tuple[Any, ...], *, repeated: bool
+    ) -> None:
         self.make, self.items, self.repeated = make, items, repeated
 
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        return [codec.encode(item, place, storage) for codec, item, place in self._each(value, path)]
+        return [
+            codec.encode(item, place, storage)
+            for codec, item, place in self._each(value, path)
+        ]
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        return self.make(codec.decode(item, at, storage) for codec, item, at in self._each(data, path))
+        return self.make(
+            codec.decode(item, at, storage)
+            for codec, item, at in self._each(data, path)
+        )
 
     def _each(self, values: Any, path: str) -> list[tuple[Codec, Any, str]]:
         if not isinstance(values, list | tuple):
             raise misfit(path, values, "not a list", "a list")
         items = self.items * len(values) if self.repeated else self.items
         if len(values) != len(items):
-            raise misfit(path, values, f"not {len(items)} values", f"a list of {len(items)}")
+            raise misfit(
+                path, values, f"not {len(items)} values", f"a list of {len(items)}"
+            )
         places = enumerate(zip(items, values, strict=True))
         return [(codec_of(hint), value, _child(path, i)) for i, (hint, value) in places]
 
@@ -247,13 +306,18 @@ class _Table:
         words = (key.encode(k, path, Storage()) for k in value)
         names = [word if isinstance(word, str) else json.dumps(word) for word in words]
         pairs = zip(names, value.values(), strict=True)
-        return {name: item.encode(held, _child(path, name), storage) for name, held in pairs}
+        return {
+            name: item.encode(held, _child(path, name), storage) for name, held in pairs
+        }
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         if not isinstance(data, dict):
             raise misfit(path, data, "not a table", "a table")
         item = codec_of(self.item)
-        return {self._key(k, path): item.decode(v, _child(path, k), storage) for k, v in data.items()}
+        return {
+            self._key(k, path): item.decode(v, _child(path, k), storage)
+            for k, v in data.items()
+        }
 
     def _key(self, text: str, path: str) -> Any:
         if self.key in (int, float) and text not in _WORDS:
@@ -265,11 +329,19 @@ class _Table:
 
 
 class _Choice:
-    """A | B | None: the first that fits; dataclasses among several carry their class's name as "type"."""
+    """A | B | None: the first that fits; dataclasses among several carry their class's
+    name as "type".
+    """
 
     def __init__(self, hints: tuple[Any, ...]) -> None:
-        classes: list[Any] = [hint for hint in hints if dataclasses.is_dataclass(hint) and hint not in _HOOKS]
-        self.named: dict[str, Any] = {kind.__name__: kind for kind in classes} if len(classes) > 1 else {}
+        classes: list[Any] = [
+            hint
+            for hint in hints
+            if dataclasses.is_dataclass(hint) and hint not in _HOOKS
+        ]
+        self.named: dict[str, Any] = (
+            {kind.__name__: kind for kind in classes} if len(classes) > 1 else {}
+        )
         # None first: what is left out is the commonest, and nothing else reads null.
         hints = tuple(hint for hint in hints if hint not in self.named.values())
         self.hints = sorted(hints, key=lambda hint: hint is not type(None))
@@ -277,23 +349,30 @@ class _Choice:
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
         name = type(value).__name__
         if self.named.get(name) is type(value):
-            return {"type": name} | codec_of(self.named[name]).encode(value, path, storage)
+            return {"type": name} | codec_of(self.named[name]).encode(
+                value, path, storage
+            )
         return self._first("encode", value, path, storage)
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         if self.named and isinstance(data, dict) and "type" in data:
-            name = _Word(tuple(self.named)).decode(data["type"], _child(path, "type"), storage)
+            name = _Word(tuple(self.named)).decode(
+                data["type"], _child(path, "type"), storage
+            )
             rest = {key: value for key, value in data.items() if key != "type"}
             return codec_of(self.named[name]).decode(rest, path, storage)
         return self._first("decode", data, path, storage)
 
     def _first(self, step: str, value: Any, path: str, storage: Storage) -> Any:
-        failure = misfit(path, value, "unknown", ", ".join(self.named) or "another value")
+        failure = misfit(
+            path, value, "unknown", ", ".join(self.named) or "another value"
+        )
         for hint in self.hints:
             try:
                 return getattr(codec_of(hint), step)(value, path, storage)
             except FileFormatError as error:
-                failure = error  # of the last: with `X | None` the one that names what is wrong inside X
+                # of the last: with `X | None` the one that names what is wrong inside X
+                failure = error
         raise failure
 
 
@@ -306,38 +385,65 @@ class _Fields:
     def __init__(self, kind: Any) -> None:
         self.kind = kind
         if dataclasses.is_dataclass(kind):
-            stored = [f for f in dataclasses.fields(kind) if f.init and f.metadata.get("stored", True)]
+            stored = [
+                f
+                for f in dataclasses.fields(kind)
+                if f.init and f.metadata.get("stored", True)
+            ]
             missing = dataclasses.MISSING
             self.names = [f.name for f in stored]
-            self.required = [f.name for f in stored if f.default is missing and f.default_factory is missing]
+            self.required = [
+                f.name
+                for f in stored
+                if f.default is missing and f.default_factory is missing
+            ]
         else:
             self.names = list(kind._fields)
-            self.required = [name for name in kind._fields if name not in kind._field_defaults]
+            self.required = [
+                name for name in kind._fields if name not in kind._field_defaults
+            ]
 
     @functools.cached_property
     def hints(self) -> dict[str, Any]:
-        """Resolved on first use: hints may name classes of modules that are loaded later."""
+        """Resolved on first use: hints may name classes of modules that are loaded
+        later.
+        """
         found = get_type_hints(self.kind)
         return {name: found[name] for name in self.names}
 
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
         if type(value) is not self.kind:
-            raise misfit(path, type(value).__name__, "of another type", self.kind.__name__)
+            raise misfit(
+                path, type(value).__name__, "of another type", self.kind.__name__
+            )
         return {
-            name: codec_of(hint).encode(getattr(value, name), _child(path, name), storage)
+            name: codec_of(hint).encode(
+                getattr(value, name), _child(path, name), storage
+            )
             for name, hint in self.hints.items()
         }
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
         if not isinstance(data, dict):
             raise misfit(path, data, "not a table", self.kind.__name__)
-        # Unknown keys first: a misspelt one is missing as well, and its own spelling says why.
+        # Unknown keys first: a misspelt one is missing as well, and its own spelling
+        # says why.
         for key in [*data, *self.required]:
             if key not in self.hints:
-                raise misfit(_child(path, key), data[key], "an unknown key", ", ".join(self.hints))
+                raise misfit(
+                    _child(path, key),
+                    data[key],
+                    "an unknown key",
+                    ", ".join(self.hints),
+                )
             if key not in data:
-                raise misfit(_child(path, key), "(nothing)", "missing", ", ".join(self.hints))
-        values = {k: codec_of(self.hints[k]).decode(v, _child(path, k), storage) for k, v in data.items()}
+                raise misfit(
+                    _child(path, key), "(nothing)", "missing", ", ".join(self.hints)
+                )
+        values = {
+            k: codec_of(self.hints[k]).decode(v, _child(path, k), storage)
+            for k, v in data.items()
+        }
         return guarded(lambda: self.kind(**values), path)
 
 
@@ -351,7 +457,9 @@ class _Hook:
 
     def encode(self, value: Any, path: str, storage: Storage) -> Any:
         if not isinstance(value, self.kind):
-            raise misfit(path, type(value).__name__, "of another type", self.kind.__name__)
+            raise misfit(
+                path, type(value).__name__, "of another type", self.kind.__name__
+            )
         return _PLAIN.encode(self.write(value), path, Storage())
 
     def decode(self, data: Any, path: str, storage: Storage) -> Any:
@@ -371,8 +479,12 @@ _SIMPLE: dict[Any, Codec] = {
 }
 
 
-def stored_as(kind: type, *, write: Callable[[Any], Any], read: Callable[[Any], Any]) -> None:
-    """Let `kind`, which is no plain dataclass, be stored as what `write` returns and `read` takes."""
+def stored_as(
+    kind: type, *, write: Callable[[Any], Any], read: Callable[[Any], Any]
+) -> None:
+    """Let `kind`, which is no plain dataclass, be stored as what `write` returns and
+    `read` takes.
+    """
     _HOOKS[kind] = _Hook(kind, write, read)
 
 
@@ -395,6 +507,8 @@ def codec_of(hint: Any) -> Codec:
         return _Sequence(list if origin is list else tuple, args, repeated=True)
     if origin in (dict, abc.Mapping):
         return _Table(*args)
-    if isinstance(hint, type) and (dataclasses.is_dataclass(hint) or hasattr(hint, "_field_defaults")):
+    if isinstance(hint, type) and (
+        dataclasses.is_dataclass(hint) or hasattr(hint, "_field_defaults")
+    ):
         return _Fields(hint)
     raise TypeError(f"no file can hold a field of type {hint!r}")

@@ -1,7 +1,9 @@
-"""Which classes have a file: those that say so by `document`, and every other public one, JSON or NPZ.
+"""Which classes have a file: those that say so by `document`, and every other public
+one, JSON or NPZ.
 
-A class that `document` names has a format of its own, with a version and upgrades. The other public results
-(margins of a matrix, a step response, tolerances …) are written by their fields, under the class's name.
+A class that `document` names has a format of its own, with a version and upgrades. The
+other public results (margins of a matrix, a step response, tolerances …) are written by
+their fields, under the class's name.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ __all__ = ["HOMES", "Document", "Upgrade", "document", "document_of", "registere
 T = TypeVar("T")
 Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 Container = Literal["json", "npz", "toml", "either"]
-# Kind -> module that defines its class, so that reading one file imports what that file needs and no more.
+# Kind -> module that defines its class, so that reading one file imports what that file
+# needs and no more.
 HOMES = {
     **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
     "certificate": "fraclink._certify",
@@ -41,7 +44,10 @@ HOMES = {
     "rig": "fraclink._arm.rig",
     "shaped-move": "fraclink._simulate.shaped_move",
     "study": "fraclink._campaign.study",
-    **dict.fromkeys(("tuning", "tuned-link", "tuned-motor", "watch", "wiring"), "fraclink._realtime.watch"),
+    **dict.fromkeys(
+        ("tuning", "tuned-link", "tuned-motor", "watch", "wiring"),
+        "fraclink._realtime.watch",
+    ),
 }
 
 
@@ -82,10 +88,12 @@ def document(
     before_save: Callable[[Any], None] = lambda value: None,
     own: bool = False,
 ) -> Callable[[type[T]], type[T]]:
-    """Register a frozen dataclass as a document of `kind`; put this decorator above ``@dataclass``.
+    """Register a frozen dataclass as a document of `kind`; put this decorator above
+    ``@dataclass``.
 
-    Raise `version` and add an upgrade whenever a stored field is renamed, removed or means something else; a
-    new field with a default needs neither, as a file without it means the default.
+    Raise `version` and add an upgrade whenever a stored field is renamed, removed or
+    means something else; a new field with a default needs neither, as a file without it
+    means the default.
 
     Parameters
     ----------
@@ -96,28 +104,34 @@ def document(
     container
         "json", or "npz" for signals, whose arrays become members of the archive.
     upgrades
-        version n (or ``(old kind, n)`` of a kind that was merged into this one) -> function that turns the
-        raw content of version n into that of n + 1. They may raise anything: it becomes FileFormatError.
+        version n (or ``(old kind, n)`` of a kind that was merged into this one) ->
+        function that turns the raw content of version n into that of n + 1. They may
+        raise anything: it becomes FileFormatError.
     hex_floats
-        whether reals are written as 0x1.8p+1, for readers that must not depend on a decimal parser.
+        whether reals are written as 0x1.8p+1, for readers that must not depend on a
+        decimal parser.
     period
         the sampling period of a value [s], for the envelope; None where it has none.
     sources
         what a value was made from: name -> SHA-256.
     summary
-        what people and other programs want to read in the file and what follows from the content, such as a
-        verdict's sentence: under the digest, not read back.
+        what people and other programs want to read in the file and what follows from
+        the content, such as a verdict's sentence: under the digest, not read back.
     before_save
         raises where a value must not be saved.
     own
-        whether the class's methods `save` and `load` write and read the file themselves.
+        whether the class's methods `save` and `load` write and read the file
+        themselves.
     """
 
     def register(cls: type[T]) -> type[T]:
         hooks = (period, sources, summary, before_save)
-        made = Document(cls, kind, version, container, hex_floats, upgrades or {}, *hooks, own)
+        made = Document(
+            cls, kind, version, container, hex_floats, upgrades or {}, *hooks, own
+        )
         merged = {key[0] for key in made.upgrades if isinstance(key, tuple)}
-        # Merged kinds are found under their old words: their files are upgraded like old versions.
+        # Merged kinds are found under their old words: their files are upgraded like
+        # old versions.
         _BY_KIND.update(dict.fromkeys((kind, *merged), made))
         _BY_CLASS[cls] = made
         return cls
@@ -132,14 +146,22 @@ def document_of(value: object) -> Document:
 
 def document_of_class(cls: type) -> Document:
     """The document of a class; FieldError for one whose values have no file."""
-    if cls not in _BY_CLASS:  # of a room below this one, or of none: the refusal names all there are
+    if (
+        cls not in _BY_CLASS
+    ):  # of a room below this one, or of none: the refusal names all there are
         for home in sorted(set(HOMES.values())):
             import_module(home)
     found = _BY_CLASS.get(cls) or _plain(cls)
     if found is None:
         allowed = ", ".join(sorted(item.__name__ for item in _BY_CLASS))
         remedy = "save one of these, or another public result"
-        raise FieldError("value", cls.__name__, "without a file format", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "value",
+            cls.__name__,
+            "without a file format",
+            allowed=allowed,
+            remedy=remedy,
+        )
     return found
 
 
@@ -151,14 +173,16 @@ def _kind(name: str) -> str:
 def _plain(cls: type) -> Document | None:
     """The document of a public class that names no format; None for what is no value."""
     package = import_module("fraclink")
-    # By name and at call time: this floor knows nothing of those above it.
-    # The object itself, not its name: a user's class called Design is no result of fraclink.
+    # By name and at call time: this floor knows nothing of those above it. The object
+    # itself, not its name: a user's class called Design is no result of fraclink.
     if getattr(package, cls.__name__, None) is not cls or cls.__name__ in _NO_VALUES:
         return None
     if not dataclasses.is_dataclass(cls) and not hasattr(cls, "_fields"):
         return None
     kind = _kind(cls.__name__)
-    if cls not in _BY_CLASS and kind in _BY_KIND:  # a part of it has that name: a study is a folder of files
+    if (
+        cls not in _BY_CLASS and kind in _BY_KIND
+    ):  # a part of it has that name: a study is a folder of files
         return None
     if cls not in _BY_CLASS:
         own = hasattr(cls, "save") and hasattr(cls, "load")
@@ -167,26 +191,34 @@ def _plain(cls: type) -> Document | None:
 
 
 def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
-    """Return the document of a kind, whose module is imported where that has not happened."""
-    # The word comes from a file that may be hostile: it selects a module from a list and is never itself
-    # imported.
+    """Return the document of a kind, whose module is imported where that has not
+    happened.
+    """
+    # The word comes from a file that may be hostile: it selects a module from a list
+    # and is never itself imported.
     if isinstance(kind, str) and kind not in _BY_KIND and kind in HOMES:
         import_module(HOMES[kind])
     if isinstance(kind, str) and kind not in _BY_KIND:
         package = import_module("fraclink")
         named = [name for name in package.__all__ if _kind(name) == kind]
         found_class = getattr(package, named[0]) if named else None
-        # Functions stand in the package as well: `design` reads as the kind of `Design`.
+        # Functions stand in the package as well: `design` reads as the kind of
+        # `Design`.
         if isinstance(found_class, type):
             _plain(found_class)
     # JSON may hold a list here, which no dict can be asked for.
     found = _BY_KIND.get(kind) if isinstance(kind, str) else None
     allowed = ", ".join(sorted({*HOMES, *_BY_KIND}))
-    # Whatever else may be saved is of no use to who expected one kind: the answer names that.
+    # Whatever else may be saved is of no use to who expected one kind: the answer names
+    # that.
     if found is not None and wanted and found.cls not in wanted:
-        allowed = " or ".join(_BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted)
+        allowed = " or ".join(
+            _BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted
+        )
         found = None
     if found is None:
         problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
-        raise FileFormatError("file", place.name, problem, allowed=allowed, remedy=remedy)
+        raise FileFormatError(
+            "file", place.name, problem, allowed=allowed, remedy=remedy
+        )
     return found

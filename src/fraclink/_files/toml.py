@@ -1,8 +1,9 @@
 """Frozen dataclasses as the tables of a TOML file that people write, and back.
 
-A key is the field's name and its unit: ``inertia: Annotated[float, Between(0, 1e15, "kg·m²")]`` is
-``inertia_kg_m2``. A field that is a dataclass itself is a table within the table, and the annotation is the
-rule of the value. Every fault of a file is found at once, each with its place in the file.
+A key is the field's name and its unit: ``inertia: Annotated[float, Between(0, 1e15,
+"kg·m²")]`` is ``inertia_kg_m2``. A field that is a dataclass itself is a table within
+the table, and the annotation is the rule of the value. Every fault of a file is found
+at once, each with its place in the file.
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ __all__ = [
     "toml_value",
 ]
 
-# A dotted key of 20 000 parts takes tomllib 6.8 s (its time is quadratic in the parts), so that sizes are
-# checked before it sees the text. A rig file is 2 kB; its longest line a sentence.
+# A dotted key of 20 000 parts takes tomllib 6.8 s (its time is quadratic in the parts),
+# so that sizes are checked before it sees the text. A rig file is 2 kB; its longest
+# line a sentence.
 FILE_LIMIT = 64_000  # bytes
 LINE_LIMIT = 1_000  # bytes
 DEPTH_LIMIT = 8  # tables within tables
@@ -63,7 +65,13 @@ class FileFaults(FieldError):
     def __init__(self, faults: Iterable[FieldError]) -> None:
         self.faults = tuple(faults)
         first = self.faults[0]
-        super().__init__(first.field, first.value, first.problem, allowed=first.allowed, remedy=first.remedy)
+        super().__init__(
+            first.field,
+            first.value,
+            first.problem,
+            allowed=first.allowed,
+            remedy=first.remedy,
+        )
         self.args = ("\n".join(str(fault) for fault in self.faults),)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -71,7 +79,9 @@ class FileFaults(FieldError):
 
 
 class Key(NamedTuple):
-    """One key of a table: its field, the field's rule, the dataclass of an inner table, and the default."""
+    """One key of a table: its field, the field's rule, the dataclass of an inner table,
+    and the default.
+    """
 
     field: str
     rule: Rule
@@ -96,24 +106,33 @@ def keys_of(kind: type) -> dict[str, Key]:
             for hint in (hints[field.name], *get_args(hints[field.name]))
             if dataclasses.is_dataclass(hint)
         ]
-        default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory
-        # Only units of the table are written into keys: dB or % would make names that TOML has to quote.
+        default = (
+            field.default
+            if field.default_factory is dataclasses.MISSING
+            else field.default_factory
+        )
+        # Only units of the table are written into keys: dB or % would make names that
+        # TOML has to quote.
         key = field.name + _SUFFIX.get(found[field.name].unit, "")
-        keys[key] = Key(field.name, found[field.name], kinds[0] if kinds else None, default)
+        keys[key] = Key(
+            field.name, found[field.name], kinds[0] if kinds else None, default
+        )
     return keys
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
     """``did you mean 'x'?`` for the nearest known word, or nothing where none is near."""
     original = {name.lower(): name for name in known}
-    # Half of the letters in common: enough for a slip of the keys or a missing unit, too little for another
-    # word.
+    # Half of the letters in common: enough for a slip of the keys or a missing unit,
+    # too little for another word.
     near = difflib.get_close_matches(word.lower(), original, n=1, cutoff=0.5)
     return f"did you mean {original[near[0]]!r}?" if near else ""
 
 
 def read_table(kind: type, data: Mapping[str, Any]) -> Any:
-    """Return the `kind` that a table holds; FieldError for one fault, FileFaults for several."""
+    """Return the `kind` that a table holds; FieldError for one fault, FileFaults for
+    several.
+    """
     faults: list[FieldError] = []
     value = _read(kind, data, "", faults)
     if faults:
@@ -125,10 +144,14 @@ def _read(kind: Any, data: Any, place: str, faults: list[FieldError]) -> Any:
     """The `kind` in `data`; None after adding to `faults`."""
     if not isinstance(data, Mapping):
         problem = f"of type {type(data).__name__}, not a table"
-        faults.append(FieldError(place, data, problem, allowed="a table", remedy=f"write it as [{place}]"))
+        faults.append(
+            FieldError(
+                place, data, problem, allowed="a table", remedy=f"write it as [{place}]"
+            )
+        )
         return None
-    # Every fault is collected: a rig file has thirty numbers, and nobody wants to run the command thirty
-    # times.
+    # Every fault is collected: a rig file has thirty numbers, and nobody wants to run
+    # the command thirty times.
     before, keys, values = len(faults), keys_of(kind), {}
     for name, key in keys.items():
         path = f"{place}.{name}" if place else name
@@ -137,41 +160,73 @@ def _read(kind: Any, data: Any, place: str, faults: list[FieldError]) -> Any:
         elif key.table is not None:
             values[key.field] = _read(key.table, data[name], path, faults)
         else:
-            values[key.field] = _found(faults, path, functools.partial(key.rule.check, path, data[name]))
+            values[key.field] = _found(
+                faults, path, functools.partial(key.rule.check, path, data[name])
+            )
     for name in (name for name in data if name not in keys):
         path, allowed = f"{place}.{name}" if place else name, ", ".join(keys)
         remedy = suggestion(name, keys) or "remove it"
-        faults.append(FieldError(path, data[name], "an unknown key", allowed=allowed, remedy=remedy))
-    # The constructor compares fields with each other: with one missing or wrong it would blame another.
-    return None if len(faults) > before else _found(faults, place, functools.partial(kind, **values))
+        faults.append(
+            FieldError(
+                path, data[name], "an unknown key", allowed=allowed, remedy=remedy
+            )
+        )
+    # The constructor compares fields with each other: with one missing or wrong it
+    # would blame another.
+    return (
+        None
+        if len(faults) > before
+        else _found(faults, place, functools.partial(kind, **values))
+    )
 
 
 def _found(faults: list[FieldError], place: str, make: Callable[[], Any]) -> Any:
-    """What `make` returns; None after adding what it raises to `faults`, by its place in the file."""
+    """What `make` returns; None after adding what it raises to `faults`, by its place
+    in the file.
+    """
     try:
         return make()
     except FieldError as error:
-        # Checks of one value name the whole path already, those of a constructor the field alone.
-        field = error.field if not place or error.field.startswith(place) else f"{place}.{error.field}"
+        # Checks of one value name the whole path already, those of a constructor the
+        # field alone.
+        field = (
+            error.field
+            if not place or error.field.startswith(place)
+            else f"{place}.{error.field}"
+        )
         faults.append(
-            FieldError(field, error.value, error.problem, allowed=error.allowed, remedy=error.remedy)
+            FieldError(
+                field,
+                error.value,
+                error.problem,
+                allowed=error.allowed,
+                remedy=error.remedy,
+            )
         )
         return None
 
 
 def _missing(place: str, name: str, key: Key) -> FieldError:
     where = f"[{place}]" if place else "the top of the file"
-    remedy = f"add [{name}]" if key.table and not place else f"add {name} = … to {where}"
+    remedy = (
+        f"add [{name}]" if key.table and not place else f"add {name} = … to {where}"
+    )
     if name == "unit":
         remedy = f"state the unit in {where}: units are never guessed"
     allowed = "a table" if key.table else key.rule.expected
     return FieldError(
-        f"{place}.{name}" if place else name, "(nothing)", "missing", allowed=allowed, remedy=remedy
+        f"{place}.{name}" if place else name,
+        "(nothing)",
+        "missing",
+        allowed=allowed,
+        remedy=remedy,
     )
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Return the tables of a TOML file that may be hostile; FileFormatError where it is over its limits."""
+    """Return the tables of a TOML file that may be hostile; FileFormatError where it is
+    over its limits.
+    """
     return parse_toml(read_text(path, "a rig file (TOML)", limit=FILE_LIMIT), path)
 
 
@@ -179,23 +234,37 @@ def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """Return the tables of TOML text that may be hostile; `path` stands in the error."""
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
     if len(text) > FILE_LIMIT:
-        raise _broken(path, "too large", "give a rig file, not a log", f"{FILE_LIMIT} bytes")
+        raise _broken(
+            path, "too large", "give a rig file, not a log", f"{FILE_LIMIT} bytes"
+        )
     for number, line in enumerate(lines, 1):
         if len(line) > LINE_LIMIT:
             problem = f"too long in line {number}"
-            raise _broken(path, problem, "break the line", f"lines of {LINE_LIMIT} characters")
+            raise _broken(
+                path, problem, "break the line", f"lines of {LINE_LIMIT} characters"
+            )
     try:
         data = tomllib.loads("\n".join(lines))
     except tomllib.TOMLDecodeError as error:
         raise _broken(path, f"not valid TOML ({error})", "correct that line") from error
-    except (RecursionError, ValueError) as error:  # deep nesting; an integer of thousands of digits
+    except (
+        RecursionError,
+        ValueError,
+    ) as error:  # deep nesting; an integer of thousands of digits
         raise _broken(path, f"not readable ({error})", "correct the file") from error
     if _depth(data) > DEPTH_LIMIT:
-        raise _broken(path, "nested too deeply", "remove the nested tables", f"{DEPTH_LIMIT} levels")
+        raise _broken(
+            path,
+            "nested too deeply",
+            "remove the nested tables",
+            f"{DEPTH_LIMIT} levels",
+        )
     return data
 
 
-def _broken(path: Path, problem: str, remedy: str, allowed: str = "a rig file (TOML)") -> FileFormatError:
+def _broken(
+    path: Path, problem: str, remedy: str, allowed: str = "a rig file (TOML)"
+) -> FileFormatError:
     return FileFormatError("rig", str(path), problem, allowed=allowed, remedy=remedy)
 
 
@@ -203,31 +272,48 @@ def _depth(data: object) -> int:
     # By layers and not by recursion, whose own limit a hostile file would meet here.
     level, layer = 0, [data]
     while layer:
-        inside = (list(x.values()) if isinstance(x, dict) else x for x in layer if isinstance(x, dict | list))
+        inside = (
+            list(x.values()) if isinstance(x, dict) else x
+            for x in layer
+            if isinstance(x, dict | list)
+        )
         level, layer = level + 1, [child for children in inside for child in children]
     return level - 1
 
 
 def table_of(value: Any) -> dict[str, Any]:
-    """Return a dataclass as a table; None, "no limit" and a switch at its default are left out."""
+    """Return a dataclass as a table; None, "no limit" and a switch at its default are
+    left out.
+    """
     table: dict[str, Any] = {}
     kind: type = type(value)
     for name, key in keys_of(kind).items():
         item = getattr(value, key.field)
-        # TOML has inf, but a limit that a person did not state is left out, as they left it out.
+        # TOML has inf, but a limit that a person did not state is left out, as they
+        # left it out.
         unlimited = isinstance(item, float) and math.isinf(item)
-        if item is not None and not unlimited and not (isinstance(item, bool) and item is key.default):
+        if (
+            item is not None
+            and not unlimited
+            and not (isinstance(item, bool) and item is key.default)
+        ):
             table[name] = table_of(item) if key.table else item
     return table
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
-    """Return a table as TOML that reads back equal, whatever its texts contain: shortest exact numbers."""
+    """Return a table as TOML that reads back equal, whatever its texts contain:
+    shortest exact numbers.
+    """
     return "\n".join(_lines(table, "")) + "\n"
 
 
 def _lines(table: Mapping[str, Any], place: str) -> list[str]:
-    lines = [f"{_key(k)} = {toml_value(item)}" for k, item in table.items() if not isinstance(item, dict)]
+    lines = [
+        f"{_key(k)} = {toml_value(item)}"
+        for k, item in table.items()
+        if not isinstance(item, dict)
+    ]
     for name, item in table.items():
         if isinstance(item, dict):
             inner = f"{place}.{_key(name)}" if place else _key(name)
@@ -243,7 +329,8 @@ def _key(name: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """Return a number, text, switch or list as TOML; a text holds nothing that ends its string or line.
+    """Return a number, text, switch or list as TOML; a text holds nothing that ends its
+    string or line.
 
     >>> toml_value('a "b"'), toml_value(True), toml_value([1, 0.5])
     ('"a \\\\"b\\\\""', 'true', '[1, 0.5]')
@@ -260,7 +347,12 @@ def toml_value(value: Any) -> str:
 
 
 def _escaped(character: str) -> str:
-    # Control characters, and what TOML readers or editors treat as a line end, are escaped by number.
+    # Control characters, and what TOML readers or editors treat as a line end, are
+    # escaped by number.
     if character in _ESCAPES or character.isprintable():
         return _ESCAPES.get(character, character)
-    return f"\\u{ord(character):04X}" if ord(character) < 0x10000 else f"\\U{ord(character):08X}"
+    return (
+        f"\\u{ord(character):04X}"
+        if ord(character) < 0x10000
+        else f"\\U{ord(character):08X}"
+    )

@@ -1,4 +1,6 @@
-"""Columns of a log that are not what they are called: what their values alone show, before any model."""
+"""Columns of a log that are not what they are called: what their values alone show,
+before any model.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,27 @@ from fraclink.findings import Finding
 
 Vector = NDArray[np.float64]
 
-# Share of a channel's variance that another one explains by itself: of 300 random links that vibrate, the
-# angle, the speed and the acceleration of the motor explain 31 % of the torque at most, the time 0.5 %.
+# Share of a channel's variance that another one explains by itself: of 300 random links
+# that vibrate, the angle, the speed and the acceleration of the motor explain 31 % of
+# the torque at most, the time 0.5 %.
 COPIED_LEAST = 0.98
-# A share of the samples at the stops of the amplifier: 6 % change the identified gain by 0.6 %, 13 % by 8 %.
+# A share of the samples at the stops of the amplifier: 6 % change the identified gain
+# by 0.6 %, 13 % by 8 %.
 STOPPED_MOST = 0.1
 
 
 def column_findings(log: Experiment) -> Iterator[Finding]:
-    """Findings W323 to W325: degrees, a copy of the motor's motion, a clock, an amplifier at its stops."""
+    """Findings W323 to W325: degrees, a copy of the motor's motion, a clock, an
+    amplifier at its stops.
+    """
     angle, output, period = log.motor_angle, log.output, log.period
     time = np.arange(output.size, dtype=np.float64)
     speed = np.gradient(angle, period)
-    sources = {"angle": angle, "speed": speed, "acceleration": np.gradient(speed, period)}
+    sources = {
+        "angle": angle,
+        "speed": speed,
+        "acceleration": np.gradient(speed, period),
+    }
     shares = {name: _explained(output, source) for name, source in sources.items()}
     nearest = max(shares, key=lambda name: shares[name])
     if shares[nearest] > COPIED_LEAST:
@@ -59,11 +69,17 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
             "error",
             f"{100 * share:.3g} % of the samples lie at the largest or smallest output: the amplifier "
             "saturates, or this is a command, not a measurement",
-            {"share": share, "most": STOPPED_MOST, "low": float(output.min()), "high": float(output.max())},
+            {
+                "share": share,
+                "most": STOPPED_MOST,
+                "low": float(output.min()),
+                "high": float(output.max()),
+            },
             "move less or lower the amplifier's gain, and check the column of the output",
         )
     largest = float(np.max(np.abs(angle - angle[0])))
-    # At the link's side of a gear no flexible arm turns more than once; 7 degrees called radians do.
+    # At the link's side of a gear no flexible arm turns more than once; 7 degrees
+    # called radians do.
     if largest > 2 * math.pi:
         yield Finding(
             "W323",
@@ -75,34 +91,52 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
 
 
 def mains_of(log: Experiment) -> float | None:
-    """Frequency of the mains [Hz] where the output is mostly one line there, None elsewhere."""
+    """Frequency of the mains [Hz] where the output is mostly one line there, None
+    elsewhere.
+    """
     output = log.output
     power = np.abs(np.fft.rfft((output - output.mean()) * np.hanning(output.size))) ** 2
     top, length = int(power.argmax()), output.size * log.period
-    # A Hann window spreads a line over four bins: two on either side of the top hold all of it.
+    # A Hann window spreads a line over four bins: two on either side of the top hold
+    # all of it.
     line = float(power[max(top - 2, 0) : top + 3].sum())
-    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells lines 1/T apart.
+    # The mains keep within 0.5 Hz of their frequency, and a record of T seconds tells
+    # lines 1/T apart.
     nearest = 50.0 if top / length < 55.0 else 60.0
-    return nearest if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum() else None
+    return (
+        nearest
+        if abs(top / length - nearest) < 0.5 + 1 / length and line > 0.5 * power.sum()
+        else None
+    )
 
 
 def lead_of(output: Vector) -> int:
     """Samples at the beginning of a log that show whether it begins at rest."""
-    # Ten samples at least: the mean of fewer is the gauge's noise and not the link's bend.
+    # Ten samples at least: the mean of fewer is the gauge's noise and not the link's
+    # bend.
     return max(10, round(0.01 * output.size))
 
 
 def motion_at_start(angle: Vector, vibration: Vector, spread: float) -> str | None:
-    """What moves in a log's first samples, None where the arm is at rest; `vibration` is without offset."""
+    """What moves in a log's first samples, None where the arm is at rest; `vibration`
+    is without offset.
+    """
     lead = lead_of(vibration)
-    # A fiftieth of the way: an encoder's noise and the creep of a brake stay below it, a move does not.
+    # A fiftieth of the way: an encoder's noise and the creep of a brake stay below it,
+    # a move does not.
     if float(np.ptp(angle[:lead])) > 0.02 * float(np.ptp(angle)):
         return "the motor moves"
-    return "the link is bent" if abs(float(vibration[:lead].mean())) > 0.5 * spread else None
+    return (
+        "the link is bent"
+        if abs(float(vibration[:lead].mean())) > 0.5 * spread
+        else None
+    )
 
 
 def _explained(values: Vector, source: Vector) -> float:
-    """Share of the variance of `values` that a multiple of `source` and a constant explain: R²."""
+    """Share of the variance of `values` that a multiple of `source` and a constant
+    explain: R².
+    """
     centred, other = values - values.mean(), source - source.mean()
     # Squared, so that a copy with the other sign or in another unit is a copy too.
     power = float(centred @ centred) * float(other @ other)
@@ -110,21 +144,30 @@ def _explained(values: Vector, source: Vector) -> float:
 
 
 def _is_ramp(values: Vector) -> bool:
-    """Whether nearly all steps are one step, as those of a clock or of a counter that starts anew."""
+    """Whether nearly all steps are one step, as those of a clock or of a counter that
+    starts anew.
+    """
     steps = np.diff(values)
     usual = float(np.median(steps))
-    # Measured steps differ by counts of the encoder and by noise: alike to a millionth are only those that
-    # were computed. A tenth of them may be others, where a counter starts anew.
-    return usual != 0 and float(np.mean(np.abs(steps - usual) < 1e-6 * abs(usual))) > 0.9
+    # Measured steps differ by counts of the encoder and by noise: alike to a millionth
+    # are only those that were computed. A tenth of them may be others, where a counter
+    # starts anew.
+    return (
+        usual != 0 and float(np.mean(np.abs(steps - usual) < 1e-6 * abs(usual))) > 0.9
+    )
 
 
 def _at_stops(output: Vector) -> float:
-    """Share of the samples at the extremes; 0 where it is small or the levels beside them nearly as frequent.
+    """Share of the samples at the extremes; 0 where it is small or the levels beside
+    them nearly as frequent.
 
-    The crest of a sine in a coarse converter has 2.4 times as many samples as the level below it.
+    The crest of a sine in a coarse converter has 2.4 times as many samples as the level
+    below it.
     """
     at_ends = (output == output.min()) | (output == output.max())
-    if np.count_nonzero(at_ends) <= STOPPED_MOST * output.size:  # sorting all samples takes longer than a fit
+    if (
+        np.count_nonzero(at_ends) <= STOPPED_MOST * output.size
+    ):  # sorting all samples takes longer than a fit
         return 0.0
     _, (low, *between, high) = np.unique(output, return_counts=True)
     beside = between[0] + between[-1] if between else 0

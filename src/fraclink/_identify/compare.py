@@ -1,4 +1,6 @@
-"""Identify a log: every structure, which of them is used, and how sure the log makes that choice."""
+"""Identify a log: every structure, which of them is used, and how sure the log makes
+that choice.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,10 @@ from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
-# Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six hundred (by 4: in one of
-# seventy). Of 510 random logs, two thirds of them with coloured noise, 4 named a wrong structure in 13 and 8
-# in 3, which left one log in five undecided instead of one in seven (benchmarks/bench_gates.py).
+# Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six
+# hundred (by 4: in one of seventy). Of 510 random logs, two thirds of them with
+# coloured noise, 4 named a wrong structure in 13 and 8 in 3, which left one log in five
+# undecided instead of one in seven (benchmarks/bench_gates.py).
 _DECISIVE = 8.0
 Criteria = Mapping[str, tuple[float, float]]
 
@@ -38,8 +41,8 @@ class Contest:
     first, second
         the structures.
     advantage
-        of the second: twice the difference of the log-likelihoods, noise of any colour allowed for. Below 8
-        the log cannot tell.
+        of the second: twice the difference of the log-likelihoods, noise of any colour
+        allowed for. Below 8 the log cannot tell.
     """
 
     first: str
@@ -55,7 +58,10 @@ class Contest:
 
 
 @displayed
-@document("comparison", summary=lambda found: {"preferred": found.preferred, "verdict": found.verdict})
+@document(
+    "comparison",
+    summary=lambda found: {"preferred": found.preferred, "verdict": found.verdict},
+)
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
@@ -68,8 +74,9 @@ class Comparison:
     without_delay
         the same with the delay held at zero (parameters and errors only, no details).
     preferred
-        the structure to use: of those whose criterion (the AIC where the residual is white) is within 8 of
-        the lowest, the one with the fewest parameters, then with the lowest criterion.
+        the structure to use: of those whose criterion (the AIC where the residual is
+        white) is within 8 of the lowest, the one with the fewest parameters, then with
+        the lowest criterion.
     contest
         fractional against viscous damping, which have as many parameters.
     verdict
@@ -118,7 +125,8 @@ def identify(
     hold: Hold = "auto",
     details: bool = True,
 ) -> Fit:
-    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no guess is needed.
+    """Fit a link structure to a log; gain, offset and gauge delay are fitted along, no
+    guess is needed.
 
         minimise Σ (output − gain·y(t − delay) − offset)²,    Y = s^λ/(s^λ + μ s^α + ω₀²) Θm
 
@@ -127,24 +135,26 @@ def identify(
     log
         the recorded motion, at rest before its first sample.
     structure
-        a key of the table of structures; without it, the one that the log supports: the simplest that no
-        other beats clearly (see `compare_structures`), with finding W322 where the log cannot tell.
+        a key of the table of structures; without it, the one that the log supports: the
+        simplest that no other beats clearly (see `compare_structures`), with finding
+        W322 where the log cannot tell.
     heldout
-        share of the samples at the end that the fit does not see [1]. Without it, the last 40 %, or more
-        where these contain no motion: an arm at rest tests no model.
+        share of the samples at the end that the fit does not see [1]. Without it, the
+        last 40 %, or more where these contain no motion: an arm at rest tests no model.
     stiffness
-        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection log, which cannot
-        show it, gets it as the model's stiffness.
+        c where it is known [N·m/rad]: a torque log's gain is fixed to it; a deflection
+        log, which cannot show it, gets it as the model's stiffness.
     fixed
-        values of "gain", "offset", "delay" [s], "order", "damping_order" that are not to be fitted.
+        values of "gain", "offset", "delay" [s], "order", "damping_order" that are not
+        to be fitted.
     guess
         a start to try beside the scan over all frequencies of the log.
     hold
-        what the motor angle does between samples: "first" (a measured motion), "zero" (a held command) or
-        "auto" (zero only for angles that jump and rest).
+        what the motor angle does between samples: "first" (a measured motion), "zero"
+        (a held command) or "auto" (zero only for angles that jump and rest).
     details
-        False leaves out intervals, tests, the second mode and the allowance for coloured residuals (ten
-        times faster, for loops over thousands of logs).
+        False leaves out intervals, tests, the second mode and the allowance for
+        coloured residuals (ten times faster, for loops over thousands of logs).
 
     Raises
     ------
@@ -173,26 +183,47 @@ def identify(
     >>> fit.structure, round(fit.model.order, 6), round(fit.model.natural_frequency, 5), round(fit.gain, 6)
     ('UD-FOM', 1.92, 10.02, 1.56)
     """
-    # A structure without the parameter that is held, such as λ, would not keep what it was given.
+    # A structure without the parameter that is held, such as λ, would not keep what it
+    # was given.
     held = {"order", "damping_order"} & set(fixed or {})
     names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
     if structure is not None and structure not in STRUCTURES and "/" in structure:
-        allowed, remedy = ", ".join(STRUCTURES), "identify_structure(log, formula) fits any other"
-        raise FieldError("structure", structure, "a formula", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            ", ".join(STRUCTURES),
+            "identify_structure(log, formula) fits any other",
+        )
+        raise FieldError(
+            "structure", structure, "a formula", allowed=allowed, remedy=remedy
+        )
     if structure is not None:
         names = [structure_row(structure).name]
-    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold)
+    search = make_search(
+        log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=guess, hold=hold
+    )
     if len(names) < len(STRUCTURES):
-        # One structure, or two that hold the value: the pair of criteria is made for the whole table.
-        fits = [fit_from(search, name, log, stiffness=stiffness, details=details) for name in names]
+        # One structure, or two that hold the value: the pair of criteria is made for
+        # the whole table.
+        fits = [
+            fit_from(search, name, log, stiffness=stiffness, details=details)
+            for name in names
+        ]
         return min(fits, key=lambda fit: fit.aic)
     criteria, errors = criteria_of(search)
     preferred = preferred_structure(criteria)
     undecided = _undecided(search, criteria, preferred)
-    best = fit_from(search, preferred, log, stiffness=stiffness, details=details, errors=errors[preferred])
+    best = fit_from(
+        search,
+        preferred,
+        log,
+        stiffness=stiffness,
+        details=details,
+        errors=errors[preferred],
+    )
     if not undecided:
         return best
-    gaps = {f"AIC of {name} above": _gap(criteria, name, preferred) for name in undecided}
+    gaps = {
+        f"AIC of {name} above": _gap(criteria, name, preferred) for name in undecided
+    }
     finding = Finding(
         "W322",
         "info",
@@ -244,21 +275,33 @@ def compare_structures(
     >>> compare_structures(log, details=False).preferred
     'UD-FOM'
     """
-    search = make_search(log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+    search = make_search(
+        log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
+    )
     criteria, errors = criteria_of(search)
     fits = {
-        name: fit_from(search, name, log, stiffness=stiffness, details=details, errors=errors[name])
+        name: fit_from(
+            search, name, log, stiffness=stiffness, details=details, errors=errors[name]
+        )
         for name in STRUCTURES
     }
     still = {}
     if "delay" not in search.fixed:
-        # A delay turns the phase as λ < 2 does: only a fit without it shows what it has explained.
+        # A delay turns the phase as λ < 2 does: only a fit without it shows what it has
+        # explained.
         at_once = {**(fixed or {}), "delay": 0.0}
-        other = make_search(log, heldout=heldout, stiffness=stiffness, fixed=at_once, guess=None, hold=hold)
+        other = make_search(
+            log,
+            heldout=heldout,
+            stiffness=stiffness,
+            fixed=at_once,
+            guess=None,
+            hold=hold,
+        )
         still = {
             name: fit_from(other, name, log, stiffness=stiffness, details=False)
-            # Of the two that may be taken for each other, and not of all four: a fit costs as much without a
-            # delay.
+            # Of the two that may be taken for each other, and not of all four: a fit
+            # costs as much without a delay.
             for name in (VISCOUS, FRACTIONAL)
         }
     preferred = preferred_structure(criteria)
@@ -269,9 +312,11 @@ def compare_structures(
 
 
 def _gap(criteria: Criteria, name: str, other: str) -> float:
-    """By how much a structure is above another one in both criteria, below it in both; 0 if they differ."""
-    # Where one criterion speaks for each, the log has not decided: the gap is the smaller one of two that
-    # agree.
+    """By how much a structure is above another one in both criteria, below it in both;
+    0 if they differ.
+    """
+    # Where one criterion speaks for each, the log has not decided: the gap is the
+    # smaller one of two that agree.
     gaps = [a - b for a, b in zip(criteria[name], criteria[other], strict=True)]
     return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
@@ -279,7 +324,10 @@ def _gap(criteria: Criteria, name: str, other: str) -> float:
 def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Uncertainty]]:
     """Both criteria of every structure, and the uncertainties that they rest on."""
     search.reconcile()
-    errors = {name: uncertainty(search, search.solve(name), coloured=True) for name in STRUCTURES}
+    errors = {
+        name: uncertainty(search, search.solve(name), coloured=True)
+        for name in STRUCTURES
+    }
     return structure_criteria(search, errors), errors
 
 
@@ -289,27 +337,33 @@ def _near(criteria: Criteria) -> list[str]:
     return [
         name
         for name, values in criteria.items()
-        if min(value - least for value, least in zip(values, lowest, strict=True)) < _DECISIVE
+        if min(value - least for value, least in zip(values, lowest, strict=True))
+        < _DECISIVE
     ]
 
 
 def preferred_structure(criteria: Criteria) -> str:
     """The structure with the fewest parameters of those that are not decisively behind."""
-    return min(_near(criteria), key=lambda name: (len(structure_row(name).free), criteria[name]))
+    return min(
+        _near(criteria),
+        key=lambda name: (len(structure_row(name).free), criteria[name]),
+    )
 
 
 def _undecided(search: Search, criteria: Criteria, preferred: str) -> tuple[str, ...]:
     """Structures that the log leaves open beside the one to use.
 
-    A structure that has the one to use as a special case is no rival: that close, its further parameter is
-    not needed. A fit that ended as the same model is the same answer, not another one.
+    A structure that has the one to use as a special case is no rival: that close, its
+    further parameter is not needed. A fit that ended as the same model is the same
+    answer, not another one.
     """
     least = search.solve(preferred).cost
     return tuple(
         name
         for name in _near(criteria)
         if name != preferred
-        # Two descents to one model end within their tolerance of each other, and no closer.
+        # Two descents to one model end within their tolerance of each other, and no
+        # closer.
         and abs(search.solve(name).cost - least) > 1e-9 * least
         and preferred not in special_cases(name)
     )
@@ -329,21 +383,34 @@ def _verdict(
     return " ".join([choice, *_of_the_delay(fits, still), *_of_the_parameters(fits)])
 
 
-def _choice(fits: Mapping[str, Fit], preferred: str, undecided: tuple[str, ...], criteria: Criteria) -> str:
-    """The structure that is used and how sure that is: one sentence, so that it cannot contradict itself."""
+def _choice(
+    fits: Mapping[str, Fit],
+    preferred: str,
+    undecided: tuple[str, ...],
+    criteria: Criteria,
+) -> str:
+    """The structure that is used and how sure that is: one sentence, so that it cannot
+    contradict itself.
+    """
     best = fits[preferred]
-    held = "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
+    held = (
+        "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
+    )
     if undecided:
         others = " and ".join(undecided)
         colour = " under a residual of this colour" if best.errors_allow_colour else ""
         reason = "the fewest parameters, then the lowest AIC"
-        return (
-            f"This log cannot tell {preferred} from {others}{colour}; {preferred} is used ({reason}){held}."
-        )
-    rivals = [name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse]
+        return f"This log cannot tell {preferred} from {others}{colour}; {preferred} is used ({reason}){held}."
+    rivals = [
+        name for name, fit in fits.items() if abs(fit.mse - best.mse) > 1e-9 * best.mse
+    ]
     if not rivals:
         return f"{preferred} is preferred: every other structure ended as the same model{held}."
-    criterion = "AIC, corrected for the residual's colour," if best.errors_allow_colour else "AIC"
+    criterion = (
+        "AIC, corrected for the residual's colour,"
+        if best.errors_allow_colour
+        else "AIC"
+    )
     gaps = {name: _gap(criteria, name, preferred) for name in rivals}
     other = min(gaps, key=lambda name: gaps[name])
     if gaps[other] <= 0:
@@ -355,11 +422,17 @@ def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str
     if not still:
         return []
     viscous, fractional = fits[VISCOUS], fits[FRACTIONAL]
-    # 2: what one parameter costs in the AIC. Both have as many, so that a smaller gap is no preference.
+    # 2: what one parameter costs in the AIC. Both have as many, so that a smaller gap
+    # is no preference.
     at_once_wins = still[FRACTIONAL].aic < still[VISCOUS].aic - 2
-    # Less than a sample of delay may be the noise of the angle, averaged between two samples.
+    # Less than a sample of delay may be the noise of the angle, averaged between two
+    # samples.
     shown = max(3 * viscous.standard_errors.get("delay", math.inf), viscous.period)
-    if at_once_wins and viscous.aic <= fractional.aic + 2 and abs(viscous.delay) > shown:
+    if (
+        at_once_wins
+        and viscous.aic <= fractional.aic + 2
+        and abs(viscous.delay) > shown
+    ):
         return [
             f"λ is explained by the delay: without it {FRACTIONAL} wins "
             f"(λ = {still[FRACTIONAL].model.order:.3f}), with the {1e3 * viscous.delay:.1f} ms that the log "

@@ -1,9 +1,11 @@
-"""A link with its motor, from a frequency response whose input is the amplifier's voltage.
+"""A link with its motor, from a frequency response whose input is the amplifier's
+voltage.
 
     J θ̈m + ν θ̇m = K V − Γ,    Γ = c (s/z)^λ/((s/z)^λ + 1) θm,    z = ω₀^(2/λ)
 
-so that θm/V = A ((s/z)^λ + 1)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ) with A = K/J, B = ν/J and m = c/J: an
-anti-resonance at z, where the link swings and holds the motor still, and a peak above it, where both swing.
+so that θm/V = A ((s/z)^λ + 1)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ) with A = K/J, B =
+ν/J and m = c/J: an anti-resonance at z, where the link swings and holds the motor
+still, and a peak above it, where both swing.
 """
 
 from __future__ import annotations
@@ -29,13 +31,16 @@ __all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
 
 Output = Literal["motor_angle", "torque"]
 
-# λ up to 2.2: that of a classical link is then inside of its range, and its interval says that it is 2.
+# λ up to 2.2: that of a classical link is then inside of its range, and its interval
+# says that it is 2.
 _LIMITS = {"l": (1.0, 2.2)}
-# Motor (1) and link (10), with (s/z)^λ multiplied out: as polynomials in s and s^λ their coefficients are
-# straight, and no start value is needed.
+# Motor (1) and link (10), with (s/z)^λ multiplied out: as polynomials in s and s^λ
+# their coefficients are straight, and no start value is needed.
 _TOP = {"motor_angle": "A*({link} + 1)", "torque": "k*{link}"}
 _BOTTOM = "((s**2 + B*s)*({link} + 1) + m*{link})*exp(-T*s)"
-_BEYOND = 3.0  # times the band: a peak that it misses is sought there, so that it can be said
+_BEYOND = (
+    3.0  # times the band: a peak that it misses is sought there, so that it can be said
+)
 _GRID = 3000
 _AROUND = 3  # lines on either side of a place that the response is said to show
 
@@ -43,25 +48,30 @@ _AROUND = 3  # lines on either side of a place that the response is said to show
 @displayed
 @document(
     "driven-link",
-    sources=lambda found: {found.fit.source: found.fit.sha256} if found.fit.sha256 else {},
+    sources=lambda found: (
+        {found.fit.source: found.fit.sha256} if found.fit.sha256 else {}
+    ),
     summary=lambda found: {"passed": found.passed},
 )
 @dataclass(frozen=True)
 class DrivenLinkFit:
-    """A link and its motor, fitted to a frequency response from voltage to motor angle or to torque.
+    """A link and its motor, fitted to a frequency response from voltage to motor angle
+    or to torque.
 
     Parameters
     ----------
     fit
-        the structure with its parameters: ``l`` λ, ``z`` anti-resonance [rad/s], ``B`` ν/J [1/s], ``m`` c/J
-        [1/s²], ``T`` delay [s], and ``A`` K/J [rad/(s²·V)], or ``k`` A·c for a torque.
+        the structure with its parameters: ``l`` λ, ``z`` anti-resonance [rad/s], ``B``
+        ν/J [1/s], ``m`` c/J [1/s²], ``T`` delay [s], and ``A`` K/J [rad/(s²·V)], or
+        ``k`` A·c for a torque.
     output
         "motor_angle" or "torque".
     peak
-        where the magnitude of the fitted response is largest behind the anti-resonance [rad/s]; None where it
-        only falls.
+        where the magnitude of the fitted response is largest behind the anti-resonance
+        [rad/s]; None where it only falls.
     findings
-        those of the fit, and W347, W348 where the band misses the anti-resonance or the peak.
+        those of the fit, and W347, W348 where the band misses the anti-resonance or the
+        peak.
 
     Examples
     --------
@@ -77,7 +87,9 @@ class DrivenLinkFit:
 
     @property
     def passed(self) -> bool:
-        """Whether the response determines link and motor: no finding of severity "error"."""
+        """Whether the response determines link and motor: no finding of severity
+        "error".
+        """
         return not errors_of(self.findings)
 
     @property
@@ -101,19 +113,28 @@ class DrivenLinkFit:
         *,
         payload: Annotated[float, Between(0.0, low_open=True, unit="kg")] | None = None,
     ) -> LinkModel:
-        """Return the link, c = m J for the motor's inertia J at the gear's output, gear² times that of the
-        rotor.
+        """Return the link, c = m J for the motor's inertia J at the gear's output,
+        gear² times that of the rotor.
 
-        The gauge's delay is not in a response from voltage to motor angle, and in one to torque it cannot be
-        told from the amplifier's: it is left at 0.
+        The gauge's delay is not in a response from voltage to motor angle, and in one
+        to torque it cannot be told from the amplifier's: it is left at 0.
 
-        Raises FieldError where a gate of the fit failed: a link model has no findings, and a design of it
-        would pass.
+        Raises FieldError where a gate of the fit failed: a link model has no findings,
+        and a design of it would pass.
         """
         if not self.passed:
-            gates = "; ".join(f"{finding.code}: {finding.message}" for finding in errors_of(self.findings))
+            gates = "; ".join(
+                f"{finding.code}: {finding.message}"
+                for finding in errors_of(self.findings)
+            )
             remedy = "measure a band that shows anti-resonance and peak, and fit again"
-            raise FieldError("fit", gates, "not passed", allowed="a fit without errors", remedy=remedy)
+            raise FieldError(
+                "fit",
+                gates,
+                "not passed",
+                allowed="a fit without errors",
+                remedy=remedy,
+            )
         values, intervals = self.parameters, self.fit.intervals
         rows = []
         if "l" in intervals:
@@ -125,10 +146,22 @@ class DrivenLinkFit:
                 ends = [end ** (half / 2) for end in (low, high) for half in order]
                 rows.append(("natural_frequency", min(ends), max(ends)))
         if "m" in intervals:
-            rows.append(("stiffness", intervals["m"].low * inertia, intervals["m"].high * inertia))
+            rows.append(
+                (
+                    "stiffness",
+                    intervals["m"].low * inertia,
+                    intervals["m"].high * inertia,
+                )
+            )
         # z^λ = ω₀².
         frequency = values["z"] ** (self.order / 2)
-        return LinkModel(values["m"] * inertia, frequency, self.order, payload=payload, intervals=tuple(rows))
+        return LinkModel(
+            values["m"] * inertia,
+            frequency,
+            self.order,
+            payload=payload,
+            intervals=tuple(rows),
+        )
 
 
 @checked
@@ -139,7 +172,8 @@ def identify_driven_link(
     weighting: Weighting | None = None,
     details: bool = True,
 ) -> DrivenLinkFit:
-    """Fit a link with its motor to a frequency response from the amplifier's voltage; no guess is needed.
+    """Fit a link with its motor to a frequency response from the amplifier's voltage;
+    no guess is needed.
 
         θm/V = A ((s/z)^λ + 1) e^(−Ts)/((s² + B s)((s/z)^λ + 1) + m (s/z)^λ),    Γ/V = c (s/z)^λ/((s/z)^λ +
         1) θm/V
@@ -147,12 +181,13 @@ def identify_driven_link(
     Parameters
     ----------
     measured
-        lines from below the anti-resonance to above the peak. [rad/V], or [N·m/V] for a torque.
+        lines from below the anti-resonance to above the peak. [rad/V], or [N·m/V] for a
+        torque.
     output
         what was measured, "motor_angle" or "torque".
     weighting
-        of the errors: "relative" to each line, by "coherence" (the default where there is one), or
-        "absolute".
+        of the errors: "relative" to each line, by "coherence" (the default where there
+        is one), or "absolute".
     details
         False: intervals from the standard errors alone.
 
@@ -178,24 +213,34 @@ def identify_driven_link(
     (1.92, 11.007, 12.004)
     """
     straight = _structure(output, "s**l/w")
-    # Straight in 1/w, so that its start is found by linear least squares; z then has an interval of its own.
-    first = identify_structure(measured, straight, bounds=_LIMITS, weighting=weighting, details=False)
-    # z and λ depend on each other in w = z^λ: an interval of w would be as wide as λ makes it, and say little
-    # of z.
+    # Straight in 1/w, so that its start is found by linear least squares; z then has an
+    # interval of its own.
+    first = identify_structure(
+        measured, straight, bounds=_LIMITS, weighting=weighting, details=False
+    )
+    # z and λ depend on each other in w = z^λ: an interval of w would be as wide as λ
+    # makes it, and say little of z.
     start = {name: value for name, value in first.parameters.items() if name != "w"}
     start["z"] = first.parameters["w"] ** (1.0 / first.parameters["l"])
     start["l"] = min(max(start["l"], _LIMITS["l"][0]), _LIMITS["l"][1])
     low, high = measured.band
-    # So wide that an anti-resonance outside of the band can be found there and reported, not pressed to its
-    # edge.
+    # So wide that an anti-resonance outside of the band can be found there and
+    # reported, not pressed to its edge.
     bounds = {**_LIMITS, "z": (low / 30, high * 30)}
     start["z"] = min(max(start["z"], bounds["z"][0]), bounds["z"][1])
     structure = _structure(output, "(s/z)**l")
     fit = identify_structure(
-        measured, structure, start=start, bounds=bounds, weighting=weighting, details=details
+        measured,
+        structure,
+        start=start,
+        bounds=bounds,
+        weighting=weighting,
+        details=details,
     )
     peak = _peak(fit, output, measured.band)
-    return DrivenLinkFit(fit, output, peak, (*_of_the_band(fit, measured, output, peak), *fit.findings))
+    return DrivenLinkFit(
+        fit, output, peak, (*_of_the_band(fit, measured, output, peak), *fit.findings)
+    )
 
 
 def _structure(output: Output, link: str) -> str:
@@ -203,8 +248,11 @@ def _structure(output: Output, link: str) -> str:
 
 
 def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float | None:
-    """The highest local maximum of |H|, for a motor angle above the anti-resonance [rad/s]."""
-    # Below its anti-resonance a motor angle falls from the integrator: no maximum there is a resonance.
+    """The highest local maximum of |H|, for a motor angle above the anti-resonance
+    [rad/s].
+    """
+    # Below its anti-resonance a motor angle falls from the integrator: no maximum there
+    # is a resonance.
     low = fit.parameters["z"] if output == "motor_angle" else band[0] / _BEYOND
     # Searched on the fitted function and not on the lines: noise has maxima everywhere.
     w = np.geomspace(low, _BEYOND * max(band[1], low), _GRID)
@@ -213,22 +261,29 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
     if not tops.size:
         return None
     k = int(tops[np.argmax(level[tops])])
-    # The grid is 0.3 % wide a step where the band spans three decades: a third of a percent of a peak would
-    # be more than its interval.
+    # The grid is 0.3 % wide a step where the band spans three decades: a third of a
+    # percent of a peak would be more than its interval.
     before, at, after = level[k - 1 : k + 2]
-    shift = 0.5 * (before - after) / (before - 2 * at + after)  # the top of the parabola through three points
+    shift = (
+        0.5 * (before - after) / (before - 2 * at + after)
+    )  # the top of the parabola through three points
     return float(w[k] * (w[1] / w[0]) ** shift)
 
 
 def _of_the_band(
     fit: StructureFit, measured: FrequencyResponse, output: Output, peak: float | None
 ) -> Iterator[Finding]:
-    """W347, W348: a place that the lines do not surround is an extrapolation, however narrow its interval."""
+    """W347, W348: a place that the lines do not surround is an extrapolation, however
+    narrow its interval.
+    """
     z = fit.parameters["z"]
     if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
         held = output == "torque"
         yield _missed(
-            "W347", "frequency of the link with the motor held" if held else "anti-resonance", z, measured
+            "W347",
+            "frequency of the link with the motor held" if held else "anti-resonance",
+            z,
+            measured,
         )
     if peak is None or not _surrounded(measured, peak):
         yield _missed("W348", "peak", math.nan if peak is None else peak, measured)

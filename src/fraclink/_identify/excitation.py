@@ -1,4 +1,6 @@
-"""Design the experiment: how large and how fast must the motor move for λ to be known well enough?"""
+"""Design the experiment: how large and how fast must the motor move for λ to be known
+well enough?
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ Reals = NDArray[np.float64]
 
 # Of the resonance, for the PRBS's bit or the multisine's centre.
 _BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-_LEAST_SAMPLES, _MOST_SAMPLES = 200, 1_000_000  # of a log; each band is simulated sample by sample
+_LEAST_SAMPLES, _MOST_SAMPLES = (
+    200,
+    1_000_000,
+)  # of a log; each band is simulated sample by sample
 
 
 Deflection = Annotated[
@@ -86,11 +91,13 @@ def design_experiment(
     deflection_limit: Deflection = math.inf,
     inner_pole: Annotated[float, Between(0.1, 1e6, "rad/s")] = 80.0,
 ) -> ExperimentDesign:
-    """Choose amplitude and band of an excitation for a wanted standard error of λ, within limits.
+    """Choose amplitude and band of an excitation for a wanted standard error of λ,
+    within limits.
 
         s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ω₀, delay, gain, offset) ∝ amplitude
 
-    Of all bands the one with the smallest amplitude that meets the request within the limits is taken.
+    Of all bands the one with the smallest amplitude that meets the request within the
+    limits is taken.
 
     Parameters
     ----------
@@ -103,11 +110,11 @@ def design_experiment(
     period, duration
         of the sampling and of the log [s]; 200 to 1e6 samples.
     kind
-        "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a band around the
-        resonance, phases with a low crest factor).
+        "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a
+        band around the resonance, phases with a low crest factor).
     motor
-        gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK); friction is left to
-        the compensation.
+        gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK);
+        friction is left to the compensation.
     deflection_limit
         largest |θm − θt| [rad].
     inner_pole
@@ -126,7 +133,9 @@ def design_experiment(
     ('none', True, True)
     """
     longest = _MOST_SAMPLES * period
-    duration = Between(_LEAST_SAMPLES * period, longest, "s").check("duration", duration)
+    duration = Between(_LEAST_SAMPLES * period, longest, "s").check(
+        "duration", duration
+    )
     wanted = standard_error
     tried = [
         _unit(model, bit, band, motion, noise, period, motor)
@@ -135,17 +144,20 @@ def design_experiment(
     found = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
     allowed = [design for design, reached in found if reached]
     if allowed:
-        # The smallest motion that does: it wears the arm least and bends the link least out of its straight
-        # range.
+        # The smallest motion that does: it wears the arm least and bends the link least
+        # out of its straight range.
         return replace(min(allowed, key=lambda design: design.amplitude), kind=kind)
-    best = min((design for design, _ in found), key=lambda design: design.standard_error)
+    best = min(
+        (design for design, _ in found), key=lambda design: design.standard_error
+    )
     # The error of an estimate falls with the square root of the samples.
     enough = duration * (best.standard_error / wanted) ** 2
     longer = f"; a log of {math.ceil(enough)} s may do" if enough <= longest else ""
     raise InfeasibleError(
         f"{best.limit} limit",
         f"standard error {wanted:.3g} of λ needs more than {best.amplitude:.3g} rad{longer}",
-        # A hair more than what was reached, or rounding would refuse what is offered here.
+        # A hair more than what was reached, or rounding would refuse what is offered
+        # here.
         {"standard_error": best.standard_error * (1 + 1e-6)},
     )
 
@@ -153,38 +165,63 @@ def design_experiment(
 def _motions(
     kind: str, model: LinkModel, period: float, duration: float, inner_pole: float
 ) -> Sequence[tuple[float | None, tuple[float, float], Reals]]:
-    """(bit, band, motion of amplitude 1 after the motor loop) for every band that is tried."""
+    """(bit, band, motion of amplitude 1 after the motor loop) for every band that is
+    tried.
+    """
     resonance = abs(model.pole)
-    time: Reals = np.asarray(period * np.arange(round(duration / period) + 1), dtype=np.float64)
+    time: Reals = np.asarray(
+        period * np.arange(round(duration / period) + 1), dtype=np.float64
+    )
     result: list[tuple[float | None, tuple[float, float], Reals]] = []
     for share in _BANDS:
         centre = share * resonance
         if kind == "prbs":
-            # Half a period of the centre a bit: power then lies from the lowest line to 0.44/bit, where it
-            # has fallen by half.
-            # Whole samples: the controller that plays it can change its reference at a sample only.
+            # Half a period of the centre a bit: power then lies from the lowest line to
+            # 0.44/bit, where it has fallen by half. Whole samples: the controller that
+            # plays it can change its reference at a sample only.
             bit = max(round(math.pi / centre / period), 2) * period
-            # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its last bit is answered.
-            path = prbs(1.0, bit, bits=max(int((duration - 0.5) / bit), 1), register=9, start=0.2)
+            # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its
+            # last bit is answered.
+            path = prbs(
+                1.0,
+                bit,
+                bits=max(int((duration - 0.5) / bit), 1),
+                register=9,
+                start=0.2,
+            )
             band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
             result.append((bit, band, _followed(path.angle(time), period, inner_pole)))
         else:
             band = (0.5 * centre, 2.0 * centre)
-            result.append((None, band, _followed(_multisine(time, band), period, inner_pole)))
+            result.append(
+                (None, band, _followed(_multisine(time, band), period, inner_pole))
+            )
     return result
 
 
 def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
-    """Unit-peak multisine with Schroeder's phases, faded in over a second so that it starts at rest."""
+    """Unit-peak multisine with Schroeder's phases, faded in over a second so that it
+    starts at rest.
+    """
     span = time[-1]
-    lines = np.arange(math.ceil(band[0] * span / 2 / math.pi), math.floor(band[1] * span / 2 / math.pi) + 1)
+    lines = np.arange(
+        math.ceil(band[0] * span / 2 / math.pi),
+        math.floor(band[1] * span / 2 / math.pi) + 1,
+    )
     lines = lines[lines > 0]
-    # Schroeder's phases sweep the lines in time: a peak of 1.7 times the RMS where equal phases give √(2N).
-    phases = -math.pi * np.arange(lines.size) * (np.arange(lines.size) - 1) / max(lines.size, 1)
+    # Schroeder's phases sweep the lines in time: a peak of 1.7 times the RMS where
+    # equal phases give √(2N).
+    phases = (
+        -math.pi
+        * np.arange(lines.size)
+        * (np.arange(lines.size) - 1)
+        / max(lines.size, 1)
+    )
     wave = np.zeros_like(time)
     for line, phase in zip(lines, phases, strict=True):
         wave += np.cos(2 * math.pi * line * time / span + phase)
-    # 3t² − 2t³: the slope begins and ends at zero, and so the motor's speed does not jump.
+    # 3t² − 2t³: the slope begins and ends at zero, and so the motor's speed does not
+    # jump.
     wave *= np.clip(time, 0, 1) ** 2 * (3 - 2 * np.clip(time, 0, 1))
     return np.asarray(wave / np.max(np.abs(wave)))
 
@@ -227,31 +264,40 @@ def _unit(
 ) -> _Unit:
     window = Window(motion, np.zeros_like(motion), period, "first")
     kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
-    # Without its damping: λ alone is asked for, and a fit of λ beside μ would need another amplitude.
+    # Without its damping: λ alone is asked for, and a fit of λ beside μ would need
+    # another amplitude.
     fractional = LinkModel(model.stiffness, model.natural_frequency, model.order)
-    mask = mask_of([COORDINATE[name] for name in ("order", "natural_frequency", "delay")])
+    mask = mask_of(
+        [COORDINATE[name] for name in ("order", "natural_frequency", "delay")]
+    )
     columns = columns_of(kernel, shape_of(fractional), mask)
     scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
     scaled[0] /= model.stiffness  # the gain's own derivative
     size = np.linalg.norm(scaled, axis=1)
-    # Columns of length one: derivatives by λ and by the offset differ by orders of magnitude.
+    # Columns of length one: derivatives by λ and by the offset differ by orders of
+    # magnitude.
     inverse = np.linalg.inv((scaled / size[:, None]) @ (scaled / size[:, None]).T)
     # Row 0 is the gain's, row 1 that of λ.
     error = noise * math.sqrt(inverse[1, 1]) / float(size[1])
     voltage = None
     if motor is not None:
-        # Differences of the motion after the motor's loop: it has a double pole, so that θm'' is finite.
+        # Differences of the motion after the motor's loop: it has a double pole, so
+        # that θm'' is finite.
         speed = np.gradient(motion, period)
         load = model.stiffness * columns[0] / (motor.gear_ratio * motor.torque_constant)
         drive = (np.gradient(speed, period) + motor.decay * speed) / motor.gain + load
         voltage = float(np.max(np.abs(drive)))
-    return _Unit(bit, band, motion, period, error, float(np.max(np.abs(columns[0]))), voltage)
+    return _Unit(
+        bit, band, motion, period, error, float(np.max(np.abs(columns[0]))), voltage
+    )
 
 
 def _scaled(
     unit: _Unit, wanted: float, deflection_limit: float, motor: Motor | None
 ) -> tuple[ExperimentDesign, bool]:
-    """The motion at the amplitude that meets the request, or at the largest the limits admit."""
+    """The motion at the amplitude that meets the request, or at the largest the limits
+    admit.
+    """
     needed = unit.error / wanted
     most = {"deflection": deflection_limit / unit.deflection}
     if motor is not None and unit.voltage:

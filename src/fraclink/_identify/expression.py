@@ -1,8 +1,10 @@
-"""A structure as text: "k*s**a/(s**b + w)*exp(-T*s)", read without evaluating anything that Python would run.
+"""A structure as text: "k*s**a/(s**b + w)*exp(-T*s)", read without evaluating anything
+that Python would run.
 
-The text is parsed, every piece is compared with the few that a fractional transfer function is made of, and
-what is left is walked by three algebras: arrays of complex numbers (many parameter vectors at once),
-quotients of such arrays (to find coefficients by linear least squares), and exact transfer functions.
+The text is parsed, every piece is compared with the few that a fractional transfer
+function is made of, and what is left is walked by three algebras: arrays of complex
+numbers (many parameter vectors at once), quotients of such arrays (to find coefficients
+by linear least squares), and exact transfer functions.
 """
 
 from __future__ import annotations
@@ -30,7 +32,10 @@ _LONGEST = 1000  # characters; a structure that is written by hand has some fift
 _DEEPEST = 60  # pieces inside each other: the walk below is recursive
 _MOST = 12  # parameters: beyond, no log tells them apart
 _LARGEST_POWER = 8  # of a sum: each multiplies the number of terms
-_RESERVED, _FORMS = ("s", "exp", "offset"), "numbers, names, s, + - * / **, and exp(-T*s)"
+_RESERVED, _FORMS = (
+    ("s", "exp", "offset"),
+    "numbers, names, s, + - * / **, and exp(-T*s)",
+)
 _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -43,8 +48,9 @@ _OPERATORS: dict[type, Callable[[Any, Any], Any]] = {
 class Expression:
     """A transfer function of s and named parameters, as a tree.
 
-    `roles` says what each parameter is, in the order of the text: an "order" stands in an exponent of s, a
-    "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter with several roles has the narrowest of them.
+    `roles` says what each parameter is, in the order of the text: an "order" stands in
+    an exponent of s, a "delay" in exp(-T*s), a "coefficient" elsewhere. A parameter
+    with several roles has the narrowest of them.
     """
 
     text: str
@@ -62,22 +68,32 @@ class Expression:
 
     def response(self, values: Mapping[str, Any], points: Complexes) -> Complexes:
         """G at `points` [rad/s], shape (K,), for parameters of shape () or (M, 1)."""
-        # The principal branch once for all powers: s^a is then the same function at every point, with its cut
-        # along the negative real axis, as `_systems` has it.
+        # The principal branch once for all powers: s^a is then the same function at
+        # every point, with its cut along the negative real axis, as `_systems` has it.
         logarithm = np.log(points)
-        arrays = {name: np.asarray(value, dtype=np.float64) for name, value in values.items()}
+        arrays = {
+            name: np.asarray(value, dtype=np.float64) for name, value in values.items()
+        }
         leaves = Leaves(points, lambda order: np.exp(order * logarithm), np.exp, arrays)
-        with np.errstate(all="ignore"):  # a candidate may overflow: its cost is infinite, and it is dropped
+        with np.errstate(
+            all="ignore"
+        ):  # a candidate may overflow: its cost is infinite, and it is dropped
             return np.asarray(walk(self.tree, leaves), dtype=np.complex128)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
-        """The exact transfer function; FieldError where there is none for these values (a delay below 0)."""
-        leaves = Leaves(s, s.power, _delayed, {name: float(value) for name, value in values.items()})
+        """The exact transfer function; FieldError where there is none for these values
+        (a delay below 0).
+        """
+        leaves = Leaves(
+            s, s.power, _delayed, {name: float(value) for name, value in values.items()}
+        )
         try:
             made = walk(self.tree, leaves)
         except ArithmeticError as error:
             raise _not_a_number(self.text, error) from error
-        return made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
+        return (
+            made if isinstance(made, FractionalTransferFunction) else float(made) * s**0
+        )
 
 
 @dataclass(frozen=True)
@@ -111,8 +127,15 @@ def walk(node: ast.expr, leaves: Leaves) -> Any:
 
 
 def _real_power(base: Any, exponent: Any) -> Any:
-    """A power; ArithmeticError where Python, unlike numpy, makes a complex number of a negative one."""
-    if type(base) is float and type(exponent) is float and base < 0 and not exponent.is_integer():
+    """A power; ArithmeticError where Python, unlike numpy, makes a complex number of a
+    negative one.
+    """
+    if (
+        type(base) is float
+        and type(exponent) is float
+        and base < 0
+        and not exponent.is_integer()
+    ):
         raise ArithmeticError
     return base**exponent
 
@@ -127,7 +150,8 @@ def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction
 
 
 def parse_expression(text: str) -> Expression:
-    """Return the structure that `text` describes; FieldError names the first piece that has no meaning here.
+    """Return the structure that `text` describes; FieldError names the first piece that
+    has no meaning here.
 
     >>> parse_expression("k*s**a/(s**a + w)*exp(-T*s)").roles["a"]
     'order'
@@ -138,28 +162,59 @@ def parse_expression(text: str) -> Expression:
     ('sin(s)', 'a function that is not known')
     """
     if not isinstance(text, str) or not text.strip() or len(text) > _LONGEST:
-        allowed, remedy = f"a text of 1 to {_LONGEST} characters", 'write it as in "k/(T*s**a + 1)"'
-        problem = "no text" if not isinstance(text, str) else "empty" if not text.strip() else "too long"
+        allowed, remedy = (
+            f"a text of 1 to {_LONGEST} characters",
+            'write it as in "k/(T*s**a + 1)"',
+        )
+        problem = (
+            "no text"
+            if not isinstance(text, str)
+            else "empty"
+            if not text.strip()
+            else "too long"
+        )
         raise FieldError("expression", text, problem, allowed=allowed, remedy=remedy)
     try:
-        # Parsed as Python and never run as Python: `_check` compares every node with the few kinds that a
-        # transfer function is made of, and refuses any other by name.
+        # Parsed as Python and never run as Python: `_check` compares every node with
+        # the few kinds that a transfer function is made of, and refuses any other by
+        # name.
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        where = f" at character {error.offset}" if isinstance(error, SyntaxError) and error.offset else ""
-        problem, remedy = f"not a formula{where}", "check brackets and operators; a product needs its *"
-        raise FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy) from error
-    # A number is a transfer function, too, but a text without s is nearly always a slip.
+        where = (
+            f" at character {error.offset}"
+            if isinstance(error, SyntaxError) and error.offset
+            else ""
+        )
+        problem, remedy = (
+            f"not a formula{where}",
+            "check brackets and operators; a product needs its *",
+        )
+        raise FieldError(
+            "expression", text, problem, allowed=_FORMS, remedy=remedy
+        ) from error
+    # A number is a transfer function, too, but a text without s is nearly always a
+    # slip.
     if "s" not in _names(tree):
-        raise _refused(tree, "without s", "write the transfer function, such as k/(T*s**a + 1)")
+        raise _refused(
+            tree, "without s", "write the transfer function, such as k/(T*s**a + 1)"
+        )
     _check(tree, 0)
     roles = _roles(tree)
     if len(roles) > _MOST:
         allowed, remedy = f"<= {_MOST} parameters", "write known values as numbers"
-        raise FieldError("expression", len(roles), "too many parameters", allowed=allowed, remedy=remedy)
-    # After the checks, so that an error quotes what was written and not what became of it.
+        raise FieldError(
+            "expression",
+            len(roles),
+            "too many parameters",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    # After the checks, so that an error quotes what was written and not what became of
+    # it.
     tree = _Distributed().visit(tree)
-    _check(tree, 0)  # once more: a factor of a term may be a root of a negative number now
+    _check(
+        tree, 0
+    )  # once more: a factor of a term may be a root of a negative number now
     made = Expression(" ".join(text.split()), roles, tree)
     _check_exponentials(made)
     return made
@@ -169,8 +224,16 @@ def _names(tree: ast.AST) -> list[str]:
     """Names in the order of the text, those of functions left out."""
     # exp is a name to the parser, and no parameter.
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    found = [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
-    return list(dict.fromkeys(node.id for node in sorted(found, key=lambda n: (n.lineno, n.col_offset))))
+    found = [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name) and id(node) not in called
+    ]
+    return list(
+        dict.fromkeys(
+            node.id for node in sorted(found, key=lambda n: (n.lineno, n.col_offset))
+        )
+    )
 
 
 def _has_s(node: ast.AST) -> bool:
@@ -186,7 +249,11 @@ def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
 
 
 def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError:
-    problem = "a division by zero" if isinstance(error, ZeroDivisionError) else "no finite real number"
+    problem = (
+        "a division by zero"
+        if isinstance(error, ZeroDivisionError)
+        else "no finite real number"
+    )
     remedy = "write numbers and powers whose value is real and finite"
     return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
 
@@ -194,7 +261,9 @@ def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError
 def _constant(node: ast.expr) -> float:
     """The value of a piece without names; FieldError where it is no finite real number."""
     try:
-        value = walk(node, Leaves(s, s.power, _delayed, {}))  # in floating point: no power takes long
+        value = walk(
+            node, Leaves(s, s.power, _delayed, {})
+        )  # in floating point: no power takes long
     except ArithmeticError as error:
         raise _not_a_number(ast.unparse(node), error) from error
     if not math.isfinite(value):
@@ -203,7 +272,9 @@ def _constant(node: ast.expr) -> float:
 
 
 def _check(node: ast.expr, depth: int) -> None:
-    """Raise FieldError for the first piece of the tree that is none of a fractional transfer function."""
+    """Raise FieldError for the first piece of the tree that is none of a fractional
+    transfer function.
+    """
     if depth > _DEEPEST:
         raise _refused(node, "nested too deeply", "write it with fewer brackets")
     if isinstance(node, ast.Constant):
@@ -216,7 +287,11 @@ def _check(node: ast.expr, depth: int) -> None:
             raise _refused(node, "not a number", "write numbers as 0.5 or 1e-3")
     elif isinstance(node, ast.Name):
         if node.id in _RESERVED[1:]:
-            raise _refused(node, "a name with a meaning of its own", "give the parameter another name")
+            raise _refused(
+                node,
+                "a name with a meaning of its own",
+                "give the parameter another name",
+            )
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         _check(node.operand, depth + 1)
     elif isinstance(node, ast.Call):
@@ -226,21 +301,34 @@ def _check(node: ast.expr, depth: int) -> None:
     elif isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
         _check(node.left, depth + 1)
         _check(node.right, depth + 1)
-        if isinstance(node.op, ast.Div) and not _names(node.right) and _constant(node.right) == 0.0:
+        if (
+            isinstance(node.op, ast.Div)
+            and not _names(node.right)
+            and _constant(node.right) == 0.0
+        ):
             raise _refused(node, "a division by zero", "divide by another number")
     elif isinstance(node, ast.BinOp):
-        remedy = "write a power as s**0.5" if isinstance(node.op, ast.BitXor) else "write it with + - * / **"
+        remedy = (
+            "write a power as s**0.5"
+            if isinstance(node.op, ast.BitXor)
+            else "write it with + - * / **"
+        )
         raise _refused(node, "an operator that is not known", remedy)
     else:
-        raise _refused(node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)")
-    # Constants are computed here once: an overflow or a root of −1 is named with the piece that has it.
+        raise _refused(
+            node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)"
+        )
+    # Constants are computed here once: an overflow or a root of −1 is named with the
+    # piece that has it.
     if isinstance(node, ast.BinOp) and not _names(node):
         _constant(node)
 
 
 def _check_call(node: ast.Call, depth: int) -> None:
     if not isinstance(node.func, ast.Name) or node.func.id != "exp":
-        raise _refused(node, "a function that is not known", "the only function is exp, of a delay")
+        raise _refused(
+            node, "a function that is not known", "the only function is exp, of a delay"
+        )
     if len(node.args) != 1 or node.keywords or not _has_s(node.args[0]):
         raise _refused(node, "not a delay", "write it as exp(-T*s)")
     _check(node.args[0], depth + 1)
@@ -253,11 +341,14 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
     _check(node.right, depth + 1)
     if not _has_s(node.left) or _is_single_term(node.left):
         return
-    # A power that is a parameter may be fractional: (s + 1)^a is no quotient of powers of s.
+    # A power that is a parameter may be fractional: (s + 1)^a is no quotient of powers
+    # of s.
     power = None if _names(node.right) else _constant(node.right)
     if power is None or not power.is_integer() or abs(power) > _LARGEST_POWER:
         remedy = "no quotient of powers of s is equal to it; multiply out, or use powers of s alone"
-        raise _refused(node, "a power of a sum that is not a whole number up to 8", remedy)
+        raise _refused(
+            node, "a power of a sum that is not a whole number up to 8", remedy
+        )
 
 
 def _is_single_term(node: ast.expr) -> bool:
@@ -266,15 +357,25 @@ def _is_single_term(node: ast.expr) -> bool:
         return True
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
         return _is_single_term(node.left) and _is_single_term(node.right)
-    return isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _is_single_term(node.left)
+    return (
+        isinstance(node, ast.BinOp)
+        and isinstance(node.op, ast.Pow)
+        and _is_single_term(node.left)
+    )
 
 
 class _Distributed(ast.NodeTransformer):
-    """(c s^a)^p becomes c^p s^(a p): the power 0.5 of an array s^3 would be -s^1.5, its principal value."""
+    """(c s^a)^p becomes c^p s^(a p): the power 0.5 of an array s^3 would be -s^1.5, its
+    principal value.
+    """
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)
-        if isinstance(node.op, ast.Pow) and isinstance(node.left, ast.BinOp) and _is_single_term(node.left):
+        if (
+            isinstance(node.op, ast.Pow)
+            and isinstance(node.left, ast.BinOp)
+            and _is_single_term(node.left)
+        ):
             return _raised(node.left, node.right)
         return node
 
@@ -293,7 +394,11 @@ def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
         yield node.id, inside
     elif isinstance(node, ast.Call):
         yield from _uses(node.args[0], "delay")
-    elif isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and _has_s(node.left):
+    elif (
+        isinstance(node, ast.BinOp)
+        and isinstance(node.op, ast.Pow)
+        and _has_s(node.left)
+    ):
         yield from _uses(node.left, inside)
         yield from _uses(node.right, "order")
     else:
@@ -302,7 +407,8 @@ def _uses(node: ast.AST, inside: Role) -> Iterator[tuple[str, Role]]:
 
 
 def _roles(tree: ast.expr) -> dict[str, Role]:
-    # An order is the narrowest: what stands in an exponent and elsewhere keeps the exponent's range.
+    # An order is the narrowest: what stands in an exponent and elsewhere keeps the
+    # exponent's range.
     rank: tuple[Role, ...] = ("order", "delay", "coefficient")
     uses = list(_uses(tree, "coefficient"))
     return {
@@ -313,9 +419,13 @@ def _roles(tree: ast.expr) -> dict[str, Role]:
 
 
 def _check_exponentials(made: Expression) -> None:
-    """Raise FieldError where an exponent is no delay: not proportional to −s for positive parameters."""
+    """Raise FieldError where an exponent is no delay: not proportional to −s for
+    positive parameters.
+    """
     # No difference of two of these, or of one and a number that people write, is zero.
-    values = {name: 0.7 + 0.1037 * (place + 0.71) for place, name in enumerate(made.names)}
+    values = {
+        name: 0.7 + 0.1037 * (place + 0.71) for place, name in enumerate(made.names)
+    }
     for node in ast.walk(made.tree):
         if not isinstance(node, ast.Call):
             continue
@@ -325,10 +435,19 @@ def _check_exponentials(made: Expression) -> None:
         except (FieldError, ArithmeticError) as error:
             raise _refused(node, "not a delay", "write it as exp(-T*s)") from error
         slope = exponent / s
-        # exponent/s must be a number: no delay inside a delay, no power of s left in it.
-        if slope.delay or any(t.order for terms in (slope.numerator, slope.denominator) for t in terms):
+        # exponent/s must be a number: no delay inside a delay, no power of s left in
+        # it.
+        if slope.delay or any(
+            t.order for terms in (slope.numerator, slope.denominator) for t in terms
+        ):
             raise _refused(
-                node, "not a delay: its exponent is not proportional to s", "write it as exp(-T*s)"
+                node,
+                "not a delay: its exponent is not proportional to s",
+                "write it as exp(-T*s)",
             )
         if slope.numerator and slope.numerator[0].coefficient > 0:
-            raise _refused(node, "a prediction: it answers before its input", "write it as exp(-T*s)")
+            raise _refused(
+                node,
+                "a prediction: it answers before its input",
+                "write it as exp(-T*s)",
+            )

@@ -1,7 +1,9 @@
-"""What a reader of a fit should know: findings W3xx, and the gates that a model must pass to be used.
+"""What a reader of a fit should know: findings W3xx, and the gates that a model must
+pass to be used.
 
-A gate is a finding of severity "error" with its threshold in the evidence. Behind a failed gate the model
-is kept with all its numbers, but nothing that is made from it can pass.
+A gate is a finding of severity "error" with its threshold in the evidence. Behind a
+failed gate the model is kept with all its numbers, but nothing that is made from it can
+pass.
 """
 
 from __future__ import annotations
@@ -19,15 +21,20 @@ from fraclink._identify.shape import ORDER_LIMITS
 from fraclink._identify.uncertainty import Uncertainty
 from fraclink.findings import Finding, worst_first
 
-# A model that explains less than half of a motion it has not seen steers no arm; good logs leave 0.1 to 10 %.
+# A model that explains less than half of a motion it has not seen steers no arm; good
+# logs leave 0.1 to 10 %.
 HELDOUT_MOST = 0.5
-# Calibrations of strain gauges are good to some 20 %; mrad for rad, volts for radians are off by more.
+# Calibrations of strain gauges are good to some 20 %; mrad for rad, volts for radians
+# are off by more.
 GAIN_RANGE = (2 / 3, 3 / 2)
-# n ln(power/mse)/k: pure noise reaches 20 in one of a thousand logs, as the fit may choose its frequency.
+# n ln(power/mse)/k: pure noise reaches 20 in one of a thousand logs, as the fit may
+# choose its frequency.
 SIGNAL_LEAST = 30.0
-# Relative standard error of the resonance. A link that vibrates visibly gives 0.01 % to 1 %.
+# Relative standard error of the resonance. A link that vibrates visibly gives 0.01 % to
+# 1 %.
 RESONANCE_MOST = 0.1
-# Vibrations at the beginning of a log that are held against the rest, and what their error may be of it.
+# Vibrations at the beginning of a log that are held against the rest, and what their
+# error may be of it.
 _START, _FIRST_ERROR = 2.0, 2.0
 # No encoder of a rig resolves less.
 _TREMBLE = 1e-3  # [rad]
@@ -49,7 +56,9 @@ def findings_of(
     motion: tuple[float, float],
     log: Experiment,
 ) -> tuple[Finding, ...]:
-    """All findings of a fit, worst first; `motion` are the shares of motion and vibration held out."""
+    """All findings of a fit, worst first; `motion` are the shares of motion and
+    vibration held out.
+    """
     # The sign and the delay of noise say nothing.
     heard = signal_of(fit) >= SIGNAL_LEAST
     found = [
@@ -58,7 +67,8 @@ def findings_of(
         *_of_the_start(fit, log),
         *_of_the_prediction(fit, motion),
         *_of_the_optimum(fit, errors.singular),
-        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is said to be nobody's.
+        # Of noise, too: `Fit.loop_model` takes the rig's stiffness where this one is
+        # said to be nobody's.
         *_of_the_stiffness(fit, stiffness),
         *(_of_the_gain(fit) if heard else ()),
         *(_of_the_delay(fit, solution) if heard else ()),
@@ -68,12 +78,18 @@ def findings_of(
 
 
 def signal_of(fit: Fit) -> float:
-    """Twice the log-likelihood that the model wins over an arm at rest, colour allowed for."""
-    # By the residual's colour: under slow noise a thousand samples are a hundred witnesses, and luck wins
-    # more with them.
+    """Twice the log-likelihood that the model wins over an arm at rest, colour allowed
+    for.
+    """
+    # By the residual's colour: under slow noise a thousand samples are a hundred
+    # witnesses, and luck wins more with them.
     inflation = max(fit.effective_parameters / max(len(fit.standard_errors), 1), 1.0)
     output = (fit.predicted + fit.residual)[: fit.fitted_samples]
-    return fit.fitted_samples * math.log(max(float(np.var(output)) / max(fit.mse, 1e-300), 1.0)) / inflation
+    return (
+        fit.fitted_samples
+        * math.log(max(float(np.var(output)) / max(fit.mse, 1e-300), 1.0))
+        / inflation
+    )
 
 
 def _no_signal(signal: float, log: Experiment) -> Finding:
@@ -139,8 +155,8 @@ def _of_the_vibration(
 def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
     """W326: the vibration from before the first sample, which the model does not have.
 
-    A log that begins in motion and is met from its first sample on had little of it; what a fit cannot meet
-    there it takes for a delay and a damping.
+    A log that begins in motion and is met from its first sample on had little of it;
+    what a fit cannot meet there it takes for a delay and a damping.
     """
     output = log.output - fit.offset
     begins = motion_at_start(log.motor_angle, output, float(output.std()))
@@ -155,7 +171,12 @@ def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
             "warning",
             f"the log begins in motion ({begins}), and the model is off most there: in the first "
             f"{length * fit.period:.2g} s its mean square error is {first / rest:.2g} times that of the rest",
-            {"first_mse": first, "other_mse": rest, "time": length * fit.period, "most": _FIRST_ERROR},
+            {
+                "first_mse": first,
+                "other_mse": rest,
+                "time": length * fit.period,
+                "most": _FIRST_ERROR,
+            },
             "begin the log, or the stretch that is kept (keep=, --keep), where the arm is at rest",
         )
 
@@ -164,7 +185,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
     held, relative = fit.heldout_mse, fit.heldout_nmse
     if held is None or relative is None:
         return
-    # A ring-down that has sunk into the noise: the error is that of the fitted part, not of a wrong model.
+    # A ring-down that has sunk into the noise: the error is that of the fitted part,
+    # not of a wrong model.
     noise = fit.nmse < HELDOUT_MOST and held < 1.5 * fit.mse
     if max(motion) < 0.01:
         yield Finding(
@@ -176,7 +198,8 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
         )
     elif relative > HELDOUT_MOST and not noise:
         yield _not_predicted(fit, relative)
-    # Both: a quiet end has a large relative error by its small power alone, a loud one a large mean square.
+    # Both: a quiet end has a large relative error by its small power alone, a loud one
+    # a large mean square.
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
         yield Finding(
             "W311",
@@ -185,21 +208,31 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
             {"nmse": fit.nmse, "heldout_nmse": relative},
             "look for a change of the arm within the log, or fit a longer part",
         )
-    # Of its own accord a fit takes 60 %: less than half is the border's move to where motion is.
+    # Of its own accord a fit takes 60 %: less than half is the border's move to where
+    # motion is.
     if fit.fitted_samples < fit.samples // 2:
         yield Finding(
             "W319",
             "info",
             "the end of the log is at rest: the held-out part was made longer, so that it contains motion",
-            {"fitted_time": fit.fitted_samples * fit.period, "motion": motion[0], "vibration": motion[1]},
+            {
+                "fitted_time": fit.fitted_samples * fit.period,
+                "motion": motion[0],
+                "vibration": motion[1],
+            },
             "record motion until the end, or choose heldout",
         )
 
 
 def _not_predicted(fit: Fit, relative: float) -> Finding:
-    """W318, with what the sizes of the output in both parts and of the prediction point to."""
+    """W318, with what the sizes of the output in both parts and of the prediction point
+    to.
+    """
     output, late = fit.predicted + fit.residual, slice(fit.fitted_samples, None)
-    before, after = float(np.std(output[: fit.fitted_samples])), float(np.std(output[late]))
+    before, after = (
+        float(np.std(output[: fit.fitted_samples])),
+        float(np.std(output[late])),
+    )
     predicted = float(np.std(fit.predicted[late]))
     cause = "a payload that slipped, a wrong channel or saturation"
     # A third of both: neither the motion nor the model grew quiet there.
@@ -218,10 +251,16 @@ def _not_predicted(fit: Fit, relative: float) -> Finding:
 
 
 def _of_the_optimum(fit: Fit, singular: bool) -> Iterator[Finding]:
-    values = {"order": fit.model.order, "damping_order": fit.model.damping_order, "delay": fit.delay}
+    values = {
+        "order": fit.model.order,
+        "damping_order": fit.model.damping_order,
+        "delay": fit.delay,
+    }
     for name in fit.at_bound:
         if name == "delay" and (fit.delay == 0 or fit.hold == "zero"):
-            continue  # a rough angle cannot show a negative one, a held one none between its samples
+            # a rough angle cannot show a negative one, a held one none between its
+            # samples
+            continue
         evidence = {name: values.get(name, getattr(fit.model, name, 0.0))}
         yield Finding(
             "W301",
@@ -288,7 +327,8 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
     error = fit.standard_errors.get("delay")
     if error is None or error == 0:
         return
-    # A sample's time: who stamps the sample before reading the gauge is that late, and it matters to no loop.
+    # A sample's time: who stamps the sample before reading the gauge is that late, and
+    # it matters to no loop.
     if fit.delay > max(4 * error, fit.period):
         yield Finding(
             "W306",
@@ -309,7 +349,8 @@ def _of_the_delay(fit: Fit, solution: Solution) -> Iterator[Finding]:
 
 def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
     """Sign and delay together: of a vibration, half a `cycle` more is the other sign."""
-    # Beyond an eighth of a cycle half a turn of phase may be delay and sign as well as sign alone.
+    # Beyond an eighth of a cycle half a turn of phase may be delay and sign as well as
+    # sign alone.
     late = abs(fit.delay) > cycle / 8
     if fit.gain < 0 and not late:
         yield Finding(
@@ -347,10 +388,14 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             "W305",
             "info",
             "the residual is not white; standard errors and intervals account for its colour",
-            {"p_value": fit.tests.whiteness, "correlation_time": fit.tests.correlation_time},
+            {
+                "p_value": fit.tests.whiteness,
+                "correlation_time": fit.tests.correlation_time,
+            },
             "nothing, or look at the residual for a second mode or friction",
         )
-    # One in a thousand: every real arm has friction, and at one in twenty each log would say so.
+    # One in a thousand: every real arm has friction, and at one in twenty each log
+    # would say so.
     if fit.tests.input_independence < 1e-3:
         yield Finding(
             "W310",
@@ -366,7 +411,11 @@ def _of_the_residual(fit: Fit) -> Iterator[Finding]:
             "W321",
             "info",
             "the log shows a second mode: it is part of the model, and a design must bound its loop gain",
-            {"frequency": mode.frequency, "gain": mode.gain, "damping_ratio": mode.damping_ratio},
+            {
+                "frequency": mode.frequency,
+                "gain": mode.gain,
+                "damping_ratio": mode.damping_ratio,
+            },
             "nothing; the design takes it into account",
         )
 

@@ -1,4 +1,6 @@
-"""A fit: the identified link with everything needed to judge it, and the file it is kept in."""
+"""A fit: the identified link with everything needed to judge it, and the file it is
+kept in.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from fraclink.findings import Finding, errors_of
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
 
-_SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
+_SAMPLES_MOST = (
+    300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
+)
 SYMBOLS = {
     "natural_frequency": ("ω₀", "s^(-λ/2)"),
     "order": ("λ", ""),
@@ -54,23 +58,32 @@ def aic(mse: float, samples: int, parameters: int) -> float:
     >>> [round(aic(mse, 5001, k)) for mse, k in ((0.05845, 1), (0.00531, 2), (0.00524, 2), (0.00524, 3))]
     [-14199, -26192, -26258, -26256]
     """
-    # A perfect fit has no bound of its likelihood: simulated logs without noise reach it.
+    # A perfect fit has no bound of its likelihood: simulated logs without noise reach
+    # it.
     return 2.0 * parameters + samples * math.log(mse) if mse > 0 else -math.inf
 
 
 def bic(mse: float, samples: int, parameters: int) -> float:
-    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is better.
+    """Return Schwarz's criterion k ln(n) + n ln(MSE), arguments as for `aic`; lower is
+    better.
 
     >>> round(bic(0.00524, 5001, 2))
     -26245
     """
-    return parameters * math.log(samples) + samples * math.log(mse) if mse > 0 else -math.inf
+    return (
+        parameters * math.log(samples) + samples * math.log(mse)
+        if mse > 0
+        else -math.inf
+    )
 
 
 def _check_size(fit: Fit) -> None:
-    # Before anything is written: a file that `load` would refuse is worth less than none.
+    # Before anything is written: a file that `load` would refuse is worth less than
+    # none.
     if fit.samples > _SAMPLES_MOST:
-        remedy = "fit a part of the log, or keep the link alone with save(fit.model, path)"
+        remedy = (
+            "fit a part of the log, or keep the link alone with save(fit.model, path)"
+        )
         problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
         raise SizeError("samples", fit.samples, problem, allowed=most, remedy=remedy)
 
@@ -97,14 +110,17 @@ class Fit:
     structure
         the structure that was fitted, a key of the table in `fraclink._arm.link`.
     model
-        the link with everything else that the log showed of it: gauge delay, gauge gain, second mode and
-        the 95 % intervals. For a torque log its stiffness is |gain|.
+        the link with everything else that the log showed of it: gauge delay, gauge
+        gain, second mode and the 95 % intervals. For a torque log its stiffness is
+        |gain|.
     gain
-        output per radian of deflection, with its sign [N·m/rad], or [1] for a deflection log.
+        output per radian of deflection, with its sign [N·m/rad], or [1] for a
+        deflection log.
     offset
         of the gauge [unit of the output].
     delay
-        of the output behind the motor angle [s]; negative where the motor angle is the later one.
+        of the output behind the motor angle [s]; negative where the motor angle is the
+        later one.
     hold
         what the motor angle was taken to do between samples, "zero" or "first".
     output_kind
@@ -116,14 +132,16 @@ class Fit:
     mse
         mean squared error over the fitted samples [unit², eq. (18)].
     nmse
-        mse over the mean square of (output − offset): 0 is perfect, 1 as bad as an arm at rest.
+        mse over the mean square of (output − offset): 0 is perfect, 1 as bad as an arm
+        at rest.
     aic, bic
-        criteria of the fitted samples, eq. (18); k counts the structure's own parameters.
+        criteria of the fitted samples, eq. (18); k counts the structure's own
+        parameters.
     heldout_mse, heldout_nmse
         the same over the samples held out; None where none were.
     standard_errors
-        of the free parameters inside their limits, in their units. Where the residual is coloured they
-        come from the sandwich estimate, see `errors_allow_colour`.
+        of the free parameters inside their limits, in their units. Where the residual
+        is coloured they come from the sandwich estimate, see `errors_allow_colour`.
     white_standard_errors
         what they would be if the residual were white.
     errors_allow_colour
@@ -133,19 +151,20 @@ class Fit:
     at_bound
         parameters that ended on a limit of their range; they have no error.
     effective_parameters
-        fitted parameters (nuisances included) as the residual's colour counts them, Takeuchi's tr(H⁻¹J);
-        equal to their number where the residual is white.
+        fitted parameters (nuisances included) as the residual's colour counts them,
+        Takeuchi's tr(H⁻¹J); equal to their number where the residual is white.
     tests
         of the residual, None where details were not asked for.
     converged
         whether the optimiser met its tolerance.
     evaluations
-        passes over the data that the search took until it was found, those of the scan and of the structures
-        that it was started from included.
+        passes over the data that the search took until it was found, those of the scan
+        and of the structures that it was started from included.
     predicted, residual
         model and output − model, every sample of the log, shape (N,) [unit].
     findings
-        codes W3xx, worst first; one of severity "error" means that the model does not predict.
+        codes W3xx, worst first; one of severity "error" means that the model does not
+        predict.
     source, sha256
         of the log.
 
@@ -205,7 +224,9 @@ class Fit:
             object.__setattr__(self, name, array)
 
     def __repr__(self) -> str:
-        return f"Fit({self.structure}: {_parameters(self)}; {_share(self.heldout_nmse)})"
+        return (
+            f"Fit({self.structure}: {_parameters(self)}; {_share(self.heldout_nmse)})"
+        )
 
     def __str__(self) -> str:
         figures = (
@@ -213,7 +234,9 @@ class Fit:
             f"error {100 * self.nmse:.3g} % (NMSE), {_share(self.heldout_nmse)}; AIC {self.aic:.1f}"
         )
         head = f"{self.structure}: {_parameters(self)}"
-        return "\n".join([head, figures, *_second_mode(self.model), *map(str, self.findings)])
+        return "\n".join(
+            [head, figures, *_second_mode(self.model), *map(str, self.findings)]
+        )
 
     @property
     def passed(self) -> bool:
@@ -228,18 +251,20 @@ class Fit:
     def loop_model(self, rig: Rig) -> LinkModel:
         """Return the model as the control loop of this rig meets it.
 
-        A delay that belongs to the logger and not to the loop (``[gauge] delay_in_loop = false`` in the
-        rig file) is left out, and the rig's stiffness stands in where the log could show none (W304);
-        everything else that was identified stays.
+        A delay that belongs to the logger and not to the loop (``[gauge] delay_in_loop
+        = false`` in the rig file) is left out, and the rig's stiffness stands in where
+        the log could show none (W304); everything else that was identified stays.
         """
         model = self.model
         if any(finding.code == "W304" for finding in self.findings):
-            # The 1 N·m/rad of such a fit is nobody's: it would scale the tip estimate θm − Γ/c of the law.
+            # The 1 N·m/rad of such a fit is nobody's: it would scale the tip estimate
+            # θm − Γ/c of the law.
             model = dataclasses.replace(model, stiffness=rig.link.stiffness)
         return in_loop(model, rig)
 
     def save(self, path: Path | str) -> None:
-        """Write the fit as JSON, complete or not at all; `load` reads back an equal one.
+        """Write the fit as JSON, complete or not at all; `load` reads back an equal
+        one.
 
         Raises
         ------
@@ -250,7 +275,9 @@ class Fit:
 
     @classmethod
     def load(cls, path: Path | str) -> Fit:
-        """Read a fit that `save` wrote; raises FileFormatError where the file is another or damaged."""
+        """Read a fit that `save` wrote; raises FileFormatError where the file is
+        another or damaged.
+        """
         return load(path, cls)
 
 
@@ -260,7 +287,9 @@ def save_model(model: LinkModel, path: Path | str) -> None:
 
 
 def load_model(path: Path | str) -> LinkModel:
-    """Read a link model from the file of a fit or of a link model; FileFormatError for any other."""
+    """Read a link model from the file of a fit or of a link model; FileFormatError for
+    any other.
+    """
     found: Fit | LinkModel = load(path, (Fit, LinkModel))
     return found.model if isinstance(found, Fit) else found
 
@@ -269,7 +298,9 @@ def load_model(path: Path | str) -> LinkModel:
 
 
 def _share(value: float | None) -> str:
-    return "nothing held out" if value is None else f"held-out error {100 * value:.3g} %"
+    return (
+        "nothing held out" if value is None else f"held-out error {100 * value:.3g} %"
+    )
 
 
 def _parameters(fit: Fit) -> str:
@@ -279,7 +310,9 @@ def _parameters(fit: Fit) -> str:
         symbol, unit = SYMBOLS[name]
         error = fit.standard_errors.get(name)
         # Six digits, as λ = 1.92314 ± 0.00012 needs them; two of the error.
-        value = f"{symbol} = {getattr(fit.model, name):.6g}" + ("" if error is None else f" ± {error:.2g}")
+        value = f"{symbol} = {getattr(fit.model, name):.6g}" + (
+            "" if error is None else f" ± {error:.2g}"
+        )
         parts.append(f"{value} {unit}".rstrip())
     return ", ".join(parts)
 
@@ -290,16 +323,24 @@ def _second_mode(model: LinkModel) -> list[str]:
         return [
             f"second mode at {mode.frequency:.4g} rad/s, gain {mode.gain:.3g}, ζ {mode.damping_ratio:.2g}"
         ]
-    return [] if model.unseen_up_to is None else [f"no second mode up to {model.unseen_up_to:.4g} rad/s"]
+    return (
+        []
+        if model.unseen_up_to is None
+        else [f"no second mode up to {model.unseen_up_to:.4g} rad/s"]
+    )
 
 
 def frequency_text(fit: Fit) -> str:
-    """Return ω₀ for a table; a dash where it ended at its bound, zero, and is no natural frequency."""
+    """Return ω₀ for a table; a dash where it ended at its bound, zero, and is no
+    natural frequency.
+    """
     return f"{fit.model.natural_frequency:.4f}" if fit.model.natural_frequency else "–"
 
 
 def coincidence_text(fits: Mapping[str, Fit]) -> list[str]:
-    """Return what the dash of a table means: s²/(s² + μ s^α) is s^(2−α)/(s^(2−α) + μ), one model."""
+    """Return what the dash of a table means: s²/(s² + μ s^α) is s^(2−α)/(s^(2−α) + μ),
+    one model.
+    """
     return [
         f"– {name} ended at ω₀ = 0: it is {FRACTIONAL} with "
         f"λ = 2 − α = {2.0 - fit.model.damping_order:.4f}, ω₀ = √μ = {math.sqrt(fit.model.damping):.4f}."

@@ -1,4 +1,6 @@
-"""Fit one structure to one log: options, the part that is held out, the fit and how sure it is."""
+"""Fit one structure to one log: options, the part that is held out, the fit and how
+sure it is.
+"""
 
 from __future__ import annotations
 
@@ -42,9 +44,14 @@ _FIXABLE: dict[str, tuple[float, float]] = {
     "order": ORDER_LIMITS,
     "damping_order": ALPHA_LIMITS,
 }
-HeldOut = Annotated[float, Between(0.0, 0.9, remedy="give 0.4, 0 for none, or leave it out")]
+HeldOut = Annotated[
+    float, Between(0.0, 0.9, remedy="give 0.4, 0 for none, or leave it out")
+]
 Stiffness = Annotated[
-    float, Between(0.0, 1e9, "N·m/rad", low_open=True, remedy="give c in N·m/rad or leave it out")
+    float,
+    Between(
+        0.0, 1e9, "N·m/rad", low_open=True, remedy="give c in N·m/rad or leave it out"
+    ),
 ]
 Motion = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 Delay = Annotated[float, Between(*_FIXABLE["delay"], "s")]
@@ -53,7 +60,9 @@ SamplingPeriod = Annotated[float, Between(1e-6, 1e6, "s")]
 _LEAST_SAMPLES = 50
 _COLOURED = 0.01  # p-value below which the residual is taken for coloured
 _HELDOUT = 0.4
-_MOVES = 0.05  # of the motor's motion (mean square speed) that a held-out part must contain
+_MOVES = (
+    0.05  # of the motor's motion (mean square speed) that a held-out part must contain
+)
 _BLOCKS = 120  # of a log, in which its motion is measured
 
 
@@ -66,12 +75,15 @@ def simulated_torque(
     delay: Delay = 0.0,
     hold: Hold = "auto",
 ) -> NDArray[np.float64]:
-    """Return the torque [N·m] of a link whose motor angle [rad] is linear or held between its samples.
+    """Return the torque [N·m] of a link whose motor angle [rad] is linear or held
+    between its samples.
 
-    The link is at rest at first. It is what `identify` compares a log with; `fraclink.time_response` is
-    the independent way.
+    The link is at rest at first. It is what `identify` compares a log with;
+    `fraclink.time_response` is the independent way.
     """
-    window = Window(motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold))
+    window = Window(
+        motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold)
+    )
     kernel = window.kernel(abs(model.pole), longest_delay=abs(delay))
     return np.asarray(model.stiffness * columns_of(kernel, shape_of(model, delay))[0])
 
@@ -93,70 +105,111 @@ def make_search(
         for name, value in (fixed or {}).items()
     }
     if stiffness is not None and log.output_kind == "torque":
-        # In a deflection log the gain is the gauge's own, whatever the link's stiffness.
+        # In a deflection log the gain is the gauge's own, whatever the link's
+        # stiffness.
         values.setdefault("gain", stiffness)
-    count = fitted_samples(log) if heldout is None else log.output.size - round(heldout * log.output.size)
-    # What moved before the cut is motion, too: a ring-down behind it says all of the link.
+    count = (
+        fitted_samples(log)
+        if heldout is None
+        else log.output.size - round(heldout * log.output.size)
+    )
+    # What moved before the cut is motion, too: a ring-down behind it says all of the
+    # link.
     window = fitted_window(log, count, chosen_hold(moving_angle(log), hold))
     _check_motion(window)
     start = None
     if guess is not None:
         start = shape_of(guess, values.get("delay", 0.0))
-        # A guess may be any link; a search that began outside of its limits would end there.
+        # A guess may be any link; a search that began outside of its limits would end
+        # there.
         start[0] = np.clip(start[0], *ORDER_LIMITS)
     return Search(window, values, start)
 
 
-def fitted_window(log: Experiment, count: int, hold: Literal["zero", "first"]) -> Window:
-    """The first `count` samples of a log, moved by what the motor is known to have done before."""
+def fitted_window(
+    log: Experiment, count: int, hold: Literal["zero", "first"]
+) -> Window:
+    """The first `count` samples of a log, moved by what the motor is known to have done
+    before.
+    """
     angle = moving_angle(log)
-    return Window(angle[: angle.size - log.output.size + count], log.output[:count], log.period, hold)
+    return Window(
+        angle[: angle.size - log.output.size + count],
+        log.output[:count],
+        log.period,
+        hold,
+    )
 
 
 def _check_motion(window: Window) -> None:
     if window.samples < _LEAST_SAMPLES:
         least, remedy = f">= {_LEAST_SAMPLES}", "record a longer log"
-        raise LogError("output", window.samples, "too few samples to fit", allowed=least, remedy=remedy)
+        raise LogError(
+            "output",
+            window.samples,
+            "too few samples to fit",
+            allowed=least,
+            remedy=remedy,
+        )
     for name, values in (("motor_angle", window.angle), ("output", window.output)):
         if np.ptp(values) == 0:
             problem = "constant over the fitted part"
             remedy = "check the wiring, or fit a part in which the arm moves"
-            raise LogError(name, float(values[0]), problem, allowed="a motion", remedy=remedy)
+            raise LogError(
+                name, float(values[0]), problem, allowed="a motion", remedy=remedy
+            )
 
 
 # --- the held-out part ------------------------------------------------------------------------------------
 
 
 def _activity(signal: Vector) -> Vector:
-    """Share of the signal's energy after each of the blocks' borders, shape (_BLOCKS + 1,).
+    """Share of the signal's energy after each of the blocks' borders, shape (_BLOCKS +
+    1,).
 
-    Twice the level of the quietest blocks is taken for noise and left out: without that, half an hour of
-    a noisy gauge at rest would outweigh a move of a second.
+    Twice the level of the quietest blocks is taken for noise and left out: without
+    that, half an hour of a noisy gauge at rest would outweigh a move of a second.
     """
-    # As np.array_split cuts it, but in two arrays: a hundred small means take longer than the fit.
+    # As np.array_split cuts it, but in two arrays: a hundred small means take longer
+    # than the fit.
     size, longer = divmod(signal.size, _BLOCKS)
     first, rest = np.split(signal**2, [longer * (size + 1)])
     short = rest.reshape(_BLOCKS - longer, -1).mean(axis=1)
-    blocks = np.concatenate([first.reshape(longer, -1).mean(axis=1), short]) if longer else short
+    blocks = (
+        np.concatenate([first.reshape(longer, -1).mean(axis=1), short])
+        if longer
+        else short
+    )
     energy = np.maximum(blocks - 2 * np.quantile(blocks, 0.05), 0.0)
-    energy = energy if energy.sum() > 0 else np.ones(_BLOCKS)  # the same everywhere: a periodic motion
-    return np.asarray(np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum())
+    energy = (
+        energy if energy.sum() > 0 else np.ones(_BLOCKS)
+    )  # the same everywhere: a periodic motion
+    return np.asarray(
+        np.concatenate([np.cumsum(energy[::-1])[::-1], [0.0]]) / energy.sum()
+    )
 
 
 def motion_after(log: Experiment, count: int) -> tuple[float, float]:
-    """Shares of the motor's motion and of the output's vibration that lie after sample `count`."""
+    """Shares of the motor's motion and of the output's vibration that lie after sample
+    `count`.
+    """
     places = np.linspace(0, log.output.size, _BLOCKS + 1)
     swing = log.output - np.median(log.output)
-    motor, output = (float(np.interp(count, places, _activity(x))) for x in (np.diff(log.motor_angle), swing))
+    motor, output = (
+        float(np.interp(count, places, _activity(x)))
+        for x in (np.diff(log.motor_angle), swing)
+    )
     return motor, output
 
 
 def fitted_samples(log: Experiment) -> int:
-    """Number of samples to fit, so that both the fitted and the held-out part contain motion.
+    """Number of samples to fit, so that both the fitted and the held-out part contain
+    motion.
 
-    The last 40 % are held out where the motor moves enough on both sides. Otherwise the border moves to the
-    rest before the last moves that make a quarter of the motion; a log of one move is cut within its
-    ring-down, where a quarter of the vibration is still to come.
+    The last 40 % are held out where the motor moves enough on both sides. Otherwise the
+    border moves to the rest before the last moves that make a quarter of the motion; a
+    log of one move is cut within its ring-down, where a quarter of the vibration is
+    still to come.
     """
     total = log.output.size
     count = total - round(_HELDOUT * total)
@@ -164,13 +217,18 @@ def fitted_samples(log: Experiment) -> int:
     if total < 2 * _BLOCKS or _MOVES <= motion_after(log, count)[0] <= 1 - _MOVES:
         return count
     places = np.linspace(0, total, _BLOCKS + 1).astype(int)
-    # Steps of the angle and not the angle: a motor that rests away from zero does not move.
+    # Steps of the angle and not the angle: a motor that rests away from zero does not
+    # move.
     motor = _activity(np.diff(log.motor_angle))
     swing = _activity(log.output - np.median(log.output))
     borders = [k for k in range(1, _BLOCKS) if places[k] >= _LEAST_SAMPLES]
-    # A border at rest: the held-out part then begins as the model does, and no old vibration is charged to
-    # it.
-    rests = [k for k in borders if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75]
+    # A border at rest: the held-out part then begins as the model does, and no old
+    # vibration is charged to it.
+    rests = [
+        k
+        for k in borders
+        if motor[k - 1] - motor[k] < 0.01 and 0.25 <= motor[k] <= 0.75
+    ]
     ringing = [k for k in borders if swing[k] >= 0.25 and motor[k] < 0.5]
     # The last of them: the fitted part is then as long as it can be.
     return int(places[max(rests or ringing or [round(_BLOCKS * (1 - _HELDOUT))])])
@@ -179,14 +237,20 @@ def fitted_samples(log: Experiment) -> int:
 # --- the fit and how sure it is ----------------------------------------------------------------------------
 
 
-def _predicted(search: Search, solution: Solution, log: Experiment) -> NDArray[np.float64]:
+def _predicted(
+    search: Search, solution: Solution, log: Experiment
+) -> NDArray[np.float64]:
     """The output over all of the log, of which the search saw the first part only."""
     whole = fitted_window(log, log.output.size, search.window.hold)
     kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
-    return np.asarray(solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset)
+    return np.asarray(
+        solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
+    )
 
 
-def _deviations(names: Iterable[str], variances: NDArray[np.float64]) -> dict[str, float]:
+def _deviations(
+    names: Iterable[str], variances: NDArray[np.float64]
+) -> dict[str, float]:
     # Rounding may leave a variance just below zero.
     return dict(zip(names, np.sqrt(np.maximum(variances, 0)).tolist(), strict=True))
 
@@ -200,13 +264,16 @@ def fit_from(
     details: bool,
     errors: Uncertainty | None = None,
 ) -> Fit:
-    """The fit of one structure from a search, judged on the whole log; `errors` where they are known."""
+    """The fit of one structure from a search, judged on the whole log; `errors` where
+    they are known.
+    """
     solution = search.solve(name)
     window = search.window
     predicted = _predicted(search, solution, log)
     residual = log.output - predicted
     if errors is None or not details:
-        # Without details the white covariance alone: the coloured one takes as long as the fit.
+        # Without details the white covariance alone: the coloured one takes as long as
+        # the fit.
         errors = uncertainty(search, solution, coloured=details)
     tests, allow, intervals = None, False, {}
     if details:
@@ -250,16 +317,22 @@ def fit_from(
     return dataclasses.replace(fit, findings=(*errors_of(log.findings), *findings))
 
 
-def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) -> dict[str, Any]:
+def _figures(
+    log: Experiment, residual: Vector, count: int, solution: Solution
+) -> dict[str, Any]:
     """Errors and criteria over the fitted part and over the one held out."""
-    # The structure's own, as the paper counts them: gain, offset and delay are in every one, and shift all
-    # criteria alike.
+    # The structure's own, as the paper counts them: gain, offset and delay are in every
+    # one, and shift all criteria alike.
     parameters = len(structure_row(solution.structure).free)
-    # Powers about the offset: a gauge that is off by a volt explains nothing by being constant.
+    # Powers about the offset: a gauge that is off by a volt explains nothing by being
+    # constant.
     squares, powers = residual**2, (log.output - solution.offset) ** 2
     mse, held, held_power = float(np.mean(squares[:count])), None, 0.0
     if count < residual.size:
-        held, held_power = float(np.mean(squares[count:])), float(np.mean(powers[count:]))
+        held, held_power = (
+            float(np.mean(squares[count:])),
+            float(np.mean(powers[count:])),
+        )
     return {
         "fitted_samples": count,
         "mse": mse,
@@ -267,27 +340,43 @@ def _figures(log: Experiment, residual: Vector, count: int, solution: Solution) 
         "aic": aic(mse, count, parameters),
         "bic": bic(mse, count, parameters),
         "heldout_mse": held,
-        "heldout_nmse": held / held_power if held is not None and held_power > 0 else None,
+        "heldout_nmse": held / held_power
+        if held is not None and held_power > 0
+        else None,
     }
 
 
-def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None) -> LinkModel:
-    """The link with all that the log showed of it, so that no later step has to state it again.
+def _identified(
+    fit: Fit, mode: tuple[SecondMode | None, float | None], stiffness: float | None
+) -> LinkModel:
+    """The link with all that the log showed of it, so that no later step has to state
+    it again.
 
-    A torque log shows gauge gain times stiffness and nothing that tells them apart: the product is the
-    stiffness that the controller meets. A deflection log shows the gauge gain itself. A reversed sign is a
-    wiring fault to be stated in the rig file (W307), not a property of the gauge.
+    A torque log shows gauge gain times stiffness and nothing that tells them apart: the
+    product is the stiffness that the controller meets. A deflection log shows the gauge
+    gain itself. A reversed sign is a wiring fault to be stated in the rig file (W307),
+    not a property of the gauge.
     """
-    # Zero is no stiffness of a link model; a fit of nothing ends there, and its gates say so.
+    # Zero is no stiffness of a link model; a fit of nothing ends there, and its gates
+    # say so.
     size = max(abs(fit.gain), 1e-12)
     torque = fit.output_kind == "torque"
-    # The gain is straight in the prediction: its profile is the parabola, and the standard error says all.
+    # The gain is straight in the prediction: its profile is the parabola, and the
+    # standard error says all.
     reach = 1.96 * fit.standard_errors.get("gain", math.nan)
-    rows = [(name, end.low, end.high) for name, end in fit.intervals.items() if name != "delay"]
+    rows = [
+        (name, end.low, end.high)
+        for name, end in fit.intervals.items()
+        if name != "delay"
+    ]
     if "delay" in fit.intervals:
-        rows.append(("gauge_delay", fit.intervals["delay"].low, fit.intervals["delay"].high))
+        rows.append(
+            ("gauge_delay", fit.intervals["delay"].low, fit.intervals["delay"].high)
+        )
     if fit.intervals and math.isfinite(reach):
-        rows.append(("stiffness" if torque else "gauge_gain", size - reach, size + reach))
+        rows.append(
+            ("stiffness" if torque else "gauge_gain", size - reach, size + reach)
+        )
     return dataclasses.replace(
         fit.model,
         stiffness=size if torque else (stiffness or 1.0),
@@ -301,43 +390,69 @@ def _identified(fit: Fit, mode: tuple[SecondMode | None, float | None], stiffnes
 
 def _variances(errors: Uncertainty, allow: bool) -> NDArray[np.float64]:
     white = np.diag(errors.white)
-    # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
-    return np.maximum(np.diag(errors.coloured), white) if allow and errors.coloured is not None else white
+    # Colour may also narrow an estimate, but the sandwich is too noisy to be believed
+    # there.
+    return (
+        np.maximum(np.diag(errors.coloured), white)
+        if allow and errors.coloured is not None
+        else white
+    )
 
 
 def _tests(search: Search, residual: Vector, errors: Uncertainty) -> ResidualTests:
     ratio = 1.0
     if errors.coloured is not None and errors.names:
-        pairs = zip(np.diag(errors.coloured).tolist(), np.diag(errors.white).tolist(), strict=True)
-        # The worst one: it says by how much fewer samples the least certain parameter counts.
+        pairs = zip(
+            np.diag(errors.coloured).tolist(),
+            np.diag(errors.white).tolist(),
+            strict=True,
+        )
+        # The worst one: it says by how much fewer samples the least certain parameter
+        # counts.
         ratio = min(max((c / w for c, w in pairs if w > 0), default=1.0), 1e12)
     motion = search.window.increments()[-search.window.samples :]
     return residual_tests(residual, motion, search.window.period, errors.lag, ratio)
 
 
-def _intervals(search: Search, solution: Solution, errors: Uncertainty, allow: bool) -> dict[str, Interval]:
+def _intervals(
+    search: Search, solution: Solution, errors: Uncertainty, allow: bool
+) -> dict[str, Interval]:
     variances, white = _variances(errors, allow), np.diag(errors.white)
     result = {}
     for i, name in enumerate(errors.names):
         if name in ("gain", "offset"):
             continue
-        # A profile follows the likelihood of white noise: it is cut higher by as much as colour widens the
-        # variance.
-        inflation = min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
+        # A profile follows the likelihood of white noise: it is cut higher by as much
+        # as colour widens the variance.
+        inflation = (
+            min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
+        )
         error = math.sqrt(max(white[i], 0.0) * inflation)
         result[name] = profile_interval(search, solution, name, error, inflation)
-    if 3 in solution.free and "damping_order" not in result:  # at a limit: one-sided, but never left out
-        # At a limit there is no standard error to begin at: 0.2 is a tenth of the range of α.
-        result["damping_order"] = profile_interval(search, solution, "damping_order", 0.2, 1.0)
+    if (
+        3 in solution.free and "damping_order" not in result
+    ):  # at a limit: one-sided, but never left out
+        # At a limit there is no standard error to begin at: 0.2 is a tenth of the range
+        # of α.
+        result["damping_order"] = profile_interval(
+            search, solution, "damping_order", 0.2, 1.0
+        )
     if solution.on_edge:
-        # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave the edge.
+        # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave
+        # the edge.
         reach = 0.05 * math.exp(solution.shape[1])
-        result["natural_frequency"] = profile_interval(search, solution, "natural_frequency", reach, 1.0)
+        result["natural_frequency"] = profile_interval(
+            search, solution, "natural_frequency", reach, 1.0
+        )
     return result
 
 
 def _bounds(solution: Solution) -> tuple[str, ...]:
     names = ("order", "natural_frequency", "damping", "damping_order", "delay")
     found = [names[i] for i in solution.at_bound]
-    edge = ["natural_frequency"] if solution.on_edge and "natural_frequency" not in found else []
+    edge = (
+        ["natural_frequency"]
+        if solution.on_edge and "natural_frequency" not in found
+        else []
+    )
     return (*found, *edge)

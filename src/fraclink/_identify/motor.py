@@ -1,9 +1,11 @@
-"""Identify the motor from its voltage and angle: K/J, ν/J, Coulomb torque, dead zone, delay.
+"""Identify the motor from its voltage and angle: K/J, ν/J, Coulomb torque, dead zone,
+delay.
 
     θm'' = A·z(V(t − τ)) − B θm' − C sign(θm') − Γ/J,    A = K/J, B = ν/J, C = Γc/J
 
-z is the amplifier's dead zone. The equation is multiplied by smooth bumps and integrated by parts, so that
-nothing is differentiated: the encoder's steps average out, and (A, B, C, 1/J) follow from linear equations.
+z is the amplifier's dead zone. The equation is multiplied by smooth bumps and
+integrated by parts, so that nothing is differentiated: the encoder's steps average out,
+and (A, B, C, 1/J) follow from linear equations.
 """
 
 from __future__ import annotations
@@ -26,11 +28,15 @@ from fraclink.findings import Finding
 
 Reals = NDArray[np.float64]
 
-_BUMP = Polynomial([1.0, 0.0, -1.0]) ** 5  # (1 − x²)⁵: five derivatives vanish at its ends
+_BUMP = (
+    Polynomial([1.0, 0.0, -1.0]) ** 5
+)  # (1 − x²)⁵: five derivatives vanish at its ends
 _LEAST_WINDOWS = 20
 _LEAST_SAMPLES = 200
-_NMSE_MOST = 0.5  # a motor model that leaves half of the acceleration unexplained compensates no friction
-_SIGN = 3.0  # standard errors below zero at which a sign is impossible and not merely badly known
+# a motor model that leaves half of the acceleration unexplained compensates no friction
+_NMSE_MOST = 0.5
+# standard errors below zero at which a sign is impossible and not merely badly known
+_SIGN = 3.0
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,8 @@ def identify_motor(
     dead_zone: float | None = None,
     window: float | None = None,
 ) -> MotorFit:
-    """Identify the motor of eq. (1) with friction from voltage and angle; no guess is needed.
+    """Identify the motor of eq. (1) with friction from voltage and angle; no guess is
+    needed.
 
         θm'' = A·z(V(t − τ)) − B θm' − C sign(θm') − Γ/J,    A = K/J, B = ν/J, C = Γc/J
 
@@ -108,9 +115,10 @@ def identify_motor(
     period
         sampling period [s].
     torque
-        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known, gives J itself, in the
-        torque's units. Of a gauge that reads curvature, on a link of order λ, J is too small by
-        ω^(2−λ) at the vibration: the moment on the hub is so much larger than the reading.
+        base torque Γ of the link, shape (N,) [N·m]: it loads the motor and, known,
+        gives J itself, in the torque's units. Of a gauge that reads curvature, on a
+        link of order λ, J is too small by ω^(2−λ) at the vibration: the moment on the
+        hub is so much larger than the reading.
     inertia
         J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
     delay, dead_zone
@@ -121,8 +129,9 @@ def identify_motor(
     Raises
     ------
     LogError
-        signals without motion, or that give a motor with an impossible sign: K/J ≤ 0 (the voltage brakes),
-        ν/J or Coulomb friction clearly below zero (friction that drives), J below zero (a link that drives).
+        signals without motion, or that give a motor with an impossible sign: K/J ≤ 0
+        (the voltage brakes), ν/J or Coulomb friction clearly below zero (friction that
+        drives), J below zero (a link that drives).
     FieldError
         arguments out of range.
 
@@ -145,17 +154,29 @@ def identify_motor(
     if delay is not None:
         delay = Between(0.0, longest, "s").check("delay", delay)
     if dead_zone is not None:
-        dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check("dead_zone", dead_zone)
+        dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check(
+            "dead_zone", dead_zone
+        )
     if window is not None:
         window = Between(0.0, longest, "s", low_open=True).check("window", window)
-    # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a second still holds a
-    # bump. Fewer than 30 samples would not follow the bump's second derivative.
+    # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a
+    # second still holds a bump. Fewer than 30 samples would not follow the bump's
+    # second derivative.
     half = max(15, round((0.04 if window is None else window / 2) / period))
     bumps = _Bumps(angle, load, period, half)
     if bumps.places.size < _LEAST_WINDOWS:
         allowed = f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s"
-        problem, remedy = "too little motion in one direction", "drive further, with voltages of both signs"
-        raise LogError("motor_angle", int(bumps.places.size), problem, allowed=allowed, remedy=remedy)
+        problem, remedy = (
+            "too little motion in one direction",
+            "drive further, with voltages of both signs",
+        )
+        raise LogError(
+            "motor_angle",
+            int(bumps.places.size),
+            problem,
+            allowed=allowed,
+            remedy=remedy,
+        )
     best_delay, best_zone = _search(bumps, u, period, delay, dead_zone)
     return _judged(_result(bumps, u, best_delay, best_zone, inertia))
 
@@ -163,8 +184,8 @@ def identify_motor(
 def _judged(fit: MotorFit) -> MotorFit:
     """The fit with its findings; LogError where its signs are those of no motor.
 
-    Estimates of a motor with little friction scatter around zero, so that a sign is impossible only where
-    its standard error cannot explain it.
+    Estimates of a motor with little friction scatter around zero, so that a sign is
+    impossible only where its standard error cannot explain it.
     """
     for name, symbol, value in (
         ("gain", "K/J", fit.gain),
@@ -172,21 +193,26 @@ def _judged(fit: MotorFit) -> MotorFit:
         ("coulomb_voltage", "Coulomb friction", fit.coulomb_voltage),
     ):
         error = fit.standard_errors[name]
-        # A gain of zero or below is impossible however badly it is known: nothing can be commanded with it.
+        # A gain of zero or below is impossible however badly it is known: nothing can
+        # be commanded with it.
         if value < -_SIGN * error or (name == "gain" and value <= 0):
-            problem = f"{symbol} of an impossible sign, with a standard error of {error:.3g}"
-            remedy = (
-                "check the sign of voltage and angle, the period, and give the link's torque if there is one"
+            problem = (
+                f"{symbol} of an impossible sign, with a standard error of {error:.3g}"
             )
+            remedy = "check the sign of voltage and angle, the period, and give the link's torque if there is one"
             raise LogError(name, value, problem, allowed=">= 0", remedy=remedy)
     findings = []
     if fit.inertia is not None and "inertia" in fit.standard_errors:
         # What is fitted is 1/J, whose error is that of J over its square.
         error = fit.standard_errors["inertia"] / fit.inertia**2
         if 1 / fit.inertia < -_SIGN * error:
-            problem = f"J of an impossible sign, 1/J with a standard error of {error:.3g}"
+            problem = (
+                f"J of an impossible sign, 1/J with a standard error of {error:.3g}"
+            )
             remedy = "check the sign and the unit of the link's torque, and that it is of this motor"
-            raise LogError("inertia", fit.inertia, problem, allowed="> 0", remedy=remedy)
+            raise LogError(
+                "inertia", fit.inertia, problem, allowed="> 0", remedy=remedy
+            )
         if 1 / fit.inertia < _SIGN * error:
             findings.append(
                 Finding(
@@ -212,43 +238,52 @@ def _judged(fit: MotorFit) -> MotorFit:
 
 
 class _Bumps:
-    """Bumps over stretches where the motor moves one way, and their integrals with what is known."""
+    """Bumps over stretches where the motor moves one way, and their integrals with what
+    is known.
+    """
 
-    def __init__(self, angle: Reals, load: Reals | None, period: float, half: int) -> None:
+    def __init__(
+        self, angle: Reals, load: Reals | None, period: float, half: int
+    ) -> None:
         self.period, self.half = period, half
         width = half * period
         x = np.arange(-half, half + 1) / half
-        # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, as φ and its slope vanish at both ends. The angle
-        # itself is never differentiated: an encoder's steps twice differentiated are all noise.
+        # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, as φ and its slope vanish at
+        # both ends. The angle itself is never differentiated: an encoder's steps twice
+        # differentiated are all noise.
         first, second = _BUMP.deriv(1)(x) / width, _BUMP.deriv(2)(x) / width**2
-        # As a sum over samples the second one neither vanishes on a constant (2e-4 at 31 samples: 8 % of an
-        # angle in rad, from wherever the encoder counts, would pass for an acceleration in rad/s²) nor gives
-        # a parabola its own (1.4e-4 too much, several standard errors of the gain). Both are set right here.
+        # As a sum over samples the second one neither vanishes on a constant (2e-4 at
+        # 31 samples: 8 % of an angle in rad, from wherever the encoder counts, would
+        # pass for an acceleration in rad/s²) nor gives a parabola its own (1.4e-4 too
+        # much, several standard errors of the gain). Both are set right here.
         second -= second.mean()
         second *= np.sum(_BUMP(x)) / (0.5 * second @ (x * width) ** 2)
         slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
         mean = slope / (np.sum(_BUMP(x)) * period)
         wide = np.lib.stride_tricks.sliding_window_view(mean, 2 * half + 1)
-        # A share of the fastest motion: nearer to rest friction takes any value up to Γc.
+        # A share of the fastest motion: nearer to rest friction takes any value up to
+        # Γc.
         least = 0.03 * float(np.max(np.abs(mean)))
         steady = (np.min(wide, axis=1) > least) | (np.max(wide, axis=1) < -least)
-        # A bump at k touches velocities half a bump to each side: all of them must have one sign.
-        # Eight to a bump's length: more of them are nearly the same equation again, fewer leave information
-        # out.
+        # A bump at k touches velocities half a bump to each side: all of them must have
+        # one sign. Eight to a bump's length: more of them are nearly the same equation
+        # again, fewer leave information out.
         self.places = (np.flatnonzero(steady) + half)[:: max(1, half // 4)]
         self.centres = self.places + half
         self.sign = np.sign(mean[self.places])
         self.acceleration = (np.correlate(angle, second, "valid") * period)[self.places]
         self.velocity = slope[self.places]
         self.area = float(np.sum(_BUMP(x)) * period)
-        weighted = None if load is None else np.correlate(load, _BUMP(x), "valid") * period
+        weighted = (
+            None if load is None else np.correlate(load, _BUMP(x), "valid") * period
+        )
         self.load = None if weighted is None else weighted[self.places]
 
     def driven(self, u: Reals, delay: float) -> Reals:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
         width = self.half * self.period
-        # A held voltage is a staircase: its integral with the bump is a sum of differences of the
-        # antiderivative, for delays between samples, too.
+        # A held voltage is a staircase: its integral with the bump is a sum of
+        # differences of the antiderivative, for delays between samples, too.
         integral = _BUMP.integ()
         reach = self.half + 1
         shift = delay / self.period
@@ -256,13 +291,21 @@ class _Bumps:
         edges = np.arange(-reach, reach + 2) + (shift - whole)
         inside = np.clip(edges * self.period / width, -1, 1)
         weights = np.diff(integral(inside)) * width
-        # Before the log and after it the voltage is taken to stay: bumps near the ends reach there.
+        # Before the log and after it the voltage is taken to stay: bumps near the ends
+        # reach there.
         padded = np.concatenate(
-            [np.full(reach + abs(whole) + 1, u[0]), u, np.full(reach + abs(whole) + 1, u[-1])]
+            [
+                np.full(reach + abs(whole) + 1, u[0]),
+                u,
+                np.full(reach + abs(whole) + 1, u[-1]),
+            ]
         )
         products = np.correlate(padded, weights, "valid")
-        # products[k] belongs to the sample k − (abs(whole) + 1) of u as the bump's centre, moved by `whole`.
-        return np.asarray(products[self.centres + abs(whole) + 1 - whole], dtype=np.float64)
+        # products[k] belongs to the sample k − (abs(whole) + 1) of u as the bump's
+        # centre, moved by `whole`.
+        return np.asarray(
+            products[self.centres + abs(whole) + 1 - whole], dtype=np.float64
+        )
 
     def matrix(self, u: Reals, delay: float, zone: float) -> Reals:
         """Columns of A, B, C (and 1/J)."""
@@ -284,8 +327,9 @@ class _Bumps:
 def _search(
     bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
-    # A grid first: the narrowing that follows only goes downhill.
-    # Up to eight samples: computation, filter and a bus; half a sample, as the cost bends at every whole one.
+    # A grid first: the narrowing that follows only goes downhill. Up to eight samples:
+    # computation, filter and a bus; half a sample, as the cost bends at every whole
+    # one.
     delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
     # Half of the usual voltage: a dead zone beyond would have left the motor at rest.
     top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
@@ -295,9 +339,13 @@ def _search(
     best_delay, best_zone = float(delays[i]), float(zones[j])
     for _ in range(4):  # each in turn; they hardly move each other
         if delay is None:
-            best_delay = _narrowed(partial(_at_delay, bumps, u, best_zone), best_delay, 0.5 * period)
+            best_delay = _narrowed(
+                partial(_at_delay, bumps, u, best_zone), best_delay, 0.5 * period
+            )
         if dead_zone is None and top > 0:
-            best_zone = _narrowed(partial(bumps.cost, u, best_delay), best_zone, top / 8)
+            best_zone = _narrowed(
+                partial(bumps.cost, u, best_delay), best_zone, top / 8
+            )
     return best_delay, best_zone
 
 
@@ -308,34 +356,42 @@ def _at_delay(bumps: _Bumps, u: Reals, zone: float, delay: float) -> float:
 def _narrowed(cost: Callable[[float], float], centre: float, reach: float) -> float:
     low = max(centre - reach, 0.0)
     found = minimize_scalar(
-        cost, bounds=(low, centre + reach), method="bounded", options={"xatol": 1e-4 * reach}
+        cost,
+        bounds=(low, centre + reach),
+        method="bounded",
+        options={"xatol": 1e-4 * reach},
     )
     # The edge itself (no delay, no dead zone) is never tried by the bounded search.
     return low if cost(low) <= found.fun else float(found.x)
 
 
-def _result(bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float | None) -> MotorFit:
+def _result(
+    bumps: _Bumps, u: Reals, delay: float, zone: float, inertia: float | None
+) -> MotorFit:
     matrix = bumps.matrix(u, delay, zone)
     values = np.linalg.lstsq(matrix, bumps.acceleration, rcond=None)[0]
     error = bumps.acceleration - matrix @ values
-    # A motor without friction in its log makes a column small, not wrong: the pseudo-inverse says so in its
-    # error.
+    # A motor without friction in its log makes a column small, not wrong: the
+    # pseudo-inverse says so in its error.
     inverse = np.linalg.pinv(matrix.T @ matrix)
     meat = long_run_covariance(
         (matrix * error[:, None]).T, min(16, error.size // 4)
     )  # bumps overlap eightfold
     covariance = inverse @ meat @ inverse
     gain, decay, coulomb = (float(v) for v in values[:3])
-    # Γc/K is a quotient of two estimates that depend on each other: the gradient takes their covariance
-    # along.
+    # Γc/K is a quotient of two estimates that depend on each other: the gradient takes
+    # their covariance along.
     by_gain = np.array([-coulomb / gain**2, 0.0, 1 / gain])
     errors = {
         "gain": math.sqrt(max(covariance[0, 0], 0)),
         "decay": math.sqrt(max(covariance[1, 1], 0)),
-        "coulomb_voltage": math.sqrt(max(float(by_gain @ covariance[:3, :3] @ by_gain), 0)),
+        "coulomb_voltage": math.sqrt(
+            max(float(by_gain @ covariance[:3, :3] @ by_gain), 0)
+        ),
     }
     if bumps.load is not None:
-        # Column 1/J: the error of a reciprocal is its square times that of what was found.
+        # Column 1/J: the error of a reciprocal is its square times that of what was
+        # found.
         inertia = 1 / float(values[3])
         errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
     return MotorFit(
@@ -359,16 +415,38 @@ def _channels(
     given = {"voltage": voltage, "motor_angle": motor_angle}
     if torque is not None:
         given["torque"] = torque
-    columns = {name: checked_series(name, values, error=LogError) for name, values in given.items()}
+    columns = {
+        name: checked_series(name, values, error=LogError)
+        for name, values in given.items()
+    }
     samples = columns["motor_angle"].size
     for name, values in columns.items():
         if values.size != samples or samples < _LEAST_SAMPLES:
-            allowed, remedy = f">= {_LEAST_SAMPLES} samples, all alike", "cut them to their common span"
+            allowed, remedy = (
+                f">= {_LEAST_SAMPLES} samples, all alike",
+                "cut them to their common span",
+            )
             raise LogError(
-                name, values.size, "too short or of another length", allowed=allowed, remedy=remedy
+                name,
+                values.size,
+                "too short or of another length",
+                allowed=allowed,
+                remedy=remedy,
             )
         if not np.all(np.isfinite(values)):
-            raise LogError(name, "NaN", "not finite", allowed="finite numbers", remedy="repair the log")
+            raise LogError(
+                name,
+                "NaN",
+                "not finite",
+                allowed="finite numbers",
+                remedy="repair the log",
+            )
         if np.ptp(values) == 0:
-            raise LogError(name, float(values[0]), "constant", allowed="a motion", remedy="check the wiring")
+            raise LogError(
+                name,
+                float(values[0]),
+                "constant",
+                allowed="a motion",
+                remedy="check the wiring",
+            )
     return columns["voltage"], columns["motor_angle"], columns.get("torque")

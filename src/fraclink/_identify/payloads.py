@@ -35,8 +35,8 @@ class LikelihoodRatio:
     Parameters
     ----------
     statistic
-        Σ (n/k) ln(MSE joint / MSE alone), k the inflation by the residual's colour; it follows a χ²
-        distribution where the parameters are common.
+        Σ (n/k) ln(MSE joint / MSE alone), k the inflation by the residual's colour; it
+        follows a χ² distribution where the parameters are common.
     degrees
         of freedom of that distribution.
     p_value
@@ -50,7 +50,8 @@ class LikelihoodRatio:
     @property
     def common(self) -> bool:
         """Whether the logs let the parameters be common (p ≥ 0.05)."""
-        # Of logs whose parameters are common one in twenty is refused: the usual error of the first kind.
+        # Of logs whose parameters are common one in twenty is refused: the usual error
+        # of the first kind.
         return self.p_value >= 0.05
 
 
@@ -117,7 +118,8 @@ def identify_payloads(
     delay: float | None = None,
     hold: Hold = "auto",
 ) -> JointFit:
-    """Fit one structure to several payloads with common parameters, and test whether they may be common.
+    """Fit one structure to several payloads with common parameters, and test whether
+    they may be common.
 
         minimise Σ_i Σ_k (y_ik − gain_i·ŷ_ik − offset_i)² / (σ_i² k_i)
 
@@ -126,11 +128,14 @@ def identify_payloads(
     logs
         two or more experiments, each at another payload; sampling periods may differ.
     structure
-        a key of the table of structures; without it, the one that all logs together support.
+        a key of the table of structures; without it, the one that all logs together
+        support.
     common
-        of "order", "damping", "damping_order", "delay"; all of the structure's own by default.
+        of "order", "damping", "damping_order", "delay"; all of the structure's own by
+        default.
     tied
-        ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for each.
+        ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for
+        each.
     length
         L [m], only to report c from c/L² where tied.
     stiffness
@@ -170,28 +175,41 @@ def identify_payloads(
     _check(logs, tied)
     fixed = {} if delay is None else {"delay": delay}
     searches = [
-        # Nothing is held out: the likelihood ratio compares the fits over the same samples.
-        make_search(log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold)
+        # Nothing is held out: the likelihood ratio compares the fits over the same
+        # samples.
+        make_search(
+            log, heldout=0.0, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
+        )
         for log in logs
     ]
     structure = _supported(searches) if structure is None else structure
-    # ω₀ is each payload's own, or tied by eq. (5): what may be common is the link's material.
-    own = tuple(name for name in structure_row(structure).free if name != "natural_frequency")
+    # ω₀ is each payload's own, or tied by eq. (5): what may be common is the link's
+    # material.
+    own = tuple(
+        name for name in structure_row(structure).free if name != "natural_frequency"
+    )
     names = (
         own
         if common is None
         else tuple(
-            checked_choice("common", name, (*own, "delay"), remedy=f"{structure} has these")
+            checked_choice(
+                "common", name, (*own, "delay"), remedy=f"{structure} has these"
+            )
             for name in common
         )
     )
-    # The fits of each log for itself are the start of the joint one, its weights, and what the test compares
-    # with.
+    # The fits of each log for itself are the start of the joint one, its weights, and
+    # what the test compares with.
     alone = [search.solve(structure) for search in searches]
-    weights = [weight_of(search, solution) for search, solution in zip(searches, alone, strict=True)]
+    weights = [
+        weight_of(search, solution)
+        for search, solution in zip(searches, alone, strict=True)
+    ]
     payloads = tuple(float(log.payload or 0.0) for log in logs) if tied else None
     every = ("frequency", *own, *(() if delay is not None else ("delay",)))
-    shared = (("frequency",) if tied else ()) + tuple(name for name in names if name in every)
+    shared = (("frequency",) if tied else ()) + tuple(
+        name for name in names if name in every
+    )
     coordinates = Coordinates(every, shared, len(logs), delay, payloads)
     joint = JointProblem(coordinates, searches, weights)
     theta, normal = joint.minimise(start_of(coordinates, alone))
@@ -199,20 +217,39 @@ def identify_payloads(
 
 
 def _supported(searches: Sequence[Search]) -> str:
-    """The structure that all logs together support: their log-likelihoods add up, and so do the criteria."""
+    """The structure that all logs together support: their log-likelihoods add up, and
+    so do the criteria.
+    """
     found = [criteria_of(search)[0] for search in searches]
-    total = {name: tuple(sum(log[name][i] for log in found) for i in (0, 1)) for name in STRUCTURES}
-    return preferred_structure({name: (first, second) for name, (first, second) in total.items()})
+    total = {
+        name: tuple(sum(log[name][i] for log in found) for i in (0, 1))
+        for name in STRUCTURES
+    }
+    return preferred_structure(
+        {name: (first, second) for name, (first, second) in total.items()}
+    )
 
 
 def _check(logs: Sequence[Experiment], tied: bool) -> None:
     if len(logs) < 2:
-        raise LogError("logs", len(logs), "too few", allowed=">= 2", remedy="use identify for a single log")
+        raise LogError(
+            "logs",
+            len(logs),
+            "too few",
+            allowed=">= 2",
+            remedy="use identify for a single log",
+        )
     payloads = [log.payload for log in logs]
     if tied and (None in payloads or len(set(payloads)) < 2):
         allowed = "a mass for every log, two of them different"
         remedy = "state payload= when reading the logs"
-        raise LogError("payload", str(payloads), "missing or all the same", allowed=allowed, remedy=remedy)
+        raise LogError(
+            "payload",
+            str(payloads),
+            "missing or all the same",
+            allowed=allowed,
+            remedy=remedy,
+        )
 
 
 # --- the result -------------------------------------------------------------------------------------------
@@ -230,12 +267,24 @@ def _result(
 ) -> JointFit:
     coordinates = joint.coordinates
     rows = [_of_one(log, i, joint, theta) for i, log in enumerate(logs)]
-    models, gains, offsets, delays, predicted = (tuple(column) for column in zip(*rows, strict=True))
+    models, gains, offsets, delays, predicted = (
+        tuple(column) for column in zip(*rows, strict=True)
+    )
     # Over all samples and unweighted: figures that a user can compare from log to log.
-    mse = tuple(float(np.mean((log.output - p) ** 2)) for log, p in zip(logs, predicted, strict=True))
+    mse = tuple(
+        float(np.mean((log.output - p) ** 2))
+        for log, p in zip(logs, predicted, strict=True)
+    )
     parameters = len(structure_row(structure).free)
-    alone_mse = tuple(solution.cost / log.output.size for solution, log in zip(alone, logs, strict=True))
-    over = math.exp(theta[coordinates.index("frequency", 0)]) if coordinates.payloads else None
+    alone_mse = tuple(
+        solution.cost / log.output.size
+        for solution, log in zip(alone, logs, strict=True)
+    )
+    over = (
+        math.exp(theta[coordinates.index("frequency", 0)])
+        if coordinates.payloads
+        else None
+    )
     test = _test(joint, logs, mse, alone_mse)
     return JointFit(
         structure,
@@ -245,7 +294,10 @@ def _result(
         offsets,
         delays,
         mse,
-        tuple(aic(value, log.output.size, parameters) for value, log in zip(mse, logs, strict=True)),
+        tuple(
+            aic(value, log.output.size, parameters)
+            for value, log in zip(mse, logs, strict=True)
+        ),
         alone_mse,
         _errors(coordinates, theta, normal),
         stiffness=over * length**2 if over is not None and length is not None else None,
@@ -276,8 +328,11 @@ def _of_one(
     return replace(model, gauge_delay=delay), gain, offset, delay, gain * raw + offset
 
 
-def _errors(coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]) -> dict[str, float]:
-    # Two that only act together make the matrix singular: the pseudo-inverse gives what is determined.
+def _errors(
+    coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]
+) -> dict[str, float]:
+    # Two that only act together make the matrix singular: the pseudo-inverse gives what
+    # is determined.
     covariance = np.linalg.pinv(normal, rcond=1e-14, hermitian=True)
     errors = np.sqrt(np.maximum(np.diag(covariance), 0))
     result: dict[str, float] = {}
@@ -289,28 +344,40 @@ def _errors(coordinates: Coordinates, theta: Vector, normal: NDArray[np.float64]
             k = coordinates.index(name, i)
             # These two are logarithms: d e^x = e^x dx.
             scale = math.exp(theta[k]) if name in ("damping", "frequency") else 1.0
-            result[label if name in coordinates.common else f"{label} {i + 1}"] = float(errors[k] * scale)
+            result[label if name in coordinates.common else f"{label} {i + 1}"] = float(
+                errors[k] * scale
+            )
     return result
 
 
 def _test(
-    joint: JointProblem, logs: Sequence[Experiment], mse: Sequence[float], alone_mse: Sequence[float]
+    joint: JointProblem,
+    logs: Sequence[Experiment],
+    mse: Sequence[float],
+    alone_mse: Sequence[float],
 ) -> LikelihoodRatio:
     statistic = 0.0
-    for log, weight, together, own in zip(logs, joint.weights, mse, alone_mse, strict=True):
+    for log, weight, together, own in zip(
+        logs, joint.weights, mse, alone_mse, strict=True
+    ):
         if own > 0:  # weight · own is 1/k
-            # A residual with colour has fewer independent samples than it has samples: k divides their
-            # number.
-            statistic += log.output.size * weight * own * math.log(max(together / own, 1.0))
+            # A residual with colour has fewer independent samples than it has samples:
+            # k divides their number.
+            statistic += (
+                log.output.size * weight * own * math.log(max(together / own, 1.0))
+            )
     coordinates = joint.coordinates
     # As many as the joint fit has parameters less.
     degrees = coordinates.logs * len(coordinates.names) - coordinates.size
-    # The upper tail of χ², whose small values keep their digits: 1 − P would round to zero below 1e-16.
+    # The upper tail of χ², whose small values keep their digits: 1 − P would round to
+    # zero below 1e-16.
     p_value = float(gammaincc(degrees / 2, statistic / 2)) if degrees > 0 else 1.0
     return LikelihoodRatio(statistic, degrees, p_value)
 
 
-def _verdict(coordinates: Coordinates, common: Sequence[str], test: LikelihoodRatio) -> str:
+def _verdict(
+    coordinates: Coordinates, common: Sequence[str], test: LikelihoodRatio
+) -> str:
     if test.degrees == 0:
         return "Nothing is common: every log was fitted for itself."
     shared = [_SYMBOLS[name] for name in common]

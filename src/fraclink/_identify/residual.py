@@ -1,4 +1,6 @@
-"""What a residual holds: its spectrum, tests of whiteness, and the second vibration mode."""
+"""What a residual holds: its spectrum, tests of whiteness, and the second vibration
+mode.
+"""
 
 from __future__ import annotations
 
@@ -17,60 +19,83 @@ from fraclink._identify.shape import Vector, Window, columns_of, mask_of
 Matrix = NDArray[np.float64]
 
 _LAGS = 25  # of the portmanteau tests
-_AR_MOST = 30  # order of the residual's autoregression: a few resonances, mains hum and slow drift together
-# Of giving back to the noise what the fit took out of it. One leaves a third of the error under AR(1) noise
-# with ρ = 0.97; ten find no other intervals, but on short logs some that run away to ρ = 1.
+# order of the residual's autoregression: a few resonances, mains hum and slow drift
+# together
+_AR_MOST = 30
+# Of giving back to the noise what the fit took out of it. One leaves a third of the
+# error under AR(1) noise with ρ = 0.97; ten find no other intervals, but on short logs
+# some that run away to ρ = 1.
 _ROUNDS = 3
 _LEAST_FREEDOM = 4.0  # degrees, with a quantile of Student's of 2.8
 
 
 def autocovariance(first: Vector, second: Vector | None = None) -> Vector:
-    """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at lags 0..n−1."""
+    """Sample covariances Σ_k x_{k+l} y_k / n of two series (or of one with itself) at
+    lags 0..n−1.
+    """
     count = first.size
     size = 1 << (2 * count - 1).bit_length()
     spectrum = np.fft.rfft(first, size)
     other = spectrum if second is None else np.fft.rfft(second, size)
-    return np.asarray(np.fft.irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64)
+    return np.asarray(
+        np.fft.irfft(spectrum * other.conj(), size)[:count] / count, dtype=np.float64
+    )
 
 
 def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
-    """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`; scores have shape (p, n).
+    """Newey and West's estimate of n Σ_l Γ_l with Bartlett's weights up to `lags`;
+    scores have shape (p, n).
 
-    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of a sum over lags.
+    Bartlett's weights are the Fejér kernel in frequency: one matrix product instead of
+    a sum over lags.
     """
     count = scores.shape[1]
     # Padded beyond the lags that count: the transform's convolution is circular.
     size = 1 << (count + lags).bit_length()
     spectrum = np.fft.rfft(scores, size, axis=1)
     half = np.pi * np.arange(1, spectrum.shape[1]) / size
-    kernel = np.concatenate([[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)])
+    kernel = np.concatenate(
+        [[lags + 1.0], (np.sin((lags + 1) * half) / np.sin(half)) ** 2 / (lags + 1)]
+    )
     kernel[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64)
+    return np.asarray(
+        ((spectrum * kernel) @ spectrum.conj().T).real / size, dtype=np.float64
+    )
 
 
 def autoregression(series: Vector) -> tuple[Vector, float]:
-    """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that describes a series.
+    """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that
+    describes a series.
 
-    Levinson's recursion gives all orders up to `_AR_MOST` from the autocovariances; Akaike's criterion
-    picks one.
+    Levinson's recursion gives all orders up to `_AR_MOST` from the autocovariances;
+    Akaike's criterion picks one.
     """
     return _levinson(autocovariance(series))
 
 
 def _levinson(gamma: Vector) -> tuple[Vector, float]:
     """The autoregression of autocovariances at lags 0..n−1 of n samples."""
-    # Ten samples a coefficient at least: a longer autoregression describes the noise that there is.
+    # Ten samples a coefficient at least: a longer autoregression describes the noise
+    # that there is.
     most = min(_AR_MOST, gamma.size // 10)
-    best, coefficients, variance = (math.inf, np.ones(1), float(gamma[0])), np.ones(1), float(gamma[0])
+    best, coefficients, variance = (
+        (math.inf, np.ones(1), float(gamma[0])),
+        np.ones(1),
+        float(gamma[0]),
+    )
     for order in range(most + 1):
         value = gamma.size * math.log(max(variance, 1e-300)) + 2 * order
         best = min(best, (value, coefficients, variance), key=lambda item: item[0])
-        if order == most or variance <= 1e-12 * gamma[0]:  # the series is predicted exactly
+        if (
+            order == most or variance <= 1e-12 * gamma[0]
+        ):  # the series is predicted exactly
             break
-        # Levinson: the last coefficient of the next order, from what the present one leaves correlated at
-        # that lag.
+        # Levinson: the last coefficient of the next order, from what the present one
+        # leaves correlated at that lag.
         reflection = -float(coefficients @ gamma[order + 1 : 0 : -1]) / variance
-        if abs(reflection) >= 1.0:  # corrected autocovariances, see `noise_behind`, need not be definite
+        if (
+            abs(reflection) >= 1.0
+        ):  # corrected autocovariances, see `noise_behind`, need not be definite
             break
         longer = np.append(coefficients, 0.0)
         coefficients = longer + reflection * longer[::-1]
@@ -84,15 +109,17 @@ def _power(coefficients: Vector, variance: float, size: int) -> Vector:
 
 
 def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, float]:
-    """Autoregression (coefficients, variance) of the noise that left a residual, and its degrees of freedom.
+    """Autoregression (coefficients, variance) of the noise that left a residual, and
+    its degrees of freedom.
 
-    With P = QQᵀ the projection on the regressors, the residual's covariance is (I − P) Γ (I − P), not Γ: a
-    fit takes out of slow noise what resembles the link's response, and what is left looks faster and
-    smaller. So the autocovariances are given back what an autoregression with theirs would lose, and it is
-    fitted again.
+    With P = QQᵀ the projection on the regressors, the residual's covariance is (I − P)
+    Γ (I − P), not Γ: a fit takes out of slow noise what resembles the link's response,
+    and what is left looks faster and smaller. So the autocovariances are given back
+    what an autoregression with theirs would lose, and it is fitted again.
 
-    The level of slow noise is its spectrum at low frequencies, and that of AR(1) is known badly: with
-    T = Σ ρ(l) over all lags ln S(0) has the variance 4T/n of a χ² of ν = n/2T degrees of freedom.
+    The level of slow noise is its spectrum at low frequencies, and that of AR(1) is
+    known badly: with T = Σ ρ(l) over all lags ln S(0) has the variance 4T/n of a χ² of
+    ν = n/2T degrees of freedom.
     """
     count = residual.size
     size = 1 << (2 * count - 1).bit_length()
@@ -105,9 +132,10 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
     for _ in range(_ROUNDS):
         again = _levinson(found + _taken(basis, model, size))
         model = np.fft.irfft(_power(*again, size), size)
-        # What has no four independent samples in a log is a drift or a misfit, not noise: its strength is
-        # not to be had from a spectrum, and the correction runs away with it. A ring-down of 8 s without
-        # noise, met to 0.004 %, had its frequency "not determined" by what rounding left.
+        # What has no four independent samples in a log is a drift or a misfit, not
+        # noise: its strength is not to be had from a spectrum, and the correction runs
+        # away with it. A ring-down of 8 s without noise, met to 0.004 %, had its
+        # frequency "not determined" by what rounding left.
         if _freedom(model[:count]) < _LEAST_FREEDOM:
             break
         (coefficients, variance), freedom = again, _freedom(model[:count])
@@ -115,57 +143,78 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
 
 
 def _taken(basis: Matrix, model: Vector, size: int) -> Vector:
-    """What a fit takes from the sample autocovariances of noise with those of `model`; basis: shape (p, n).
+    """What a fit takes from the sample autocovariances of noise with those of `model`;
+    basis: shape (p, n).
 
     The lag sums of Γ − (I − P) Γ (I − P), and of the division by n at every lag.
     """
     count = basis.shape[1]
     own = np.fft.rfft(basis, size, axis=1)
     # ΓQ, by a circle that holds Γ from end to end.
-    circle = np.concatenate([model[:count], np.zeros(size - 2 * count + 1), model[count - 1 : 0 : -1]])
+    circle = np.concatenate(
+        [model[:count], np.zeros(size - 2 * count + 1), model[count - 1 : 0 : -1]]
+    )
     spread = np.fft.irfft(own * np.fft.rfft(circle), size, axis=1)[:, :count]
     other = np.fft.rfft(spread, size, axis=1)
     twice = np.sum(own.conj() * ((basis @ spread.T) @ own), axis=0)
-    lost = np.fft.irfft(2 * np.sum(own.conj() * other, axis=0).real - twice.real, size)[:count] / count
+    lost = (
+        np.fft.irfft(2 * np.sum(own.conj() * other, axis=0).real - twice.real, size)[
+            :count
+        ]
+        / count
+    )
     return np.asarray(lost + np.arange(count) / count * model[:count])
 
 
 def _freedom(model: Vector) -> float:
-    """Degrees of freedom by which the level of noise with these autocovariances (lags 0..n−1) is known."""
+    """Degrees of freedom by which the level of noise with these autocovariances (lags
+    0..n−1) is known.
+    """
     together = 2 * float(np.sum(model)) / model[0] - 1 if model[0] > 0 else 1.0
     return model.size / (2 * max(together, 1.0))
 
 
-def coloured_covariance(regressors: Matrix, coefficients: Vector, variance: float) -> Matrix:
-    """Covariance of regressors · noise, regressors of shape (p, n), for the noise of an autoregression.
+def coloured_covariance(
+    regressors: Matrix, coefficients: Vector, variance: float
+) -> Matrix:
+    """Covariance of regressors · noise, regressors of shape (p, n), for the noise of an
+    autoregression.
 
         Σ_k Σ_l x_k γ(k − l) x_lᵀ = ∫ S(ω) X(ω) X(ω)ᴴ dω / 2π
 
-    S is the spectrum of the autoregression. The estimate of Newey and West from the products x_k e_k cuts
-    off their correlation after some lags and tapers it before: at five correlation times its standard errors
-    were 15 to 20 % too small under slow noise (83 % of "95 %" intervals held the truth), a fault that the
-    autoregression does not have. It takes noise and motion for independent, which is what a residual of a
-    model that misses nothing is.
+    S is the spectrum of the autoregression. The estimate of Newey and West from the
+    products x_k e_k cuts off their correlation after some lags and tapers it before: at
+    five correlation times its standard errors were 15 to 20 % too small under slow
+    noise (83 % of "95 %" intervals held the truth), a fault that the autoregression
+    does not have. It takes noise and motion for independent, which is what a residual
+    of a model that misses nothing is.
     """
     count = regressors.shape[1]
     size = 1 << (2 * count - 1).bit_length()
     spectrum = np.fft.rfft(regressors, size, axis=1)
     density = _power(coefficients, variance, size)
     density[1 : (size + 1) // 2] *= 2  # the negative frequencies
-    return np.asarray(((spectrum * density) @ spectrum.conj().T).real / size, dtype=np.float64)
+    return np.asarray(
+        ((spectrum * density) @ spectrum.conj().T).real / size, dtype=np.float64
+    )
 
 
 def correlation_lag(residual: Vector) -> int:
-    """First lag after which the sample autocorrelation stays below 0.1, up to a quarter of the record.
+    """First lag after which the sample autocorrelation stays below 0.1, up to a quarter
+    of the record.
 
-    Under slow noise that may be far too long, since the autocorrelation itself scatters: of 8000 samples of
-    AR(1), ρ = 0.95, it falls below 0.1 after 45 lags and may pass it once more after a thousand.
+    Under slow noise that may be far too long, since the autocorrelation itself
+    scatters: of 8000 samples of AR(1), ρ = 0.95, it falls below 0.1 after 45 lags and
+    may pass it once more after a thousand.
     """
     covariance = autocovariance(residual)
     if covariance[0] <= 0:
         return 1
-    # A quarter of the record: farther out the autocovariance is an average of few products.
-    large = np.flatnonzero(np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0])
+    # A quarter of the record: farther out the autocovariance is an average of few
+    # products.
+    large = np.flatnonzero(
+        np.abs(covariance[: residual.size // 4]) > 0.1 * covariance[0]
+    )
     return int(large[-1]) + 1
 
 
@@ -176,10 +225,11 @@ def correlation_lag(residual: Vector) -> int:
 class ResidualTests:
     """What the residual still holds, over the samples of the fit.
 
-    A real arm's residual is never white in a thousand samples (second mode, friction, quantisation): a
-    small `whiteness` says that standard errors must allow for colour, which they then do, not that the
-    model is useless. A small `input_independence` says that the motor's motion explains part of the
-    residual: the structure misses something.
+    A real arm's residual is never white in a thousand samples (second mode, friction,
+    quantisation): a small `whiteness` says that standard errors must allow for colour,
+    which they then do, not that the model is useless. A small `input_independence` says
+    that the motor's motion explains part of the residual: the structure misses
+    something.
 
     Parameters
     ----------
@@ -190,7 +240,8 @@ class ResidualTests:
     correlation_time
         time after which its autocorrelation stays below 0.1 [s].
     variance_inflation
-        by how much its colour widens the variance of the least well supported parameter.
+        by how much its colour widens the variance of the least well supported
+        parameter.
     """
 
     whiteness: float
@@ -202,7 +253,9 @@ class ResidualTests:
 def residual_tests(
     residual: Vector, motion: Vector, period: float, lag: int, inflation: float
 ) -> ResidualTests:
-    """Test a residual against whiteness and against the motor's `motion` (its increments)."""
+    """Test a residual against whiteness and against the motor's `motion` (its
+    increments).
+    """
     count = residual.size
     centred = residual - residual.mean()
     variance = float(centred @ centred) / count
@@ -210,22 +263,30 @@ def residual_tests(
         return ResidualTests(1.0, 1.0, period, 1.0)
     lags = min(_LAGS, count // 4)
     rho = autocovariance(centred)[1 : lags + 1] / variance
-    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² right in some hundred samples, too.
-    ljung_box = count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
+    # Ljung and Box (1978): (n + 2)/(n − k) in place of 1 makes χ² right in some hundred
+    # samples, too.
+    ljung_box = (
+        count * (count + 2) * float(np.sum(rho**2 / (count - np.arange(1, lags + 1))))
+    )
     return ResidualTests(
         whiteness=float(gammaincc(lags / 2, ljung_box / 2)),
-        input_independence=float(gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)),
+        input_independence=float(
+            gammaincc(lags / 2, _input_statistic(centred, motion, lags) / 2)
+        ),
         correlation_time=lag * period,
         variance_inflation=inflation,
     )
 
 
 def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
-    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R allows for colour on both sides."""
+    """n rᵀ R⁻¹ r of the cross-covariances r at lags 0..lags−1; R allows for colour on
+    both sides.
+    """
     count = residual.size
     moved = motion - motion.mean()
     r = autocovariance(residual, moved)[:lags]
-    # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against its own noise.
+    # Bartlett: cov(r_i, r_j) = Σ_l γ_e(l) γ_u(l + i − j) / n, with γ_e tapered against
+    # its own noise.
     own, other = autocovariance(residual), autocovariance(moved)
     reach = count // 4
     taper = own[:reach] * (1 - np.arange(reach) / reach)
@@ -233,45 +294,65 @@ def _input_statistic(residual: Vector, motion: Vector, lags: int) -> float:
     shifted = np.concatenate([other[: reach + lags][:0:-1], other[: reach + lags]])
     centre = reach + lags - 1
     covariance = [
-        float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d]) for d in range(lags)
+        float(two_sided @ shifted[centre - reach + 1 + d : centre + reach + d])
+        for d in range(lags)
     ]
-    # A periodic motion makes R singular: what it does not excite is left out of the statistic.
+    # A periodic motion makes R singular: what it does not excite is left out of the
+    # statistic.
     solution = lstsq(toeplitz(covariance), r, cond=1e-8)[0]
     return max(float(count * (r @ solution)), 0.0)
 
 
 # --- the second mode ----------------------------------------------------------------------------------------
 
-# A payload on a massive link leaves mode 2 at least 4.4 times (no payload: 6.3 times) above mode 1; between
-# 2.5 and 4 times nothing but a misfit of the first mode would be found.
+# A payload on a massive link leaves mode 2 at least 4.4 times (no payload: 6.3 times)
+# above mode 1; between 2.5 and 4 times nothing but a misfit of the first mode would be
+# found.
 _LOWEST = 2.5
-_HIGHEST = 0.8  # of the Nyquist frequency: the input between the samples is not known well enough beyond
-_STEP, _RATIO = 0.04, 0.03  # of the scan: in ln ω₂, below the half width of a resonance with that ζ
+# of the Nyquist frequency: the input between the samples is not known well enough
+# beyond
+_HIGHEST = 0.8
+_STEP, _RATIO = (
+    0.04,
+    0.03,
+)  # of the scan: in ln ω₂, below the half width of a resonance with that ζ
 _RATIOS = (0.005, 0.02, 0.06)
-_RATIO_LIMITS = (5e-4, 0.2)  # more strongly damped, it is friction or a filter rather than a mode
-# Standard deviations of its gain. The scan tries some hundred frequencies, of which noise alone makes the
-# best one 3.5; the spread of a coloured residual is itself known to a third only.
+_RATIO_LIMITS = (
+    5e-4,
+    0.2,
+)  # more strongly damped, it is friction or a filter rather than a mode
+# Standard deviations of its gain. The scan tries some hundred frequencies, of which
+# noise alone makes the best one 3.5; the spread of a coloured residual is itself known
+# to a third only.
 _SIGNIFICANT = 6.0
-_SEEN = 0.05  # a mode of this static share is one that a design must know: at ζ = 0.02 its peak is 1.25 c
+# a mode of this static share is one that a design must know: at ζ = 0.02 its peak is
+# 1.25 c
+_SEEN = 0.05
 
 
 def find_second_mode(
     search: Search, solution: Solution, motor_angle: Vector, whole: Vector
 ) -> tuple[SecondMode | None, float | None]:
-    """The second mode in the residual of a fit, and else the frequency [rad/s] up to which none was seen.
+    """The second mode in the residual of a fit, and else the frequency [rad/s] up to
+    which none was seen.
 
-    Behind the fitted mode the output may hold  gain · g₂ s²/(s² + 2 ζ ω₂ s + ω₂²) θm, the same kernel with
-    λ = 2. Every candidate ω₂ is a regression of the residual on that response, made orthogonal to everything
-    the first mode's parameters can explain: otherwise a slightly wrong λ or delay would pass for a mode.
+    Behind the fitted mode the output may hold  gain · g₂ s²/(s² + 2 ζ ω₂ s + ω₂²) θm,
+    the same kernel with λ = 2. Every candidate ω₂ is a regression of the residual on
+    that response, made orthogonal to everything the first mode's parameters can
+    explain: otherwise a slightly wrong λ or delay would pass for a mode.
 
-    `motor_angle` and `whole` are the angle (with that before a cut) and the residual of the whole log: what
-    the fitted part shows must show again in the part that was held out.
+    `motor_angle` and `whole` are the angle (with that before a cut) and the residual of
+    the whole log: what the fitted part shows must show again in the part that was held
+    out.
     """
     window, shape = search.window, solution.shape
     columns = columns_of(search.kernel, shape, mask_of(solution.free))
     residual = whole[: window.samples]
     basis = np.linalg.qr(np.vstack([columns, np.ones(window.samples)]).T)[0]
-    low, high = math.log(_LOWEST) + shape[1], math.log(_HIGHEST * math.pi / window.period)
+    low, high = (
+        math.log(_LOWEST) + shape[1],
+        math.log(_HIGHEST * math.pi / window.period),
+    )
     if high - low < 0.5 or not np.any(residual):
         return None, None
     rest = Window(window.angle, residual, window.period, window.hold)
@@ -287,24 +368,28 @@ def find_second_mode(
     grid = np.arange(low, high, _STEP)
     costs = kernel.costs(np.array([row(x, _RATIO) for x in grid]), math.nan, math.nan)
     lower, upper = row(low, _RATIO_LIMITS[0]), row(high, _RATIO_LIMITS[1])
-    # Three: the deepest dip on the grid need not be the one that passes the gates below.
+    # Three: the deepest dip on the grid need not be the one that passes the gates
+    # below.
     for start in grid[np.argsort(costs)[:3]]:
         starts = np.array([row(start, ratio) for ratio in _RATIOS])
-        found = kernel.solve(starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100)[1]
+        found = kernel.solve(
+            starts, mask_of((1, 2)), lower, upper, math.nan, math.nan, 100
+        )[1]
         at_limit = np.any(np.abs(found[1:3] - lower[1:3]) < 1e-6) or np.any(
             np.abs(found[1:3] - upper[1:3]) < 1e-6
         )
         gain, error = _regressed(residual, response(found))
         share = gain / solution.gain
-        # The second mode bends the link the same way at its base: of opposite sign it is misfit of the first
-        # one.
+        # The second mode bends the link the same way at its base: of opposite sign it
+        # is misfit of the first one.
         certain = not at_limit and share > 0 and abs(gain) > _SIGNIFICANT * error
         if certain and _shows_again(window, found, gain, motor_angle, whole):
             return SecondMode(math.exp(found[1]), share, float(found[2])), None
     noise = _noise(residual)
     seen = None
     for log_frequency in grid:
-        # ζ = 0.02: what steel and aluminium arms have; a more damped mode has a lower peak and matters less.
+        # ζ = 0.02: what steel and aluminium arms have; a more damped mode has a lower
+        # peak and matters less.
         size = float(np.linalg.norm(response(row(log_frequency, 0.02))))
         if _SIGNIFICANT * noise > _SEEN * abs(solution.gain) * size:
             break
@@ -312,33 +397,48 @@ def find_second_mode(
     return None, seen
 
 
-def _shows_again(window: Window, place: Vector, gain: float, motor_angle: Vector, whole: Vector) -> bool:
-    """Whether the held-out part agrees; three standard errors there, as only one mode is on trial."""
+def _shows_again(
+    window: Window, place: Vector, gain: float, motor_angle: Vector, whole: Vector
+) -> bool:
+    """Whether the held-out part agrees; three standard errors there, as only one mode
+    is on trial.
+    """
     if whole.size - window.samples < 100:
         return True
     log = Window(motor_angle, whole, window.period, window.hold)
-    column = columns_of(log.kernel(math.exp(place[1]), longest_delay=abs(place[4])), place)[0]
+    column = columns_of(
+        log.kernel(math.exp(place[1]), longest_delay=abs(place[4])), place
+    )[0]
     again, error = _regressed(whole[window.samples :], column[window.samples :])
-    # Within a factor of three: a mode is linear, what friction or backlash leaves changes with the motion.
+    # Within a factor of three: a mode is linear, what friction or backlash leaves
+    # changes with the motion.
     return again * gain > 0 and abs(again) > 3.0 * error and 1 / 3 < again / gain < 3
 
 
 def _regressed(residual: Vector, response: Vector) -> tuple[float, float]:
-    """Coefficient of the response in the residual and its standard error, colour allowed for."""
+    """Coefficient of the response in the residual and its standard error, colour
+    allowed for.
+    """
     power = float(response @ response)
     gain = float(response @ residual) / power
     left = residual - gain * response
     scores: NDArray[np.float64] = (response * left)[None, :]
-    # Five correlation times hold e^-5 of the colour; a fifth of the log is what its own covariance can bear.
+    # Five correlation times hold e^-5 of the colour; a fifth of the log is what its own
+    # covariance can bear.
     lags = min(max(5 * correlation_lag(left), 10), left.size // 5)
-    variance = max(float(long_run_covariance(scores, lags)[0, 0]), power * float(left @ left) / left.size)
+    variance = max(
+        float(long_run_covariance(scores, lags)[0, 0]),
+        power * float(left @ left) / left.size,
+    )
     return gain, math.sqrt(variance) / power
 
 
 def _noise(residual: Vector) -> float:
-    """Standard deviation [unit of the output] of the residual as a high frequency meets it.
+    """Standard deviation [unit of the output] of the residual as a high frequency meets
+    it.
 
-    Slow misfit does not hide a fast mode: the second difference, scaled to white noise, leaves it out.
+    Slow misfit does not hide a fast mode: the second difference, scaled to white noise,
+    leaves it out.
     """
     # 1² + 2² + 1²: what a second difference makes of white noise.
     return float(np.std(np.diff(residual, 2)) / math.sqrt(6.0))

@@ -1,4 +1,6 @@
-"""The way to the best fit of a structure, with no guess asked: a scan, then Levenberg–Marquardt."""
+"""The way to the best fit of a structure, with no guess asked: a scan, then
+Levenberg–Marquardt.
+"""
 
 from __future__ import annotations
 
@@ -27,22 +29,24 @@ from fraclink._identify.shape import (
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 
-# ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap. Of 160 simulated logs, half of them with more
-# noise than torque, 16 fits end in another valley; with steps of 0.5 it is 23, with a sharper resonance
-# (1.97) 24.
+# ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap. Of 160 simulated logs,
+# half of them with more noise than torque, 16 fits end in another valley; with steps of
+# 0.5 it is 23, with a sharper resonance (1.97) 24.
 _SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2
 _SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
-# λ and step in ln Ω, of the width of the resonance: ζ = 0.024 and 0.008, for what rings on from before a cut.
+# λ and step in ln Ω, of the width of the resonance: ζ = 0.024 and 0.008, for what rings
+# on from before a cut.
 _SHARP, _SHARP_VALLEYS = ((1.97, 0.02), (1.99, 0.007)), 3
 _REMEMBERED = 20_000  # samples before the cut; ζ = 0.008 forgets in 60 periods
 _ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
-# Delays that are tried as starts, as parts of the vibration's period: a fit creeps over ± 0.15 by itself.
-# Either of them alone, or neither, loses 3 more of those 160 logs.
+# Delays that are tried as starts, as parts of the vibration's period: a fit creeps over
+# ± 0.15 by itself. Either of them alone, or neither, loses 3 more of those 160 logs.
 _DELAY_STARTS = (0.12, 0.24)
 _DELAY_LIMITS = (-0.12, 0.35)
-# Delays of other valleys, as parts of the period: on a smooth move λ and the delay trade, and a fit in the
-# valley of the one never sees the other. With the delay held a few steps tell what is worth a fit: on a log
-# with a resonance the cost is a hundred times the least one there.
+# Delays of other valleys, as parts of the period: on a smooth move λ and the delay
+# trade, and a fit in the valley of the one never sees the other. With the delay held a
+# few steps tell what is worth a fit: on a log with a resonance the cost is a hundred
+# times the least one there.
 _DELAY_VALLEYS, _DELAY_NEAR = (0.0, 0.08, 0.2), 0.04
 _HELD_ITERATIONS, _WORTH = 5, 4.0
 _PLACES = 9  # over the range of frequencies, where a first fit has failed
@@ -50,7 +54,8 @@ _PLACES = 9  # over the range of frequencies, where a first fit has failed
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The least-squares point of one structure: coordinates, linear parameters, Gram matrix there.
+    """The least-squares point of one structure: coordinates, linear parameters, Gram
+    matrix there.
 
     `evaluations`: passes over the data that the search had taken by then.
     """
@@ -69,9 +74,15 @@ class Solution:
 
     @property
     def on_edge(self) -> bool:
-        """Whether fractional damping ended on ω₀ = 0, where it is an undamped link with λ = 2 − α."""
+        """Whether fractional damping ended on ω₀ = 0, where it is an undamped link with
+        λ = 2 − α.
+        """
         other = float(self.shape[3])
-        return 3 in self.free and other < 1 and self.shape[2] >= (1 - 1e-7) * largest_ratio(other)
+        return (
+            3 in self.free
+            and other < 1
+            and self.shape[2] >= (1 - 1e-7) * largest_ratio(other)
+        )
 
     @property
     def at_bound(self) -> tuple[int, ...]:
@@ -80,7 +91,8 @@ class Solution:
         return tuple(
             i
             for i in self.free
-            if self.shape[i] <= self.lower[i] + near[i] or self.shape[i] >= self.upper[i] - near[i]
+            if self.shape[i] <= self.lower[i] + near[i]
+            or self.shape[i] >= self.upper[i] - near[i]
         )
 
 
@@ -88,7 +100,8 @@ class Solution:
 class Search:
     """Fits of one window; every structure's start is taken from those found before.
 
-    `fixed` may hold "gain", "offset", "delay" and model coordinates "order", "damping_order".
+    `fixed` may hold "gain", "offset", "delay" and model coordinates "order",
+    "damping_order".
     """
 
     window: Window
@@ -111,14 +124,20 @@ class Search:
 
     @property
     def seed(self) -> Shape:
-        """A point near the resonance: the best of the scan, or the guess that was given if it is better.
+        """A point near the resonance: the best of the scan, or the guess that was given
+        if it is better.
 
-        With a free gain a fit from a bad guess ends beside the optimum in one of five cases, with the
-        sign of the gain reversed; from the scan it does not. With a known gain any guess leads there (2000
-        of 2000 with ω₀ up to three times off), and the scan is saved.
+        With a free gain a fit from a bad guess ends beside the optimum in one of five
+        cases, with the sign of the gain reversed; from the scan it does not. With a
+        known gain any guess leads there (2000 of 2000 with ω₀ up to three times off),
+        and the scan is saved.
         """
         if self._seed is None:
-            self._seed = self.start if self.start is not None and "gain" in self.fixed else self._scan()
+            self._seed = (
+                self.start
+                if self.start is not None and "gain" in self.fixed
+                else self._scan()
+            )
         return self._seed
 
     @property
@@ -130,12 +149,16 @@ class Search:
     def kernel(self) -> FitProblem:
         """The kernel on a grid for this resonance; a guess may be three times too high."""
         if self._kernel is None:
-            self._kernel = self.window.kernel(self.lowest, longest_delay=self.longest_delay)
+            self._kernel = self.window.kernel(
+                self.lowest, longest_delay=self.longest_delay
+            )
         return self._kernel
 
     @property
     def lowest(self) -> float:
-        """The lowest resonance [rad/s] the grid of rates must serve: a guess may be three times too high."""
+        """The lowest resonance [rad/s] the grid of rates must serve: a guess may be
+        three times too high.
+        """
         return math.exp(self.seed[1]) / (3 if self.seed is self.start else 1)
 
     @property
@@ -143,20 +166,31 @@ class Search:
         """The largest delay [s] that the kernel must be able to apply."""
         fixed = abs(self.fixed.get("delay", 0.0))
         span = self.window.samples * self.window.period
-        # A hair more than a fit may use (`_DELAY_LIMITS`), three times that where the seed is a guess.
-        return max(fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span))
+        # A hair more than a fit may use (`_DELAY_LIMITS`), three times that where the
+        # seed is a guess.
+        return max(
+            fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span)
+        )
 
     def _scan(self) -> Shape:
-        """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower one, then delays."""
+        """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower
+        one, then delays.
+        """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         delay = self.fixed.get("delay", 0.0)
         points = max(int((high - low) / _SWEEP_STEP), 8)
-        kernel = self.window.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
-        broad, costs = self._tried(kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay)
-        # Two: the lowest of a broad resonance need not be the lowest of a narrow one, as in 3 of those 160
-        # logs.
+        kernel = self.window.kernel(
+            math.exp(low), longest_delay=abs(delay), coarse=True
+        )
+        broad, costs = self._tried(
+            kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay
+        )
+        # Two: the lowest of a broad resonance need not be the lowest of a narrow one,
+        # as in 3 of those 160 logs.
         near = broad[lowest_valleys(costs, 2)]
-        fine = (near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])).ravel()
+        fine = (
+            near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
+        ).ravel()
         narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
         if self.start is not None:
             narrow = np.concatenate([narrow, self.start[None, :]])
@@ -164,29 +198,48 @@ class Search:
         best: Shape = narrow[int(np.argmin(costs))]
         if "delay" in self.fixed:
             return best
-        # A delay of a quarter of the vibration turns the torque into a velocity: the scan without it then
-        # finds the right frequency with the wrong phase, or another frequency.
+        # A delay of a quarter of the vibration turns the torque into a velocity: the
+        # scan without it then finds the right frequency with the wrong phase, or
+        # another frequency.
         late = np.concatenate([delayed(near, part) for part in _DELAY_STARTS])
-        kernel = self.window.kernel(math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True)
+        kernel = self.window.kernel(
+            math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True
+        )
         late_costs = self._costs(kernel, late)
         least = int(np.argmin(late_costs))
-        return best if float(np.min(costs)) <= late_costs[least] else np.asarray(late[least])
+        return (
+            best
+            if float(np.min(costs)) <= late_costs[least]
+            else np.asarray(late[least])
+        )
 
     def _tried(
-        self, kernel: FitProblem, places: NDArray[np.float64], order: float, delay: float
+        self,
+        kernel: FitProblem,
+        places: NDArray[np.float64],
+        order: float,
+        delay: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         order = self.fixed.get("order", order)
         rows = np.array([[order, x, 0.0, 1.0, delay] for x in places])
         return rows, self._costs(kernel, rows)
 
-    def _costs(self, kernel: FitProblem, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _costs(
+        self, kernel: FitProblem, rows: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         self._evaluations += len(rows)
         return kernel.costs(rows, self.gain, self.offset)
 
     def limits(self, *, may_lead: bool) -> tuple[Shape, Shape]:
-        """Lower and upper limits of the coordinates; `may_lead` admits a delay below zero."""
+        """Lower and upper limits of the coordinates; `may_lead` admits a delay below
+        zero.
+        """
         low, high = (math.log(x) for x in self.window.frequency_limits)
-        shortest = max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay) if may_lead else 0.0
+        shortest = (
+            max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay)
+            if may_lead
+            else 0.0
+        )
         longest = min(_DELAY_LIMITS[1] * self.wave, 0.97 * self.longest_delay)
         lower = np.array([ORDER_LIMITS[0], low - 0.5, 0.0, ALPHA_LIMITS[0], shortest])
         # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
@@ -196,16 +249,22 @@ class Search:
     def free(self, name: str) -> tuple[int, ...]:
         """Free coordinates of a structure, the delay included unless it is fixed."""
         names = {0: "order", 3: "damping_order"}
-        own = tuple(i for i in free_coordinates(name) if names.get(i, "") not in self.fixed)
+        own = tuple(
+            i for i in free_coordinates(name) if names.get(i, "") not in self.fixed
+        )
         return own if "delay" in self.fixed else (*own, 4)
 
     def solve(self, name: str) -> Solution:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
             found = self._best(name, list(self._starts(name)))
-            if name == FRACTIONAL and "delay" not in self.fixed:  # the other structures start from it
+            if (
+                name == FRACTIONAL and "delay" not in self.fixed
+            ):  # the other structures start from it
                 found = self._over_the_delays(found)
-            if name == FRACTIONAL and self.window.angle.size > self.window.samples:  # a cut log
+            if (
+                name == FRACTIONAL and self.window.angle.size > self.window.samples
+            ):  # a cut log
                 found = self._from_places(found, self._sharp())
             if 1 in found.at_bound or (4 in found.at_bound and found.shape[4] != 0.0):
                 found = self._from_other_valleys(found)
@@ -214,36 +273,45 @@ class Search:
                     found = self._over_the_jumps(found)
                 elif self.window.is_rough:
                     found = self._over_the_kinks(found)
-            # The best one need not be the last one: what was tried after it was work, too.
+            # The best one need not be the last one: what was tried after it was work,
+            # too.
             self.solutions[name] = replace(found, evaluations=self._evaluations)
         return self.solutions[name]
 
     def _from_other_valleys(self, found: Solution) -> Solution:
-        """The best of a fit that ended at a limit of ω₀ or the delay, and of fits from elsewhere.
+        """The best of a fit that ended at a limit of ω₀ or the delay, and of fits from
+        elsewhere.
 
-        On a noisy log of little motion the scan may take a rate far above the resonance for it. The limits of
-        the delay and the kernel's rates are made for the seed: each place is a seed of its own.
+        On a noisy log of little motion the scan may take a rate far above the resonance
+        for it. The limits of the delay and the kernel's rates are made for the seed:
+        each place is a seed of its own.
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         places = np.linspace(low, high, _PLACES)
-        # λ where it is not free is the structure's own: a link of order 2 begun at 1.92 would keep that.
+        # λ where it is not free is the structure's own: a link of order 2 begun at 1.92
+        # would keep that.
         order = _SCAN_ORDER if 0 in found.free else float(found.shape[0])
         rows = [np.array([order, x, 0.0, 1.0, 0.0]) for x in places]
         return self._from_places(found, [found.shape, *rows])
 
     def _sharp(self) -> list[Shape]:
-        """Places to begin at on a cut log, where a lightly damped link swings by all that went before.
+        """Places to begin at on a cut log, where a lightly damped link swings by all
+        that went before.
 
-        Of 48 logs that keep the last 2 s of 32 s (ζ of 0.005 and 0.02, 1 % noise) the delay is right in 14
-        by the scan alone, in 37 with fits from these places.
+        Of 48 logs that keep the last 2 s of 32 s (ζ of 0.005 and 0.02, 1 % noise) the
+        delay is right in 14 by the scan alone, in 37 with fits from these places.
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         delay = self.fixed.get("delay", 0.0)
-        # What such links remember; of a longer history every place would cost milliseconds.
-        near = replace(self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :])
+        # What such links remember; of a longer history every place would cost
+        # milliseconds.
+        near = replace(
+            self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :]
+        )
         kernel = near.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
         rows: list[Shape] = []
-        # Each is a seed of its own: the best one of so coarse a row need not be of the best valley.
+        # Each is a seed of its own: the best one of so coarse a row need not be of the
+        # best valley.
         for order, step in _SHARP:
             tried, costs = self._tried(kernel, np.arange(low, high, step), order, delay)
             rows.extend(tried[lowest_valleys(costs, _SHARP_VALLEYS)])
@@ -264,17 +332,25 @@ class Search:
     def reconcile(self) -> None:
         """Fit a structure again from a special case of it that did better.
 
-        On a log without a clear resonance a scan may end in another valley for each structure; a structure
-        that is worse than its own special case would be the search's fault.
+        On a log without a clear resonance a scan may end in another valley for each
+        structure; a structure that is worse than its own special case would be the
+        search's fault.
         """
-        for name, special in ((row, other) for row in STRUCTURES for other in special_cases(row)):
+        for name, special in (
+            (row, other) for row in STRUCTURES for other in special_cases(row)
+        ):
             inner, outer = self.solve(special), self.solve(name)
-            if outer.cost > inner.cost * (1 + 1e-9) and not {"order", "damping_order"} & set(self.fixed):
+            if outer.cost > inner.cost * (1 + 1e-9) and not {
+                "order",
+                "damping_order",
+            } & set(self.fixed):
                 again = self._best(name, [embedded(inner.shape, name)], may_lead=True)
                 self.solutions[name] = min((outer, again), key=lambda s: s.cost)
 
     def _over_the_delays(self, found: Solution) -> Solution:
-        """The best of a fit and of two from other delays: those that are lowest with the delay held."""
+        """The best of a fit and of two from other delays: those that are lowest with
+        the delay held.
+        """
         held = mask_of(tuple(i for i in found.free if i != 4))
         rows = []
         for delay in (part * self.wave for part in _DELAY_VALLEYS):
@@ -283,43 +359,63 @@ class Search:
             start = found.shape.copy()
             start[4] = min(delay, found.upper[4])
             status, shape, _, _, cost, evaluations, _ = self.kernel.solve(
-                start[None, :], held, found.lower, found.upper, self.gain, self.offset, _HELD_ITERATIONS
+                start[None, :],
+                held,
+                found.lower,
+                found.upper,
+                self.gain,
+                self.offset,
+                _HELD_ITERATIONS,
             )
             self._evaluations += evaluations
             if status != 3 and cost < _WORTH * found.cost:
                 rows.append((cost, tuple(shape.tolist())))
         if not rows:
             return found
-        other = self._best(found.structure, [np.array(shape) for _, shape in sorted(rows)[:2]])
+        other = self._best(
+            found.structure, [np.array(shape) for _, shape in sorted(rows)[:2]]
+        )
         return other if other.cost < found.cost * (1 - 1e-9) else found
 
     def _over_the_jumps(self, found: Solution) -> Solution:
         """Fits within the two nearest sampling intervals of delay.
 
-        A held input jumps, and so does the torque: as a function of the delay the cost jumps wherever a
-        sample passes a jump, and is smooth only from a sample (included) back to the one before.
+        A held input jumps, and so does the torque: as a function of the delay the cost
+        jumps wherever a sample passes a jump, and is smooth only from a sample
+        (included) back to the one before.
         """
         period, best = self.window.period, found
-        for whole in {math.floor(found.shape[4] / period), math.ceil(found.shape[4] / period - 1e-9)}:
+        for whole in {
+            math.floor(found.shape[4] / period),
+            math.ceil(found.shape[4] / period - 1e-9),
+        }:
             start = found.shape.copy()
             start[4] = whole * period
             shortest, longest = found.lower[4], found.upper[4]
-            inside = (max((whole - 1 + 1e-6) * period, shortest), min(whole * period, longest))
+            inside = (
+                max((whole - 1 + 1e-6) * period, shortest),
+                min(whole * period, longest),
+            )
             if inside[0] >= inside[1]:
                 continue
-            best = min((best, self._best(found.structure, [start], delays=inside)), key=lambda s: s.cost)
+            best = min(
+                (best, self._best(found.structure, [start], delays=inside)),
+                key=lambda s: s.cost,
+            )
         return best
 
     def _over_the_kinks(self, found: Solution) -> Solution:
-        """Fits from the neighbouring half samples of delay, and from delays that are truly negative.
+        """Fits from the neighbouring half samples of delay, and from delays that are
+        truly negative.
 
-        A straight line averages the noise of two samples, most of it half-way between them, so that a
-        rough angle rewards every half sample of delay. Within a sample such a gain says nothing on which
-        channel is later: the delay is then not let below zero (see `limits`).
+        A straight line averages the noise of two samples, most of it half-way between
+        them, so that a rough angle rewards every half sample of delay. Within a sample
+        such a gain says nothing on which channel is later: the delay is then not let
+        below zero (see `limits`).
         """
         rows = []
-        # 0.6 of a sample is just over the crest that half a sample makes; 2.5 is far beyond the one sample
-        # within which a lead says nothing.
+        # 0.6 of a sample is just over the crest that half a sample makes; 2.5 is far
+        # beyond the one sample within which a lead says nothing.
         for shift in (-0.6, 0.6, -2.5):
             rows.append(found.shape.copy())
             rows[-1][4] += shift * self.window.period
@@ -337,31 +433,54 @@ class Search:
         delays: tuple[float, float] | None = None,
     ) -> Solution:
         free = self.free(name)
-        lower, upper = self.limits(may_lead=not self.window.is_rough if may_lead is None else may_lead)
+        lower, upper = self.limits(
+            may_lead=not self.window.is_rough if may_lead is None else may_lead
+        )
         if "damping_order" in structure(name).free:
-            # As an undamped link with λ near 1 it vibrates far below its poles' modulus, and hardly at all.
+            # As an undamped link with λ near 1 it vibrates far below its poles'
+            # modulus, and hardly at all.
             lower[1], upper[2] = lower[1] - 3.0, 50.0
         if delays is not None:
             lower[4], upper[4] = delays
         starts = np.array(rows)
         if "delay" in self.fixed:
             starts[:, 4] = self.fixed["delay"]
-        starts[:, list(free)] = np.clip(starts[:, list(free)], lower[list(free)], upper[list(free)])
+        starts[:, list(free)] = np.clip(
+            starts[:, list(free)], lower[list(free)], upper[list(free)]
+        )
         status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
             starts, mask_of(free), lower, upper, self.gain, self.offset, _ITERATIONS
         )
         self._evaluations += evaluations
         if status == 3:
             raise NotConvergedError(
-                f"the fit of {name}", reached=math.inf, wanted=0.0, remedy="examine the log with diagnose"
+                f"the fit of {name}",
+                reached=math.inf,
+                wanted=0.0,
+                remedy="examine the log with diagnose",
             )
-        return Solution(name, free, shape, gain, offset, cost, gram, lower, upper, status, self._evaluations)
+        return Solution(
+            name,
+            free,
+            shape,
+            gain,
+            offset,
+            cost,
+            gram,
+            lower,
+            upper,
+            status,
+            self._evaluations,
+        )
 
     def _starts(self, name: str) -> Iterable[Shape]:
-        """Points to start from; only the undamped fractional link, which fits any ring-down, needs a scan."""
+        """Points to start from; only the undamped fractional link, which fits any
+        ring-down, needs a scan.
+        """
         free = set(structure(name).free)
         if name == FRACTIONAL:
-            # Not at 2: on the limit the slope in λ may point outwards, and the descent would never leave it.
+            # Not at 2: on the limit the slope in λ may point outwards, and the descent
+            # would never leave it.
             order = self.fixed.get("order", min(self.seed[0], 1.95))
             yield np.array([order, self.seed[1], 0.0, 1.0, self.seed[4]])
             return
@@ -373,28 +492,48 @@ class Search:
         elif "order" in free:
             yield from (self.solve(special).shape for special in special_cases(name))
         elif "damping" in free:
-            # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start beside the optimum.
+            # The undamped link of order λ decays as one with ζ = −cos(π/λ): a start
+            # beside the optimum.
             yield np.array([2.0, fractional[1], max(ratio, 1e-3), 1.0, fractional[4]])
         else:
             yield from self._undamped(fractional)
 
     def _undamped(self, near: Shape) -> Iterable[Shape]:
-        # Without damping the phase must fit over the whole log: a dip of the cost every π/T, each is tried.
-        spacing = min(math.pi / (self.window.samples * self.window.period * math.exp(near[1])), 0.1)
+        # Without damping the phase must fit over the whole log: a dip of the cost every
+        # π/T, each is tried.
+        spacing = min(
+            math.pi / (self.window.samples * self.window.period * math.exp(near[1])),
+            0.1,
+        )
         reach = min(math.ceil(0.15 / spacing), 60)
         offsets = near[1] + spacing * np.arange(-reach, reach + 1)
-        rows = np.array([[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}])
+        rows = np.array(
+            [[2.0, x, 0.0, 1.0, delay] for x in offsets for delay in {near[4], 0.0}]
+        )
         costs = self._costs(self.kernel, rows)
         yield from rows[np.argsort(costs)[:3]]
 
     def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterable[Shape]:
-        # Special cases first: a step never raises the cost, so the fit is never worse than any of them.
+        # Special cases first: a step never raises the cost, so the fit is never worse
+        # than any of them.
         others: tuple[float, ...] = (0.4, 1.5)
         if "damping_order" in self.fixed:
             others = (self.fixed["damping_order"],)
         else:
-            damped = (other for other in special_cases(name) if "damping" in structure(other).free)
+            damped = (
+                other
+                for other in special_cases(name)
+                if "damping" in structure(other).free
+            )
             yield from (self.solve(other).shape for other in damped)
             yield undamped_as_damped(fractional)
         for other in others:
-            yield np.array([2.0, fractional[1], min(ratio, 0.9 * largest_ratio(other)), other, fractional[4]])
+            yield np.array(
+                [
+                    2.0,
+                    fractional[1],
+                    min(ratio, 0.9 * largest_ratio(other)),
+                    other,
+                    fractional[4],
+                ]
+            )

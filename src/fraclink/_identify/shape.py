@@ -1,12 +1,14 @@
-"""The coordinates a fit moves in, how they become a link's parameters, and the log as the kernel sees it.
+"""The coordinates a fit moves in, how they become a link's parameters, and the log as
+the kernel sees it.
 
-A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s], damping ratio there,
-order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)
+A shape is (λ, ln Ω, ζ, α, τ): order of inertia, logarithm of the resonance [rad/s],
+damping ratio there, order of the damping, delay [s]. With S = sin(απ/2), C = cos(απ/2)
 
     μ = 2ζ Ω^(λ−α) / S,    ω₀² = Ω^λ (1 − 2ζ C/S).
 
-In (ω₀, μ, α) a fit of fractional damping runs along a valley, since α, μ and ω₀ shift one resonance and
-one width between three numbers; in (Ω, ζ, α) the valley is the α axis.
+In (ω₀, μ, α) a fit of fractional damping runs along a valley, since α, μ and ω₀ shift
+one resonance and one width between three numbers; in (Ω, ζ, α) the valley is the α
+axis.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ Shape = NDArray[np.float64]
 Vector = NDArray[np.float64]
 Hold = Literal["auto", "zero", "first"]
 
-# The coordinate that moves each parameter; a structure's row in fraclink._arm.link says which are free.
+# The coordinate that moves each parameter; a structure's row in fraclink._arm.link says
+# which are free.
 COORDINATE: dict[str, int] = {
     "order": 0,
     "natural_frequency": 1,
@@ -37,19 +40,21 @@ COORDINATE: dict[str, int] = {
     "delay": 4,
 }
 NAMES = ("natural_frequency", "order", "damping", "damping_order")
-# At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to identify.
+# At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to
+# identify.
 ORDER_LIMITS = (1.01, 2.0)
-# Beyond, s^α is stiffness (0) or inertia (2). The lower limit is that close so that a fractional link with
-# λ = 2 − α lies inside up to λ = 1.9999.
+# Beyond, s^α is stiffness (0) or inertia (2). The lower limit is that close so that a
+# fractional link with λ = 2 − α lies inside up to λ = 1.9999.
 ALPHA_LIMITS = (1e-4, 1.9)
 
-# Samples before a cut that move the link, or three lengths of the log where that is more. The bound is one
-# of cost, as none of physics is short enough: of a link of ζ = 0.02 cut to its last 2 s of 32 s the delay is
-# 15 ms off if three lengths move it. A fit of 2000 samples takes 1.2 s of CPU behind 50 000 samples and 3.4 s
-# behind 200 000.
+# Samples before a cut that move the link, or three lengths of the log where that is
+# more. The bound is one of cost, as none of physics is short enough: of a link of ζ =
+# 0.02 cut to its last 2 s of 32 s the delay is 15 ms off if three lengths move it. A
+# fit of 2000 samples takes 1.2 s of CPU behind 50 000 samples and 3.4 s behind 200 000.
 HISTORY = 200_000
 
-# The trapezoid rule in ln(rate) errs like exp(−π²/step): 3e-9 at 0.5, enough to find parameters to 1e-8.
+# The trapezoid rule in ln(rate) errs like exp(−π²/step): 3e-9 at 0.5, enough to find
+# parameters to 1e-8.
 _STEP = 0.5
 _SCAN_STEP = 1.0  # 5e-5, for the scan only
 _DEPTH = 12.2  # rates down to Ω·e^−12.2: what lies below weighs less than 1e-9
@@ -71,7 +76,8 @@ def mask_of(free: Sequence[int]) -> int:
 def special_cases(name: str) -> list[str]:
     """Structures that are special cases of this one, in the order of the table.
 
-    The undamped link of order λ is one of every link with a free α: see `undamped_as_damped`.
+    The undamped link of order λ is one of every link with a free α: see
+    `undamped_as_damped`.
     """
     free = set(structure(name).free)
     return [
@@ -83,7 +89,11 @@ def special_cases(name: str) -> list[str]:
 
 def embedded(shape: Shape, name: str) -> Shape:
     """The shape of a special case in the coordinates of the structure `name`."""
-    return undamped_as_damped(shape) if shape[0] < 2 and "order" not in structure(name).free else shape
+    return (
+        undamped_as_damped(shape)
+        if shape[0] < 2 and "order" not in structure(name).free
+        else shape
+    )
 
 
 def delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
@@ -94,7 +104,9 @@ def delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
 
 
 def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
-    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum is not another."""
+    """Indices of the lowest local minima, the lowest first; a plateau beside a minimum
+    is not another.
+    """
     padded = np.concatenate([[np.inf], costs, [np.inf]])
     valleys = np.flatnonzero((costs <= padded[:-2]) & (costs <= padded[2:]))
     return np.asarray(valleys[np.argsort(costs[valleys])][:count])
@@ -102,8 +114,9 @@ def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
 
 def damping_and_square(shape: Shape) -> tuple[float, float]:
     """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
-    # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α S, where a viscous
-    # link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For another λ it is the same with Ω^λ for Ω².
+    # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α
+    # S, where a viscous link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For
+    # another λ it is the same with Ω^λ for Ω².
     order, log_resonance, ratio, other = (float(x) for x in shape[:4])
     sine, cosine = math.sin(other * math.pi / 2), math.cos(other * math.pi / 2)
     whole = math.exp(order * log_resonance)
@@ -115,32 +128,53 @@ def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel
     """The link model of a shape."""
     damping, square = damping_and_square(shape)
     order, other = float(shape[0]), float(shape[3])
-    # 1e-9 of the stiffness is below what any double-precision fit resolves: then the damping is all there is.
-    square = 0.0 if damping > 0 and square < 1e-9 * math.exp(order * shape[1]) else square
-    return LinkModel(stiffness, math.sqrt(square), order, damping, other if damping > 0 else 1.0, payload)
+    # 1e-9 of the stiffness is below what any double-precision fit resolves: then the
+    # damping is all there is.
+    square = (
+        0.0 if damping > 0 and square < 1e-9 * math.exp(order * shape[1]) else square
+    )
+    return LinkModel(
+        stiffness,
+        math.sqrt(square),
+        order,
+        damping,
+        other if damping > 0 else 1.0,
+        payload,
+    )
 
 
 def shape_of(model: LinkModel, delay: float = 0.0) -> Shape:
-    """The shape of a link model (for λ = 2 exact; a general model's damping is matched at its pole)."""
+    """The shape of a link model (for λ = 2 exact; a general model's damping is matched
+    at its pole).
+    """
     pole = model.pole
     if model.damping == 0:
         return np.array([model.order, math.log(abs(pole)), 0.0, 1.0, delay])
     turn = model.damping_order * math.pi / 2
     resonance = abs(pole)
-    for _ in range(60):  # Ω² = ω₀² + μ Ω^α cos(απ/2): a contraction for a weakly damped link
+    for _ in range(
+        60
+    ):  # Ω² = ω₀² + μ Ω^α cos(απ/2): a contraction for a weakly damped link
         reach = model.damping * resonance**model.damping_order
-        resonance = math.sqrt(max(model.natural_frequency**2 + reach * math.cos(turn), 1e-12))
+        resonance = math.sqrt(
+            max(model.natural_frequency**2 + reach * math.cos(turn), 1e-12)
+        )
     ratio = reach * math.sin(turn) / (2 * resonance**2)
-    return np.array([model.order, math.log(resonance), ratio, model.damping_order, delay])
+    return np.array(
+        [model.order, math.log(resonance), ratio, model.damping_order, delay]
+    )
 
 
 def largest_ratio(other: float) -> float:
-    """The damping ratio ζ beyond which ω₀² is negative (α < 1), or the link no longer vibrates."""
+    """The damping ratio ζ beyond which ω₀² is negative (α < 1), or the link no longer
+    vibrates.
+    """
     return math.tan(other * math.pi / 2) / 2 if other < 1 else 0.9
 
 
 def undamped_as_damped(shape: Shape) -> Shape:
-    """The link with fractional damping that is the undamped one of order λ: its inertia divided by s^α.
+    """The link with fractional damping that is the undamped one of order λ: its inertia
+    divided by s^α.
 
     ω₀ = 0, μ is the old ω₀² and α = 2 − λ.
     """
@@ -150,14 +184,18 @@ def undamped_as_damped(shape: Shape) -> Shape:
 
 
 def model_gradients(shape: Shape) -> NDArray[np.float64]:
-    """∂(ω₀, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to 1e-9 here)."""
+    """∂(ω₀, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to
+    1e-9 here).
+    """
 
     def values(point: Shape) -> Vector:
         damping, square = damping_and_square(point)
         return np.array([math.sqrt(square), point[0], damping, point[3]])
 
     steps = 1e-6 * np.eye(5)[:4]
-    return np.stack([(values(shape + step) - values(shape - step)) / 2e-6 for step in steps], axis=1)
+    return np.stack(
+        [(values(shape + step) - values(shape - step)) / 2e-6 for step in steps], axis=1
+    )
 
 
 def last_of(history: Vector, samples: int, most: int) -> Vector:
@@ -166,25 +204,31 @@ def last_of(history: Vector, samples: int, most: int) -> Vector:
 
 
 def moving_angle(log: Experiment) -> Vector:
-    """The motor angle that moves the link of a log: the log's own, behind the known one before its cut."""
+    """The motor angle that moves the link of a log: the log's own, behind the known one
+    before its cut.
+    """
     if log.earlier_angle is None:
         return log.motor_angle
-    return np.concatenate([last_of(log.earlier_angle, log.output.size, HISTORY), log.motor_angle])
+    return np.concatenate(
+        [last_of(log.earlier_angle, log.output.size, HISTORY), log.motor_angle]
+    )
 
 
 def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
     """What the input does between samples.
 
-    A motor moves smoothly, so "auto" joins the samples by straight lines; a simulated command that jumps
-    between two samples and rests before and after is held instead. Read as a ramp it would delay the link
-    by half a sample, and λ pays for that.
+    A motor moves smoothly, so "auto" joins the samples by straight lines; a simulated
+    command that jumps between two samples and rests before and after is held instead.
+    Read as a ramp it would delay the link by half a sample, and λ pays for that.
     """
     if hold != "auto":
         return hold
-    steps = np.abs(np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:]))
+    steps = np.abs(
+        np.diff(motor_angle, prepend=motor_angle[:1], append=motor_angle[-1:])
+    )
     calm = np.maximum(steps[:-2], steps[2:]) <= 1e-3 * steps[1:-1]
-    # A twentieth of the whole range is a jump; an encoder that counts once in a while rests on both sides,
-    # too.
+    # A twentieth of the whole range is a jump; an encoder that counts once in a while
+    # rests on both sides, too.
     jumps = calm & (steps[1:-1] > 0.05 * np.ptp(motor_angle))
     return "zero" if steps[1:-1][jumps].sum() > 0.5 * steps.sum() > 0 else "first"
 
@@ -193,9 +237,10 @@ def chosen_hold(motor_angle: Vector, hold: Hold) -> Literal["zero", "first"]:
 class Window:
     """A stretch of a log from its start, in the kernel's terms.
 
-    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H before them move the link and are
-    compared with nothing: without them a log that was cut in mid-motion begins with a vibration that no link
-    at rest can have, and the fit takes it for delay and damping (8 ms on the bundled log, see
+    Of `angle` (H + N,) the last N samples are those of `output` (N,). The H before them
+    move the link and are compared with nothing: without them a log that was cut in
+    mid-motion begins with a vibration that no link at rest can have, and the fit takes
+    it for delay and damping (8 ms on the bundled log, see
     ``benchmarks/bench_identify.py``).
     """
 
@@ -211,42 +256,67 @@ class Window:
 
     @property
     def frequency_limits(self) -> tuple[float, float]:
-        """Resonances [rad/s] that the log can show: a period and a half in it, six samples in a period."""
+        """Resonances [rad/s] that the log can show: a period and a half in it, six
+        samples in a period.
+        """
         return 3 * math.pi / (self.samples * self.period), math.pi / (3 * self.period)
 
     @property
     def is_rough(self) -> bool:
         """Whether noise (such as an encoder's steps) shows in the angle's increments.
 
-        Noise of the samples makes neighbouring increments opposed, so that they resemble each other less
-        than the next but one do; a motion's resemblance falls with every sample.
+        Noise of the samples makes neighbouring increments opposed, so that they
+        resemble each other less than the next but one do; a motion's resemblance falls
+        with every sample.
         """
         steps = np.diff(self.angle)
         return bool(steps[1:] @ steps[:-1] < steps[2:] @ steps[:-2])
 
     def increments(self) -> Vector:
-        """Jump at each sample of `angle` (held input) or slope after it; the link rests before the first."""
+        """Jump at each sample of `angle` (held input) or slope after it; the link rests
+        before the first.
+        """
         if self.hold == "zero":
             return np.diff(self.angle, prepend=self.angle[:1])
         return np.diff(self.angle, append=self.angle[-1:]) / self.period
 
-    def kernel(self, resonance: float, *, longest_delay: float, coarse: bool = False) -> FitProblem:
-        """The kernel with a grid of rates that serves resonances from `resonance` [rad/s] up."""
+    def kernel(
+        self, resonance: float, *, longest_delay: float, coarse: bool = False
+    ) -> FitProblem:
+        """The kernel with a grid of rates that serves resonances from `resonance`
+        [rad/s] up.
+        """
         step = _SCAN_STEP if coarse else _STEP
         start = math.log(resonance) - (_DEPTH if not coarse else 8.0)
         modes = math.ceil((math.log(_REACH / self.period) - start) / step)
-        # Sixty rates reach e^30 above the slowest: only a period of twenty million samples would need more.
+        # Sixty rates reach e^30 above the slowest: only a period of twenty million
+        # samples would need more.
         modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
-        # Two of the kernel's blocks of eight beyond the longest delay, and as much again for an overshoot.
+        # Two of the kernel's blocks of eight beyond the longest delay, and as much
+        # again for an overshoot.
         pad = math.ceil(longest_delay / self.period) + 32
         held = int(self.hold == "first")
-        return FitProblem(self.increments(), self.output, self.period, held, start, step, modes, tail, pad)
+        return FitProblem(
+            self.increments(),
+            self.output,
+            self.period,
+            held,
+            start,
+            step,
+            modes,
+            tail,
+            pad,
+        )
 
 
 def columns_of(kernel: FitProblem, shape: Vector, mask: int = 0) -> NDArray[np.float64]:
-    """Output for unit gain and its derivatives for the coordinates in `mask`, shape (1 + k, N)."""
+    """Output for unit gain and its derivatives for the coordinates in `mask`, shape (1
+    + k, N).
+    """
     columns = kernel.columns(shape, mask)
     if columns is None:
         remedy = "give a model with a damping ratio below 0.9"
-        raise NotConvergedError("the vibration pole", reached=math.nan, wanted=0.0, remedy=remedy)
+        raise NotConvergedError(
+            "the vibration pole", reached=math.nan, wanted=0.0, remedy=remedy
+        )
     return columns

@@ -1,9 +1,11 @@
-"""Identify from a frequency response: several modes with one common λ, outliers set aside.
+"""Identify from a frequency response: several modes with one common λ, outliers set
+aside.
 
     H(s) = g e^(−τs) s^(dλ) Π_i (s^λ + z_i^λ) / Π_i (s^λ + p_i^λ)
 
-A resonance p_i and an anti-resonance z_i are in rad/s (or in radians per sample, where the frequencies
-are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a link, d = 0 its tip.
+A resonance p_i and an anti-resonance z_i are in rad/s (or in radians per sample, where
+the frequencies are); p_i = ω₀_i^(2/λ). d = 1 without anti-resonances is the torque of a
+link, d = 0 its tip.
 """
 
 from __future__ import annotations
@@ -15,14 +17,28 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.recording import Coherence, FrequencyResponse, Lines, coherence_weights
-from fraclink._identify.modal import LONGEST, Bits, Complexes, ModalProblem, Reals, SpectrumFit
+from fraclink._arm.recording import (
+    Coherence,
+    FrequencyResponse,
+    Lines,
+    coherence_weights,
+)
+from fraclink._identify.modal import (
+    LONGEST,
+    Bits,
+    Complexes,
+    ModalProblem,
+    Reals,
+    SpectrumFit,
+)
 from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
 _EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly noise
-_MOST_MODES = 12  # each takes two parameters; measured tables seldom tell more than six apart
+_MOST_MODES = (
+    12  # each takes two parameters; measured tables seldom tell more than six apart
+)
 _ROUNDS = 5  # of setting outliers aside
 _HAMPEL = 6.0  # robust standard deviations from the neighbours' median
 # A gate: a model that leaves more than half of the response is none of this arm.
@@ -49,7 +65,8 @@ def frequency_response(
     signal, output
         shape (N,), one or more whole periods.
     period
-        sampling period [s]; 1 where it is unknown: frequencies are then in radians per sample.
+        sampling period [s]; 1 where it is unknown: frequencies are then in radians per
+        sample.
     threshold
         lines whose input is below this share of the largest are left out [1].
 
@@ -68,13 +85,24 @@ def frequency_response(
     u, y = np.asarray(signal), np.asarray(output)
     # Sixteen: eight lines, of which one mode takes six.
     if u.shape != y.shape or u.size < 16:
-        problem, remedy = f"not as long as the input {u.shape}", "cut both to the same whole periods"
-        raise LogError("output", str(y.shape), problem, allowed=">= 16 samples of each", remedy=remedy)
+        problem, remedy = (
+            f"not as long as the input {u.shape}",
+            "cut both to the same whole periods",
+        )
+        raise LogError(
+            "output",
+            str(y.shape),
+            problem,
+            allowed=">= 16 samples of each",
+            remedy=remedy,
+        )
     # Without the constant: an offset of the gauge is no response to anything.
     into, out = np.fft.rfft(u)[1:], np.fft.rfft(y)[1:]
     lines = np.abs(into) >= threshold * np.max(np.abs(into))
     frequency = 2 * np.pi * np.arange(1, into.size + 1) / (u.size * period)
-    return FrequencyResponse(frequency[lines], out[lines] / into[lines], np.abs(into[lines]))
+    return FrequencyResponse(
+        frequency[lines], out[lines] / into[lines], np.abs(into[lines])
+    )
 
 
 @checked
@@ -112,7 +140,8 @@ def identify_frequency_response(
     order, delay
         values of λ and τ [s] that are known.
     robust
-        set lines aside that stand out from their neighbours (mains hum, lines of lost samples).
+        set lines aside that stand out from their neighbours (mains hum, lines of lost
+        samples).
 
     Raises
     ------
@@ -135,24 +164,29 @@ def identify_frequency_response(
     (1.92, 1.56, 10.02)
     """
     w, h, weight = _lines(frequency, response, coherence, weights)
-    # The outliers are found beside their neighbours in frequency, whatever order the table had.
+    # The outliers are found beside their neighbours in frequency, whatever order the
+    # table had.
     ascending = np.argsort(w)
-    # Torque over angle goes with s^λ at low frequency and has no zeros; a tip or a point on the beam has
-    # them.
+    # Torque over angle goes with s^λ at low frequency and has no zeros; a tip or a
+    # point on the beam has them.
     power = (0 if anti_resonances else 1) if derivative is None else derivative
     least = 2 * (resonances + anti_resonances) + 4
     if w.size < least:
         remedy = "fit fewer modes"
-        raise FieldError("frequency", w.size, "too few lines", allowed=f">= {least}", remedy=remedy)
+        raise FieldError(
+            "frequency", w.size, "too few lines", allowed=f">= {least}", remedy=remedy
+        )
     columns = (w[ascending], h[ascending], weight[ascending])
     problem = ModalProblem(*columns, resonances, anti_resonances, power, order, delay)
     if not robust:
         every = np.ones(w.size, dtype=bool)
         found = problem.result(problem.solve(every, None, loss="linear"), every)
     else:
-        # A loss that ignores outliers may also ignore a mode; one that does not may follow an outlier.
+        # A loss that ignores outliers may also ignore a mode; one that does not may
+        # follow an outlier.
         tried = [_without_outliers(problem, loss) for loss in ("soft_l1", "linear")]
-        # A percent of the fit for a percent of the lines: setting lines aside must not pay by itself.
+        # A percent of the fit for a percent of the lines: setting lines aside must not
+        # pay by itself.
         found = max(tried, key=lambda fit: fit.fit - 100 * len(fit.outliers) / w.size)
     found = replace(found, findings=tuple(_findings(found, columns[0])))
     return _in_order(found, ascending)
@@ -164,19 +198,34 @@ def _lines(
     """The lines with the weight of each; FieldError where their lengths differ."""
     if weights is not None and coherence is not None:
         raise FieldError(
-            "weights", "both", "given beside coherence", allowed="one of them", remedy="drop one"
+            "weights",
+            "both",
+            "given beside coherence",
+            allowed="one of them",
+            remedy="drop one",
         )
-    for name, column in (("response", h), ("coherence", coherence), ("weights", weights)):
+    for name, column in (
+        ("response", h),
+        ("coherence", coherence),
+        ("weights", weights),
+    ):
         if column is not None and column.shape != w.shape:
-            problem, remedy = f"not as long as frequency {w.shape}", "give one for each frequency"
-            raise FieldError(name, str(column.shape), problem, allowed="equal lengths", remedy=remedy)
+            problem, remedy = (
+                f"not as long as frequency {w.shape}",
+                "give one for each frequency",
+            )
+            raise FieldError(
+                name, str(column.shape), problem, allowed="equal lengths", remedy=remedy
+            )
     if coherence is None:
         return w, h, np.ones(w.size) if weights is None else weights
     return w, h, coherence_weights(h, coherence)
 
 
 def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
-    """The gates of a frequency response: least squares always ends somewhere, also without a mode."""
+    """The gates of a frequency response: least squares always ends somewhere, also
+    without a mode.
+    """
     if fit.fit < _FIT_LEAST:
         yield Finding(
             "W341",
@@ -216,9 +265,13 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
 
 
 def _of_the_places(fit: SpectrumFit, low: float, high: float) -> Iterator[Finding]:
-    """Whether each resonance and anti-resonance lies where was measured, and is known there."""
+    """Whether each resonance and anti-resonance lies where was measured, and is known
+    there.
+    """
     places = {"resonance": fit.resonances, "anti-resonance": fit.anti_resonances}
-    for name, place in ((f"{kind} {i + 1}", w) for kind in places for i, w in enumerate(places[kind])):
+    for name, place in (
+        (f"{kind} {i + 1}", w) for kind in places for i, w in enumerate(places[kind])
+    ):
         error = fit.standard_errors[name] / place
         if not low <= place <= high:
             yield Finding(
@@ -242,16 +295,22 @@ def _in_order(fit: SpectrumFit, ascending: NDArray[np.intp]) -> SpectrumFit:
     """The fit with its lines numbered as the caller gave them."""
     predicted = np.empty_like(fit.predicted)
     predicted[ascending] = fit.predicted
-    return replace(fit, outliers=tuple(sorted(int(ascending[k]) for k in fit.outliers)), predicted=predicted)
+    return replace(
+        fit,
+        outliers=tuple(sorted(int(ascending[k]) for k in fit.outliers)),
+        predicted=predicted,
+    )
 
 
 def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
     kept = np.ones(problem.frequency.size, dtype=bool)
     best = problem.solve(kept, None, loss=loss)
     for _ in range(_ROUNDS):
-        # All lines are judged anew each time: one that was set aside beside a worse one may return.
+        # All lines are judged anew each time: one that was set aside beside a worse one
+        # may return.
         again = ~_standing_out(
-            problem.weight * (problem.response - problem.fitted(problem.full(best), kept)[1])
+            problem.weight
+            * (problem.response - problem.fitted(problem.full(best), kept)[1])
         )
         best = problem.solve(again, best, loss="linear")
         settled = np.array_equal(again, kept)
@@ -262,17 +321,21 @@ def _without_outliers(problem: ModalProblem, loss: str) -> SpectrumFit:
 
 
 def _standing_out(error: Complexes) -> Bits:
-    """Lines whose error is far from the median of its neighbours': a model's error is smooth over lines."""
+    """Lines whose error is far from the median of its neighbours': a model's error is
+    smooth over lines.
+    """
     count, reach = error.size, 4
     result = np.zeros(count, dtype=bool)
-    # Where the neighbours agree to the last digit any line would stand out: it must do so from the table's
-    # usual error, too.
+    # Where the neighbours agree to the last digit any line would stand out: it must do
+    # so from the table's usual error, too.
     floor = 1.4826 * float(np.median(np.abs(error)))
     for k in range(count):
-        near = [i for i in range(max(0, k - reach), min(count, k + reach + 1)) if i != k]
+        near = [
+            i for i in range(max(0, k - reach), min(count, k + reach + 1)) if i != k
+        ]
         centre = np.median(error[near].real) + 1j * np.median(error[near].imag)
-        # 1.4826 times the median deviation is the standard deviation of Gaussian errors, and no outlier moves
-        # it.
+        # 1.4826 times the median deviation is the standard deviation of Gaussian
+        # errors, and no outlier moves it.
         spread = 1.4826 * float(np.median(np.abs(error[near] - centre)))
         result[k] = abs(error[k] - centre) > _HAMPEL * max(spread, floor)
     return result

@@ -1,4 +1,6 @@
-"""How sure a structure's parameters are, and what a reader of its fit should know: findings W35x."""
+"""How sure a structure's parameters are, and what a reader of its fit should know:
+findings W35x.
+"""
 
 from __future__ import annotations
 
@@ -33,19 +35,20 @@ Reals = NDArray[np.float64]
 
 _AT_BOUND = 1e-7  # of the range, in the coordinate
 _SHARE = 0.1  # of a direction that the data do not see: parameters that take part in it
-# Relative half-width of an interval of a coefficient, and half-width of an order's, beyond which the data are
-# not said to determine it: a factor of two, and the difference between two structures people would tell
-# apart.
+# Relative half-width of an interval of a coefficient, and half-width of an order's,
+# beyond which the data are not said to determine it: a factor of two, and the
+# difference between two structures people would tell apart.
 _COEFFICIENT_MOST = 0.5
 _ORDER_MOST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """What is known of each parameter; `pairs` are the correlations of all pairs, `blind` what is not seen.
+    """What is known of each parameter; `pairs` are the correlations of all pairs,
+    `blind` what is not seen.
 
-    `blind` are the parameters of directions in which nothing that was measured changes; `inflation` is the
-    largest factor by which the residual's colour widens a variance.
+    `blind` are the parameters of directions in which nothing that was measured changes;
+    `inflation` is the largest factor by which the residual's colour widens a variance.
     """
 
     intervals: Mapping[str, Interval]
@@ -57,10 +60,16 @@ class Certainty:
     inflation: float = 1.0
 
 
-def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details: bool) -> Certainty:
-    """Standard errors that allow for the residual's colour; profile intervals where `details` are wanted."""
+def certainty_of(
+    search: StructureSearch, data: Samples, best: Place, *, details: bool
+) -> Certainty:
+    """Standard errors that allow for the residual's colour; profile intervals where
+    `details` are wanted.
+    """
     own = search.coordinates
-    stuck = tuple(name for name in own.names if _is_at_bound(own, name, best.values[name]))
+    stuck = tuple(
+        name for name in own.names if _is_at_bound(own, name, best.values[name])
+    )
     found = search.jacobian(data, best)
     if len(stuck) == len(found.rows):
         return Certainty(
@@ -72,7 +81,8 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     free = tuple(name for name in own.names if name not in stuck)
     jacobian = found.rows[kept]
     residual = found.of(data.measured - _predicted(search, data, best))
-    # Singular is judged by `_blind`, which names the parameters: W352 is of more use than that a matrix is.
+    # Singular is judged by `_blind`, which names the parameters: W352 is of more use
+    # than that a matrix is.
     inverse, _ = inverted(jacobian @ jacobian.T)
     blind = _blind(jacobian, free)
     variance = best.cost / max(data.measured.size - len(kept), 1)
@@ -80,8 +90,11 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
     wide = white
     perfect = best.cost <= PERFECT * float(data.measured @ data.measured)
     if not perfect:
-        # Colour may also narrow an estimate, but the sandwich is too noisy to be believed there.
-        wide = np.maximum(np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white)
+        # Colour may also narrow an estimate, but the sandwich is too noisy to be
+        # believed there.
+        wide = np.maximum(
+            np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white
+        )
     size = np.sqrt(np.diag(inverse))
     related = inverse / np.outer(size, size)
     errors, intervals, widest = {}, {}, 1.0
@@ -94,25 +107,45 @@ def certainty_of(search: StructureSearch, data: Samples, best: Place, *, details
         value = best.values[name]
         errors[name] = error * (abs(value) if own.is_logarithmic(name) else 1.0)
         intervals[name] = _straight_interval(own, name, value, QUANTILE * error)
-        # What the standard error says is unknown no profile makes known, and its valley is long to follow.
-        if details and best.converged and not perfect and _is_known(own, name, value, intervals[name]):
-            along = dict(zip(free, (inverse[: len(free), k] / inverse[k, k]).tolist(), strict=True))
+        # What the standard error says is unknown no profile makes known, and its valley
+        # is long to follow.
+        if (
+            details
+            and best.converged
+            and not perfect
+            and _is_known(own, name, value, intervals[name])
+        ):
+            along = dict(
+                zip(
+                    free,
+                    (inverse[: len(free), k] / inverse[k, k]).tolist(),
+                    strict=True,
+                )
+            )
             profile = _StructureProfile(search, data, name, best, along)
             intervals[name] = _profile_interval(profile, error, inflation)
     undetermined = tuple(
         name
         for name in own.names
         if name in blind
-        or (name in intervals and not _is_known(own, name, best.values[name], intervals[name]))
+        or (
+            name in intervals
+            and not _is_known(own, name, best.values[name], intervals[name])
+        )
     )
-    pairs = {(free[i], free[j]): float(related[i, j]) for i, j in combinations(range(len(free)), 2)}
+    pairs = {
+        (free[i], free[j]): float(related[i, j])
+        for i, j in combinations(range(len(free)), 2)
+    }
     return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
 
 
 def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
     values = {name: np.array([[value]]) for name, value in place.values.items()}
     simulated = data.simulated(search.coordinates.structure, values, 1)[0]
-    return np.asarray(simulated if data.offset is None else simulated + place.offset * data.offset)
+    return np.asarray(
+        simulated if data.offset is None else simulated + place.offset * data.offset
+    )
 
 
 def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
@@ -120,7 +153,11 @@ def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
     # Of the range in the coordinate: of 1e-12 to 1e12 that is a factor of 1 + 5e-6.
     near = _AT_BOUND * float(high[0] - low[0])
     # A projected gain may be zero or negative where its logarithm is the coordinate.
-    place = float(own.place(name, value)) if value > 0 or not own.is_logarithmic(name) else -math.inf
+    place = (
+        float(own.place(name, value))
+        if value > 0 or not own.is_logarithmic(name)
+        else -math.inf
+    )
     return bool(place <= low[0] + near or place >= high[0] - near)
 
 
@@ -136,13 +173,17 @@ def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for k, name in enumerate(names) if name in none or shared[k])
 
 
-def _is_known(own: StructureCoordinates, name: str, value: float, interval: Interval) -> bool:
-    """Whether an interval says something: closed, and narrower than what people would call an order apart."""
+def _is_known(
+    own: StructureCoordinates, name: str, value: float, interval: Interval
+) -> bool:
+    """Whether an interval says something: closed, and narrower than what people would
+    call an order apart.
+    """
     role = own.structure.roles[name]
     if interval.high_open or (interval.low_open and role != "delay"):
         return False
-    # A delay of zero is the usual answer, and its interval begins at that limit: only its open end counts
-    # against it.
+    # A delay of zero is the usual answer, and its interval begins at that limit: only
+    # its open end counts against it.
     half = (interval.high - interval.low) / 2
     if role == "order":
         return half <= _ORDER_MOST
@@ -154,13 +195,17 @@ def _is_known(own: StructureCoordinates, name: str, value: float, interval: Inte
 
 @dataclass(frozen=True, eq=False)
 class _StructureProfile:
-    """The best cost at given values of one parameter, in its coordinate; all others are fitted anew."""
+    """The best cost at given values of one parameter, in its coordinate; all others are
+    fitted anew.
+    """
 
     search: StructureSearch
     data: Samples
     name: str
     best: Place
-    slopes: Mapping[str, float]  # of the other coordinates, along the valley of the cost
+    slopes: Mapping[
+        str, float
+    ]  # of the other coordinates, along the valley of the cost
 
     @property
     def samples(self) -> int:
@@ -176,17 +221,24 @@ class _StructureProfile:
 
     def cost(self, value: float, near: Place) -> tuple[float, Place]:
         own = self.search.coordinates
-        held = replace(own, fixed={**own.fixed, self.name: float(own.value(self.name, value))})
+        held = replace(
+            own, fixed={**own.fixed, self.name: float(own.value(self.name, value))}
+        )
         inner = StructureSearch(held, self.search.offset)
-        # The others move along the valley of the cost, as the normal matrix has it: from where they were a
-        # descent would first have to walk back into it.
+        # The others move along the valley of the cost, as the normal matrix has it:
+        # from where they were a descent would first have to walk back into it.
         step = value - float(own.place(self.name, near.values[self.name]))
-        start = [float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step for n in held.moving]
+        start = [
+            float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step
+            for n in held.moving
+        ]
         found = inner.descended(self.data, np.array([start]))
         return found.cost, found
 
 
-def _straight_interval(own: StructureCoordinates, name: str, value: float, reach: float) -> Interval:
+def _straight_interval(
+    own: StructureCoordinates, name: str, value: float, reach: float
+) -> Interval:
     """The interval of a cost that is a parabola in the coordinate."""
     low, high = (float(end[0]) for end in own.box((name,)))
     centre = float(own.place(name, value))
@@ -195,13 +247,20 @@ def _straight_interval(own: StructureCoordinates, name: str, value: float, reach
     return Interval(*ends, low_open=below <= low, high_open=above >= high)
 
 
-def _profile_interval(profile: _StructureProfile, error: float, inflation: float) -> Interval:
+def _profile_interval(
+    profile: _StructureProfile, error: float, inflation: float
+) -> Interval:
     own, name = profile.search.coordinates, profile.name
     low, high = (float(end[0]) for end in own.box((name,)))
     centre, reach = float(own.place(name, profile.best.values[name])), QUANTILE * error
     below, low_open = interval_end(profile, centre, -reach, low, inflation)
     above, high_open = interval_end(profile, centre, reach, high, inflation)
-    return Interval(float(own.value(name, below)), float(own.value(name, above)), low_open, high_open)
+    return Interval(
+        float(own.value(name, below)),
+        float(own.value(name, above)),
+        low_open,
+        high_open,
+    )
 
 
 # --- exchangeable terms -------------------------------------------------------------------------------------
@@ -210,7 +269,8 @@ def _profile_interval(profile: _StructureProfile, error: float, inflation: float
 def in_order(own: StructureCoordinates, place: Place) -> Place:
     """The place with the orders of exchangeable terms falling in the order of the text.
 
-    In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a convention.
+    In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a
+    convention.
     """
     values = dict(place.values)
     orders = [n for n in own.names if own.structure.roles[n] == "order"]
@@ -218,13 +278,17 @@ def in_order(own: StructureCoordinates, place: Place) -> Place:
     partners = [(), *combinations(others, 2)]
     for first, second in combinations(orders, 2):
         for partner in partners:
-            if values[first] < values[second] and _exchangeable(own, (first, second), partner):
+            if values[first] < values[second] and _exchangeable(
+                own, (first, second), partner
+            ):
                 for one, other in ((first, second), partner or (first, first)):
                     values[one], values[other] = values[other], values[one]
     return replace(place, values=values)
 
 
-def _exchangeable(own: StructureCoordinates, orders: tuple[str, str], others: tuple[str, ...]) -> bool:
+def _exchangeable(
+    own: StructureCoordinates, orders: tuple[str, str], others: tuple[str, ...]
+) -> bool:
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
         return False
@@ -236,18 +300,30 @@ def _exchangeable(own: StructureCoordinates, orders: tuple[str, str], others: tu
     return bool(np.allclose(here, there, rtol=1e-12, atol=0.0))
 
 
-_UNEXPLAINED = 0.25  # of the squared output: half of it in amplitude, as the gate of a frequency response
-_CORRELATED = 0.99  # beyond, a parameter is known seven times better where the other one is given
+# of the squared output: half of it in amplitude, as the gate of a frequency response
+_UNEXPLAINED = 0.25
+_CORRELATED = (
+    0.99  # beyond, a parameter is known seven times better where the other one is given
+)
 _WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
-_FAR = 200.0  # of the logarithm of a corner: orders that nearly agree put it beyond any number
-_BEYOND = 3.0  # a corner may lie outside of the excited band by that factor: its slope reaches in
+# of the logarithm of a corner: orders that nearly agree put it beyond any number
+_FAR = 200.0
+# a corner may lie outside of the excited band by that factor: its slope reaches in
+_BEYOND = 3.0
 
 
 def structure_findings(
-    fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
+    fit: StructureFit,
+    certain: Certainty,
+    rivals: Sequence[Place],
+    data: RecordStart | Lines,
 ) -> tuple[Finding, ...]:
     """All findings, worst first."""
-    found = [*_of_the_parameters(fit, certain), *_of_the_error(fit), *_of_rivals(fit, certain, rivals, data)]
+    found = [
+        *_of_the_parameters(fit, certain),
+        *_of_the_error(fit),
+        *_of_rivals(fit, certain, rivals, data),
+    ]
     found += _of_the_band(fit, data)
     return worst_first(found)
 
@@ -255,7 +331,9 @@ def structure_findings(
 def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Finding]:
     for name in fit.at_bound:
         low, high = fit.limits[name]
-        nothing = fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high  # no delay is seen
+        nothing = (
+            fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high
+        )  # no delay is seen
         yield Finding(
             "W351",
             "warning" if nothing else "error",
@@ -278,7 +356,11 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
                 "W353",
                 "error",
                 f"the data do not determine {name}",
-                {"value": fit.parameters[name], "low": interval.low, "high": interval.high},
+                {
+                    "value": fit.parameters[name],
+                    "low": interval.low,
+                    "high": interval.high,
+                },
                 "excite more of the band, record longer, or give a parameter that is known in fixed",
             )
     for (one, other), related in certain.pairs.items():
@@ -322,16 +404,21 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
 
 
 def _of_rivals(
-    fit: StructureFit, certain: Certainty, rivals: Sequence[Place], data: RecordStart | Lines
+    fit: StructureFit,
+    certain: Certainty,
+    rivals: Sequence[Place],
+    data: RecordStart | Lines,
 ) -> Iterator[Finding]:
     """Other parameters that fit as well as the data can tell, and are not the same.
 
-    An interval follows one valley of the cost; another valley is as good by the same measure.
+    An interval follows one valley of the cost; another valley is as good by the same
+    measure.
     """
     least = fit.nmse
     for rival in rivals:
         ratio = rival.cost / max(_cost(fit, data), 1e-300)
-        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals are cut by.
+        # n ln(cost/least) is the likelihood ratio of Gaussian noise, as the intervals
+        # are cut by.
         told = data.measured.size * math.log(max(ratio, 1.0))
         apart = [
             name
@@ -339,8 +426,8 @@ def _of_rivals(
             if not interval.contains(rival.values[name])
             and not math.isclose(rival.values[name], fit.parameters[name], rel_tol=1e-3)
         ]
-        # Where the fit is perfect every rival is as perfect: two names for one function, which are no two
-        # answers.
+        # Where the fit is perfect every rival is as perfect: two names for one
+        # function, which are no two answers.
         if told < QUANTILE**2 * certain.inflation and apart and least > 1e-12:
             values = {name: rival.values[name] for name in apart}
             yield Finding(
@@ -361,8 +448,16 @@ def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
 def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
-    corners = sorted({float(f"{w:.6g}") for terms in (G.numerator, G.denominator) for w in _corners(terms)})
-    for corner in corners if not fit.at_bound else ():  # a term that vanished has no corner
+    corners = sorted(
+        {
+            float(f"{w:.6g}")
+            for terms in (G.numerator, G.denominator)
+            for w in _corners(terms)
+        }
+    )
+    for corner in (
+        corners if not fit.at_bound else ()
+    ):  # a term that vanished has no corner
         if not low / _BEYOND <= corner <= high * _BEYOND:
             yield Finding(
                 "W358",
@@ -374,15 +469,18 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
 
 
 def _corners(terms: Sequence[Term]) -> list[float]:
-    """Frequencies [rad/s] at which neighbouring terms are equal: corners of the magnitude's asymptotes."""
-    # ln|c s^n| = ln|c| + n ln ω: the largest term at each ω is the upper hull of the points (n, ln|c|), its
-    # corners the slopes between neighbours.
+    """Frequencies [rad/s] at which neighbouring terms are equal: corners of the
+    magnitude's asymptotes.
+    """
+    # ln|c s^n| = ln|c| + n ln ω: the largest term at each ω is the upper hull of the
+    # points (n, ln|c|), its corners the slopes between neighbours.
     rows = sorted((t.order, math.log(abs(t.coefficient))) for t in terms)
     hull: list[tuple[float, float]] = []
     for x, y in rows:
         while len(hull) > 1:
             (x1, y1), (x2, y2) = hull[-2:]
-            # A point below the line of its neighbours is never the largest term: it makes no corner.
+            # A point below the line of its neighbours is never the largest term: it
+            # makes no corner.
             if (y2 - y1) * (x - x1) > (y - y1) * (x2 - x1):
                 break
             hull.pop()

@@ -1,4 +1,6 @@
-"""The result of a structure's fit: its parameters, how sure they are, and the function they make."""
+"""The result of a structure's fit: its parameters, how sure they are, and the function
+they make.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,21 @@ __all__ = ["StructureFit"]
 
 Reals = NDArray[np.float64]
 
-_SAMPLES_MOST = 300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
+_SAMPLES_MOST = (
+    300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
+)
 
 
 def _check_size(fit: StructureFit) -> None:
     if fit.predicted.size > _SAMPLES_MOST:
         allowed, remedy = f"<= {_SAMPLES_MOST}", "fit a part of the recording"
-        raise SizeError("samples", fit.predicted.size, "too many to save", allowed=allowed, remedy=remedy)
+        raise SizeError(
+            "samples",
+            fit.predicted.size,
+            "too many to save",
+            allowed=allowed,
+            remedy=remedy,
+        )
 
 
 @displayed
@@ -58,8 +68,9 @@ class StructureFit:
     limits
         range of every fitted parameter.
     intervals
-        95 % intervals; an open end is a limit of the range that is not excluded. A parameter that ended
-        at a limit, or that the data do not tell from others, has none.
+        95 % intervals; an open end is a limit of the range that is not excluded. A
+        parameter that ended at a limit, or that the data do not tell from others, has
+        none.
     standard_errors
         of the parameters with an interval; colour of the residual is allowed for.
     at_bound
@@ -71,23 +82,26 @@ class StructureFit:
     domain
         "time" or "frequency".
     period, hold
-        sampling period [s] and what the input does between samples; None for a frequency response.
+        sampling period [s] and what the input does between samples; None for a
+        frequency response.
     fitted
         samples (or lines) that the parameters come from; later samples are held out.
     nmse
-        squared error over the squared (output − offset); relative to each line for a frequency response.
+        squared error over the squared (output − offset); relative to each line for a
+        frequency response.
     heldout_nmse
-        the same over the samples held out, or over every fourth line, predicted from the others; None where
-        none were.
+        the same over the samples held out, or over every fourth line, predicted from
+        the others; None where none were.
     place
         time [s] of the samples, or frequency [rad/s] of the lines, shape (N,).
     measured, predicted
-        output of the recording, shape (N,); of a frequency response the real parts, then the imaginary ones,
-        shape (2N,).
+        output of the recording, shape (N,); of a frequency response the real parts,
+        then the imaginary ones, shape (2N,).
     converged, evaluations
         whether the descent met its tolerance, and the candidates that it took.
     findings
-        codes W35x; one of severity "error" means that the parameters are not to be believed.
+        codes W35x; one of severity "error" means that the parameters are not to be
+        believed.
     source, sha256
         of the data.
 
@@ -131,14 +145,16 @@ class StructureFit:
         for name in ("parameters", "limits", "intervals", "standard_errors"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
         for name in ("place", "measured", "predicted"):
-            # Copies that cannot be written: a fit that is hashed, cached and drawn must not change behind
-            # them.
+            # Copies that cannot be written: a fit that is hashed, cached and drawn must
+            # not change behind them.
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
     def __repr__(self) -> str:
-        values = ", ".join(f"{name} = {value:.5g}" for name, value in self.parameters.items())
+        values = ", ".join(
+            f"{name} = {value:.5g}" for name, value in self.parameters.items()
+        )
         return f"StructureFit({self.expression}: {values})"
 
     def __str__(self) -> str:
@@ -150,15 +166,20 @@ class StructureFit:
         value = f"{name} = {self.parameters[name]:.6g}"
         if name in self.fixed:
             return f"{value} (given)"
-        # An interval that determines nothing is in the data and not in the text: a reader would quote it.
+        # An interval that determines nothing is in the data and not in the text: a
+        # reader would quote it.
         if name in self.intervals and name not in self.undetermined:
             return f"{value}, 95 % {self.intervals[name].low:.6g} to {self.intervals[name].high:.6g}"
-        return f"{value} ({'at its bound' if name in self.at_bound else 'not determined'})"
+        return (
+            f"{value} ({'at its bound' if name in self.at_bound else 'not determined'})"
+        )
 
     @property
     def _held(self) -> str:
         held = self.heldout_nmse
-        return "nothing held out" if held is None else f"held-out error {100 * held:.3g} %"
+        return (
+            "nothing held out" if held is None else f"held-out error {100 * held:.3g} %"
+        )
 
     @property
     def passed(self) -> bool:
@@ -167,14 +188,20 @@ class StructureFit:
 
     @cached_property
     def transfer_function(self) -> FractionalTransferFunction:
-        """The exact function, for `step_response`, `margins`, `poles`, `time_response` and all else."""
+        """The exact function, for `step_response`, `margins`, `poles`, `time_response`
+        and all else.
+        """
         return parse_expression(self.expression).function(self.parameters)
 
     def save(self, path: Path | str) -> None:
-        """Write the fit as JSON, complete or not at all; `load` reads back an equal one."""
+        """Write the fit as JSON, complete or not at all; `load` reads back an equal
+        one.
+        """
         save(self, path, force=True)
 
     @classmethod
     def load(cls, path: Path | str) -> StructureFit:
-        """Read a fit that `save` wrote; raises FileFormatError where the file is another or damaged."""
+        """Read a fit that `save` wrote; raises FileFormatError where the file is
+        another or damaged.
+        """
         return load(path, cls)

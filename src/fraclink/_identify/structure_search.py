@@ -1,12 +1,15 @@
 """The best parameters of a structure, without a start value.
 
-1. Orders and delays are drawn over their ranges. Where numerator and denominator are straight in the
-   coefficients (nearly every structure that people write), these follow by linear least squares
-   (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963) 56); elsewhere they are drawn, too.
+1. Orders and delays are drawn over their ranges. Where numerator and denominator are
+   straight in the coefficients (nearly every structure that people write), these follow
+   by linear least squares (Sanathanan and Koerner, IEEE Trans. Autom. Control 8 (1963)
+   56); elsewhere they are drawn, too.
 2. The best draws descend together on the transform, some microseconds each.
-3. The best of these descend on the samples themselves, each candidate by its exact response.
+3. The best of these descend on the samples themselves, each candidate by its exact
+   response.
 
-The gain (a coefficient that multiplies the whole) and the output's offset are projected out all along.
+The gain (a coefficient that multiplies the whole) and the output's offset are projected
+out all along.
 """
 
 from __future__ import annotations
@@ -31,7 +34,12 @@ from fraclink._identify.least_squares import (
     project,
     stepped,
 )
-from fraclink._identify.structure_problem import RecordStart, Samples, Spectrum, StructureCoordinates
+from fraclink._identify.structure_problem import (
+    RecordStart,
+    Samples,
+    Spectrum,
+    StructureCoordinates,
+)
 from fraclink._identify.structure_slopes import Coarse, Rows
 from fraclink._identify.structure_starts import Starts
 from fraclink.errors import NotConvergedError
@@ -43,13 +51,17 @@ Reals = NDArray[np.float64]
 _DESCENTS = 10
 _TRIED = 3  # places of the transform that are compared on the samples
 _FIRST_STEPS = 10
-_SAME = 1e-6  # costs closer than that are those of one function, found twice or with its parameters exchanged
+# costs closer than that are those of one function, found twice or with its parameters
+# exchanged
+_SAME = 1e-6
 _ENOUGH = 1e-9  # of the cost on samples: what a step gains at the end of a descent
 _CALLS = 150
 PERFECT = 1e-16  # of the power: a cost below is rounding
 _VANISHED = 14.0  # in the logarithm: within a factor of a million of the range's end
 _RETURNS = 29
-_RETURNED = 3.0  # times the least cost of these: values that hardly disturb what was found, or improve it
+# times the least cost of these: values that hardly disturb what was found, or improve
+# it
+_RETURNED = 3.0
 _NEARLY = 1.05  # costs on the samples within 5 % are both followed to their end
 
 
@@ -65,7 +77,9 @@ class Place:
 
 @dataclass(eq=False)
 class StructureSearch:
-    """The search for one structure in one set of data; `offset` is None where it is free."""
+    """The search for one structure in one set of data; `offset` is None where it is
+    free.
+    """
 
     coordinates: StructureCoordinates
     offset: float | None
@@ -81,7 +95,8 @@ class StructureSearch:
         simulated = data.simulated(own.structure, own.values(places), len(places))
         measured = data.measured
         columns, limits = [], []
-        # Without a gain the whole response counts as measured: only the offset is left to be fitted to it.
+        # Without a gain the whole response counts as measured: only the offset is left
+        # to be fitted to it.
         if own.gain is None:
             measured = measured - simulated
         else:
@@ -93,27 +108,40 @@ class StructureSearch:
         elif data.offset is not None and self.offset is not None:
             measured = measured - self.offset * data.offset
         if not columns:
-            return np.broadcast_to(measured, simulated.shape), np.zeros((len(places), 0))
+            return np.broadcast_to(measured, simulated.shape), np.zeros(
+                (len(places), 0)
+            )
         low, high = np.array(limits).T
         if measured.ndim == 1:
             return project(measured, np.stack(columns, axis=1), low, high)
-        # No gain: only the offset is linear, and what is left differs from candidate to candidate.
+        # No gain: only the offset is linear, and what is left differs from candidate to
+        # candidate.
         column = columns[0]
         with np.errstate(all="ignore"):
-            best = np.einsum("mr,mr->m", measured, column) / np.einsum("mr,mr->m", column, column)
+            best = np.einsum("mr,mr->m", measured, column) / np.einsum(
+                "mr,mr->m", column, column
+            )
             return measured - best[:, None] * column, best[:, None]
 
-    def place(self, data: Samples, coordinates: Reals, cost: float, *, converged: bool) -> Place:
+    def place(
+        self, data: Samples, coordinates: Reals, cost: float, *, converged: bool
+    ) -> Place:
         """Parameters and offset at coordinates."""
         own = self.coordinates
         linear = self._projected(data, coordinates[None, :])[1][0].tolist()
-        values = {name: float(v[0, 0]) for name, v in own.values(coordinates[None, :]).items()}
+        values = {
+            name: float(v[0, 0]) for name, v in own.values(coordinates[None, :]).items()
+        }
         if own.gain is not None:
             values[own.gain] = linear.pop(0)
         ordered = {name: values[name] for name in own.structure.names}
-        return Place(ordered, linear[0] if linear else (self.offset or 0.0), cost, converged)
+        return Place(
+            ordered, linear[0] if linear else (self.offset or 0.0), cost, converged
+        )
 
-    def run(self, data: RecordStart | Spectrum, start: Mapping[str, float] | None) -> list[Place]:
+    def run(
+        self, data: RecordStart | Spectrum, start: Mapping[str, float] | None
+    ) -> list[Place]:
         """Places that no step improves, best first."""
         spectrum = data.spectrum if isinstance(data, RecordStart) else data
         low, high = self.coordinates.box(self.coordinates.moving)
@@ -123,21 +151,35 @@ class StructureSearch:
             screen = self._rows_of(data).screen()
         draws = self._ranked(screen, np.clip(begin, low, high))
         if start is not None:
-            # Before the others and not in their place: a wrong start costs one descent and hides nothing.
-            given = [float(self.coordinates.place(name, start[name])) for name in self.coordinates.moving]
+            # Before the others and not in their place: a wrong start costs one descent
+            # and hides nothing.
+            given = [
+                float(self.coordinates.place(name, start[name]))
+                for name in self.coordinates.moving
+            ]
             draws = np.concatenate([np.array([given]), draws])
-        # Few steps tell a promising descent from a lost one; only the former are worth an end.
+        # Few steps tell a promising descent from a lost one; only the former are worth
+        # an end.
         names = self.coordinates.moving
-        orders = [k for k, n in enumerate(names) if self.coordinates.structure.roles[n] == "order"]
-        first = _distinct(self._descend(screen, draws, low, high, iterations=_FIRST_STEPS), orders)
+        orders = [
+            k
+            for k, n in enumerate(names)
+            if self.coordinates.structure.roles[n] == "order"
+        ]
+        first = _distinct(
+            self._descend(screen, draws, low, high, iterations=_FIRST_STEPS), orders
+        )
         if not first:
             raise self._lost()
-        again = self._descend(screen, np.array(first[:_TRIED]), low, high, iterations=60)
+        again = self._descend(
+            screen, np.array(first[:_TRIED]), low, high, iterations=60
+        )
         ranked = _distinct(again, orders)
         if isinstance(data, RecordStart):
             if start is not None:
                 ranked = [draws[0], *ranked]
-            # The transform does not know an unstable function from a stable one; its samples do.
+            # The transform does not know an unstable function from a stable one; its
+            # samples do.
             ranked = self._on_samples(data, [*ranked, *first[_TRIED:]])[:_TRIED]
             if not ranked:
                 raise self._lost()
@@ -149,24 +191,35 @@ class StructureSearch:
         last = self._back_from_zero(data, screen, last, low, high)
         order = [k for k in np.argsort(last.costs) if np.isfinite(last.costs[k])]
         return [
-            self.place(data, last.places[k], float(last.costs[k]), converged=bool(last.converged[k]))
+            self.place(
+                data,
+                last.places[k],
+                float(last.costs[k]),
+                converged=bool(last.converged[k]),
+            )
             for k in order
         ]
 
-    def _over_the_jumps(self, data: RecordStart, found: Descent, low: Reals, high: Reals) -> Descent:
-        """The best place again with each delay within the sampling interval before and behind it.
+    def _over_the_jumps(
+        self, data: RecordStart, found: Descent, low: Reals, high: Reals
+    ) -> Descent:
+        """The best place again with each delay within the sampling interval before and
+        behind it.
 
-        A held input jumps, and the response to a jump may begin with a vertical tangent: as a function of the
-        delay the cost has a cusp wherever a sample passes a jump, and is smooth only between two of them.
+        A held input jumps, and the response to a jump may begin with a vertical
+        tangent: as a function of the delay the cost has a cusp wherever a sample passes
+        a jump, and is smooth only between two of them.
         """
         best = int(np.argmin(found.costs))
         for k, name in enumerate(self.coordinates.moving):
             if self.coordinates.structure.roles[name] != "delay":
                 continue
             periods = float(found.places[best, k]) / data.period
-            # A delay on a sample (to 1e-9 of the period) belongs to one interval, any other to the two beside
-            # it.
-            for whole in sorted({math.floor(periods + 1e-9), math.ceil(periods - 1e-9)}):
+            # A delay on a sample (to 1e-9 of the period) belongs to one interval, any
+            # other to the two beside it.
+            for whole in sorted(
+                {math.floor(periods + 1e-9), math.ceil(periods - 1e-9)}
+            ):
                 inner = low.copy(), high.copy()
                 inner[0][k] = max((whole - 1 + 1e-6) * data.period, low[k])
                 inner[1][k] = min(whole * data.period, high[k])
@@ -183,48 +236,80 @@ class StructureSearch:
     ) -> Descent:
         """The best place again from larger values of coefficients that vanished.
 
-        In the logarithm the cost of a vanishing coefficient is flat, and a descent that has come there for a
-        passing reason has no slope to return by.
+        In the logarithm the cost of a vanishing coefficient is flat, and a descent that
+        has come there for a passing reason has no slope to return by.
         """
         best = int(np.argmin(found.costs))
         for k, name in enumerate(self.coordinates.moving):
-            if not self.coordinates.is_logarithmic(name) or found.places[best, k] > low[k] + _VANISHED:
+            if (
+                not self.coordinates.is_logarithmic(name)
+                or found.places[best, k] > low[k] + _VANISHED
+            ):
                 continue
             tried = np.repeat(found.places[best : best + 1], _RETURNS, axis=0)
-            # A factor e a step over twelve decades: a valley of a coefficient is wider than that in the
-            # logarithm.
-            tried[:, k] = np.linspace(max(low[k], -_VANISHED), min(high[k], _VANISHED), _RETURNS)
+            # A factor e a step over twelve decades: a valley of a coefficient is wider
+            # than that in the logarithm.
+            tried[:, k] = np.linspace(
+                max(low[k], -_VANISHED), min(high[k], _VANISHED), _RETURNS
+            )
             costs = np.einsum("mr,mr->m", rest := self.residuals(screen, tried), rest)
             near = np.flatnonzero(costs <= _RETURNED * np.nanmin(costs))
             begin = tried[near[-_TRIED:]]
-            # The transform does not tell them apart as the samples do: each is settled there.
+            # The transform does not tell them apart as the samples do: each is settled
+            # there.
             _take_over(found, best, self._settled(data, begin, low, high))
         return found
 
     def descended(self, data: Samples, begin: Reals) -> Place:
-        """The place that the descent from one set of coordinates, shape (1, p), ends at."""
+        """The place that the descent from one set of coordinates, shape (1, p), ends
+        at.
+        """
         low, high = self.coordinates.box(self.coordinates.moving)
         found = self._settled(data, begin, low, high)
-        return self.place(data, found.places[0], float(found.costs[0]), converged=bool(found.converged[0]))
+        return self.place(
+            data,
+            found.places[0],
+            float(found.costs[0]),
+            converged=bool(found.converged[0]),
+        )
 
     def _lost(self) -> NotConvergedError:
         remedy = "check that the structure is proper (use a frequency response if it is not), or give start"
-        return NotConvergedError(self.coordinates.structure.text, reached=math.inf, wanted=0.0, remedy=remedy)
+        return NotConvergedError(
+            self.coordinates.structure.text, reached=math.inf, wanted=0.0, remedy=remedy
+        )
 
-    def _descend(self, data: Samples, places: Reals, low: Reals, high: Reals, *, iterations: int) -> Descent:
-        # The unit of time is the middle of the band: there coefficients and orders trade least.
+    def _descend(
+        self, data: Samples, places: Reals, low: Reals, high: Reals, *, iterations: int
+    ) -> Descent:
+        # The unit of time is the middle of the band: there coefficients and orders
+        # trade least.
         shear = self.coordinates.shear(math.sqrt(math.prod(data.band)))
         found = descend(
-            lambda x: self.residuals(data, x), places, low, high, iterations=iterations, shear=shear
+            lambda x: self.residuals(data, x),
+            places,
+            low,
+            high,
+            iterations=iterations,
+            shear=shear,
         )
         self.evaluations += found.evaluations
         return found
 
-    def _ended(self, data: RecordStart, places: list[Reals], low: Reals, high: Reals) -> Descent:
-        """The ends of descents on the samples: first on a transform back, then with the exact response."""
-        ends = [self._stepped(data, np.clip(place, low + 1e-9, high - 1e-9), low, high) for place in places]
+    def _ended(
+        self, data: RecordStart, places: list[Reals], low: Reals, high: Reals
+    ) -> Descent:
+        """The ends of descents on the samples: first on a transform back, then with the
+        exact response.
+        """
+        ends = [
+            self._stepped(data, np.clip(place, low + 1e-9, high - 1e-9), low, high)
+            for place in places
+        ]
         rows = [(end.place, end.cost, end.converged) for end in ends]
-        reached, costs, converged = (np.array(column) for column in zip(*rows, strict=True))
+        reached, costs, converged = (
+            np.array(column) for column in zip(*rows, strict=True)
+        )
         found = Descent(reached, costs, converged, 0)
         for k in np.flatnonzero(~found.converged):
             again = self._settled(data, found.places[k : k + 1], low, high)
@@ -232,15 +317,21 @@ class StructureSearch:
             found.converged[k] = again.converged[0]
         return found
 
-    def _stepped(self, data: RecordStart, begin: Reals, low: Reals, high: Reals) -> Stepped:
-        """Steps whose Jacobian is that of a transform back, which no candidate is simulated for."""
+    def _stepped(
+        self, data: RecordStart, begin: Reals, low: Reals, high: Reals
+    ) -> Stepped:
+        """Steps whose Jacobian is that of a transform back, which no candidate is
+        simulated for.
+        """
         own = self.coordinates
         moving = [own.names.index(name) for name in own.moving]
 
         def descent(samples: Samples, place: Reals, *, damped: bool = False) -> Stepped:
             found = stepped(
                 lambda x: self.residuals(samples, x[None, :])[0],
-                lambda x: self.blocks(samples, self.place(samples, x, 0.0, converged=False)),
+                lambda x: self.blocks(
+                    samples, self.place(samples, x, 0.0, converged=False)
+                ),
                 place,
                 (low, high),
                 moving,
@@ -253,8 +344,8 @@ class StructureSearch:
         found = descent(data, begin)
         if found.ended or not math.isfinite(found.cost):
             return found
-        # The exact response failed to lead on, mostly from a place far off: there a crude transform is good
-        # enough.
+        # The exact response failed to lead on, mostly from a place far off: there a
+        # crude transform is good enough.
         values = self.place(data, found.place, 0.0, converged=False).values
         coarse = self._rows_of(data).coarse(own, values, crude=True)
         if coarse is None:
@@ -262,11 +353,14 @@ class StructureSearch:
         again = descent(data, descent(coarse, found.place, damped=True).place)
         return again if again.cost < found.cost else found
 
-    def _settled(self, data: Samples, places: Reals, low: Reals, high: Reals) -> Descent:
+    def _settled(
+        self, data: Samples, places: Reals, low: Reals, high: Reals
+    ) -> Descent:
         """The ends of descents by a trust region, one after another.
 
-        Its radius keeps to a curved valley that a swinging damping crosses again and again: 30 calls
-        instead of hundreds where two terms of a sum have nearly one order.
+        Its radius keeps to a curved valley that a swinging damping crosses again and
+        again: 30 calls instead of hundreds where two terms of a sum have nearly one
+        order.
         """
 
         def residuals(x: Reals) -> Reals:
@@ -276,18 +370,26 @@ class StructureSearch:
         def jacobian(x: Reals) -> Reals:
             self.evaluations += x.size
             many = partial(self.residuals, data)
-            return np.asarray(differences(many, x[None, :], residuals(x)[None, :], low, high)[0].T)
+            return np.asarray(
+                differences(many, x[None, :], residuals(x)[None, :], low, high)[0].T
+            )
 
         ends, costs, converged = [], [], []
         for place in places:
-            begin = np.clip(place, low + 1e-9, high - 1e-9)  # strictly inside, as the method demands
+            begin = np.clip(
+                place, low + 1e-9, high - 1e-9
+            )  # strictly inside, as the method demands
             first = residuals(begin)
             if not begin.size or not np.isfinite(first).all():
                 ends.append(begin)
-                costs.append(float(first @ first) if np.isfinite(first).all() else math.inf)
+                costs.append(
+                    float(first @ first) if np.isfinite(first).all() else math.inf
+                )
                 converged.append(not begin.size)
                 continue
-            with np.errstate(all="ignore"):  # a parameter that nothing depends on divides by zero
+            with np.errstate(
+                all="ignore"
+            ):  # a parameter that nothing depends on divides by zero
                 found = least_squares(
                     residuals,
                     begin,
@@ -302,7 +404,9 @@ class StructureSearch:
             ends.append(found.x)
             # scipy's cost is half a sum of squares.
             costs.append(2.0 * float(found.cost))
-            least = max(ENOUGH * costs[-1], PERFECT * float(data.measured @ data.measured))
+            least = max(
+                ENOUGH * costs[-1], PERFECT * float(data.measured @ data.measured)
+            )
             converged.append(found.status > 0 and decrement(found) <= least)
         return Descent(np.array(ends), np.array(costs), np.array(converged), 0)
 
@@ -310,10 +414,14 @@ class StructureSearch:
         """The best draws."""
         costs = np.einsum("mr,mr->m", rest := self.residuals(screen, draws), rest)
         self.evaluations += len(draws)
-        return draws[np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")][:_DESCENTS]
+        return draws[
+            np.argsort(np.where(np.isfinite(costs), costs, np.inf), kind="stable")
+        ][:_DESCENTS]
 
     def _on_samples(self, data: RecordStart, places: list[Reals]) -> list[Reals]:
-        """The places whose exact response is nearly as near to the samples as the best one's."""
+        """The places whose exact response is nearly as near to the samples as the best
+        one's.
+        """
         if not places:
             return []
         rest = self.residuals(data, np.array(places))
@@ -321,12 +429,17 @@ class StructureSearch:
         self.evaluations += len(places)
         costs = np.where(np.isfinite(costs), costs, np.inf)
         order = np.argsort(costs, kind="stable")
-        return [places[k] for k in order if np.isfinite(costs[k]) and costs[k] <= _NEARLY * costs[order[0]]]
+        return [
+            places[k]
+            for k in order
+            if np.isfinite(costs[k]) and costs[k] <= _NEARLY * costs[order[0]]
+        ]
 
     # --- derivatives of the whole ---------------------------------------------------------------------------
 
     def blocks(self, data: Samples, place: Place) -> Blocks | None:
-        """∂(measured)/∂(free parameters' coordinates, then the offset where it is free), of a recording.
+        """∂(measured)/∂(free parameters' coordinates, then the offset where it is
+        free), of a recording.
 
         None where no transform back knows them.
         """
@@ -341,7 +454,11 @@ class StructureSearch:
             return None
         if self.offset is None:
             found = np.concatenate([found, coarse.offset[None, :]])
-        return Blocks(found, 1, True) if coarse is data else Blocks(found, coarse.width, coarse.sharp)
+        return (
+            Blocks(found, 1, True)
+            if coarse is data
+            else Blocks(found, coarse.width, coarse.sharp)
+        )
 
     def _rows_of(self, data: RecordStart) -> Rows:
         if self.rows is None or self.rows.data is not data:
@@ -349,7 +466,9 @@ class StructureSearch:
         return self.rows
 
     def jacobian(self, data: Samples, place: Place) -> Blocks:
-        """As `blocks`, with differences where no transform knows the slopes well, shape (q, R)."""
+        """As `blocks`, with differences where no transform knows the slopes well, shape
+        (q, R).
+        """
         found = self.blocks(data, place)
         if found is not None and found.sharp:
             return found
@@ -358,9 +477,12 @@ class StructureSearch:
         low, high = own.box(names)
 
         def simulated(places: Reals) -> Reals:
-            return data.simulated(own.structure, own.values(places, projected=False), len(places))
+            return data.simulated(
+                own.structure, own.values(places, projected=False), len(places)
+            )
 
-        # With the gain as a coordinate: its error is asked for, too, though the search projects it out.
+        # With the gain as a coordinate: its error is asked for, too, though the search
+        # projects it out.
         rows = differences(simulated, at, simulated(at), low, high)[0]
         self.evaluations += len(names) + 1
         if data.offset is not None and self.offset is None:
@@ -383,8 +505,9 @@ def _rises(place: Reals, orders: Sequence[int]) -> int:
 def _distinct(found: Descent, orders: Sequence[int]) -> list[Reals]:
     """The places of a descent without repetitions, best first.
 
-    Where one function has several sets of parameters, as (s^a + c s^b + w)/k has after a division by c, the
-    one is taken whose orders (the columns `orders`) fall in the order of the text.
+    Where one function has several sets of parameters, as (s^a + c s^b + w)/k has after
+    a division by c, the one is taken whose orders (the columns `orders`) fall in the
+    order of the text.
     """
     kept: list[Reals] = []
     last = -math.inf

@@ -14,7 +14,12 @@ from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weig
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
 from fraclink._identify.shape import Hold
-from fraclink._identify.structure_certainty import Certainty, certainty_of, in_order, structure_findings
+from fraclink._identify.structure_certainty import (
+    Certainty,
+    certainty_of,
+    in_order,
+    structure_findings,
+)
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import (
     COEFFICIENT_LIMITS,
@@ -37,7 +42,8 @@ Bounds = Mapping[str, tuple[float, float]]
 _LEAST_EACH = 5  # measured numbers for each free parameter
 _EVERY = 4  # of a frequency response every fourth line is predicted from the others
 _LONGEST_DELAY = 0.5  # of a record: a later output is hardly seen
-_TURNS = 20.0  # delay in radians at the highest line: beyond, lines are too far apart to unwrap it
+# delay in radians at the highest line: beyond, lines are too far apart to unwrap it
+_TURNS = 20.0
 
 
 @checked
@@ -60,41 +66,46 @@ def identify_structure(
     Parameters
     ----------
     data
-        a log (motor angle to output, with the angle from before a cut: of a very long one the last 50 000
-        samples), any two channels as a `Recording`, or a `FrequencyResponse`.
+        a log (motor angle to output, with the angle from before a cut: of a very long
+        one the last 50 000 samples), any two channels as a `Recording`, or a
+        `FrequencyResponse`.
     expression
-        numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur several times; what stands
-        in an exponent of s is an order, in ``exp`` a delay, elsewhere a coefficient.
+        numbers, names, ``s``, ``+ - * / **`` and ``exp(-T*s)``. A name may occur
+        several times; what stands in an exponent of s is an order, in ``exp`` a delay,
+        elsewhere a coefficient.
     start
         values to begin at besides those that are tried anyway.
     fixed
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds
-        ranges of parameters. By default orders lie in 0.02 to 4, coefficients in 1e-12 to 1e12 (above 0!) and
-        delays in 0 s to half of the record, or to 20 rad at the highest line. A range such as (-10, 10)
-        admits a negative coefficient.
+        ranges of parameters. By default orders lie in 0.02 to 4, coefficients in 1e-12
+        to 1e12 (above 0!) and delays in 0 s to half of the record, or to 20 rad at the
+        highest line. A range such as (-10, 10) admits a negative coefficient.
     hold
-        what the input does between samples: "zero", "first", or "auto" for "zero" where it jumps and rests.
+        what the input does between samples: "zero", "first", or "auto" for "zero" where
+        it jumps and rests.
     heldout
-        share of the samples at the end that are predicted and not fitted. By default 0.4, cut where both
-        parts have motion; none where the input never changes.
+        share of the samples at the end that are predicted and not fitted. By default
+        0.4, cut where both parts have motion; none where the input never changes.
     weighting
-        of a frequency response's errors: "relative" to |H|, by "coherence" (the default where there is one),
-        or "absolute".
+        of a frequency response's errors: "relative" to |H|, by "coherence" (the default
+        where there is one), or "absolute".
     details
         False: intervals from the standard errors alone, in a fraction of the time.
 
     Raises
     ------
     FieldError
-        an expression with a piece that is not known, a name that is none of it, too few data, an option
-        that says nothing of these data (`heldout` beside a frequency response).
+        an expression with a piece that is not known, a name that is none of it, too few
+        data, an option that says nothing of these data (`heldout` beside a frequency
+        response).
     NotConvergedError
         no candidate has a response.
 
     References
     ----------
-    Sanathanan and Koerner (1963); Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+    Sanathanan and Koerner (1963); Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)
+    413.
 
     Examples
     --------
@@ -119,24 +130,39 @@ def identify_structure(
         fitted = _fitted(record, heldout)
         earlier = data.earlier_angle if isinstance(data, Experiment) else None
         samples, whole = (
-            RecordStart.of(record, hold, count, earlier) for count in (fitted, record.input.size)
+            RecordStart.of(record, hold, count, earlier)
+            for count in (fitted, record.input.size)
         )
         longest = _LONGEST_DELAY * record.period * fitted
         _check_motion(samples)
     coordinates = _coordinates(structure, known, bounds or {}, longest)
     _check_start(coordinates, start, samples.measured.size)
     search = StructureSearch(coordinates, offset)
-    best, *rivals = (in_order(coordinates, place) for place in search.run(samples, start))
+    best, *rivals = (
+        in_order(coordinates, place) for place in search.run(samples, start)
+    )
     # All on the fitted part; what was held out is predicted once and steers nothing.
     certain = certainty_of(search, samples, best, details=details)
-    predicted = best.offset * (whole.offset if whole.offset is not None else 0.0) + _simulated(
-        whole, structure, best
-    )
+    predicted = best.offset * (
+        whole.offset if whole.offset is not None else 0.0
+    ) + _simulated(whole, structure, best)
     held = _heldout(search, samples, whole, best, fitted, predicted)
     fit = _fit_of(
-        structure, coordinates, best, certain, samples, whole, predicted, held, search, data, fitted
+        structure,
+        coordinates,
+        best,
+        certain,
+        samples,
+        whole,
+        predicted,
+        held,
+        search,
+        data,
+        fitted,
     )
-    return dataclasses.replace(fit, findings=structure_findings(fit, certain, rivals, samples))
+    return dataclasses.replace(
+        fit, findings=structure_findings(fit, certain, rivals, samples)
+    )
 
 
 def _simulated(data: RecordStart | Lines, structure: Expression, place: Place) -> Reals:
@@ -154,11 +180,21 @@ def _fitted(record: Recording, heldout: float | None) -> int:
 
 
 def _check_motion(samples: RecordStart) -> None:
-    # Not the input's range: a step at the first sample never changes and excites everything.
-    for name, still in (("input", not np.any(samples.whole_input)), ("output", np.ptp(samples.output) == 0)):
+    # Not the input's range: a step at the first sample never changes and excites
+    # everything.
+    for name, still in (
+        ("input", not np.any(samples.whole_input)),
+        ("output", np.ptp(samples.output) == 0),
+    ):
         if still:
             remedy = "check the column, or fit a part in which it moves"
-            raise LogError(name, 0.0, "constant over the fitted part", allowed="a motion", remedy=remedy)
+            raise LogError(
+                name,
+                0.0,
+                "constant over the fitted part",
+                allowed="a motion",
+                remedy=remedy,
+            )
 
 
 def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines:
@@ -169,39 +205,60 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     if chosen == "coherence":
         if measured.coherence is None:
             allowed, remedy = "a response with coherence", "weigh errors as relative"
-            raise FieldError("weighting", chosen, "without a coherence", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "weighting",
+                chosen,
+                "without a coherence",
+                allowed=allowed,
+                remedy=remedy,
+            )
         weight = coherence_weights(h, measured.coherence[order])
     else:
-        # A relative weight of such a line would be infinite, and with an absolute one its phase still means
-        # nothing.
+        # A relative weight of such a line would be infinite, and with an absolute one
+        # its phase still means nothing.
         if not np.all(np.abs(h) > 0):
             problem, remedy = "zero at a line", "leave that line out"
             raise FieldError("response", 0, problem, allowed="|H| > 0", remedy=remedy)
         weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
-    # Scaled to a sum of squares of one: the error is then a share, as the gates and the search's own limits
-    # take it.
+    # Scaled to a sum of squares of one: the error is then a share, as the gates and the
+    # search's own limits take it.
     return Lines.of(measured.frequency[order], h, weight / np.linalg.norm(weight * h))
 
 
-def _check_used(data: Any, known: Values, hold: Hold, heldout: float | None, weighting: str | None) -> None:
-    """Raise FieldError for an option that says nothing of these data: it would be ignored."""
+def _check_used(
+    data: Any, known: Values, hold: Hold, heldout: float | None, weighting: str | None
+) -> None:
+    """Raise FieldError for an option that says nothing of these data: it would be
+    ignored.
+    """
     swept = isinstance(data, FrequencyResponse)
     of_a_recording = {"heldout": heldout, "hold": None if hold == "auto" else hold}
     if "offset" in known:
         of_a_recording["fixed['offset']"] = known["offset"]
     given = of_a_recording if swept else {"weighting": weighting}
     beside, other = (
-        ("a frequency response", "a recording") if swept else ("a recording", "a frequency response")
+        ("a frequency response", "a recording")
+        if swept
+        else ("a recording", "a frequency response")
     )
     for field, value in given.items():
         if value is not None:
             problem, remedy = f"given beside {beside}", "leave it out"
-            raise FieldError(field, value, problem, allowed=f"{other} with it", remedy=remedy)
+            raise FieldError(
+                field, value, problem, allowed=f"{other} with it", remedy=remedy
+            )
 
 
-def _check_names(structure: Expression, fixed: Values, bounds: Bounds, start: Values) -> None:
-    # `offset` is the output's constant and in no formula: it may be fixed, and has neither range nor start.
-    for field, given in (("fixed", {**fixed}), ("bounds", {**bounds}), ("start", {**start})):
+def _check_names(
+    structure: Expression, fixed: Values, bounds: Bounds, start: Values
+) -> None:
+    # `offset` is the output's constant and in no formula: it may be fixed, and has
+    # neither range nor start.
+    for field, given in (
+        ("fixed", {**fixed}),
+        ("bounds", {**bounds}),
+        ("start", {**start}),
+    ):
         for name in given:
             if name not in structure.names and (field, name) != ("fixed", "offset"):
                 listed = ", ".join(structure.names) or "(none)"
@@ -210,27 +267,46 @@ def _check_names(structure: Expression, fixed: Values, bounds: Bounds, start: Va
     for name in bounds:
         if name in fixed:
             problem, remedy = f"given beside fixed[{name!r}]", "leave one of them out"
-            raise FieldError(f"bounds[{name!r}]", bounds[name], problem, allowed="one of both", remedy=remedy)
+            raise FieldError(
+                f"bounds[{name!r}]",
+                bounds[name],
+                problem,
+                allowed="one of both",
+                remedy=remedy,
+            )
 
 
 def _coordinates(
     structure: Expression, known: Values, bounds: Bounds, longest: float
 ) -> StructureCoordinates:
-    usual = {"order": ORDER_LIMITS, "delay": (0.0, longest), "coefficient": COEFFICIENT_LIMITS}
+    usual = {
+        "order": ORDER_LIMITS,
+        "delay": (0.0, longest),
+        "coefficient": COEFFICIENT_LIMITS,
+    }
     limits = {name: usual[role] for name, role in structure.roles.items()}
-    # Wider than any use, and so narrow that s^order stays a double over six decades of frequency.
+    # Wider than any use, and so narrow that s^order stays a double over six decades of
+    # frequency.
     widest = {"order": 20.0, "delay": 1e6, "coefficient": 1e15}
     for name, pair in bounds.items():
         role = structure.roles[name]
         least = 0.0 if role == "delay" else -widest[role]
-        inside = Between(least, widest[role], remedy="give (low, high), finite, the lower one first")
+        inside = Between(
+            least, widest[role], remedy="give (low, high), finite, the lower one first"
+        )
         low, high = (inside.check(f"bounds[{name!r}]", value) for value in pair)
         if not low < high:
             remedy = "give the lower one first; a known value belongs into fixed"
-            raise FieldError(f"bounds[{name!r}]", pair, "empty", allowed="low < high", remedy=remedy)
+            raise FieldError(
+                f"bounds[{name!r}]", pair, "empty", allowed="low < high", remedy=remedy
+            )
         limits[name] = (low, high)
     for name, value in known.items():
-        remedy = "give a number" if structure.roles[name] != "delay" else "a delay is never negative"
+        remedy = (
+            "give a number"
+            if structure.roles[name] != "delay"
+            else "a delay is never negative"
+        )
         least = 0.0 if structure.roles[name] == "delay" else -1e15
         Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
     coordinates = StructureCoordinates(
@@ -238,23 +314,45 @@ def _coordinates(
     )
     if not coordinates.names:
         problem, remedy = "without a free parameter", "leave one out of fixed"
-        raise FieldError("expression", structure.text, problem, allowed=">= 1 free parameter", remedy=remedy)
+        raise FieldError(
+            "expression",
+            structure.text,
+            problem,
+            allowed=">= 1 free parameter",
+            remedy=remedy,
+        )
     return coordinates
 
 
-def _check_start(coordinates: StructureCoordinates, start: Values | None, measured: int) -> None:
-    # Five numbers each: a fit of noise then leaves four fifths of its square, which a gate refuses.
+def _check_start(
+    coordinates: StructureCoordinates, start: Values | None, measured: int
+) -> None:
+    # Five numbers each: a fit of noise then leaves four fifths of its square, which a
+    # gate refuses.
     least = _LEAST_EACH * len(coordinates.names)
     if measured < least:
         remedy = "measure more, or fix parameters that are known"
         allowed = f">= {least} numbers for {len(coordinates.names)} parameters"
-        raise FieldError("data", measured, "too few to fit", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "data", measured, "too few to fit", allowed=allowed, remedy=remedy
+        )
     for name in coordinates.moving if start is not None else ():
         if start is None or name not in start:
-            problem, remedy = "without a parameter that is free", "give all of them, or leave start out"
-            raise FieldError("start", name, problem, allowed=", ".join(coordinates.moving), remedy=remedy)
+            problem, remedy = (
+                "without a parameter that is free",
+                "give all of them, or leave start out",
+            )
+            raise FieldError(
+                "start",
+                name,
+                problem,
+                allowed=", ".join(coordinates.moving),
+                remedy=remedy,
+            )
         low, high = coordinates.limits[name]
-        Between(low, high, remedy="begin inside the bounds").check(f"start[{name!r}]", start[name])
+        Between(low, high, remedy="begin inside the bounds").check(
+            f"start[{name!r}]", start[name]
+        )
 
 
 def _heldout(
@@ -269,32 +367,46 @@ def _heldout(
     if isinstance(whole, RecordStart):
         if count == whole.output.size:
             return None
-        # Over (output − offset)², as the fitted part's: a gauge that is off by a volt explains nothing by
-        # being constant.
-        error, power = whole.output[count:] - predicted[count:], whole.output[count:] - best.offset
-        return float(error @ error / (power @ power)) if np.any(power) and np.isfinite(error).all() else None
+        # Over (output − offset)², as the fitted part's: a gauge that is off by a volt
+        # explains nothing by being constant.
+        error, power = (
+            whole.output[count:] - predicted[count:],
+            whole.output[count:] - best.offset,
+        )
+        return (
+            float(error @ error / (power @ power))
+            if np.any(power) and np.isfinite(error).all()
+            else None
+        )
     return _lines_held(search, samples, best) if isinstance(samples, Lines) else None
 
 
 def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | None:
-    """Error over every fourth line, predicted by a fit to the others that begins at the best parameters."""
-    # Every fourth and not the last quarter: a gap in the middle is bridged by a right model, a missing end is
-    # extrapolated by none.
+    """Error over every fourth line, predicted by a fit to the others that begins at the
+    best parameters.
+    """
+    # Every fourth and not the last quarter: a gap in the middle is bridged by a right
+    # model, a missing end is extrapolated by none.
     held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     # Real and imaginary part of each line: two numbers.
     if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(search.coordinates.names):
         return None
     own = search.coordinates
     rest, seen = (
-        Lines(lines.points[k], lines.input[k], lines.output[k], lines.weight[k]) for k in (held, ~held)
+        Lines(lines.points[k], lines.input[k], lines.output[k], lines.weight[k])
+        for k in (held, ~held)
     )
-    # From the best parameters: another search could end in another valley, and the error would be that of the
-    # search.
-    begin = np.array([[float(own.place(name, best.values[name])) for name in own.moving]])
+    # From the best parameters: another search could end in another valley, and the
+    # error would be that of the search.
+    begin = np.array(
+        [[float(own.place(name, best.values[name])) for name in own.moving]]
+    )
     place = search.descended(seen, begin)
     error = (
         rest.measured
-        - rest.simulated(own.structure, {n: np.array([[v]]) for n, v in place.values.items()}, 1)[0]
+        - rest.simulated(
+            own.structure, {n: np.array([[v]]) for n, v in place.values.items()}, 1
+        )[0]
     )
     return float(error @ error / (rest.measured @ rest.measured))
 
@@ -314,7 +426,8 @@ def _fit_of(
 ) -> StructureFit:
     timed = isinstance(whole, RecordStart)
     power = samples.measured - (best.offset if timed else 0.0)
-    # Real parts first, then imaginary ones, each with the weight of its line: divided out for the drawing.
+    # Real parts first, then imaginary ones, each with the weight of its line: divided
+    # out for the drawing.
     unweighted = 1.0 if isinstance(whole, RecordStart) else np.tile(whole.weight, 2)
     return StructureFit(
         expression=structure.text,

@@ -1,4 +1,6 @@
-"""The parameter block of law.c: what it is made of, its fields in their order, its bytes, and its modes."""
+"""The parameter block of law.c: what it is made of, its fields in their order, its
+bytes, and its modes.
+"""
 
 from __future__ import annotations
 
@@ -54,8 +56,9 @@ COUNTS = (
     "frozen_limit",
     "block_limit",
 )
-# What a law needs for a payload that it is given. A block of version 2, which old files and certificates
-# hold, ends before these, so that everything in front lies where it did.
+# What a law needs for a payload that it is given. A block of version 2, which old files
+# and certificates hold, ends before these, so that everything in front lies where it
+# did.
 _PAYLOAD: tuple[tuple[str, int], ...] = (
     ("link_scale", 1),
     ("payload_scale", 1),
@@ -67,8 +70,8 @@ _PAYLOAD: tuple[tuple[str, int], ...] = (
     ("payload_limit", 1),
     ("scale_step", 1),
 )
-# Name and length of every real field, in the order of law.h; a test reads law.h and compares. Modes lie as
-# (pole, gain), pairs as (pole, turn, gain, cross).
+# Name and length of every real field, in the order of law.h; a test reads law.h and
+# compares. Modes lie as (pole, gain), pairs as (pole, turn, gain, cross).
 REALS: tuple[tuple[str, int], ...] = (
     ("period", 1),
     ("compliance", 1),
@@ -139,10 +142,14 @@ def _format(precision: Precision, fields: tuple[tuple[str, int], ...] = REALS) -
 
 
 def pack(
-    values: Mapping[str, float | Sequence[float]], precision: Precision, *, version: int = VERSION
+    values: Mapping[str, float | Sequence[float]],
+    precision: Precision,
+    *,
+    version: int = VERSION,
 ) -> bytes:
-    """Return the block as bytes, with size and CRC-32 filled in; lists shorter than their field end in
-    zeros. `version` 2 is the block of release 0.2, which knew no payload.
+    """Return the block as bytes, with size and CRC-32 filled in; lists shorter than
+    their field end in zeros. `version` 2 is the block of release 0.2, which knew no
+    payload.
     """
     flat: list[float] = []
     fields = _fields(version)
@@ -157,26 +164,35 @@ def pack(
                 allowed=f"at most {length}",
                 remedy="ask for a lower order",
             )
-        # A mode with gain 0 adds nothing, so shorter lists are padded and the counts spare the arithmetic.
+        # A mode with gain 0 adds nothing, so shorter lists are padded and the counts
+        # spare the arithmetic.
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
         body = struct.pack(_format(precision, fields), *counts, *flat)
     except (OverflowError, struct.error) as error:
         raise FieldError(
-            "law", str(error), "not representable", allowed=f"{precision} precision", remedy="use double"
+            "law",
+            str(error),
+            "not representable",
+            allowed=f"{precision} precision",
+            remedy="use double",
         ) from error
     width, crc = (4 if precision == "single" else 8), zlib.crc32(body)
     if crc == 0:  # the stamp of a state that was never started; one block in 4 billion
         raise FieldError(
-            "law", 0, "a block with CRC 0", allowed="any other", remedy="change a limit slightly"
+            "law",
+            0,
+            "a block with CRC 0",
+            allowed="any other",
+            remedy="change a limit slightly",
         )
     return struct.pack("<IIII", version, 16 + len(body), width, crc) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
-    """Return what `pack` was given, as the law really has it: reals rounded to its precision, lists in
-    full.
+    """Return what `pack` was given, as the law really has it: reals rounded to its
+    precision, lists in full.
     """
     fields = _fields(struct.unpack("<I", block[:4])[0])
     items = list(struct.unpack(_format(precision, fields), block[16:]))
@@ -191,23 +207,33 @@ def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]
     return result
 
 
-def exact_header(block: bytes, precision: Precision, modes: Mapping[str, int]) -> tuple[int, int]:
-    """Return (size, CRC-32) of the block with arrays of just `modes` real modes, pairs and forward modes.
+def exact_header(
+    block: bytes, precision: Precision, modes: Mapping[str, int]
+) -> tuple[int, int]:
+    """Return (size, CRC-32) of the block with arrays of just `modes` real modes, pairs
+    and forward modes.
 
-    The keys are "real", "pair" and "forward"; law.c has that layout where it is compiled for one design.
+    The keys are "real", "pair" and "forward"; law.c has that layout where it is
+    compiled for one design.
     """
     values = unpack(block, precision)
     each = {"real": 2, "pair": 4, "forward": 2}
     flat: list[float] = []
     for name, _ in REALS:
         value = values[name]
-        flat += value[: each[name] * modes[name]] if isinstance(value, list) else [value]
-    body = block[16 : 16 + 4 * len(COUNTS)] + struct.pack(f"<{len(flat)}{real_type(precision)}", *flat)
+        flat += (
+            value[: each[name] * modes[name]] if isinstance(value, list) else [value]
+        )
+    body = block[16 : 16 + 4 * len(COUNTS)] + struct.pack(
+        f"<{len(flat)}{real_type(precision)}", *flat
+    )
     return 16 + len(body), zlib.crc32(body)
 
 
 class Modes(NamedTuple):
-    """A small parallel filter d + Σ g/(z − p): real poles and one pole of each complex pair."""
+    """A small parallel filter d + Σ g/(z − p): real poles and one pole of each complex
+    pair.
+    """
 
     direct: float
     poles: tuple[float, ...] = ()
@@ -218,8 +244,8 @@ class Modes(NamedTuple):
 
 @dataclass(frozen=True)
 class Drive:
-    """The inner loop and what it needs to know of the motor; without it a law gives a motor reference
-    only.
+    """The inner loop and what it needs to know of the motor; without it a law gives a
+    motor reference only.
     """
 
     loop: DiscretePid
@@ -231,13 +257,17 @@ class Drive:
 
 @dataclass(frozen=True)
 class Tracking:
-    """What a law needs where it is given the payload: what that makes of its feed-forward, and its tip.
+    """What a law needs where it is given the payload: what that makes of its
+    feed-forward, and its tip.
 
-    The feed-forward of a payload m is that of the nominal one times (m + link)/nominal. The tip then follows
-    the reference through H/(z − 1 + H), H = now + next/(z − keep): the motor loop with its delay.
+    The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
+    The tip then follows the reference through H/(z − 1 + H), H = now + next/(z − keep):
+    the motor loop with its delay.
     """
 
-    nominal: float  # mass that the feed-forward was made for, with the link's own where its model has it [kg]
+    # mass that the feed-forward was made for, with the link's own where its model has
+    # it [kg]
+    nominal: float
     link: float  # what the link itself weighs, taken to the tip [kg]
     now: float
     next: float
@@ -257,7 +287,9 @@ def block_values(
     tracking: Tracking | None = None,
 ) -> dict[str, Any]:
     """Return every field of law_params but its header."""
-    late = tracking is not None and (tracking.gauge_delay > 0 or tracking.gauge_gain != 1)
+    late = tracking is not None and (
+        tracking.gauge_delay > 0 or tracking.gauge_gain != 1
+    )
     return (
         asdict(limits)
         | _correction(correction)
@@ -265,10 +297,12 @@ def block_values(
         | _tracking(tracking, period)
         | _inner(drive, limits, inner_pole)
         | {
-            "options": (WITH_INNER if drive is not None else 0) | (LATE_GAUGE if late else 0),
+            "options": (WITH_INNER if drive is not None else 0)
+            | (LATE_GAUGE if late else 0),
             "period": period,
             "compliance": 1 / stiffness,
-            # Infinite where there is no gauge: a block holds finite numbers, and no torque is looked at then.
+            # Infinite where there is no gauge: a block holds finite numbers, and no
+            # torque is looked at then.
             "stiffness": stiffness if math.isfinite(stiffness) else 0.0,
             "residual_rate": -math.expm1(-inner_pole * period),
         }
@@ -322,12 +356,17 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
     loop = drive.loop
     friction = drive.coulomb_voltage
     if pole > 0:
-        # The motor follows at the reference's largest speed with the loop's lag, and a model's error behind.
-        error = (2 / (pole * loop.period) + 1.5) * limits.motor_step + limits.residual_angle
+        # The motor follows at the reference's largest speed with the loop's lag, and a
+        # model's error behind.
+        error = (
+            2 / (pole * loop.period) + 1.5
+        ) * limits.motor_step + limits.residual_angle
         credible = loop.direct * error
     else:  # no motor: the largest error, and as much again that the integral holds against it at the limit
         error = limits.motor_limit + limits.angle_limit
-        credible = 2 * error * (loop.direct + 2 * loop.integral_gain * loop.integral_now)
+        credible = (
+            2 * error * (loop.direct + 2 * loop.integral_gain * loop.integral_now)
+        )
     values = (
         loop.direct,
         loop.angle_direct,
@@ -338,24 +377,32 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         loop.angle_filter_gain * loop.filter_now,
         loop.angle_filter_gain * loop.filter_before,
         loop.filter_decay,
-        drive.voltage_limit + credible + drive.torque_voltage * limits.torque_limit + friction,
+        drive.voltage_limit
+        + credible
+        + drive.torque_voltage * limits.torque_limit
+        + friction,
         drive.voltage_limit,
         drive.torque_voltage,
         friction,
-        # The slope of the sign that is softened, in reference angle a period; 0 without friction compensates
-        # none.
+        # The slope of the sign that is softened, in reference angle a period; 0 without
+        # friction compensates none.
         1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
     )
     return dict(zip(INNER, values, strict=True))
 
 
-LEAST_RANGE = 1e-5  # [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
+# [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
+LEAST_RANGE = 1e-5
 
 
 def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     """(pole, gain) of every mode of the correction, conjugates included."""
     real, pair = coefficients["real"], coefficients["pair"]
-    found = [(complex(p), complex(g)) for p, g in zip(real[::2], real[1::2], strict=True) if g]
+    found = [
+        (complex(p), complex(g))
+        for p, g in zip(real[::2], real[1::2], strict=True)
+        if g
+    ]
     for re, im, g, x in zip(*(pair[k::4] for k in range(4)), strict=True):
         if g or x:
             # The block holds c of ½(c/(z − q) + c̄/(z − q̄)): each of the two has half.
@@ -365,17 +412,26 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
 
 
 def linear_range(coefficients: Mapping[str, Any]) -> float:
-    """Return the tip error [rad] up to which no limit of the command acts, rounded down to two digits.
+    """Return the tip error [rad] up to which no limit of the command acts, rounded down
+    to two digits.
 
-    For |e| ≤ X a state of mode p stays within X (1 + |1 − p|/(1 − |p|)) and the correction within X times
-    2|d| + Σ|g| (1 + |1 − p|/(1 − |p|)): l1 norms, term by term. FieldError where a limit leaves less than
-    `LEAST_RANGE`: such a law is not the filter that its modes describe.
+    For |e| ≤ X a state of mode p stays within X (1 + |1 − p|/(1 − |p|)) and the
+    correction within X times 2|d| + Σ|g| (1 + |1 − p|/(1 − |p|)): l1 norms, term by
+    term. FieldError where a limit leaves less than `LEAST_RANGE`: such a law is not the
+    filter that its modes describe.
     """
     c = coefficients
-    norms = [(1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, abs(g)) for p, g in modes_of(c)]
+    norms = [
+        (1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, abs(g))
+        for p, g in modes_of(c)
+    ]
     gain = 2 * abs(c["direct"]) + sum(norm * g for norm, g in norms)
-    command = min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2) / max(gain, 1e-300)
-    reach = min(command, c["correction_limit"] / max([norm for norm, _ in norms] + [1.0])) * (1 - 1e-9)
+    command = min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2) / max(
+        gain, 1e-300
+    )
+    reach = min(
+        command, c["correction_limit"] / max([norm for norm, _ in norms] + [1.0])
+    ) * (1 - 1e-9)
     if not (math.isfinite(reach) and reach >= LEAST_RANGE):
         allowed = f"limits that errors of {LEAST_RANGE:g} rad do not meet"
         raise FieldError(
@@ -390,7 +446,9 @@ def linear_range(coefficients: Mapping[str, Any]) -> float:
 
 
 def inside_circle(coefficients: list[float]) -> bool:
-    """Schur–Cohn: every reflection coefficient of a real polynomial below one in modulus, with room."""
+    """Schur–Cohn: every reflection coefficient of a real polynomial below one in
+    modulus, with room.
+    """
     a = coefficients
     while len(a) > 1:
         if not abs(a[0]) * (1 - 1e-9) > abs(a[-1]):

@@ -90,9 +90,11 @@ class Specification:
     phase_margin
         least φ_m [rad] over the range; from `max_sensitivity` when left out.
     margins
-        "loop" (everything that is in the real loop) or "ideal" (the paper's reading, Ĉ·G alone).
+        "loop" (everything that is in the real loop) or "ideal" (the paper's reading,
+        Ĉ·G alone).
     filter_time
-        δ [s], 0 for no filter; chosen so that it costs 10 % of the margin when left out.
+        δ [s], 0 for no filter; chosen so that it costs 10 % of the margin when left
+        out.
     filter_order
         n; 1 for β < 1 and 2 otherwise when left out.
     inner
@@ -115,12 +117,16 @@ class Specification:
     """
 
     payloads: Annotated[tuple[Payload, Payload], Ordered()] | None = None
-    natural_frequencies: Annotated[tuple[NaturalFrequency, NaturalFrequency], Ordered()] | None = None
+    natural_frequencies: (
+        Annotated[tuple[NaturalFrequency, NaturalFrequency], Ordered()] | None
+    ) = None
     gain_crossover: Frequency | None = None
     phase_margin: PhaseMargin | None = None
     margins: Literal["loop", "ideal"] = "loop"
     filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None = None
-    filter_order: Annotated[int, Between(1, 2, remedy="use 1 for β < 1, else 2")] | None = None
+    filter_order: (
+        Annotated[int, Between(1, 2, remedy="use 1 for β < 1, else 2")] | None
+    ) = None
     inner: Literal["ideal", "sampled"] = "ideal"
     placement: Literal["tustin", "direct"] = "tustin"
     max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None = None
@@ -131,20 +137,29 @@ class Specification:
     @property
     def bounded(self) -> bool:
         """Whether anything is bounded beside crossover and phase margin."""
-        bounds = (self.max_sensitivity, self.noise_gain, self.settling_time, self.mode_gain)
+        bounds = (
+            self.max_sensitivity,
+            self.noise_gain,
+            self.settling_time,
+            self.mode_gain,
+        )
         return any(bound is not None for bound in bounds)
 
 
 def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of a design of release 0.1; its requirements stated slack and verdict, no direction."""
+    """The content of a design of release 0.1; its requirements stated slack and
+    verdict, no direction.
+    """
     data.pop("period")  # the rig's
-    if data["controller"].get("lead", ...) is None:  # one with a lead is not run any more
+    if (
+        data["controller"].get("lead", ...) is None
+    ):  # one with a lead is not run any more
         del data["controller"]["lead"]
     for item in data["requirements"]:
         slack = item.pop("slack")
         del item["passed"]
-        # The old slack had the sign of what is good: where it rises with the value achieved, the bound is a
-        # least one.
+        # The old slack had the sign of what is good: where it rises with the value
+        # achieved, the bound is a least one.
         rises = (item["achieved"] - item["wanted"]) * slack >= 0.0
         item["bound"] = "at least" if rises else "at most"
     return data
@@ -169,7 +184,8 @@ class Design:
     controller
         the controller (eq. (57)).
     requirements
-        each requirement with the value achieved, the payload where it is worst, and the slack.
+        each requirement with the value achieved, the payload where it is worst, and the
+        slack.
     margins_kind
         "loop" or "ideal": which loop the margins of ``at`` belong to.
     payloads
@@ -216,34 +232,54 @@ class Design:
     box: ParameterBox | None = None
 
     def __str__(self) -> str:
-        lines = [f'{self.controller.formula}; margins of the "{self.margins_kind}" loop']
-        return "\n".join([*lines, *map(str, self.requirements), *map(str, self.findings)])
+        lines = [
+            f'{self.controller.formula}; margins of the "{self.margins_kind}" loop'
+        ]
+        return "\n".join(
+            [*lines, *map(str, self.requirements), *map(str, self.findings)]
+        )
 
     @property
     def passed(self) -> bool:
-        """Whether every requirement is met over the whole payload range, and no finding is an error."""
-        return all(requirement.passed for requirement in self.requirements) and not self.doubts
+        """Whether every requirement is met over the whole payload range, and no finding
+        is an error.
+        """
+        return (
+            all(requirement.passed for requirement in self.requirements)
+            and not self.doubts
+        )
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
-        """The findings that are errors: with a wrong model or rig, met requirements show nothing."""
+        """The findings that are errors: with a wrong model or rig, met requirements
+        show nothing.
+        """
         return errors_of(self.findings)
 
     @property
     def has_law(self) -> bool:
-        """Whether a law follows the controller, as far as that was looked at: False behind W410."""
+        """Whether a law follows the controller, as far as that was looked at: False
+        behind W410.
+        """
         return all(finding.code != "W410" for finding in self.findings)
 
     def doubted(self, findings: Iterable[Finding]) -> Design:
-        """Return the design with the errors among `findings`, such as those of the fit that it rests on."""
-        # Errors only: a warning of a fit is the fit's to tell, an error takes the ground from under the
-        # design. As a set that keeps its order, so that saying it twice changes nothing.
-        return replace(self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings))))
+        """Return the design with the errors among `findings`, such as those of the fit
+        that it rests on.
+        """
+        # Errors only: a warning of a fit is the fit's to tell, an error takes the
+        # ground from under the design. As a set that keeps its order, so that saying it
+        # twice changes nothing.
+        return replace(
+            self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings)))
+        )
 
     @property
     def motor_loop(self) -> MotorLoop:
         """The motor loop that the controller was designed for."""
-        return self.controller.inner or MotorLoop(self.rig.motor_loop.pole, self.rig.motor_loop.delay_samples)
+        return self.controller.inner or MotorLoop(
+            self.rig.motor_loop.pole, self.rig.motor_loop.delay_samples
+        )
 
     @property
     def loop(self) -> Loop:
@@ -265,24 +301,39 @@ class Design:
         return with_payload(self.model, self.rig).at_payload(payload).natural_frequency
 
     def payload(self, natural_frequency: float) -> float:
-        """Return the payload [kg] that gives the link this ω₀: the inverse of ``natural_frequency``."""
-        return with_payload(self.model, self.rig).payload_at(_checked_frequency(natural_frequency))
+        """Return the payload [kg] that gives the link this ω₀: the inverse of
+        ``natural_frequency``.
+        """
+        return with_payload(self.model, self.rig).payload_at(
+            _checked_frequency(natural_frequency)
+        )
 
     def at(self, payload: float) -> Margins:
-        """Return every margin of the loop the design was asked for, at `payload` [kg] > 0."""
+        """Return every margin of the loop the design was asked for, at `payload` [kg] >
+        0.
+        """
         return self.at_frequency(self.natural_frequency(payload))
 
     def at_frequency(self, natural_frequency: float) -> Margins:
-        """Return every margin of the loop the design was asked for, at a link with this ω₀ [s^(-λ/2)]."""
+        """Return every margin of the loop the design was asked for, at a link with this
+        ω₀ [s^(-λ/2)].
+        """
         return self.loop.margins_at(_checked_frequency(natural_frequency))
 
     def sampled_plant(self, natural_frequency: float) -> SampledPlant:
-        """Return what the law sees from its motor reference to the tip estimate, exactly sampled."""
-        # ω₀ alone: the plant knows no payload, and a design for ω₀ in its own right has none to be converted.
-        link = replace(self.model, natural_frequency=_checked_frequency(natural_frequency))
+        """Return what the law sees from its motor reference to the tip estimate,
+        exactly sampled.
+        """
+        # ω₀ alone: the plant knows no payload, and a design for ω₀ in its own right has
+        # none to be converted.
+        link = replace(
+            self.model, natural_frequency=_checked_frequency(natural_frequency)
+        )
         return sampled_plant(link, self.motor_loop, self.rig.motor, self.rig.period)
 
-    def sampled_at(self, payload: float, *, realisation: Callable[[Real], Complex] | str = "law") -> Margins:
+    def sampled_at(
+        self, payload: float, *, realisation: Callable[[Real], Complex] | str = "law"
+    ) -> Margins:
         """Return every margin of the true sampled loop at `payload` [kg] > 0.
 
         Parameters
@@ -290,19 +341,29 @@ class Design:
         payload
             mass at the tip [kg].
         realisation
-            "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no computer runs), or Ĉ
-            on the unit circle as a function of ω [rad/s].
+            "law" (the coefficients that are shipped), "exact" (Ĉ(jω) itself, which no
+            computer runs), or Ĉ on the unit circle as a function of ω [rad/s].
         """
         if not callable(realisation):
             checked_choice(
-                "realisation", realisation, ("law", "exact"), remedy="say 'law' for what is shipped"
+                "realisation",
+                realisation,
+                ("law", "exact"),
+                remedy="say 'law' for what is shipped",
             )
             shipped = realisation == "law"
-            law = discretize_controller(self.controller, self.rig.period) if shipped else None
+            law = (
+                discretize_controller(self.controller, self.rig.period)
+                if shipped
+                else None
+            )
             realisation = law.frequency_response if law else self.controller.response
         else:
             _check_response(realisation)
-        response, plant = realisation, self.sampled_plant(self.natural_frequency(payload))
+        response, plant = (
+            realisation,
+            self.sampled_plant(self.natural_frequency(payload)),
+        )
         return margins_of(response, plant)
 
     def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
@@ -310,16 +371,22 @@ class Design:
         return discretize(self, order=order, precision=precision)
 
     def estimator(self, *, gain_doubt: float | None = None) -> PayloadEstimator:
-        """Return the payload estimator of this arm, `fraclink.payload_estimator` of this design."""
+        """Return the payload estimator of this arm, `fraclink.payload_estimator` of
+        this design.
+        """
         link = with_payload(self.model, self.rig)
-        return payload_estimator(link, self.rig, self.law(), self.payloads, gain_doubt=gain_doubt)
+        return payload_estimator(
+            link, self.rig, self.law(), self.payloads, gain_doubt=gain_doubt
+        )
 
     def with_law(self) -> Design:
-        """Return the design with the worst sampled phase margin of its law as a further requirement.
+        """Return the design with the worst sampled phase margin of its law as a further
+        requirement.
 
-        It is the margin asked for less the law's own tolerance of 0.5°, over the payloads and over the box;
-        the findings are those of `warned_of_law`. A design for the paper's reading (`margins` "ideal") gets
-        the findings alone: the sampled loop was not what it was asked for.
+        It is the margin asked for less the law's own tolerance of 0.5°, over the
+        payloads and over the box; the findings are those of `warned_of_law`. A design
+        for the paper's reading (`margins` "ideal") gets the findings alone: the sampled
+        loop was not what it was asked for.
         """
         found, findings = self._law_looked_at()
         # Asked twice, it is still one requirement.
@@ -329,7 +396,8 @@ class Design:
         return replace(self, requirements=requirements, findings=findings)
 
     def warned_of_law(self) -> Design:
-        """Return the design with what its law keeps less in the sampled loop, as `design` looks at it.
+        """Return the design with what its law keeps less in the sampled loop, as
+        `design` looks at it.
 
         Finding W404 says that the phase margin is less than was asked for, an error where it is less than
         half of it; W408 that the law comes closer to -1 than half of what the design does, an error where
@@ -340,12 +408,14 @@ class Design:
         return replace(self, findings=self._law_looked_at()[1])
 
     def _law_looked_at(self) -> tuple[tuple[Looked, ...], tuple[Finding, ...]]:
-        """The law's margins, and the findings with what they say; no margins where no law fits."""
+        """The law's margins, and the findings with what they say; no margins where no
+        law fits.
+        """
         try:
             found = law_margins(self)
         except FieldError as error:
-            # "order" is the field of `modes_from`, for a fit of more modes than law.c holds; any other fault
-            # is the caller's.
+            # "order" is the field of `modes_from`, for a fit of more modes than law.c
+            # holds; any other fault is the caller's.
             if error.field != "order":
                 raise
             return (), tuple(dict.fromkeys((*self.findings, no_law(error))))
@@ -362,16 +432,30 @@ class Design:
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:
-    """Raise FieldError where `response` does not turn frequencies into as many complex values."""
+    """Raise FieldError where `response` does not turn frequencies into as many complex
+    values.
+    """
     try:
-        # Tried on two frequencies: a function of one number would fail deep inside the search for margins.
+        # Tried on two frequencies: a function of one number would fail deep inside the
+        # search for margins.
         shape = np.asarray(response(np.array([1.0, 2.0])), dtype=np.complex128).shape
     except (TypeError, ValueError):
         shape = ()
     if shape != (2,):
-        allowed, remedy = "Ĉ as a function of ω [rad/s], shape kept", "say 'law' for what is shipped"
-        raise FieldError("realisation", repr(response), "not a response", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "Ĉ as a function of ω [rad/s], shape kept",
+            "say 'law' for what is shipped",
+        )
+        raise FieldError(
+            "realisation",
+            repr(response),
+            "not a response",
+            allowed=allowed,
+            remedy=remedy,
+        )
 
 
 def _checked_frequency(value: object) -> float:
-    return checked_between("natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True)
+    return checked_between(
+        "natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True
+    )

@@ -28,7 +28,12 @@ from fraclink._law.block import (
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
 from fraclink._law.tracking import forward_fit, tracking_for
-from fraclink._systems.discrete import DiscreteRational, Order, checked_band, fit_discrete
+from fraclink._systems.discrete import (
+    DiscreteRational,
+    Order,
+    checked_band,
+    fit_discrete,
+)
 from fraclink._validate import checked, checked_number
 from fraclink.errors import FieldError
 
@@ -47,13 +52,21 @@ Real = NDArray[np.float64]
 
 # A slow pole must not round to an integrator.
 BELOW_ONE = float(np.nextafter(np.float32(1.0), np.float32(0.0)))
-LOWEST = 0.05  # [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the tolerance
-STICTION = 3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
-COULOMB_SPEED = 0.02  # [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
-# Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C is 1.2° of the
-# margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest that C's 0.1 dB leaves room for is taken.
+# [rad/s]: below, Ĉ is under 1e-2 of its value at the crossover, and C is 1 to the
+# tolerance
+LOWEST = 0.05
+STICTION = (
+    3.0  # times the Coulomb friction, at most: a motor that is stuck beyond is a fault
+)
+# [rad/s]: a wider band leaves stiction to stop small corrections, a sharp sign chatters
+COULOMB_SPEED = 0.02
+# Around the crossover an error of C counts this many times over |1 + Ĉ|/|Ĉ|: 0.5° of C
+# is 1.2° of the margin where |Ĉ| is 0.4, a third of 0.5° of Ĉ is 0.2°. The largest that
+# C's 0.1 dB leaves room for is taken.
 EMPHASES = (3.0, 2.0, 1.0)
-REACH = 2.5  # either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in payload
+# either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in
+# payload
+REACH = 2.5
 STATES = 6  # spent on the margin at most; more only where C itself needs them
 MOST_STATES = 8  # what law.c holds
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
@@ -73,23 +86,27 @@ def discretize_controller(
 ) -> Law:
     """Return the law that runs the controller at `period` [s].
 
-    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C = 1 + Ĉ on `band`
-    [rad/s], closest about the gain crossover (`fit_correction`), and the feed-forward s^λ θt*/ω₀² becomes a
-    fit of s^(λ−2)/ω₀² that works on the reference's known acceleration.
+    Ĉ(s) = k_d s^β/(1 + δs)^n becomes (1 − z⁻¹)(d + Σ g/(z − p)) by a minimax fit of C =
+    1 + Ĉ on `band` [rad/s], closest about the gain crossover (`fit_correction`), and
+    the feed-forward s^λ θt*/ω₀² becomes a fit of s^(λ−2)/ω₀² that works on the
+    reference's known acceleration.
 
-    Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist frequency, and the
-    default band ends at 300 rad/s (600 with a filter). The errors reached stand in `Law.correction_error`.
+    Without a filter Ĉ is improper: no sampled controller can follow it to the Nyquist
+    frequency, and the default band ends at 300 rad/s (600 with a filter). The errors
+    reached stand in `Law.correction_error`.
 
     Parameters
     ----------
     order
-        states of Ĉ, 0 to 8; without it the fewest that meet 0.1 dB and 0.5°, else the best of 8.
+        states of Ĉ, 0 to 8; without it the fewest that meet 0.1 dB and 0.5°, else the
+        best of 8.
     precision
         "double" or "single".
     link
         nominal model; the controller's own where it is left out.
     rig
-        adds the inner loop, the sensors' limits and the motor's compensations (see `equip`).
+        adds the inner loop, the sensors' limits and the motor's compensations (see
+        `equip`).
     moves
         the largest move, from which the guards' thresholds follow.
 
@@ -125,12 +142,18 @@ def discretize_controller(
         feedforward=modes,
         inner_pole=inner.pole,
         limits=derive_limits(
-            model, period, moves or Moves(), pole=inner.pole, kick=abs(correction.feedthrough)
+            model,
+            period,
+            moves or Moves(),
+            pole=inner.pole,
+            kick=abs(correction.feedthrough),
         ),
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
-        tracking=tracking_for(model, modes, period, inner.pole, inner.delay_samples, rig=None, pid=None),
+        tracking=tracking_for(
+            model, modes, period, inner.pole, inner.delay_samples, rig=None, pid=None
+        ),
     )
     return law if rig is None else equip(law, rig, model, moves=moves)
 
@@ -155,10 +178,12 @@ def discretize(
     order: int | None = None,
     precision: Precision = "double",
 ) -> Law:
-    """Return the law that runs a design: the same coefficients are simulated and exported.
+    """Return the law that runs a design: the same coefficients are simulated and
+    exported.
 
-    Of a design it is the whole law, with the motor loop, the sensors' limits and the compensations of its
-    rig; of a controller alone it is Ĉ and the feed-forward, and the motor loop is that of the drive.
+    Of a design it is the whole law, with the motor loop, the sensors' limits and the
+    compensations of its rig; of a controller alone it is Ĉ and the feed-forward, and
+    the motor loop is that of the drive.
 
     Parameters
     ----------
@@ -184,11 +209,19 @@ def discretize(
     >>> fl.discretize(controller, rig.period, order=4).order
     4
     """
-    controller = design if isinstance(design, Controller) else getattr(design, "controller", None)
+    controller = (
+        design
+        if isinstance(design, Controller)
+        else getattr(design, "controller", None)
+    )
     if not isinstance(controller, Controller):
         remedy = "fl.design makes one"
         raise FieldError(
-            "design", repr(design), "no Design", allowed="a Design or a Controller", remedy=remedy
+            "design",
+            repr(design),
+            "no Design",
+            allowed="a Design or a Controller",
+            remedy=remedy,
         )
     known = controller.period if isinstance(design, Controller) else design.rig.period
     chosen = known if period is None else period
@@ -199,13 +232,15 @@ def discretize(
     if isinstance(design, Controller):
         return law
     law, motor_loop = equip(law, design.rig, design.model), design.motor_loop
-    # Only the placement in z knows the delay, and its PID is another: drive and tracking follow it. Ĉ and the
-    # guards do not change.
+    # Only the placement in z knows the delay, and its PID is another: drive and
+    # tracking follow it. Ĉ and the guards do not change.
     if motor_loop.placement != "direct" or law.drive is None:
         return law
     pid = motor_loop.pid(design.rig.motor, design.rig.period)
     return replace(
-        law, drive=replace(law.drive, loop=pid), tracking=_tracking(law, design.rig, design.model, pid)
+        law,
+        drive=replace(law.drive, loop=pid),
+        tracking=_tracking(law, design.rig, design.model, pid),
     )
 
 
@@ -213,8 +248,9 @@ def discretize(
 def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
     """Return the law with the rig's inner loop, compensations and sensor limits.
 
-    The inner loop has the pole the law was made for; its guards are derived again from the gauge's range,
-    noise and quantum and the encoder's resolution. Raises FieldError where the periods differ.
+    The inner loop has the pole the law was made for; its guards are derived again from
+    the gauge's range, noise and quantum and the encoder's resolution. Raises FieldError
+    where the periods differ.
     """
     check_rigs_period(law, rig)
     drive = drive_for(rig, law.inner_pole)
@@ -239,22 +275,33 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
 
 def _tracking(law: Law, rig: Rig, link: LinkModel, pid: DiscretePid) -> Tracking | None:
     delay = rig.motor_loop.delay_samples
-    return tracking_for(link, law.feedforward, law.period, law.inner_pole, delay, rig=rig, pid=pid)
+    return tracking_for(
+        link, law.feedforward, law.period, law.inner_pole, delay, rig=rig, pid=pid
+    )
 
 
 def check_rigs_period(law: Law, rig: Rig) -> None:
     """FieldError where the law was made for another period than the rig's."""
     if not math.isclose(law.period, rig.period, rel_tol=1e-9):
-        allowed, remedy = f"{rig.period} s", "discretise the controller at the rig's period"
-        raise FieldError("period", law.period, "not the rig's", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            f"{rig.period} s",
+            "discretise the controller at the rig's period",
+        )
+        raise FieldError(
+            "period", law.period, "not the rig's", allowed=allowed, remedy=remedy
+        )
 
 
 def drive_for(rig: Rig, pole: float) -> Drive:
-    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its motor needs."""
+    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its
+    motor needs.
+    """
     motor = rig.motor
     return Drive(
         loop=place_pid(motor, pole).discretize(rig.period),
-        voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers; 10 kV is no limit
+        voltage_limit=min(
+            motor.voltage_limit, 1e4
+        ),  # a block holds finite numbers; 10 kV is no limit
         torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,
@@ -262,7 +309,13 @@ def drive_for(rig: Rig, pole: float) -> Drive:
 
 
 def _check_period(controller: Controller, period: float) -> None:
-    checked_number("period", period, allowed="> 0 s", remedy="give seconds", holds=lambda time: time > 0.0)
+    checked_number(
+        "period",
+        period,
+        allowed="> 0 s",
+        remedy="give seconds",
+        holds=lambda time: time > 0.0,
+    )
     designed = controller.period
     if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
         raise FieldError(
@@ -272,22 +325,35 @@ def _check_period(controller: Controller, period: float) -> None:
             allowed=f"{designed} s",
             remedy="design again for this period, or use controller.period",
         )
-    # The fit's band begins at LOWEST: five times that must lie below the Nyquist frequency.
+    # The fit's band begins at LOWEST: five times that must lie below the Nyquist
+    # frequency.
     if period > 0.2 * math.pi / LOWEST:
-        raise FieldError("period", period, "too long", allowed="<= 12 s", remedy="give the period in seconds")
+        raise FieldError(
+            "period",
+            period,
+            "too long",
+            allowed="<= 12 s",
+            remedy="give the period in seconds",
+        )
 
 
 def _band(controller: Controller, period: float) -> tuple[float, float]:
     nyquist = math.pi / period
-    # 600 rad/s is 0.764 of the Nyquist frequency at the paper's 4 ms. To 0.95 of it eight states err four
-    # times as much. Without a filter |Ĉ| grows on: a band to 600 rad/s leaves 0.2 to 0.5 dB where one to 300
-    # keeps 0.1 dB with six to eight states.
-    high = min(600.0, 0.764 * nyquist) if controller.is_strictly_proper else min(300.0, 0.382 * nyquist)
+    # 600 rad/s is 0.764 of the Nyquist frequency at the paper's 4 ms. To 0.95 of it
+    # eight states err four times as much. Without a filter |Ĉ| grows on: a band to 600
+    # rad/s leaves 0.2 to 0.5 dB where one to 300 keeps 0.1 dB with six to eight states.
+    high = (
+        min(600.0, 0.764 * nyquist)
+        if controller.is_strictly_proper
+        else min(300.0, 0.382 * nyquist)
+    )
     return min(LOWEST, 1e-3 * nyquist), high
 
 
 def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Modes:
-    """Return a fit as the modes of a block; FieldError where it has more than law.c holds."""
+    """Return a fit as the modes of a block; FieldError where it has more than law.c
+    holds.
+    """
     if len(fit.decays) > reals or len(fit.pole_decays) > pairs:
         raise FieldError(
             field,
@@ -296,8 +362,8 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
             allowed=f"{reals} real modes and {pairs} pairs",
             remedy="ask for a lower order",
         )
-    # In an order of their own, so that one controller gives one block, and one digest, whatever order the fit
-    # ends in.
+    # In an order of their own, so that one controller gives one block, and one digest,
+    # whatever order the fit ends in.
     slowest_last = np.argsort(fit.decays)
     return Modes(
         _single(fit.feedthrough),
@@ -309,22 +375,28 @@ def modes_from(field: str, fit: DiscreteRational, reals: int, pairs: int) -> Mod
 
 
 def _single(value: float) -> float:
-    """The nearest number of single precision: both precisions then run the same filter, and what a double
-    simulation shows differs from the board by rounding alone.
+    """The nearest number of single precision: both precisions then run the same filter,
+    and what a double simulation shows differs from the board by rounding alone.
     """
     return float(np.float32(value))
 
 
-# The design's margins, moves, arms and certificate ask for the same law in turn: five fits of 0.05 to 0.2 s.
+# The design's margins, moves, arms and certificate ask for the same law in turn: five
+# fits of 0.05 to 0.2 s.
 @lru_cache(maxsize=64)
 def fit_correction(
-    controller: Controller, link: LinkModel, period: float, band: tuple[float, float], order: int | None
+    controller: Controller,
+    link: LinkModel,
+    period: float,
+    band: tuple[float, float],
+    order: int | None,
 ) -> DiscreteRational:
     """Return Ĉ at `period` [s] as (1 − z⁻¹)(d + Σ g/(z − p)), fitted on `band` [rad/s].
 
-    C = 1 + Ĉ is met to 0.1 dB and 0.5° with few states; what these leave free makes Ĉ accurate in a factor
-    2.5 about the gain crossover with the nominal `link`, because the loop is Ĉ times the plant, not C. Where
-    no such fit has 6 states or fewer (or `order`), C alone is fitted.
+    C = 1 + Ĉ is met to 0.1 dB and 0.5° with few states; what these leave free makes Ĉ
+    accurate in a factor 2.5 about the gain crossover with the nominal `link`, because
+    the loop is Ĉ times the plant, not C. Where no such fit has 6 states or fewer (or
+    `order`), C alone is fitted.
     """
 
     def fit(weight: Callable[[Real], Real] | None, highest: int) -> DiscreteRational:
@@ -350,25 +422,35 @@ def fit_correction(
     if first is not None and _is_met(first):
         return first
     plain = fit(None, MOST_STATES)
-    # An emphasis is a weight of one or more: it cannot meet what C alone misses by far. "By far", because the
-    # search is not global: on the paper's link at 16 rad/s and 50° it finds 0.11 dB with 6 states and an
-    # emphasis of 1, and without one 0.14 dB with 7.
+    # An emphasis is a weight of one or more: it cannot meet what C alone misses by far.
+    # "By far", because the search is not global: on the paper's link at 16 rad/s and
+    # 50° it finds 0.11 dB with 6 states and an emphasis of 1, and without one 0.14 dB
+    # with 7.
     if inside and _is_met(plain, slack=1.2):
         for emphasis in EMPHASES[1:]:
             if _is_met(found := emphasised(emphasis, STATES)):
                 return found
     if _is_met(plain):
         return plain
-    # Nothing meets C everywhere: then where the loop crosses counts more than the end of the band.
-    near = first if first is not None and order is not None else emphasised(EMPHASES[0], MOST_STATES)
+    # Nothing meets C everywhere: then where the loop crosses counts more than the end
+    # of the band.
+    near = (
+        first
+        if first is not None and order is not None
+        else emphasised(EMPHASES[0], MOST_STATES)
+    )
     return near if near.error_db <= 2.0 * plain.error_db else plain
 
 
 def _is_met(fit: DiscreteRational, slack: float = 1.0) -> bool:
-    return fit.error_db <= slack * TOLERANCE_DB and fit.error_deg <= slack * TOLERANCE_DEG
+    return (
+        fit.error_db <= slack * TOLERANCE_DB and fit.error_deg <= slack * TOLERANCE_DEG
+    )
 
 
-def _weight(controller: Controller, centre: float, emphasis: float) -> Callable[[Real], Real]:
+def _weight(
+    controller: Controller, centre: float, emphasis: float
+) -> Callable[[Real], Real]:
     def weight(frequency: Real) -> Real:
         correction = controller.response(frequency)
         near = np.abs(np.log(frequency / centre)) <= np.log(REACH)
@@ -379,11 +461,13 @@ def _weight(controller: Controller, centre: float, emphasis: float) -> Callable[
 
 
 def _crossover(controller: Controller, link: LinkModel) -> float:
-    """Where |Ĉ G| last falls through one [rad/s]; the link's resonance where it never does."""
+    """Where |Ĉ G| last falls through one [rad/s]; the link's resonance where it never
+    does.
+    """
     resonance = abs(link.pole)
     w = resonance * np.geomspace(0.2, 30.0, 500)
-    # On a grid of 1 %: the place is the middle of a factor of 2.5 either way, and a few per cent of it move
-    # no fit.
+    # On a grid of 1 %: the place is the middle of a factor of 2.5 either way, and a few
+    # per cent of it move no fit.
     above = np.abs(controller.response(w) * link.tip()(1j * w)) > 1.0
     falls = np.nonzero(above[:-1] & ~above[1:])[0]
     return float(w[falls[-1]]) if falls.size else resonance

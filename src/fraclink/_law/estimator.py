@@ -1,11 +1,13 @@
-"""The payload estimator: the tables of csrc/payload_estimator.c, and its run over signals.
+"""The payload estimator: the tables of csrc/payload_estimator.c, and its run over
+signals.
 
-A bank of models, one for each of a row of payloads, predicts the torque from the motor angle. Model k is a
-vibration and one real mode, B_k(z)(1 − z⁻¹)/A_k(z), fitted to the fractional Γ/θm over what a move excites;
-its error is seen through A_k/C_k, whose C_k forgets within half a vibration. For a gauge of gain 1 + x and
-offset y the error is e = u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least squares over x and
-y, with what the rig says of the gain, gives the model's cost, and the parabola through the costs of three
-neighbours the payload and its variance.
+A bank of models, one for each of a row of payloads, predicts the torque from the motor
+angle. Model k is a vibration and one real mode, B_k(z)(1 − z⁻¹)/A_k(z), fitted to the
+fractional Γ/θm over what a move excites; its error is seen through A_k/C_k, whose C_k
+forgets within half a vibration. For a gauge of gain 1 + x and offset y the error is e =
+u − v − x v − y w with u = (A_k/C_k)Γ and v = (B_k/C_k)θm: least squares over x and y,
+with what the rig says of the gain, gives the model's cost, and the parabola through the
+costs of three neighbours the payload and its variance.
 """
 
 from __future__ import annotations
@@ -30,7 +32,15 @@ from fraclink._law.law import REASONS, Law
 from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
 
-__all__ = ["COUNTS", "HEADER", "MODEL", "REALS", "Estimates", "PayloadEstimator", "payload_estimator"]
+__all__ = [
+    "COUNTS",
+    "HEADER",
+    "MODEL",
+    "REALS",
+    "Estimates",
+    "PayloadEstimator",
+    "payload_estimator",
+]
 
 Real = NDArray[np.float64]
 
@@ -60,30 +70,52 @@ REALS = (
 )
 MODEL = ("a1", "a2", "a3", "b0", "b1", "b2", "c1", "c2", "c3", "rest", "mass")
 
-# What follows was found on the twin of the geared rig, 8 to 80 g (benchmarks/bench_estimator.py).
-LIGHTEST, HEAVIEST = 0.25, 1.15  # of the lightest payload designed for, and of the law's largest
-TURN = 0.5  # of the lightest payload's vibration in a sample [rad]: 12 samples a vibration
-FORGETTING = 0.35  # damping ratio of C; 0.25 is hardly more exact and forgets a start in motion later
-SLOW = 1.0  # its real pole over the vibration's frequency: at 0.3 two estimates in a hundred were 20 % off
-HIGHEST = 3.0  # of each model's own frequency: what a move excites above is the second mode's
+# What follows was found on the twin of the geared rig, 8 to 80 g
+# (benchmarks/bench_estimator.py).
+LIGHTEST, HEAVIEST = (
+    0.25,
+    1.15,
+)  # of the lightest payload designed for, and of the law's largest
+TURN = (
+    0.5  # of the lightest payload's vibration in a sample [rad]: 12 samples a vibration
+)
+# damping ratio of C; 0.25 is hardly more exact and forgets a start in motion later
+FORGETTING = 0.35
+# its real pole over the vibration's frequency: at 0.3 two estimates in a hundred were
+# 20 % off
+SLOW = 1.0
+HIGHEST = (
+    3.0  # of each model's own frequency: what a move excites above is the second mode's
+)
 NOISE_GAIN = 0.003  # weight of the encoder's counts in the fit of the models
 MEMORY = 0.5  # [s] of motion that the estimate remembers
-GAIN_DOUBT = 0.05  # standard deviation of a gauge's gain that no identified interval states
+GAIN_DOUBT = (
+    0.05  # standard deviation of a gauge's gain that no identified interval states
+)
 LEAST_GAIN_DOUBT = 0.03
-NOT_STATED = 0.01  # of the largest credible torque: noise of a gauge whose rig states none
-OFFSET_DOUBT = 0.1  # of the largest credible torque: the offset before the arm has stood still
+NOT_STATED = (
+    0.01  # of the largest credible torque: noise of a gauge whose rig states none
+)
+OFFSET_DOUBT = (
+    0.1  # of the largest credible torque: the offset before the arm has stood still
+)
 MOVED = 4.0  # standard deviations of a sample beyond which a torque is motion
-SURPRISE = 0.05  # a fifth of the torque: no right model errs by more; a payload that is half or twice does
+# a fifth of the torque: no right model errs by more; a payload that is half or twice
+# does
+SURPRISE = 0.05
 CONTACT = 0.01  # a tenth: the best of all models errs by less, whatever the payload
-SPREAD = 0.4  # the errors of a right model are smaller than the gauge's noise: the filter takes its band out
+# the errors of a right model are smaller than the gauge's noise: the filter takes its
+# band out
+SPREAD = 0.4
 DOUBT = 0.005  # relative error of a mass that the models themselves make
-NARROW = 0.09  # relative standard deviation up to which an estimate serves the law better than none
+# relative standard deviation up to which an estimate serves the law better than none
+NARROW = 0.09
 QUIET = 0.12  # [s] without motion until the estimate is frozen
 
 
 class Estimates(NamedTuple):
-    """What the estimator says of each period, shape (N,): payload for the law (0: none), estimate and its
-    95 % interval [kg], and the flags of payload_estimator.h.
+    """What the estimator says of each period, shape (N,): payload for the law (0:
+    none), estimate and its 95 % interval [kg], and the flags of payload_estimator.h.
     """
 
     given: Real
@@ -95,8 +127,8 @@ class Estimates(NamedTuple):
 
 @dataclass(frozen=True)
 class PayloadEstimator:
-    """The payload estimator of one arm: every number that payload_estimator.c needs. Made by
-    `payload_estimator`.
+    """The payload estimator of one arm: every number that payload_estimator.c needs.
+    Made by `payload_estimator`.
 
     Parameters
     ----------
@@ -105,11 +137,14 @@ class PayloadEstimator:
     precision
         "single" or "double", as the law's.
     together, chunk
-        periods in a sample of the models; models that are brought up to date in one period.
+        periods in a sample of the models; models that are brought up to date in one
+        period.
     quiet_limit, gap_limit
-        samples without motion until the estimate is frozen; periods without a sensor until it begins anew.
+        samples without motion until the estimate is frozen; periods without a sensor
+        until it begins anew.
     values, models
-        the reals of payload_params in their order, and one row for each payload of the bank.
+        the reals of payload_params in their order, and one row for each payload of the
+        bank.
     """
 
     period: float
@@ -128,9 +163,20 @@ class PayloadEstimator:
         counts = (self.together, self.chunk, self.quiet_limit, self.gap_limit)
         flat = [*self.values, *(x for row in self.models for x in row)]
         body = struct.pack(f"<{len(counts)}I{len(flat)}{code}", *counts, *flat)
-        made = struct.pack("<IIII", VERSION, 16 + len(body), struct.calcsize(code), zlib.crc32(body)) + body
+        made = (
+            struct.pack(
+                "<IIII",
+                VERSION,
+                16 + len(body),
+                struct.calcsize(code),
+                zlib.crc32(body),
+            )
+            + body
+        )
         if len(made) != _kernels.payload_sizes(self.precision == "single")[0]:
-            raise AssertionError("fraclink._law.estimator does not match csrc/payload_estimator.h")
+            raise AssertionError(
+                "fraclink._law.estimator does not match csrc/payload_estimator.h"
+            )
         return made
 
     @property
@@ -146,7 +192,9 @@ class PayloadEstimator:
     @property
     def certified(self) -> tuple[float, float]:
         """Payloads that the design covers (low, high) [kg]."""
-        return self.values[REALS.index("certified_low")], self.values[REALS.index("certified_high")]
+        return self.values[REALS.index("certified_low")], self.values[
+            REALS.index("certified_high")
+        ]
 
     def in_precision(self, precision: Precision) -> PayloadEstimator:
         """Return the same estimator in "single" or "double" precision."""
@@ -158,32 +206,66 @@ class PayloadEstimator:
         state, reason = _kernels.payload_init(self.block, self.precision == "single")
         if reason:
             problem, allowed = "refused by payload_estimator.c", "a valid block"
-            raise FieldError("estimator", REASONS[reason], problem, allowed=allowed, remedy="report it")
+            raise FieldError(
+                "estimator",
+                REASONS[reason],
+                problem,
+                allowed=allowed,
+                remedy="report it",
+            )
         return bytes(state)
 
     def run(
-        self, state: bytes, motor_angle: ArrayLike, torque: ArrayLike, *, ticks: ArrayLike | None = None
+        self,
+        state: bytes,
+        motor_angle: ArrayLike,
+        torque: ArrayLike,
+        *,
+        ticks: ArrayLike | None = None,
     ) -> tuple[bytes, Estimates]:
-        """Run payload_estimator.c over the sensors of whole signals and return (new state, estimates).
+        """Run payload_estimator.c over the sensors of whole signals and return (new
+        state, estimates).
 
         Parameters
         ----------
         state
             from `initial_state`, or from an earlier call.
         motor_angle, torque
-            of encoder [rad] and gauge [N·m], one value a period, shape (N,); NaN for a lost sample.
+            of encoder [rad] and gauge [N·m], one value a period, shape (N,); NaN for a
+            lost sample.
         ticks
-            numbers of the periods, from 1 where they are left out; one that is skipped was missed.
+            numbers of the periods, from 1 where they are left out; one that is skipped
+            was missed.
         """
-        angle, twist = (np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque))
+        angle, twist = (
+            np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque)
+        )
         numbers = np.arange(1, angle.size + 1) if ticks is None else np.asarray(ticks)
         if angle.ndim != 1 or not angle.shape == twist.shape == numbers.shape:
-            shapes, allowed = (angle.shape, twist.shape, numbers.shape), "one value a period"
-            raise FieldError("torque", shapes, "of another length", allowed=allowed, remedy="cut or extend")
-        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
+            shapes, allowed = (
+                (angle.shape, twist.shape, numbers.shape),
+                "one value a period",
+            )
+            raise FieldError(
+                "torque",
+                shapes,
+                "of another length",
+                allowed=allowed,
+                remedy="cut or extend",
+            )
+        numbers = np.ascontiguousarray(
+            numbers.astype(np.int64) % 2**32, dtype=np.uint32
+        )
         out, flags = np.empty((4, angle.size)), np.empty(angle.size, dtype=np.uint32)
         after = _kernels.payload_run(
-            self.block, state, numbers, angle, twist, out, flags, self.precision == "single"
+            self.block,
+            state,
+            numbers,
+            angle,
+            twist,
+            out,
+            flags,
+            self.precision == "single",
         )
         return bytes(after), Estimates(out[0], out[1], out[2], out[3], flags)
 
@@ -201,22 +283,24 @@ def payload_estimator(
     Parameters
     ----------
     link
-        with a known payload; its order, gauge delay, gauge gain and second mode are in the tables.
+        with a known payload; its order, gauge delay, gauge gain and second mode are in
+        the tables.
     rig
         whose gauge noise and link mass are counted on.
     law
         that is given the estimate: its period, precision and limits.
     payloads
-        that the design covers (low, high) [kg]. The bank reaches from a quarter of the first to the law's
-        largest payload.
+        that the design covers (low, high) [kg]. The bank reaches from a quarter of the
+        first to the law's largest payload.
     gain_doubt
-        standard deviation of the gauge's gain over its identified value, > 0; what its identified interval
-        says where it is left out, 0.05 without one.
+        standard deviation of the gauge's gain over its identified value, > 0; what its
+        identified interval says where it is left out, 0.05 without one.
 
     Raises
     ------
     FieldError
-        a link whose payload is not known, a law that knows no payload, gain_doubt not above 0.
+        a link whose payload is not known, a law that knows no payload, gain_doubt not
+        above 0.
 
     Examples
     --------
@@ -229,19 +313,35 @@ def payload_estimator(
     (14, 4, 756)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
-        allowed, remedy = "> 0 kg", "fit or design with the payload at which the link's frequency was found"
-        raise FieldError("payload", link.payload, "not known to the law", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "> 0 kg",
+            "fit or design with the payload at which the link's frequency was found",
+        )
+        raise FieldError(
+            "payload",
+            link.payload,
+            "not known to the law",
+            allowed=allowed,
+            remedy=remedy,
+        )
     doubt = _gain_doubt(link) if gain_doubt is None else gain_doubt
     if not doubt > 0.0:
-        raise FieldError("gain_doubt", doubt, "not above 0", allowed="> 0", remedy="0.05 is usual")
+        raise FieldError(
+            "gain_doubt", doubt, "not above 0", allowed="> 0", remedy="0.05 is usual"
+        )
     nominal, own = masses_of(link, rig)
     largest = law.limits.payload_limit
-    # Evenly in ln m, as the frequency goes with m^(−1/2): neighbours differ by the same ratio everywhere, and
-    # the interpolation between them errs by the same share.
-    masses = np.geomspace(LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS)
-    links = [replace(link, natural_frequency=link.natural_frequency * math.sqrt(nominal / m)) for m in masses]
-    # The lightest payload vibrates fastest: its vibration sets how many periods may be added up to one
-    # sample.
+    # Evenly in ln m, as the frequency goes with m^(−1/2): neighbours differ by the same
+    # ratio everywhere, and the interpolation between them errs by the same share.
+    masses = np.geomspace(
+        LIGHTEST * payloads[0] + own, HEAVIEST * largest + own, MODELS
+    )
+    links = [
+        replace(link, natural_frequency=link.natural_frequency * math.sqrt(nominal / m))
+        for m in masses
+    ]
+    # The lightest payload vibrates fastest: its vibration sets how many periods may be
+    # added up to one sample.
     together = max(1, int(TURN / (abs(links[0].pole) * law.period)))
     sample = together * law.period
     values = _values(rig, law, together, doubt, own, payloads)
@@ -249,13 +349,16 @@ def payload_estimator(
         period=law.period,
         precision=law.precision,
         together=together,
-        # Rounded up: all models are up to date when the next sample is whole, and no period has more work
-        # than another.
+        # Rounded up: all models are up to date when the next sample is whole, and no
+        # period has more work than another.
         chunk=-(-MODELS // together),
         quiet_limit=max(2, round(QUIET / sample)),
         gap_limit=max(2 * together, 8),
         values=tuple(values[name] for name in REALS),
-        models=tuple((*_model(one, sample), float(m)) for one, m in zip(links, masses, strict=True)),
+        models=tuple(
+            (*_model(one, sample), float(m))
+            for one, m in zip(links, masses, strict=True)
+        ),
     )
 
 
@@ -268,13 +371,22 @@ def _gain_doubt(link: LinkModel) -> float:
 
 
 def _values(
-    rig: Rig, law: Law, together: int, gain_doubt: float, own: float, payloads: Sequence[float]
+    rig: Rig,
+    law: Law,
+    together: int,
+    gain_doubt: float,
+    own: float,
+    payloads: Sequence[float],
 ) -> dict[str, float]:
     limit = law.limits.torque_limit
     # A converter's rounding is noise of its step/√12 beside the gauge's own.
-    noise = math.hypot(rig.gauge.noise, rig.gauge.quantum / math.sqrt(12)) or NOT_STATED * limit
+    noise = (
+        math.hypot(rig.gauge.noise, rig.gauge.quantum / math.sqrt(12))
+        or NOT_STATED * limit
+    )
     variance = noise**2 / together
-    # Of what was learnt before: it fades as fast in time, however many periods make a sample.
+    # Of what was learnt before: it fades as fast in time, however many periods make a
+    # sample.
     keep = math.exp(-together * law.period / MEMORY)
     return {
         "angle_limit": law.limits.angle_limit,
@@ -282,11 +394,12 @@ def _values(
         "torque_moved": MOVED * math.sqrt(variance),
         "variance": variance,
         "gain_weight": variance / gain_doubt**2,
-        # Wide on purpose: until the arm has stood still nobody knows the offset, and it must not pass for a
-        # payload.
+        # Wide on purpose: until the arm has stood still nobody knows the offset, and it
+        # must not pass for a payload.
         "offset_variance": (OFFSET_DOUBT * limit) ** 2,
         "keep": keep,
-        # a filter that forgets within half a vibration gives back at most twice what it is given
+        # a filter that forgets within half a vibration gives back at most twice what it
+        # is given
         "sum_limit": (2 * limit) ** 2 / (1 - keep),
         "surprise": SURPRISE,
         "contact": CONTACT,
@@ -303,15 +416,20 @@ def _values(
 
 
 def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
-    """One row of the bank without its mass: A, B and C at samples of `sample` [s], and A(1)/C(1).
+    """One row of the bank without its mass: A, B and C at samples of `sample` [s], and
+    A(1)/C(1).
 
-    A and B are the linear least squares of B/C = (A/C) Γ/θm at frequencies weighted as a move excites them.
+    A and B are the linear least squares of B/C = (A/C) Γ/θm at frequencies weighted as
+    a move excites them.
     """
     pole = link.pole
-    fast = np.exp(abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample)
+    fast = np.exp(
+        abs(pole) * complex(-FORGETTING, math.sqrt(1 - FORGETTING**2)) * sample
+    )
     slow = math.exp(-SLOW * abs(pole) * sample)
-    # C, by which both sides are filtered: what is left of the start, and of an old payload, dies as fast as
-    # its poles; without it the equation would be fitted to noise that A differentiates.
+    # C, by which both sides are filtered: what is left of the start, and of an old
+    # payload, dies as fast as its poles; without it the equation would be fitted to
+    # noise that A differentiates.
     below = np.convolve([1.0, -2 * fast.real, abs(fast) ** 2], [1.0, -slow])
     w = np.linspace(0.05, HIGHEST, 120) * abs(pole)
     # Beyond the samples' Nyquist frequency the table would be fitted to an alias.
@@ -320,15 +438,31 @@ def _model(link: LinkModel, sample: float) -> tuple[float, ...]:
     if link.second_mode is not None:
         torque = torque + link.stiffness * link.second_mode.response(1j * w)
     torque = torque * link.gauge_gain * np.exp(-1j * w * max(link.gauge_delay, 0.0))
-    back, high = np.exp(-1j * w * sample), np.exp(-1j * np.linspace(0, math.pi, 100)[1:])
-    weight = abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
+    back, high = (
+        np.exp(-1j * w * sample),
+        np.exp(-1j * np.linspace(0, math.pi, 100)[1:]),
+    )
+    weight = (
+        abs(pole) / (w * (1 + (w / abs(pole)) ** 2)) / np.polyval(below[::-1], back)
+    )
     noise = NOISE_GAIN * (1 - high) / np.polyval(below[::-1], high)
-    # B has a zero at z = 1: a motor that has been turned and holds still causes no torque.
-    columns = [np.concatenate([(1 - back) * back**i * weight, noise * high**i]) for i in range(3)]
-    columns += [np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)]
-    both, wanted = np.stack(columns, axis=1), np.concatenate([torque * weight, 0 * high])
+    # B has a zero at z = 1: a motor that has been turned and holds still causes no
+    # torque.
+    columns = [
+        np.concatenate([(1 - back) * back**i * weight, noise * high**i])
+        for i in range(3)
+    ]
+    columns += [
+        np.concatenate([-torque * back**i * weight, 0 * high]) for i in (1, 2, 3)
+    ]
+    both, wanted = (
+        np.stack(columns, axis=1),
+        np.concatenate([torque * weight, 0 * high]),
+    )
     b0, b1, b2, *above = np.linalg.lstsq(
-        np.vstack([both.real, both.imag]), np.concatenate([wanted.real, wanted.imag]), rcond=None
+        np.vstack([both.real, both.imag]),
+        np.concatenate([wanted.real, wanted.imag]),
+        rcond=None,
     )[0]
     rest = (1 + sum(above)) / below.sum()
     return tuple(float(x) for x in (*above, b0, b1, b2, *below[1:], rest))

@@ -1,10 +1,12 @@
-"""A fractional PID as a law of law.c: the motor loop's PI behind the outer law's filter.
+"""A fractional PID as a law of law.c: the motor loop's PI behind the outer law's
+filter.
 
-law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). A law without a gauge has θte = θm, so
-that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in place of θm and the reference r in place of θt*
-this is a controller of the error r − y. P = k_P + k_I T (z + 1)/(2 (z − 1)) has the integral action, exactly
-and with the anti-windup of law.c; what is left of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ) becomes
-s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
+law.c computes θm* = θt* + Ĉ(z) (θt* − θte) and u = P(z) (θm* − θm). A law without a
+gauge has θte = θm, so that u = P(z) (1 + Ĉ(z)) (θt* − θm): with the measurement y in
+place of θm and the reference r in place of θt* this is a controller of the error r − y.
+P = k_P + k_I T (z + 1)/(2 (z − 1)) has the integral action, exactly and with the
+anti-windup of law.c; what is left of C is 1 + Ĉ = C/P, which is 1 at rest: s^(−λ)
+becomes s^(−1) s^(1−λ), and the second factor is a filter like that of every other law.
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.fractional_pid import FractionalPid
 from fraclink._arm.motor import DiscretePid
-from fraclink._law.block import PAIR_MODES, REAL_MODES, Drive, Modes, Precision, modes_of
+from fraclink._law.block import (
+    PAIR_MODES,
+    REAL_MODES,
+    Drive,
+    Modes,
+    Precision,
+    modes_of,
+)
 from fraclink._law.discretization import TOLERANCE_DB, TOLERANCE_DEG, modes_from
 from fraclink._law.law import Law
 from fraclink._law.limits import Limits
@@ -29,10 +38,13 @@ __all__ = ["discretize_pid", "pid_response"]
 
 Complex = NDArray[np.complex128]
 
-# Below the band's lower end ω_b the integral is the integer one of k_I = k_i (ω_b/3)^(1−λ): where the two
-# meet the phase turns by 90° (1 − λ), and a third of ω_b leaves the band itself out of that.
+# Below the band's lower end ω_b the integral is the integer one of k_I = k_i
+# (ω_b/3)^(1−λ): where the two meet the phase turns by 90° (1 − λ), and a third of ω_b
+# leaves the band itself out of that.
 JOINT = 3.0
-DECADES = 4.0  # of the default band: 8 states follow s^(1−λ) over as many to the tolerance
+DECADES = (
+    4.0  # of the default band: 8 states follow s^(1−λ) over as many to the tolerance
+)
 Range = Annotated[float, Between(0.0, 1e6, low_open=True)]
 
 
@@ -47,24 +59,29 @@ def discretize_pid(
     precision: Precision = "double",
     band: Band | None = None,
 ) -> Law:
-    """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in the C of every law.
+    """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in
+    the C of every law.
 
-    On `band` C(z) meets C(jω) to 0.1 dB and 0.5° where 8 states can (`Law.correction_error` says what was
-    met); below it k_i/s^λ goes over into an integer integral, so that a lasting error is always removed. u is
-    limited to ±`output_limit`, and the integral does not wind up there.
+    On `band` C(z) meets C(jω) to 0.1 dB and 0.5° where 8 states can
+    (`Law.correction_error` says what was met); below it k_i/s^λ goes over into an
+    integer integral, so that a lasting error is always removed. u is limited to
+    ±`output_limit`, and the integral does not wind up there.
 
-    On the board the measurement is `law_input.motor_angle`, the reference `law_input.reference`, and u
-    `law_output.voltage`; `torque`, `payload` and `reference_acceleration` stay 0. u answers the samples of
-    its period, and takes effect when the board writes it.
+    On the board the measurement is `law_input.motor_angle`, the reference
+    `law_input.reference`, and u `law_output.voltage`; `torque`, `payload` and
+    `reference_acceleration` stay 0. u answers the samples of its period, and takes
+    effect when the board writes it.
 
     Parameters
     ----------
     output_limit
         largest |u|, in the output's unit.
     measurement_limit
-        largest credible |r| and |y|: samples beyond it are rejected, and five in a row switch the output off.
+        largest credible |r| and |y|: samples beyond it are rejected, and five in a row
+        switch the output off.
     order
-        states of 1 + Ĉ, 0 to 8; without it the fewest that meet the tolerance, else the best of 8.
+        states of 1 + Ĉ, 0 to 8; without it the fewest that meet the tolerance, else the
+        best of 8.
     precision
         "double" or "single".
     band
@@ -73,7 +90,8 @@ def discretize_pid(
     Raises
     ------
     FieldError
-        a value out of its range, and a controller that has neither a proportional nor an integral part.
+        a value out of its range, and a controller that has neither a proportional nor
+        an integral part.
 
     Examples
     --------
@@ -86,16 +104,21 @@ def discretize_pid(
     reach = _band(period) if band is None else checked_band(band, period)
     base = _integer_part(controller, period, reach)
 
-    # A proportional controller is P itself: there is nothing to fit, and no relative error of nothing.
+    # A proportional controller is P itself: there is nothing to fit, and no relative
+    # error of nothing.
     correction, errors = Modes(0.0), (0.0, 0.0)
     if controller.integral or controller.derivative:
         correction, errors = _fitted(controller, base, period, reach, order)
-    # No friction and no coupling torque: the plant is nobody's motor. The speed of 1 divides nothing then.
-    drive = Drive(base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0)
+    # No friction and no coupling torque: the plant is nobody's motor. The speed of 1
+    # divides nothing then.
+    drive = Drive(
+        base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0
+    )
     return Law(
         period=period,
         precision=precision,
-        # A compliance 1/c of zero takes the torque out of the tip estimate: θte = θm, the measurement.
+        # A compliance 1/c of zero takes the torque out of the tip estimate: θte = θm,
+        # the measurement.
         stiffness=math.inf,
         correction=correction,
         feedforward=Modes(0.0),
@@ -109,15 +132,19 @@ def discretize_pid(
 
 
 def _fitted(
-    controller: FractionalPid, base: DiscretePid, period: float, band: tuple[float, float], order: int | None
+    controller: FractionalPid,
+    base: DiscretePid,
+    period: float,
+    band: tuple[float, float],
+    order: int | None,
 ) -> tuple[Modes, tuple[float, float]]:
     """Ĉ = C/P − 1 as modes, and its largest error on the band [dB], [°]."""
 
     def rest(frequency: NDArray[np.float64]) -> Complex:
         return controller.response(frequency) / _response(base, frequency) - 1.0
 
-    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z = 1 is Ĉ's, and an
-    # error that lasts meets the integer integral alone.
+    # 1 + Ĉ = C/P is 1 at rest only where P has the whole of C's integral: the zero at z
+    # = 1 is Ĉ's, and an error that lasts meets the integer integral alone.
     fit = fit_discrete(
         rest,
         period=period,
@@ -128,17 +155,28 @@ def _fitted(
         tolerance_db=TOLERANCE_DB,
         tolerance_deg=TOLERANCE_DEG,
     )
-    return modes_from("order", fit, REAL_MODES, PAIR_MODES), (fit.error_db, fit.error_deg)
+    return modes_from("order", fit, REAL_MODES, PAIR_MODES), (
+        fit.error_db,
+        fit.error_deg,
+    )
 
 
 def pid_response(law: Law, frequency: ArrayLike) -> Complex:
     """Return C(e^(jωT)) of a law that `discretize_pid` made, at ω [rad/s]; any shape."""
     if law.drive is None or law.has_gauge:
-        remedy = "discretize_pid makes one; Law.frequency_response is that of every other"
-        raise FieldError(
-            "law", repr(law), "no law of a PID", allowed="that of a FractionalPid", remedy=remedy
+        remedy = (
+            "discretize_pid makes one; Law.frequency_response is that of every other"
         )
-    return _response(law.drive.loop, frequency) * (1.0 + law.frequency_response(frequency))
+        raise FieldError(
+            "law",
+            repr(law),
+            "no law of a PID",
+            allowed="that of a FractionalPid",
+            remedy=remedy,
+        )
+    return _response(law.drive.loop, frequency) * (
+        1.0 + law.frequency_response(frequency)
+    )
 
 
 def _band(period: float) -> tuple[float, float]:
@@ -146,7 +184,9 @@ def _band(period: float) -> tuple[float, float]:
     return high / 10.0**DECADES, high
 
 
-def _integer_part(controller: FractionalPid, period: float, band: tuple[float, float]) -> DiscretePid:
+def _integer_part(
+    controller: FractionalPid, period: float, band: tuple[float, float]
+) -> DiscretePid:
     """P(z): k_P, and the integral that continues k_i/s^λ below the band."""
     joint = band[0] / JOINT
     # k_i/s^λ and k_I/s have one size at the joint: |k_i ω^(−λ)| = k_I/ω there.
@@ -184,26 +224,35 @@ def _response(loop: DiscretePid, frequency: ArrayLike) -> Complex:
 def _limits(correction: Modes, reach: float) -> Limits:
     """The guards of a loop of which nothing but the range of the measurement is known.
 
-    Errors are within 2Y. By the l1 norms of the filter's parts nothing that they can make is limited; what
-    compares a motor with its model (residual, frozen encoder) can never act, and a torque, which a loop
-    without a gauge does not have, is rejected without any effect on the output.
+    Errors are within 2Y. By the l1 norms of the filter's parts nothing that they can
+    make is limited; what compares a motor with its model (residual, frozen encoder) can
+    never act, and a torque, which a loop without a gauge does not have, is rejected
+    without any effect on the output.
     """
     listed = {
-        "real": [x for mode in zip(correction.poles, correction.gains, strict=True) for x in mode],
+        "real": [
+            x
+            for mode in zip(correction.poles, correction.gains, strict=True)
+            for x in mode
+        ],
         "pair": [
             x
-            for pole, gain in zip(correction.pair_poles, correction.pair_gains, strict=True)
+            for pole, gain in zip(
+                correction.pair_poles, correction.pair_gains, strict=True
+            )
             for x in (pole.real, pole.imag, gain.real, gain.imag)
         ],
     }
-    # The state of a mode is driven by the change of the error: (1 − z⁻¹)/(z − p) answers an impulse with 1, p
-    # − 1, (p − 1) p, …, of which this is the absolute sum.
+    # The state of a mode is driven by the change of the error: (1 − z⁻¹)/(z − p)
+    # answers an impulse with 1, p − 1, (p − 1) p, …, of which this is the absolute sum.
     norms = [(1 + abs(1 - p) / (1 - abs(p)), abs(g)) for p, g in modes_of(listed)]
-    # r and y of opposite signs are 2Y apart; a hundredth more, so that rounding in single precision trips
-    # nothing.
+    # r and y of opposite signs are 2Y apart; a hundredth more, so that rounding in
+    # single precision trips nothing.
     error = 2.0 * reach * 1.01
     largest = max([norm for norm, _ in norms] + [1.0])
-    command = (2 * abs(correction.direct) + sum(norm * gain for norm, gain in norms)) * error
+    command = (
+        2 * abs(correction.direct) + sum(norm * gain for norm, gain in norms)
+    ) * error
     motor = reach + command
     return Limits(
         sum_limit=command,

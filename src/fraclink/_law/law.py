@@ -1,4 +1,6 @@
-"""The control law at its period: one frozen object, the same block of numbers that a board gets, one file."""
+"""The control law at its period: one frozen object, the same block of numbers that a
+board gets, one file.
+"""
 
 from __future__ import annotations
 
@@ -51,8 +53,8 @@ REASONS = (
 
 
 class LawInputs(NamedTuple):
-    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ [N·m], and the payload
-    [kg], 0 where it is not given.
+    """One period's inputs: reference [rad], its acceleration [rad/s²], θm [rad], Γ
+    [N·m], and the payload [kg], 0 where it is not given.
     """
 
     reference: float
@@ -63,11 +65,12 @@ class LawInputs(NamedTuple):
 
 
 class LawOutputs(NamedTuple):
-    """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from `Law.run`.
+    """One period's outputs; scalars from `Law.step`, arrays of shape (N,) from
+    `Law.run`.
 
-    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling torque [V],
-    tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason (index of REASONS), flags (bits
-    of law.h).
+    motor_reference θm* [rad], voltage [V], compensation: its part against the coupling
+    torque [V], tip_estimate θm − Γ/c [rad], error [rad], mode (index of MODES), reason
+    (index of REASONS), flags (bits of law.h).
     """
 
     motor_reference: Any
@@ -91,14 +94,21 @@ def _first_format(content: dict[str, Any]) -> dict[str, Any]:
     law = codec_of(Law).decode(_second_format(content), "", Storage(hex_floats=True))
     if stated != law.former_digest:
         raise FileFormatError(
-            "sha256", stated, "not that of the law", allowed=law.former_digest, remedy="make the file again"
+            "sha256",
+            stated,
+            "not that of the law",
+            allowed=law.former_digest,
+            remedy="make the file again",
         )
     return content
 
 
 def _second_format(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 2 had no payload as an input: its laws run as they did, and reject one that is given."""
-    # A limit of 0 kg rejects every payload, so that the law runs bit for bit as it did without the input.
+    """Format 2 had no payload as an input: its laws run as they did, and reject one
+    that is given.
+    """
+    # A limit of 0 kg rejects every payload, so that the law runs bit for bit as it did
+    # without the input.
     none = {"payload_limit": (0.0).hex(), "scale_step": (1.0).hex()}
     return content | {"limits": {**content["limits"], **none}, "tracking": None}
 
@@ -116,9 +126,9 @@ def _second_format(content: dict[str, Any]) -> dict[str, Any]:
 class Law:
     """A controller as it runs: every coefficient of law.c at its period.
 
-    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z −
-    p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by `discretize_controller` or
-    `Controller.discretize`.
+    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1
+    − z⁻¹)(d + Σ g/(z − p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by
+    `discretize_controller` or `Controller.discretize`.
 
     Parameters
     ----------
@@ -141,7 +151,8 @@ class Law:
     limits
         of the guards.
     tracking
-        what the law needs to use a payload that is given; None where its link model knows none.
+        what the law needs to use a payload that is given; None where its link model
+        knows none.
 
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
@@ -174,12 +185,16 @@ class Law:
 
     @property
     def has_gauge(self) -> bool:
-        """Whether the law measures a torque; the law of a `FractionalPid` has a measurement only."""
+        """Whether the law measures a torque; the law of a `FractionalPid` has a
+        measurement only.
+        """
         return math.isfinite(self.stiffness)
 
     @property
     def values(self) -> dict[str, Any]:
-        """Every field of law_params but its header, not yet rounded to the law's precision."""
+        """Every field of law_params but its header, not yet rounded to the law's
+        precision.
+        """
         return block_values(
             self.period,
             self.stiffness,
@@ -195,30 +210,39 @@ class Law:
     def block(self) -> bytes:
         """The parameter block of law.c, byte for byte."""
         made = layout.pack(self.values, self.precision)
-        # The struct is laid out twice, here and by the C compiler: a field that one of them lacks would shift
-        # all that follow, and the CRC, formed here, would not notice.
+        # The struct is laid out twice, here and by the C compiler: a field that one of
+        # them lacks would shift all that follow, and the CRC, formed here, would not
+        # notice.
         if len(made) != _kernels.law_sizes(self.precision == "single")[0]:
             raise AssertionError("fraclink._law.block does not match csrc/law.h")
         return made
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run alike to the last bit."""
+        """SHA-256 of the block, 64 hexadecimal digits: two laws with one digest run
+        alike to the last bit.
+        """
         return hashlib.sha256(self.block).hexdigest()
 
     @property
     def former_digest(self) -> str:
-        """The digest of a law that knows no payload as it was before there was one; else `digest`.
+        """The digest of a law that knows no payload as it was before there was one;
+        else `digest`.
 
-        What was made of such a law by an earlier release (campaigns, records) still belongs to it.
+        What was made of such a law by an earlier release (campaigns, records) still
+        belongs to it.
         """
         if self.tracking is not None:
             return self.digest
-        return hashlib.sha256(layout.pack(self.values, self.precision, version=2)).hexdigest()
+        return hashlib.sha256(
+            layout.pack(self.values, self.precision, version=2)
+        ).hexdigest()
 
     @property
     def coefficients(self) -> dict[str, float | list[float]]:
-        """Every number of the block under its name in law.h, as the law has it (rounded to its precision)."""
+        """Every number of the block under its name in law.h, as the law has it (rounded
+        to its precision).
+        """
         return layout.unpack(self.block, self.precision)
 
     def in_precision(self, precision: layout.Precision) -> Law:
@@ -228,30 +252,51 @@ class Law:
 
     @cached_property
     def _filter(self) -> tuple[float, Complex, Complex, Complex, Complex]:
-        """(d, p − 1, g, those of the pairs) of the block: a design asks for its response a thousand times."""
+        """(d, p − 1, g, those of the pairs) of the block: a design asks for its
+        response a thousand times.
+        """
         c = self.coefficients
-        # Taken from the block and not from `correction`: in single precision these are the board's numbers.
-        n, m = len(self.correction.poles), len(self.correction.pair_poles)  # the block's lists end in zeros
+        # Taken from the block and not from `correction`: in single precision these are
+        # the board's numbers.
+        n, m = (
+            len(self.correction.poles),
+            len(self.correction.pair_poles),
+        )  # the block's lists end in zeros
         poles, gains = np.asarray(c["real"]).reshape(-1, 2)[:n].T
         pole, turn, gain, cross = np.asarray(c["pair"]).reshape(-1, 4)[:m].T
-        return float(c["direct"]), poles - 1, gains, pole - 1 + 1j * turn, gain + 1j * cross  # type: ignore[arg-type]
+        return (
+            float(c["direct"]),  # type: ignore[arg-type]
+            poles - 1,
+            gains,
+            pole - 1 + 1j * turn,
+            gain + 1j * cross,
+        )
 
     def frequency_response(self, frequency: ArrayLike) -> Complex:
-        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any shape."""
+        """Return Ĉ(e^(jωT)) of the coefficients as they are rounded, at ω [rad/s]; any
+        shape.
+        """
         w = np.asarray(frequency, dtype=float)
         direct, poles, gains, pairs, crossed = self._filter
         half = 0.5 * w * self.period
-        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4; pole − 1 is exact for slow poles
+        # z − 1 without cancellation: at 0.05 rad/s and 4 ms it is 2e-4; pole − 1 is
+        # exact for slow poles
         beyond = (2j * np.sin(half) * np.exp(1j * half))[..., None]
         total = direct + (gains / (beyond - poles)).sum(-1)
-        total = total + 0.5 * (crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())).sum(-1)
-        return np.asarray(2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128)
+        total = total + 0.5 * (
+            crossed / (beyond - pairs) + crossed.conj() / (beyond - pairs.conj())
+        ).sum(-1)
+        return np.asarray(
+            2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128
+        )
 
     def to_control(self) -> Any:
-        """Return the law's filter as a discrete `control.StateSpace`: from the error to the correction Ĉ e.
+        """Return the law's filter as a discrete `control.StateSpace`: from the error to
+        the correction Ĉ e.
 
-        That of a fractional PID leads from the error to the output, its integral included. Limits, guards and
-        feed-forward are not in it. MissingExtraError where python-control is not installed.
+        That of a fractional PID leads from the error to the output, its integral
+        included. Limits, guards and feed-forward are not in it. MissingExtraError where
+        python-control is not installed.
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
@@ -273,38 +318,58 @@ class Law:
             width = len(block)
             a[at : at + width, at : at + width] = block
             b[at] = 1.0
-            c[at : at + width] = [gains[place]] if width == 1 else _of_pair(crossed[place - len(poles)])
-        # the last state is the error of the period before: the modes are driven by its change
+            c[at : at + width] = (
+                [gains[place]] if width == 1 else _of_pair(crossed[place - len(poles)])
+            )
+        # the last state is the error of the period before: the modes are driven by its
+        # change
         a[:, -1], c[-1] = -b, -direct
         b[-1] = 1.0
         names = {"inputs": "error", "outputs": "correction"}
         if self.has_gauge or self.drive is None:
-            return control.ss(a, b[:, None], c[None, :], [[direct]], self.period, **names)
+            return control.ss(
+                a, b[:, None], c[None, :], [[direct]], self.period, **names
+            )
         loop = self.drive.loop
         half = loop.integral_gain * loop.integral_now
-        # One state more, the integral of e + Ĉe by Tustin's rule: u = (k + half) x + integral, integral += 2
-        # half x.
-        whole, into = np.zeros((size + 2, size + 2)), np.append(b, 2 * half * (1 + direct))
+        # One state more, the integral of e + Ĉe by Tustin's rule: u = (k + half) x +
+        # integral, integral += 2 half x.
+        whole, into = (
+            np.zeros((size + 2, size + 2)),
+            np.append(b, 2 * half * (1 + direct)),
+        )
         whole[:-1, :-1], whole[-1, :-1], whole[-1, -1] = a, 2 * half * c, 1.0
         out = np.append((loop.direct + half) * c, 1.0)
         through = [[(loop.direct + half) * (1 + direct)]]
         names["outputs"] = "output"
-        return control.ss(whole, into[:, None], out[None, :], through, self.period, **names)
+        return control.ss(
+            whole, into[:, None], out[None, :], through, self.period, **names
+        )
 
     def initial_state(self) -> bytes:
-        """Return the state before the first period; the first step starts at the measured angle without a
-        bump.
+        """Return the state before the first period; the first step starts at the
+        measured angle without a bump.
         """
         state, reason = _kernels.law_init(self.block, self.precision == "single")
         if reason:
             raise FieldError(
-                "law", REASONS[reason], "refused by law.c", allowed="a valid block", remedy="report it"
+                "law",
+                REASONS[reason],
+                "refused by law.c",
+                allowed="a valid block",
+                remedy="report it",
             )
         return bytes(state)
 
-    def step(self, state: bytes, inputs: LawInputs, *, tick: int = 1) -> tuple[bytes, LawOutputs]:
-        """Run law.c for one period and return (new state, outputs); `tick` is the number of the period."""
-        after, outputs = self.run(state, *([value] for value in inputs), first_tick=tick)
+    def step(
+        self, state: bytes, inputs: LawInputs, *, tick: int = 1
+    ) -> tuple[bytes, LawOutputs]:
+        """Run law.c for one period and return (new state, outputs); `tick` is the
+        number of the period.
+        """
+        after, outputs = self.run(
+            state, *([value] for value in inputs), first_tick=tick
+        )
         return after, LawOutputs(*(column[0].item() for column in outputs))
 
     def run(
@@ -319,21 +384,36 @@ class Law:
         first_tick: int = 1,
         ticks: Sequence[int] | NDArray[np.uint32] | None = None,
     ) -> tuple[bytes, LawOutputs]:
-        """Run law.c over whole signals, shape (N,), and return (new state, outputs of shape (N,)).
+        """Run law.c over whole signals, shape (N,), and return (new state, outputs of
+        shape (N,)).
 
-        `payload` [kg] may be one number; 0 where it is not given. Periods are numbered from
-        `first_tick`, or by `ticks` where some were missed.
+        `payload` [kg] may be one number; 0 where it is not given. Periods are numbered
+        from `first_tick`, or by `ticks` where some were missed.
         """
-        four = [np.asarray(x, dtype=float) for x in (reference, reference_acceleration, motor_angle, torque)]
+        four = [
+            np.asarray(x, dtype=float)
+            for x in (reference, reference_acceleration, motor_angle, torque)
+        ]
         if four[0].ndim != 1 or any(x.shape != four[0].shape for x in four):
             shapes = [x.shape for x in four]
             allowed = "four of one shape (N,)"
-            raise FieldError("inputs", shapes, "not four signals", allowed=allowed, remedy="give arrays")
+            raise FieldError(
+                "inputs",
+                shapes,
+                "not four signals",
+                allowed=allowed,
+                remedy="give arrays",
+            )
         count = four[0].size
-        signals = np.ascontiguousarray([*four, np.broadcast_to(np.asarray(payload, dtype=float), count)])
+        signals = np.ascontiguousarray(
+            [*four, np.broadcast_to(np.asarray(payload, dtype=float), count)]
+        )
         numbers = np.arange(count) + first_tick if ticks is None else np.asarray(ticks)
-        # The counter of a board wraps after 2³² periods; NumPy would refuse a negative number as unsigned.
-        numbers = np.ascontiguousarray(numbers.astype(np.int64) % 2**32, dtype=np.uint32)
+        # The counter of a board wraps after 2³² periods; NumPy would refuse a negative
+        # number as unsigned.
+        numbers = np.ascontiguousarray(
+            numbers.astype(np.int64) % 2**32, dtype=np.uint32
+        )
         if numbers.shape != (count,):
             raise FieldError(
                 "ticks",
@@ -344,18 +424,28 @@ class Law:
             )
         outputs, marks = np.empty((5, count)), np.empty((3, count), dtype=np.uint32)
         after = _kernels.law_run(
-            self.block, state, numbers, signals, outputs, marks, self.precision == "single"
+            self.block,
+            state,
+            numbers,
+            signals,
+            outputs,
+            marks,
+            self.precision == "single",
         )
         return bytes(after), LawOutputs(*outputs, *marks)
 
     def check_wiring(self, motor_angle: ArrayLike, torque: ArrayLike) -> str:
-        """Return "none", or what is wrong with the gauge's wiring: law.c's commissioning test on a log.
+        """Return "none", or what is wrong with the gauge's wiring: law.c's
+        commissioning test on a log.
 
-        The motor must turn by `wiring_angle()` or more within a quarter of the link's vibration period: the
-        tip then lags behind, and the torque [N·m] must rise with the motor angle [rad]; both have shape (N,),
-        one value a period. The answers are "none", "gauge reversed", "gauge dead" and "not moved enough".
+        The motor must turn by `wiring_angle()` or more within a quarter of the link's
+        vibration period: the tip then lags behind, and the torque [N·m] must rise with
+        the motor angle [rad]; both have shape (N,), one value a period. The answers are
+        "none", "gauge reversed", "gauge dead" and "not moved enough".
         """
-        angle, twist = (np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque))
+        angle, twist = (
+            np.ascontiguousarray(x, dtype=float) for x in (motor_angle, torque)
+        )
         if angle.ndim != 1 or angle.shape != twist.shape:
             raise FieldError(
                 "torque",
@@ -364,14 +454,18 @@ class Law:
                 allowed=f"{angle.shape}",
                 remedy="give two signals",
             )
-        return REASONS[_kernels.law_wiring(self.block, angle, twist, self.precision == "single")]
+        return REASONS[
+            _kernels.law_wiring(self.block, angle, twist, self.precision == "single")
+        ]
 
     def wiring_angle(self, duration: float | None = None) -> float:
-        """Return by how much [rad] the motor must turn in `duration` [s] for `check_wiring` to decide.
+        """Return by how much [rad] the motor must turn in `duration` [s] for
+        `check_wiring` to decide.
 
-        Along the quintic of `smooth_step` the sum of squared steps is 10/7 θ² T/duration, and must reach the
-        limits' `wiring_energy`, where the link's torque stands clear of the gauge's noise. Default duration:
-        a quarter of the link's vibration period. FieldError unless duration > 0.
+        Along the quintic of `smooth_step` the sum of squared steps is 10/7 θ²
+        T/duration, and must reach the limits' `wiring_energy`, where the link's torque
+        stands clear of the gauge's noise. Default duration: a quarter of the link's
+        vibration period. FieldError unless duration > 0.
 
         >>> import fraclink as fl
         >>> from fraclink._law import discretize_controller
@@ -382,16 +476,28 @@ class Law:
         '0.26 rad, in half a second 0.51 rad'
         """
         # `block_limit` is one and a half times half a vibration.
-        time = self.limits.block_limit * self.period / 3 if duration is None else duration
+        time = (
+            self.limits.block_limit * self.period / 3 if duration is None else duration
+        )
         if not (math.isfinite(time) and time > 0):
-            raise FieldError("duration", duration, "not a time", allowed="> 0 s", remedy="give seconds")
+            raise FieldError(
+                "duration",
+                duration,
+                "not a time",
+                allowed="> 0 s",
+                remedy="give seconds",
+            )
         return math.sqrt(0.7 * self.limits.wiring_energy * time / self.period)
 
     def save(self, path: Path | str) -> None:
-        """Write the law to a JSON file; reals are hex floats, so that every bit comes back."""
+        """Write the law to a JSON file; reals are hex floats, so that every bit comes
+        back.
+        """
         save_document(self, path, force=True)
 
     @classmethod
     def load(cls, path: Path | str) -> Law:
-        """Read what `save` wrote; FileFormatError where the file is damaged or its digest does not fit."""
+        """Read what `save` wrote; FileFormatError where the file is damaged or its
+        digest does not fit.
+        """
         return load_document(path, cls)

@@ -1,4 +1,6 @@
-"""The law's guards: every threshold from the largest move, the design and the sensors, none guessed."""
+"""The law's guards: every threshold from the largest move, the design and the sensors,
+none guessed.
+"""
 
 from __future__ import annotations
 
@@ -13,19 +15,24 @@ if TYPE_CHECKING:
 
 __all__ = ["Limits", "Moves", "derive_limits"]
 
-LARGEST_SCALE = 4.0  # times the nominal payload: more is a wrong unit, and beyond what bounds the torque
-SCALE_TIME = 0.1  # [s] in which the scale of the feed-forward changes by 1: within a move, without a jump
-JUMP = 3.0  # of 1/ω_resonance: the time constant with which a jump of the reference is followed
-FADE_TIME = (
-    0.2  # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone in a move
-)
+# times the nominal payload: more is a wrong unit, and beyond what bounds the torque
+LARGEST_SCALE = 4.0
+# [s] in which the scale of the feed-forward changes by 1: within a move, without a jump
+SCALE_TIME = 0.1
+# of 1/ω_resonance: the time constant with which a jump of the reference is followed
+JUMP = 3.0
+# [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone
+# in a move
+FADE_TIME = 0.2
 
 
 @dataclass(frozen=True)
 class Moves:
-    """The largest move the arm is meant to make; the guards take anything far beyond it for a fault.
+    """The largest move the arm is meant to make; the guards take anything far beyond it
+    for a fault.
 
-    The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36 rad/s²).
+    The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36
+    rad/s²).
 
     Parameters
     ----------
@@ -79,11 +86,14 @@ class Limits:
     frozen_angle: float
     stuck_torque: float
     wiring_energy: float
-    bad_limit: int = 5  # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
+    # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
+    bad_limit: int = 5
     missed_limit: int = 5
     residual_limit: int = 10
     stuck_limit: int = 12
-    frozen_limit: int = 8  # lost samples do not come in such rows, and a motor is not far by then
+    frozen_limit: int = (
+        8  # lost samples do not come in such rows, and a motor is not far by then
+    )
     block_limit: int = 100  # derived from the resonance
 
 
@@ -107,10 +117,14 @@ def derive_limits(
     |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
     2/p + 1.5 T. Reasons stand beside each number in the source.
     """
-    # 1/G − 1 is what the motor must lead the tip by, and s² of it belongs to the acceleration.
+    # 1/G − 1 is what the motor must lead the tip by, and s² of it belongs to the
+    # acceleration.
     resonance = abs(link.pole)
-    flexible = abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
-    # Twice: payloads beyond the nominal one bend the link more, and no limit may trip on them.
+    flexible = (
+        abs(1 / link.tip()(1j * resonance) - 1) / resonance**2 * moves.acceleration
+    )
+    # Twice: payloads beyond the nominal one bend the link more, and no limit may trip
+    # on them.
     torque = 2 * link.stiffness * flexible
     # The motor leads the tip by the flexion at both ends of a move.
     angle = moves.angle + 2 * flexible
@@ -122,21 +136,31 @@ def derive_limits(
         4 * torque, 0.975 * gauge_limit
     )  # an amplifier at its rail reads its limit: not credible
     error = lag * moves.velocity
-    # A link that vibrates swings back in half a period; what it is bent by for longer is an acceleration that
-    # the reference's speed, from one end to the other, leaves room for.
+    # A link that vibrates swings back in half a period; what it is bent by for longer
+    # is an acceleration that the reference's speed, from one end to the other, leaves
+    # room for.
     held = 1.5 * math.pi / resonance
     slow = abs(1 / link.tip()(1j * math.pi / held) - 1) * (held / math.pi) ** 2
-    block = 2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
-    # two periods of delay that the motor model leaves out, at the speed of reference and feed-forward
+    block = (
+        2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
+    )
+    # two periods of delay that the motor model leaves out, at the speed of reference
+    # and feed-forward
     residual = 3 * moves.velocity * period + 0.02
-    # the motor can bend the link by its own step; a sample's noise is below 8 deviations for centuries
+    # the motor can bend the link by its own step; a sample's noise is below 8
+    # deviations for centuries
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
     return Limits(
         # what an offset that appears may ask for at once, on top of the feed-forward
-        sum_limit=4 * flexible + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
+        sum_limit=4 * flexible
+        + kick * (torque_step / link.stiffness + 1.05 * moves.velocity * period),
         correction_limit=1.5
-        * (error + 0.15),  # 0.15 rad: residual vibration and gauge offset on top of the lag
-        forward_limit=3 * moves.velocity / period,  # the states sum the acceleration, which sums to the speed
+        * (
+            error + 0.15
+        ),  # 0.15 rad: residual vibration and gauge offset on top of the lag
+        forward_limit=3
+        * moves.velocity
+        / period,  # the states sum the acceleration, which sums to the speed
         angle_limit=angle,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
@@ -146,23 +170,30 @@ def derive_limits(
         reference_step=1.05 * moves.velocity * period,
         reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,
-        payload_limit=LARGEST_SCALE * (link.payload or 0.0),  # 0: a law that knows no payload takes none
+        payload_limit=LARGEST_SCALE
+        * (link.payload or 0.0),  # 0: a law that knows no payload takes none
         scale_step=min(1.0, period / SCALE_TIME),
         motor_limit=angle,
         motor_step=motor_step,
         fade_step=min(1.0, period / FADE_TIME),
         residual_angle=residual,
-        # a move that has begun in the model but, for three periods of delay, not in the motor
+        # a move that has begun in the model but, for three periods of delay, not in the
+        # motor
         frozen_angle=min(
-            residual, 2 * encoder_resolution + max(sticking, 4.5 * moves.acceleration * period**2)
+            residual,
+            2 * encoder_resolution
+            + max(sticking, 4.5 * moves.acceleration * period**2),
         ),
-        # a gauge whose noise is above its quantum does not read the same a dozen times: p = q/(2√π σ) for
-        # twice, below 1e-10 for twelve times, so that any motion of the model will do
+        # a gauge whose noise is above its quantum does not read the same a dozen times:
+        # p = q/(2√π σ) for twice, below 1e-10 for twelve times, so that any motion of
+        # the model will do
         stuck_torque=gauge_noise
         if gauge_noise > gauge_quantum
         else max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
         block_limit=max(5, round(held / period)),
-        # sum of squared motor steps whose torque stands 6 deviations above the noise of a torque step, and at
-        # least that of 0.1 rad in 25 periods
-        wiring_energy=max((6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25),
+        # sum of squared motor steps whose torque stands 6 deviations above the noise of
+        # a torque step, and at least that of 0.1 rad in 25 periods
+        wiring_energy=max(
+            (6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25
+        ),
     )

@@ -1,4 +1,6 @@
-"""A law for a controller that is still being changed: the poles of another law, new gains."""
+"""A law for a controller that is still being changed: the poles of another law, new
+gains.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,19 @@ from fraclink._law.law import Law
 
 __all__ = ["refitted"]
 
-_POINTS = 120  # more change the gains by less than the missing optimisation of the poles does
+_POINTS = (
+    120  # more change the gains by less than the missing optimisation of the poles does
+)
 
 
 def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
-    """Return `law` with gains for `controller`, and the largest relative error of C on the law's band.
+    """Return `law` with gains for `controller`, and the largest relative error of C on
+    the law's band.
 
-    Least squares, |C - C_law|/|C| on a logarithmic grid, with the poles that `law` has: a fraction of a
-    millisecond, where the minimax fit of `discretize` takes fifty. It is a preview: nothing
-    is promised of it, its guards are those of `law`, and nothing that is kept or exported is made by it.
+    Least squares, |C - C_law|/|C| on a logarithmic grid, with the poles that `law` has:
+    a fraction of a millisecond, where the minimax fit of `discretize` takes fifty. It
+    is a preview: nothing is promised of it, its guards are those of `law`, and nothing
+    that is kept or exported is made by it.
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
@@ -33,15 +39,18 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
     """
     w = np.geomspace(*law.band, _POINTS)
     wanted = controller.response(w)
-    # C − C_law = Ĉ − Ĉ_law, so the error of C relative to C is that of Ĉ over |1 + Ĉ|: linear in the gains.
+    # C − C_law = Ĉ − Ĉ_law, so the error of C relative to C is that of Ĉ over |1 + Ĉ|:
+    # linear in the gains.
     weight = 1.0 / np.abs(1.0 + wanted)
-    # The poles depend on the band and hardly on the controller, whose β and δ a drag in the studio moves by
-    # little: with them kept the fit is linear.
+    # The poles depend on the band and hardly on the controller, whose β and δ a drag in
+    # the studio moves by little: with them kept the fit is linear.
     rows = _terms(law, w) * weight[:, None]
     aim = wanted * weight
     # Real and imaginary part one under the other: the gains are real.
     gains = np.linalg.lstsq(
-        np.vstack([rows.real, rows.imag]), np.concatenate([aim.real, aim.imag]), rcond=None
+        np.vstack([rows.real, rows.imag]),
+        np.concatenate([aim.real, aim.imag]),
+        rcond=None,
     )[0]
     error = float(np.max(np.abs(rows @ gains - aim)))
     reals = len(law.correction.poles)
@@ -57,12 +66,15 @@ def refitted(law: Law, controller: Controller) -> tuple[Law, float]:
 
 
 def _terms(law: Law, w: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Response of every term of (1 - z⁻¹)(d + Σ g/(z - p)) with the gain 1, shape (N, terms)."""
+    """Response of every term of (1 - z⁻¹)(d + Σ g/(z - p)) with the gain 1, shape (N,
+    terms).
+    """
     z = np.exp(1j * w * law.period)[:, None]
     reals = 1.0 / (z - np.array(law.correction.poles)[None, :])
     pairs = np.array(law.correction.pair_poles, dtype=np.complex128)[None, :]
     up, down = 1.0 / (z - pairs), 1.0 / (z - pairs.conj())
-    # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, as the block holds a pair.
+    # ½(c/(z − q) + c̄/(z − q̄)) in the two real unknowns Re c and Im c, as the block
+    # holds a pair.
     both = np.stack([0.5 * (up + down), 0.5j * (up - down)], axis=2).reshape(w.size, -1)
     terms = np.concatenate([np.ones_like(z), reals, both], axis=1)
     return np.asarray((1.0 - 1.0 / z) * terms, dtype=np.complex128)

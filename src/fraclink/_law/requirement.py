@@ -1,4 +1,6 @@
-"""One requirement of a design, wanted and achieved; and what the law that ships keeps of it, sampled."""
+"""One requirement of a design, wanted and achieved; and what the law that ships keeps
+of it, sampled.
+"""
 
 from __future__ import annotations
 
@@ -35,15 +37,18 @@ __all__ = [
     "no_law",
 ]
 
-_ROUNDING = 1e-9  # relative: the equations are solved to 1e-15, a requirement met with equality must pass
+# relative: the equations are solved to 1e-15, a requirement met with equality must pass
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """One requirement, the value achieved over the whole payload range, and where it is worst.
+    """One requirement, the value achieved over the whole payload range, and where it is
+    worst.
 
-    ``bound`` says whether `wanted` is the least or the most that is admitted; ``at_payload`` [kg] is the
-    payload of the worst value; ``unit`` the unit of wanted, achieved and slack.
+    ``bound`` says whether `wanted` is the least or the most that is admitted;
+    ``at_payload`` [kg] is the payload of the worst value; ``unit`` the unit of wanted,
+    achieved and slack.
 
     Examples
     --------
@@ -61,12 +66,16 @@ class Requirement:
     bound: Literal["at least", "at most"]
 
     @staticmethod
-    def at_least(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+    def at_least(
+        name: str, wanted: float, achieved: float, unit: str, at_payload: float
+    ) -> Requirement:
         """A lower bound: passed where achieved >= wanted."""
         return Requirement(name, wanted, achieved, unit, at_payload, "at least")
 
     @staticmethod
-    def at_most(name: str, wanted: float, achieved: float, unit: str, at_payload: float) -> Requirement:
+    def at_most(
+        name: str, wanted: float, achieved: float, unit: str, at_payload: float
+    ) -> Requirement:
         """An upper bound: passed where achieved <= wanted."""
         return Requirement(name, wanted, achieved, unit, at_payload, "at most")
 
@@ -82,7 +91,10 @@ class Requirement:
         return self.slack >= -_ROUNDING * max(1.0, abs(self.wanted))
 
     def __str__(self) -> str:
-        shown = [math.degrees(x) if self.unit == "rad" else x for x in (self.wanted, self.achieved)]
+        shown = [
+            math.degrees(x) if self.unit == "rad" else x
+            for x in (self.wanted, self.achieved)
+        ]
         unit = "°" if self.unit == "rad" else f" {self.unit}".rstrip()
         verdict = "passed" if self.passed else "FAILED"
         return (
@@ -96,24 +108,30 @@ Complex = NDArray[np.complex128]
 
 LAW_MARGIN = "phase margin, shipped law"
 _ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
-# Of a payload range, for the law: each asks for a sampled plant with its aliases, for every motor loop.
+# Of a payload range, for the law: each asks for a sampled plant with its aliases, for
+# every motor loop.
 _PAYLOADS = 9
-# Of the design's own |1 + L|: the hold and the fit of the law move it by a few per cent, not by half.
+# Of the design's own |1 + L|: the hold and the fit of the law move it by a few per
+# cent, not by half.
 _NEAR = 0.5
-# Less than half of the phase margin asked for, or an |1 + L| that a loop gain of 10 % more may take away, is
-# another loop than the one designed: gauge, motor and damping are known to 5 % each at best.
+# Less than half of the phase margin asked for, or an |1 + L| that a loop gain of 10 %
+# more may take away, is another loop than the one designed: gauge, motor and damping
+# are known to 5 % each at best.
 LEAST_SHARE, _CLOSEST = 0.5, 0.1
 
 
 @dataclass(frozen=True)
 class Looked:
-    """Margins of the sampled loop with the law, the payload [kg], and the kind of motor loop.
+    """Margins of the sampled loop with the law, the payload [kg], and the kind of motor
+    loop.
 
-    The law closes the motor loop, too: a PID at the control period. A design for the ideal motor loop is
-    looked at with both: with M(s), which a drive's own position loop may come close to, and with the PID that
-    runs. Far above the motor loop's pole the two have nothing in common, and a late gauge keeps |L| near one
-    as far up as that: B tends to 1 - e^(-τs) there, not to zero. So does a link with mass: its modes 2 and 3
-    are in this loop wherever the rig states the mass, whether or not a log showed them.
+    The law closes the motor loop, too: a PID at the control period. A design for the
+    ideal motor loop is looked at with both: with M(s), which a drive's own position
+    loop may come close to, and with the PID that runs. Far above the motor loop's pole
+    the two have nothing in common, and a late gauge keeps |L| near one as far up as
+    that: B tends to 1 - e^(-τs) there, not to zero. So does a link with mass: its modes
+    2 and 3 are in this loop wherever the rig states the mass, whether or not a log
+    showed them.
     """
 
     margins: Margins
@@ -122,10 +140,13 @@ class Looked:
 
     @property
     def phase_margin(self) -> float:
-        """Signed phase margin [rad]: negative where the loop is not stable, π where |L| never crosses one."""
+        """Signed phase margin [rad]: negative where the loop is not stable, π where |L|
+        never crosses one.
+        """
         found = self.margins
-        # Signed by the stability of the loop as a whole: a crossing alone cannot tell on which side of −1 it
-        # belongs. Without a crossing the engine says infinite; no angle is more than π.
+        # Signed by the stability of the loop as a whole: a crossing alone cannot tell
+        # on which side of −1 it belongs. Without a crossing the engine says infinite;
+        # no angle is more than π.
         margin = min(abs(found.phase_margin), math.pi)
         return margin if found.stable else -margin
 
@@ -133,17 +154,28 @@ class Looked:
 def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Margins:
     """Return the margins of a sampled loop, up to the Nyquist frequency."""
     return margins(
-        lambda s: response(np.imag(s)) * plant(np.imag(s)), limit=math.pi / plant.period, unstable_poles=0
+        lambda s: response(np.imag(s)) * plant(np.imag(s)),
+        limit=math.pi / plant.period,
+        unstable_poles=0,
     )
 
 
 def law_margins(design: Design) -> tuple[Looked, ...]:
-    """Return what the law has in the sampled loop, over the payloads, or at every arm of the design's box."""
-    # One law for every payload and arm, as one ships: the fit does not know the payload.
-    law, period = discretize_controller(design.controller, design.rig.period), design.rig.period
+    """Return what the law has in the sampled loop, over the payloads, or at every arm
+    of the design's box.
+    """
+    # One law for every payload and arm, as one ships: the fit does not know the
+    # payload.
+    law, period = (
+        discretize_controller(design.controller, design.rig.period),
+        design.rig.period,
+    )
     return tuple(
         Looked(
-            margins_of(law.frequency_response, arm.plant(settings, design.rig, period, higher=higher)),
+            margins_of(
+                law.frequency_response,
+                arm.plant(settings, design.rig, period, higher=higher),
+            ),
             payload,
             settings.kind,
         )
@@ -154,50 +186,85 @@ def law_margins(design: Design) -> tuple[Looked, ...]:
 
 
 def _motor_loops(design: Design) -> tuple[MotorLoop, ...]:
-    """The motor loop of the design, and the one that runs where the design's is the ideal one."""
+    """The motor loop of the design, and the one that runs where the design's is the
+    ideal one.
+    """
     settings = design.motor_loop
-    return (settings,) if settings.kind == "sampled" else (settings, replace(settings, kind="sampled"))
+    return (
+        (settings,)
+        if settings.kind == "sampled"
+        else (settings, replace(settings, kind="sampled"))
+    )
 
 
 def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
-    """Arms and payloads: payloads of the model, or the lightest and the heaviest of every arm of the box."""
+    """Arms and payloads: payloads of the model, or the lightest and the heaviest of
+    every arm of the box.
+    """
     known = with_payload(design.model, design.rig)
     if design.box is None:
         for w0 in np.geomspace(*design.natural_frequencies, _PAYLOADS):
-            yield Arm(replace(known, natural_frequency=float(w0))), design.payload(float(w0))
+            yield (
+                Arm(replace(known, natural_frequency=float(w0))),
+                design.payload(float(w0)),
+            )
         return
     for arm in arms_of(design.box, known):
-        # The heaviest payload has the lowest ω₀: both ranges ascend, so they are gone through in opposite
-        # directions. The box's own interval of ω₀ widens the range at both ends.
+        # The heaviest payload has the lowest ω₀: both ranges ascend, so they are gone
+        # through in opposite directions. The box's own interval of ω₀ widens the range
+        # at both ends.
         for end, payload in enumerate(reversed(design.payloads)):
-            w0 = design.natural_frequencies[end] * design.box.natural_frequency[end] / known.natural_frequency
+            w0 = (
+                design.natural_frequencies[end]
+                * design.box.natural_frequency[end]
+                / known.natural_frequency
+            )
             yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
 
 
 def kept_by_law(design: Design, looked: Sequence[Looked]) -> Requirement:
-    """Return the requirement on the law's worst phase margin: what was asked less the law's tolerance."""
+    """Return the requirement on the law's worst phase margin: what was asked less the
+    law's tolerance.
+    """
     least = min(looked, key=_phase_margin)
     wanted = design.phase_margin - _ALLOWANCE
-    return Requirement.at_least(LAW_MARGIN, wanted, least.phase_margin, "rad", least.payload)
+    return Requirement.at_least(
+        LAW_MARGIN, wanted, least.phase_margin, "rad", least.payload
+    )
 
 
 def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:
-    """Return the findings of a design with W404 and W408, where its law keeps less than the design does."""
+    """Return the findings of a design with W404 and W408, where its law keeps less than
+    the design does.
+    """
     least = min(looked, key=_phase_margin)
     kept = least.phase_margin
-    # What an earlier look found is replaced: a design may be looked at by `design`, by `with_law` and by
-    # `certify`.
-    others = tuple(finding for finding in design.findings if finding.code not in ("W404", "W408", "W410"))
+    # What an earlier look found is replaced: a design may be looked at by `design`, by
+    # `with_law` and by `certify`.
+    others = tuple(
+        finding
+        for finding in design.findings
+        if finding.code not in ("W404", "W408", "W410")
+    )
     short = design.phase_margin - kept
-    # The paper's reading was not asked for a margin of the loop that runs: there only stability counts.
+    # The paper's reading was not asked for a margin of the loop that runs: there only
+    # stability counts.
     enough = LEAST_SHARE * design.phase_margin if design.margins_kind == "loop" else 0.0
     if short > 0.0:
         less = Finding(
             "W404",
-            "error" if kept <= 0.0 or kept < enough else "warning" if short > _ALLOWANCE else "info",
+            "error"
+            if kept <= 0.0 or kept < enough
+            else "warning"
+            if short > _ALLOWANCE
+            else "info",
             f"the shipped law in the sampled loop{_loop_of(design, least)} keeps less phase margin than "
             "requested",
-            {"phase_margin_rad": kept, "wanted_rad": design.phase_margin, "payload_kg": least.payload},
+            {
+                "phase_margin_rad": kept,
+                "wanted_rad": design.phase_margin,
+                "payload_kg": least.payload,
+            },
             "request that much more margin, for the whole loop"
             if least.motor_loop == design.motor_loop.kind
             else "design with inner='sampled' (--inner sampled), or with a longer filter",
@@ -218,10 +285,14 @@ def no_law(error: FieldError) -> Finding:
 
 
 def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:
-    """W408 where the sampled loop comes much closer to -1 than the design, as one without a filter may."""
+    """W408 where the sampled loop comes much closer to -1 than the design, as one
+    without a filter may.
+    """
     nearest = min(looked, key=lambda one: one.margins.modulus_margin)
     found = nearest.margins
-    designed = design.full_loop.margins_at(design.natural_frequency(nearest.payload)).modulus_margin
+    designed = design.full_loop.margins_at(
+        design.natural_frequency(nearest.payload)
+    ).modulus_margin
     if found.modulus_margin >= _NEAR * designed:
         return ()
     close = Finding(
@@ -230,7 +301,11 @@ def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, 
         f"the shipped law in the sampled loop{_loop_of(design, nearest)} comes to "
         f"|1 + L| = {found.modulus_margin:.2g} at {found.modulus_frequency:.4g} rad/s, "
         f"where the loop of the design keeps {designed:.2g}",
-        {"modulus_margin": found.modulus_margin, "designed": designed, "payload_kg": nearest.payload},
+        {
+            "modulus_margin": found.modulus_margin,
+            "designed": designed,
+            "payload_kg": nearest.payload,
+        },
         "leave filter_time out: a filter keeps |L| small near the Nyquist frequency"
         if nearest.motor_loop == design.motor_loop.kind
         else "design with inner='sampled' (--inner sampled), or with a longer filter",
@@ -241,7 +316,11 @@ def _near_minus_one(design: Design, looked: Sequence[Looked]) -> tuple[Finding, 
 def _loop_of(design: Design, found: Looked) -> str:
     """What the loop has that the one of the design has not, as part of a sentence."""
     modes = ("the link's modes 2 and 3",) if design.rig.link.mass > 0.0 else ()
-    pid = () if found.motor_loop == design.motor_loop.kind else ("the motor's PID at the control period",)
+    pid = (
+        ()
+        if found.motor_loop == design.motor_loop.kind
+        else ("the motor's PID at the control period",)
+    )
     return f", with {' and '.join((*modes, *pid))}," if modes or pid else ""
 
 

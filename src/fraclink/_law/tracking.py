@@ -1,9 +1,11 @@
-"""What a law makes of a payload that it is given: its feed-forward's scale, and how its tip will follow.
+"""What a law makes of a payload that it is given: its feed-forward's scale, and how its
+tip will follow.
 
-Without it the error compares a reference with a tip that is late by motor loop and computation, and the
-correction fights every move. With the payload given the feed-forward is right, the tip follows the reference
-as θm follows θm*, and the error is formed with just that lateness. Both stand outside the feedback loop: its
-margins, and so its certificate, are those of the law without.
+Without it the error compares a reference with a tip that is late by motor loop and
+computation, and the correction fights every move. With the payload given the
+feed-forward is right, the tip follows the reference as θm follows θm*, and the error is
+formed with just that lateness. Both stand outside the feedback loop: its margins, and
+so its certificate, are those of the law without.
 """
 
 from __future__ import annotations
@@ -26,12 +28,16 @@ __all__ = ["forward_fit", "masses_of", "tracking_for"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-FLEXIBLE = 0.2  # of the resonance: below, the flexion is under 5 % of the motor's motion, its error under 1 %
-# A natural frequency this near to eq. (5) was computed by it, without the link's mass; an identified one
-# has it in.
+# of the resonance: below, the flexion is under 5 % of the motor's motion, its error
+# under 1 %
+FLEXIBLE = 0.2
+# A natural frequency this near to eq. (5) was computed by it, without the link's mass;
+# an identified one has it in.
 COMPUTED = 1e-3
 SLOWEST = 0.95  # pole of the reference model: a slower one would outlast the move
-FASTEST = -0.5  # a negative pole stands for a delay that is no whole period; beyond, it rings
+FASTEST = (
+    -0.5
+)  # a negative pole stands for a delay that is no whole period; beyond, it rings
 
 
 def tracking_for(
@@ -44,18 +50,20 @@ def tracking_for(
     rig: Rig | None,
     pid: DiscretePid | None,
 ) -> Tracking | None:
-    """Return what the law of `link` needs to use a payload, None where the link knows none.
+    """Return what the law of `link` needs to use a payload, None where the link knows
+    none.
 
-    The motor loop is the PID around the rig's motor, as it is sampled; M(s) with its `pole` [rad/s] and a
-    `delay` of whole periods where there is none.
+    The motor loop is the PID around the rig's motor, as it is sampled; M(s) with its
+    `pole` [rad/s] and a `delay` of whole periods where there is none.
     """
     if link.payload is None:
         return None
     nominal, own = masses_of(link, rig)
-    top = 2 * abs(
-        link.pole
+    top = (
+        2 * abs(link.pole)
     )  # a move has little beyond the link's resonance: it would ring whatever the law does
-    # Not to zero: the model's gain at rest is 1 by its form, and 1/ω of the weight has no bound there.
+    # Not to zero: the model's gain at rest is 1 by its form, and 1/ω of the weight has
+    # no bound there.
     frequency = np.linspace(0.05, 1.0, 60) * min(4 * top, 0.5 * math.pi / period)
     back = np.exp(-1j * frequency * period)
     if pid is None or rig is None:
@@ -63,42 +71,53 @@ def tracking_for(
     else:
         loop = SampledMotorLoop(pid, rig.motor, delay)
         follows = loop.voltage(frequency) * loop.plant(back)
-    # 1/ω is the spectrum of a move's start and end; beyond twice the resonance a smooth move has next to
-    # nothing.
-    now, after, keep = _fit(follows, back, 1 / (frequency * (1 + (frequency / top) ** 2)))
+    # 1/ω is the spectrum of a move's start and end; beyond twice the resonance a smooth
+    # move has next to nothing.
+    now, after, keep = _fit(
+        follows, back, 1 / (frequency * (1 + (frequency / top) ** 2))
+    )
     return Tracking(
         nominal=nominal * _share(link, feedforward, period),
         link=own,
         now=now,
         next=after,
         keep=keep,
-        gauge_delay=max(link.gauge_delay, 0.0),  # one that leads is a motor angle that is late
+        gauge_delay=max(
+            link.gauge_delay, 0.0
+        ),  # one that leads is a motor angle that is late
         gauge_gain=link.gauge_gain,
     )
 
 
 def masses_of(link: LinkModel, rig: Rig | None) -> tuple[float, float]:
-    """Return what the link's ω₀² belongs to, and what the link itself weighs at its tip [kg].
+    """Return what the link's ω₀² belongs to, and what the link itself weighs at its tip
+    [kg].
 
-    ω₀² of a payload m is the model's times the first over m plus the second. The link knows its payload.
+    ω₀² of a payload m is the model's times the first over m plus the second. The link
+    knows its payload.
     """
     if rig is None or link.payload is None:
         return link.payload or 0.0, 0.0
     own = rig.link.tip_mass
     # Counting the link's mass twice would make every feed-forward that much too large.
-    computed = math.isclose(link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED)
+    computed = math.isclose(
+        link.natural_frequency, rig.natural_frequency(link.payload), rel_tol=COMPUTED
+    )
     return (link.payload if computed else link.payload + own), own
 
 
 def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
-    """Size of the fitted feed-forward over the wanted one at the resonance, where its error is left over.
+    """Size of the fitted feed-forward over the wanted one at the resonance, where its
+    error is left over.
 
-    A fit that is 1.7 % low there, as that of the paper's link, is right for a payload that much lighter.
+    A fit that is 1.7 % low there, as that of the paper's link, is right for a payload
+    that much lighter.
     """
     s = 1j * abs(link.pole)
     z = np.exp(s * period)
     fitted = feedforward.direct + sum(
-        gain / (z - pole) for pole, gain in zip(feedforward.poles, feedforward.gains, strict=True)
+        gain / (z - pole)
+        for pole, gain in zip(feedforward.poles, feedforward.gains, strict=True)
     )
     return float(abs(fitted * s**2 / (1 / link.tip()(s) - 1)))
 
@@ -106,37 +125,48 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
 def _held(reach: float, back: Complex) -> Complex:
     """M(s) = 1/(1 + s/p)² behind a hold, exactly, for pT = `reach` at z⁻¹ = `back`."""
     keep = math.exp(-reach)
-    return ((1 - keep * (1 + reach)) * back + keep * (keep - 1 + reach) * back**2) / (1 - keep * back) ** 2
+    return ((1 - keep * (1 + reach)) * back + keep * (keep - 1 + reach) * back**2) / (
+        1 - keep * back
+    ) ** 2
 
 
 def _fit(follows: Complex, back: Complex, weight: Real) -> tuple[float, float, float]:
-    """(now, next, keep) of the nearest model with two real poles; its gain at rest is 1 by its form.
+    """(now, next, keep) of the nearest model with two real poles; its gain at rest is 1
+    by its form.
 
-    The poles are searched on a grid, which cannot leave the stable ones: a free fit of the paper's motor loop
-    with its delay ends at a pole of 1.3.
+    The poles are searched on a grid, which cannot leave the stable ones: a free fit of
+    the paper's motor loop with its delay ends at a pole of 1.3.
     """
     poles = np.linspace(FASTEST, SLOWEST, 30)
     found = _best(follows, back, weight, *np.meshgrid(poles, poles))
     around = np.linspace(-0.05, 0.05, 21)
-    one, two, near = _best(follows, back, weight, *np.meshgrid(found[0] + around, found[1] + around))
-    # The loop that is closed around the model has the poles that were found; its own coefficients follow by
-    # comparing powers of z.
-    # z² + (now − 1 − keep) z + … = (z − one)(z − two), the numerator now z + …
+    one, two, near = _best(
+        follows, back, weight, *np.meshgrid(found[0] + around, found[1] + around)
+    )
+    # The loop that is closed around the model has the poles that were found; its own
+    # coefficients follow by comparing powers of z. z² + (now − 1 − keep) z + … = (z −
+    # one)(z − two), the numerator now z + …
     keep = one + two - 1 + near
     after = (1 - one) * (1 - two) - near + near * keep
     # Rounded now, as the fits of Ĉ and F are: both precisions then run one model.
     return float(np.float32(near)), float(np.float32(after)), float(np.float32(keep))
 
 
-def _best(follows: Complex, back: Complex, weight: Real, one: Real, two: Real) -> tuple[float, float, float]:
-    """The pair of poles with the smallest weighted error, and `now`, which the error is linear in."""
+def _best(
+    follows: Complex, back: Complex, weight: Real, one: Real, two: Real
+) -> tuple[float, float, float]:
+    """The pair of poles with the smallest weighted error, and `now`, which the error is
+    linear in.
+    """
     one, two = (np.clip(p.ravel(), FASTEST, SLOWEST)[:, None] for p in (one, two))
     below = (1 - one * back) * (1 - two * back)
-    # For given poles the model is straight in `near`: one division finds it, and only the poles need the
-    # grid.
+    # For given poles the model is straight in `near`: one division finds it, and only
+    # the poles need the grid.
     rest = (1 - one) * (1 - two) * back**2 / below - follows  # near = 0
     slope = weight * (back - back**2) / below
-    near = -np.sum((np.conj(slope) * weight * rest).real, axis=1) / np.sum(np.abs(slope) ** 2, axis=1)
+    near = -np.sum((np.conj(slope) * weight * rest).real, axis=1) / np.sum(
+        np.abs(slope) ** 2, axis=1
+    )
     error = np.sum(np.abs(slope * near[:, None] + weight * rest) ** 2, axis=1)
     best = int(np.argmin(error))
     return float(one[best, 0]), float(two[best, 0]), float(near[best])
@@ -144,18 +174,20 @@ def _best(follows: Complex, back: Complex, weight: Real, one: Real, two: Real) -
 
 @lru_cache(maxsize=8)
 def forward_fit(link: LinkModel, period: float) -> DiscreteRational:
-    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor angle (1/G − 1 over
-    s²).
+    """s^(λ-2)/(μ s^α + ω₀²): what the reference's acceleration must add to the motor
+    angle (1/G − 1 over s²).
     """
 
     def response(frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         s = 1j * frequency
-        # What is left of the inverse when θt* itself is taken out and the known acceleration in: it falls
-        # with s, so that no derivative of the reference is formed.
+        # What is left of the inverse when θt* itself is taken out and the known
+        # acceleration in: it falls with s, so that no derivative of the reference is
+        # formed.
         return np.asarray((1 / link.tip()(s) - 1) / s**2, dtype=np.complex128)
 
     high = min(200.0, 0.5 * math.pi / period)
-    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown payload changes.
+    # 0.3 dB of the feed-forward is 3 % of the flexion, well below what an unknown
+    # payload changes.
     return fit_discrete(
         response,
         period=period,

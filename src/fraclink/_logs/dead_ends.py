@@ -16,7 +16,19 @@ __all__ = ["check_no_response", "no_angle", "no_output"]
 Named = Mapping[int, tuple[str, str]]
 
 _FREQUENCY = frozenset(("freq", "frequency", "frequenz", "omega", "hz", "f", "w"))
-_RESPONSE = frozenset(("gain", "mag", "magnitude", "amplitude", "phase", "real", "imag", "coherence", "db"))
+_RESPONSE = frozenset(
+    (
+        "gain",
+        "mag",
+        "magnitude",
+        "amplitude",
+        "phase",
+        "real",
+        "imag",
+        "coherence",
+        "db",
+    )
+)
 _RINGS = ("torque", "deflection", "the tip", "an acceleration", "")
 
 
@@ -24,8 +36,11 @@ def check_no_response(table: LogTable, source: str) -> None:
     """Raise LogError for a table of a frequency response, which no clock runs through."""
     words = [set(words_of(name)) for name in table.names]
     shown = [each for each in words if each & _RESPONSE]
-    # Two columns of a response and one of frequencies beside them: "phase" alone is a channel of a log.
-    if len(shown) < 2 or not any(each & _FREQUENCY for each in words if each not in shown):
+    # Two columns of a response and one of frequencies beside them: "phase" alone is a
+    # channel of a log.
+    if len(shown) < 2 or not any(
+        each & _FREQUENCY for each in words if each not in shown
+    ):
         return
     file = shlex.quote(source)
     raise _dead_end(
@@ -44,14 +59,21 @@ def no_output(
     felt = [place for place in free if named[place][0] == "an acceleration"]
     driven = [place for place in free if named[place][0] == "voltage"]
     if angle is not None and felt:
-        channels = f"--input {_called(weighing, angle)} --output {_called(weighing, felt[0])}"
-        # A quarter of a sample makes the structure proper, as every accelerometer is; what it has more is L.
+        channels = (
+            f"--input {_called(weighing, angle)} --output {_called(weighing, felt[0])}"
+        )
+        # A quarter of a sample makes the structure proper, as every accelerometer is;
+        # what it has more is L.
         period = _period(weighing, time)
         command = (
             f'fraclink identify-structure {file} "k*s**2/(s**a + w)/({0.25 * period:.3g}*s + 1)*exp(-L*s)" '
             f"{channels} --period-ms {1e3 * period:.6g} --bound k=-1e9,1e9"
         )
-        return _dead_end(table, "with an acceleration, which is no angle, as its output", f"run {command}")
+        return _dead_end(
+            table,
+            "with an acceleration, which is no angle, as its output",
+            f"run {command}",
+        )
     if angle is not None and driven:
         stated = {
             "time": f"{time.column}{'' if time.scale == 1 else f' * {time.scale:g}'} [{time.unit}]",
@@ -60,15 +82,22 @@ def no_output(
         }
         columns = " ".join(f'--column "{role}={text}"' for role, text in stated.items())
         command = f"fraclink identify-motor {file} {columns}"
-        return _dead_end(table, "of a motor without a signal of its link's flexion", f"run {command}")
+        return _dead_end(
+            table, "of a motor without a signal of its link's flexion", f"run {command}"
+        )
     return _without(table, "the output of the link (torque or deflection)")
 
 
-def no_angle(weighing: Weighing, time: Channel, free: list[int], named: Named) -> LogError:
-    """The error of a log in which no motor moves: a ring-down, where one other signal does."""
+def no_angle(
+    weighing: Weighing, time: Channel, free: list[int], named: Named
+) -> LogError:
+    """The error of a log in which no motor moves: a ring-down, where one other signal
+    does.
+    """
     table = weighing.table
     rings = [place for place in free if named[place][0] in _RINGS]
-    # One signal that rings, and nothing that drives it; of two nobody knows which one is the output.
+    # One signal that rings, and nothing that drives it; of two nobody knows which one
+    # is the output.
     if len(rings) == 1 and not any(named[place][0] == "voltage" for place in free):
         command = (
             f'fraclink identify-structure {shlex.quote(weighing.source)} "k/(s**a + w)*exp(-L*s)" '
@@ -76,14 +105,18 @@ def no_angle(weighing: Weighing, time: Channel, free: list[int], named: Named) -
             f"--period-ms {1e3 * _period(weighing, time):.6g} --bound k=-1e9,1e9"
         )
         return _dead_end(
-            table, "without a motor that moves", f"if the link was bent and let go, run {command}"
+            table,
+            "without a motor that moves",
+            f"if the link was bent and let go, run {command}",
         )
     return _without(table, "the motor angle")
 
 
 def _dead_end(table: LogTable, problem: str, remedy: str) -> LogError:
     allowed = "a time, the motor angle, and the link's torque or deflection, each of which moves"
-    return LogError("columns", ", ".join(table.names[:12]), problem, allowed=allowed, remedy=remedy)
+    return LogError(
+        "columns", ", ".join(table.names[:12]), problem, allowed=allowed, remedy=remedy
+    )
 
 
 def _without(table: LogTable, words: str) -> LogError:

@@ -1,4 +1,6 @@
-"""`diagnose`: every check on one log before a model is fitted, in the order in which a person would ask."""
+"""`diagnose`: every check on one log before a model is fitted, in the order in which a
+person would ask.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +33,14 @@ from fraclink.findings import Finding, worst_first
 def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, ...]:
     """Examine a log before a model is fitted to it; the gravest findings come first.
 
-    Looks at the start (at rest?), the gauge's offset and sign, the delay of the output, quantisation,
-    clipping, stiction, outliers, excitation of the resonance, number of periods and samples in each. What
-    needs a vibration stands on the one mode Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the
-    output, found by a scan that needs no guess.
+    Looks at the start (at rest?), the gauge's offset and sign, the delay of the output,
+    quantisation, clipping, stiction, outliers, excitation of the resonance, number of
+    periods and samples in each. What needs a vibration stands on the one mode Γ/θm = c
+    s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the output, found by a scan that
+    needs no guess.
 
-    The findings have codes W201 … W237; ``error`` means that the log cannot be used as it is.
+    The findings have codes W201 … W237; ``error`` means that the log cannot be used as
+    it is.
 
     Parameters
     ----------
@@ -58,7 +62,8 @@ def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     yield from labels(experiment, rig)
     dead = list(constant_channels(experiment))
     yield from dead
-    # Without two signals that move there is no mode to speak of: what follows would find fault with noise.
+    # Without two signals that move there is no mode to speak of: what follows would
+    # find fault with noise.
     if dead:
         return
     yield from range_of_angle(experiment)
@@ -67,8 +72,9 @@ def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
     yield from voltage_limit(experiment, rig)
     yield from stiction(experiment)
     mode = find_mode(experiment.motor_angle, experiment.output, experiment.period)
-    # The same scan with the roles exchanged: a motor angle follows from its torque as a double integral, so
-    # that a swap shows as a large share this way and a small one that way.
+    # The same scan with the roles exchanged: a motor angle follows from its torque as a
+    # double integral, so that a swap shows as a large share this way and a small one
+    # that way.
     reverse = find_mode(experiment.output, experiment.motor_angle, experiment.period)
     yield from mode_findings(experiment, mode, reverse)
     offset, spread = _offset(experiment, mode)
@@ -77,14 +83,15 @@ def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _offset(experiment: Experiment, mode: Mode | None) -> tuple[float, float]:
-    """Offset of the output and the standard deviation of the motion in it, in units of the output.
+    """Offset of the output and the standard deviation of the motion in it, in units of
+    the output.
 
-    A link that starts and ends at rest has a torque of zero mean over many periods: Γ = mL²θt'' integrates
-    to a change of velocity.
+    A link that starts and ends at rest has a torque of zero mean over many periods: Γ =
+    mL²θt'' integrates to a change of velocity.
     """
     offset = float(experiment.output.mean())
-    # What the mode does not explain is noise, offset or another mode: it is no motion that an offset could be
-    # compared with.
+    # What the mode does not explain is noise, offset or another mode: it is no motion
+    # that an offset could be compared with.
     residual = mode.residual if mode is not None else 0.0
     spread = float(experiment.output.std())
     return offset, max(spread**2 - residual**2, 0.0) ** 0.5 or spread
@@ -94,21 +101,35 @@ def _offset(experiment: Experiment, mode: Mode | None) -> tuple[float, float]:
 
 
 _PERIODS = 3.0  # fewer do not separate damping from amplitude
-_SAMPLES = 10.0  # a period: below it the hold between samples matters as much as the damping
+_SAMPLES = (
+    10.0  # a period: below it the hold between samples matters as much as the damping
+)
 _EXPLAINED = 0.3  # of the output's energy: below it no mode was found
-_SWAPPED = 0.8  # explained share of the exchanged roles from which they are called exchanged
+_SWAPPED = (
+    0.8  # explained share of the exchanged roles from which they are called exchanged
+)
 
 
-def mode_findings(experiment: Experiment, mode: Mode | None, reverse: Mode | None) -> Iterator[Finding]:
-    """Findings on the mode from motor angle to output; `reverse` is the best one with the roles exchanged."""
+def mode_findings(
+    experiment: Experiment, mode: Mode | None, reverse: Mode | None
+) -> Iterator[Finding]:
+    """Findings on the mode from motor angle to output; `reverse` is the best one with
+    the roles exchanged.
+    """
     if mode is None:
         yield _too_short(experiment)
         return
-    # Half as much: where one vibration fills the log, either signal explains the other well.
-    if reverse is not None and reverse.share > _SWAPPED and mode.share < 0.5 * reverse.share:
+    # Half as much: where one vibration fills the log, either signal explains the other
+    # well.
+    if (
+        reverse is not None
+        and reverse.share > _SWAPPED
+        and mode.share < 0.5 * reverse.share
+    ):
         yield _swapped(mode, reverse)
         return
-    # Before sign, periods and delay: those of a mode that explains nothing would be sentences about noise.
+    # Before sign, periods and delay: those of a mode that explains nothing would be
+    # sentences about noise.
     if mode.share < _EXPLAINED:
         yield _unexplained(mode)
         return
@@ -156,8 +177,14 @@ def _found(mode: Mode) -> Finding:
         "W235",
         "info" if mode.share > 0.6 else "warning",
         f"a mode at {mode.frequency:.4g} rad/s explains {100 * mode.share:.3g} % of the output",
-        {"frequency": mode.frequency, "damping_ratio": mode.damping_ratio, "explained": mode.share},
-        "" if mode.share > 0.6 else "the rest is noise, offset, another mode or history before the log",
+        {
+            "frequency": mode.frequency,
+            "damping_ratio": mode.damping_ratio,
+            "explained": mode.share,
+        },
+        ""
+        if mode.share > 0.6
+        else "the rest is noise, offset, another mode or history before the log",
     )
 
 
@@ -185,8 +212,8 @@ def _resolution(experiment: Experiment, mode: Mode) -> Iterator[Finding]:
     if samples < _SAMPLES:
         yield Finding(
             "W215",
-            # At four a period the resonance stands at half of the Nyquist frequency: a fit rests on the hold
-            # there.
+            # At four a period the resonance stands at half of the Nyquist frequency: a
+            # fit rests on the hold there.
             "warning" if samples > 4 else "error",
             f"there are {samples:.3g} samples in a period of the vibration",
             {"samples_per_period": samples, "period_s": experiment.period},
@@ -199,8 +226,8 @@ def _delayed(experiment: Experiment, mode: Mode) -> Finding:
     phase = math.degrees(mode.delay * mode.frequency)
     return Finding(
         "W234",
-        # A delay τ turns the phase at the resonance by ωτ, as an order below 2 does: ten degrees pass for λ =
-        # 1.9.
+        # A delay τ turns the phase at the resonance by ωτ, as an order below 2 does:
+        # ten degrees pass for λ = 1.9.
         "warning" if phase > 10 else "info",
         f"the output lags by about {mode.delay * 1e3:.3g} ms ({phase:.2g}° at the resonance)",
         {"delay_s": mode.delay, "samples": samples, "phase": math.radians(phase)},
@@ -211,14 +238,17 @@ def _delayed(experiment: Experiment, mode: Mode) -> Finding:
 # --- stiction: the motor stands still though it is driven ------------------------------------------------
 
 
-_WINDOW = 0.05  # s: over less, a slow motion cannot be distinguished from a standstill by a coarse encoder
+# s: over less, a slow motion cannot be distinguished from a standstill by a coarse
+# encoder
+_WINDOW = 0.05
 _SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
 _DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
 
 
 def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
     """First sample and length of the longest stretch that is true; 0 and 0 without one."""
-    # Zeros at both ends, so that stretches that begin or end the log have two edges as well.
+    # Zeros at both ends, so that stretches that begin or end the log have two edges as
+    # well.
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
     if not edges.size:
         return 0, 0
@@ -230,7 +260,8 @@ def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.
     """Where the angle moves by no more than `reach` within `window` samples around."""
     moves = np.abs(angle[window:] - angle[:-window])
     still = np.zeros(angle.size, dtype=bool)
-    # The verdict of a window belongs to its middle: the motor stood still before and after it.
+    # The verdict of a window belongs to its middle: the motor stood still before and
+    # after it.
     still[window // 2 : window // 2 + moves.size] = moves <= reach
     return still
 
@@ -238,21 +269,27 @@ def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.
 def stiction(experiment: Experiment) -> Iterator[Finding]:
     """A motor that stands still under voltage, with the voltage that did not move it.
 
-    Without a voltage a standstill cannot be distinguished from a reference that stands still.
+    Without a voltage a standstill cannot be distinguished from a reference that stands
+    still.
     """
     if experiment.voltage is None:
         return
     step = converter_step(experiment.motor_angle)
     # One step of the encoder may flicker at rest; two are motion.
-    still = _still(experiment.motor_angle, max(3, round(_WINDOW / experiment.period)), 1.5 * step)
-    driven = np.abs(experiment.voltage) > _DRIVEN * float(np.abs(experiment.voltage).max())
+    still = _still(
+        experiment.motor_angle, max(3, round(_WINDOW / experiment.period)), 1.5 * step
+    )
+    driven = np.abs(experiment.voltage) > _DRIVEN * float(
+        np.abs(experiment.voltage).max()
+    )
     shortest = max(5, round(_SHORTEST / experiment.period))
     stuck = still & driven
     first, longest = _longest_run(stuck)
     if not driven.any() or longest < shortest:
         return
     share = float(stuck.sum() / driven.sum())
-    # Not the largest: the voltage that breaks the motor loose belongs to the last sample of a standstill.
+    # Not the largest: the voltage that breaks the motor loose belongs to the last
+    # sample of a standstill.
     held = float(np.quantile(np.abs(experiment.voltage[stuck]), 0.95))
     yield Finding(
         "W232",

@@ -1,4 +1,5 @@
-"""Which format a file is in, by its first bytes, and the child process that parses the binary ones.
+"""Which format a file is in, by its first bytes, and the child process that parses the
+binary ones.
 
 A name that says another format than the content is an error.
 """
@@ -27,7 +28,13 @@ from fraclink._logs.text import (
     check_file,
     read_text_table,
 )
-from fraclink.errors import FieldError, FileFormatError, LogError, MissingExtraError, SizeError
+from fraclink.errors import (
+    FieldError,
+    FileFormatError,
+    LogError,
+    MissingExtraError,
+    SizeError,
+)
 
 _MAGIC = (
     (0, b"MATLAB 5.0", "MAT v5"),
@@ -65,9 +72,11 @@ _PROMISED = {
 
 
 def sniffed_kind(path: Path) -> str:
-    """The format of the file at `path`: text, MAT v5, HDF5, Parquet, TDMS, NumPy or ROS 2.
+    """The format of the file at `path`: text, MAT v5, HDF5, Parquet, TDMS, NumPy or ROS
+    2.
 
-    Raises FileFormatError where its content holds no log, or is of another format than its name says.
+    Raises FileFormatError where its content holds no log, or is of another format than
+    its name says.
     """
     if path.is_dir():
         if (path / "metadata.yaml").is_file():
@@ -82,8 +91,12 @@ def sniffed_kind(path: Path) -> str:
     check_file(path)
     with path.open("rb") as stream:
         head = stream.read(1024)
-    # By content and not by name: a .mat file is MATLAB's own format or HDF5, by its age.
-    kind = next((kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic), "text")
+    # By content and not by name: a .mat file is MATLAB's own format or HDF5, by its
+    # age.
+    kind = next(
+        (kind for at, magic, kind in _MAGIC if head[at : at + len(magic)] == magic),
+        "text",
+    )
     for magic, name in _FOREIGN:
         if head.startswith(magic):
             known = "text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2, MCAP"
@@ -95,22 +108,29 @@ def sniffed_kind(path: Path) -> str:
 
 
 def _other(path: Path, found: str, allowed: str, remedy: str) -> FileFormatError:
-    return FileFormatError("log", path.name, f"{found} by its content", allowed=allowed, remedy=remedy)
+    return FileFormatError(
+        "log", path.name, f"{found} by its content", allowed=allowed, remedy=remedy
+    )
 
 
 def _remedy(path: Path, kind: str) -> str:
     if path.suffix.lower() == ".mat":
         return "it is damaged or of MATLAB v4: save it again, save log.mat t theta torque -v7"
-    return "correct the ending of its name" if kind != "text" else "it is damaged, or correct its ending"
+    return (
+        "correct the ending of its name"
+        if kind != "text"
+        else "it is damaged, or correct its ending"
+    )
 
 
 def read_table(path: Path, *, numbered: bool = False) -> LogTable:
     """Read the columns of a file of any known format.
 
-    Where `numbered`, columns of text that the file's names do not fit are called by their numbers.
+    Where `numbered`, columns of text that the file's names do not fit are called by
+    their numbers.
 
-    Binary formats are parsed in a child process with limits of memory and time. Raises FileFormatError,
-    LogError, SizeError or MissingExtraError.
+    Binary formats are parsed in a child process with limits of memory and time. Raises
+    FileFormatError, LogError, SizeError or MissingExtraError.
     """
     kind = sniffed_kind(path)
     if kind == "text":
@@ -130,21 +150,28 @@ def read_table(path: Path, *, numbered: bool = False) -> LogTable:
 
 
 def _check_folder(path: Path) -> None:
-    """Refuse a bag by its size: recorders split one into files, each of which may be small enough alone."""
+    """Refuse a bag by its size: recorders split one into files, each of which may be
+    small enough alone.
+    """
     if path.is_dir():
-        check_bytes(sum(file.stat().st_size for file in path.iterdir() if file.is_file()))
+        check_bytes(
+            sum(file.stat().st_size for file in path.iterdir() if file.is_file())
+        )
 
 
 # --- the parent's side of the child ----------------------------------------------------------------------
 
 
-# Bytes of the line that lists the columns: 1000 names of 200 characters, four bytes each, and their lengths.
+# Bytes of the line that lists the columns: 1000 names of 200 characters, four bytes
+# each, and their lengths.
 _HEADER_LIMIT = 2_000_000
-_GRACE = 1.0  # s: a child that died is waited for; one that lives, blocked in its answer, is killed
+# s: a child that died is waited for; one that lives, blocked in its answer, is killed
+_GRACE = 1.0
 
 
 class ReaderChild:
-    """A context manager around one child process; a child that dies is replaced at the next request.
+    """A context manager around one child process; a child that dies is replaced at the
+    next request.
 
     `cpu_seconds` is what the child may spend on one file [s of processor time].
     """
@@ -157,7 +184,10 @@ class ReaderChild:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         self._end()
 
@@ -179,24 +209,32 @@ class ReaderChild:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
-                # Every thread of a linear algebra library reserves address space, of which there is 1 GB.
+                # Every thread of a linear algebra library reserves address space, of
+                # which there is 1 GB.
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             )
         return self._process
 
     def read(self, path: Path, kind: str) -> LogTable:
-        """The table in the file at `path`; FileFormatError where the child refuses it or dies of it."""
+        """The table in the file at `path`; FileFormatError where the child refuses it
+        or dies of it.
+        """
         process = self._running()
-        # The child's own limit counts processor time: one that waits for a disk or hangs in a lock never
-        # reaches it.
+        # The child's own limit counts processor time: one that waits for a disk or
+        # hangs in a lock never reaches it.
         clock = threading.Timer(WALL_SECONDS, process.kill)
         clock.start()
         try:
             return self._ask(process, path, kind)
-        except (BrokenPipeError, EOFError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        except (
+            BrokenPipeError,
+            EOFError,
+            json.JSONDecodeError,
+            UnicodeDecodeError,
+        ) as error:
             try:
-                # The pipe closes a moment before the process is gone: without a wait there is no exit code to
-                # explain.
+                # The pipe closes a moment before the process is gone: without a wait
+                # there is no exit code to explain.
                 reason = _death(process.wait(timeout=_GRACE), self._cpu_seconds)
             except subprocess.TimeoutExpired:
                 reason = "its parser gave an answer that is no list of columns"
@@ -209,11 +247,15 @@ class ReaderChild:
         requests, answers = process.stdin, process.stdout
         if requests is None or answers is None:
             raise EOFError
-        request = {"path": str(path.absolute()), "kind": kind, "cpu_seconds": self._cpu_seconds}
+        request = {
+            "path": str(path.absolute()),
+            "kind": kind,
+            "cpu_seconds": self._cpu_seconds,
+        }
         requests.write(json.dumps(request).encode() + b"\n")
         requests.flush()
-        # A limit, as the child works on hostile bytes: it must not fill the parent's memory with an endless
-        # line.
+        # A limit, as the child works on hostile bytes: it must not fill the parent's
+        # memory with an endless line.
         header = json.loads(answers.readline(_HEADER_LIMIT))
         if "columns" not in header:
             raise _refusal(path, kind, header)
@@ -222,12 +264,19 @@ class ReaderChild:
             names.append(name)
             units.append(unit)
             values.append(_array(answers, size))
-        return LogTable(tuple(names), tuple(values), kind, tuple(header["notes"].items()), {}, tuple(units))
+        return LogTable(
+            tuple(names),
+            tuple(values),
+            kind,
+            tuple(header["notes"].items()),
+            {},
+            tuple(units),
+        )
 
 
 def _array(answers: IO[bytes], size: int) -> Any:
-    # The size is the child's word: what it does not send is an error, and read() takes no memory for what
-    # does not come.
+    # The size is the child's word: what it does not send is an error, and read() takes
+    # no memory for what does not come.
     blob = answers.read(size)
     if len(blob) != size:
         raise EOFError

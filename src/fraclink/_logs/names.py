@@ -1,7 +1,8 @@
-"""What the name of a column says: the quantity that loggers call so, and the unit at its end.
+"""What the name of a column says: the quantity that loggers call so, and the unit at
+its end.
 
-Names are hints. `inspect_log` prints what they suggest, `start` weighs them against the values; only names
-such as ``motor_angle_rad`` count as stated.
+Names are hints. `inspect_log` prints what they suggest, `start` weighs them against the
+values; only names such as ``motor_angle_rad`` count as stated.
 """
 
 from __future__ import annotations
@@ -11,34 +12,99 @@ from collections.abc import Collection
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS
 
-__all__ = ["COMMANDED", "HINTS", "UNITS_OF_LENGTH", "role_of_name", "unit_in", "unit_of_name", "words_of"]
+__all__ = [
+    "COMMANDED",
+    "HINTS",
+    "UNITS_OF_LENGTH",
+    "role_of_name",
+    "unit_in",
+    "unit_of_name",
+    "words_of",
+]
 __all__ += ["length_of_name", "names_time", "stated_unit"]
 
-# Words that loggers use, English and German; the time is known by its values: they never decrease.
+# Words that loggers use, English and German; the time is known by its values: they
+# never decrease.
 HINTS = {
     "motor_angle": (
-        *("motor_angle", "theta", "pot", "enc", "position", "angle", "hub", "joint", "winkel", "phi", "pos"),
+        *(
+            "motor_angle",
+            "theta",
+            "pot",
+            "enc",
+            "position",
+            "angle",
+            "hub",
+            "joint",
+            "winkel",
+            "phi",
+            "pos",
+        ),
         *("cart", "carriage", "slider", "schlitten", "axis", "achse"),
     ),
     "torque": ("torque", "gamma", "moment", "effort", "nm", "drehmoment"),
     "deflection": (
-        *("deflection", "alpha", "strain", "gauge", "bend", "bridge", "flex", "dehnung", "dms", "biegung"),
+        *(
+            "deflection",
+            "alpha",
+            "strain",
+            "gauge",
+            "bend",
+            "bridge",
+            "flex",
+            "dehnung",
+            "dms",
+            "biegung",
+        ),
         *("auslenkung", "bruecke", "brücke"),
     ),
     "voltage": ("volt", "u_v", "vm", "motor_v", "command", "spannung"),
 }
-COMMANDED = ("ref", "cmd", "set", "target", "desired")  # what was asked for is not what was measured
+COMMANDED = (
+    "ref",
+    "cmd",
+    "set",
+    "target",
+    "desired",
+)  # what was asked for is not what was measured
 
-# Words of whole names that exclude a column from being guessed, by what they mean. Of a tip angle the
-# deflection θm − θt can be made; until it is, the column is no output that a link model is fitted to.
+# Words of whole names that exclude a column from being guessed, by what they mean. Of a
+# tip angle the deflection θm − θt can be made; until it is, the column is no output
+# that a link model is fitted to.
 _OTHER = {
-    "a commanded value": (*COMMANDED, "reference", "setpoint", "soll", "sollwert", "command", "demand"),
+    "a commanded value": (
+        *COMMANDED,
+        "reference",
+        "setpoint",
+        "soll",
+        "sollwert",
+        "command",
+        "demand",
+    ),
     "the tip": ("tip", "endpoint", "spitze", "laser", "camera", "kamera"),
     "a speed": (
-        *("speed", "velocity", "vel", "omega", "rpm", "drehzahl", "geschwindigkeit", "dtheta", "dot", "rate"),
+        *(
+            "speed",
+            "velocity",
+            "vel",
+            "omega",
+            "rpm",
+            "drehzahl",
+            "geschwindigkeit",
+            "dtheta",
+            "dot",
+            "rate",
+        ),
         *("dalpha", "dphi", "dq"),
     ),
-    "an acceleration": ("acc", "accel", "acceleration", "accelerometer", "beschleunigung", "imu"),
+    "an acceleration": (
+        "acc",
+        "accel",
+        "acceleration",
+        "accelerometer",
+        "beschleunigung",
+        "imu",
+    ),
     "a current": ("current", "strom", "amps"),
     "a temperature": ("temp", "temperature", "temperatur"),
 }
@@ -62,8 +128,9 @@ _SHORT = {
     "deflection": ("defl", "eps", "epsilon"),
     "voltage": ("u", "v", "vin", "um", "umot"),
 }
-# Spellings of the units of `UNITS` and of a frequency response, in lower case and without blanks, dots and
-# stars. What has a prefix stands here only where lower case leaves one reading: mhz may be milli or mega.
+# Spellings of the units of `UNITS` and of a frequency response, in lower case and
+# without blanks, dots and stars. What has a prefix stands here only where lower case
+# leaves one reading: mhz may be milli or mega.
 _SPELLINGS = {
     **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
     **dict.fromkeys(("msec", "millis", "milliseconds"), "ms"),
@@ -82,14 +149,27 @@ _SPELLINGS = {
     **dict.fromkeys(("-", "abs", "lin", "linear", "v/v"), "1"),
 }
 _KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
-# What is a unit at the end of a name although no reader converts it: taken for no unit, a time in minutes
-# would be one in seconds.
+# What is a unit at the end of a name although no reader converts it: taken for no unit,
+# a time in minutes would be one in seconds.
 _UNITS_ELSEWHERE = _KNOWN | {
     *("Hz", "rad/s", "dB", "rpm", "%", "mm", "cm", "um", "µm", "N", "kg"),
-    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day", "days"),
+    *(
+        "min",
+        "mins",
+        "minute",
+        "minutes",
+        "h",
+        "hr",
+        "hrs",
+        "hour",
+        "hours",
+        "day",
+        "days",
+    ),
     *("tick", "ticks", "count", "counts", "samples"),
 }
-_PREFIXES = "kmgtuµnp"  # in any case: GHZ and ghz are units, too, though none that can be converted
+# in any case: GHZ and ghz are units, too, though none that can be converted
+_PREFIXES = "kmgtuµnp"
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -104,22 +184,28 @@ def words_of(name: str) -> tuple[str, ...]:
 
 
 def unit_in(name: str, role: str) -> str:
-    """The unit that a column's name ends with, if it is one of the role's; "?" otherwise."""
+    """The unit that a column's name ends with, if it is one of the role's; "?"
+    otherwise.
+    """
     ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
     return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
 
 
 def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
-    """The unit that a name states in brackets or at its end, as `known` (or `UNITS`) spells it, or "".
+    """The unit that a name states in brackets or at its end, as `known` (or `UNITS`)
+    spells it, or "".
 
     >>> [unit_of_name(name) for name in ("Zeit (Sekunden)", "moment [N m]", "alpha_deg", "s")]
     ['s', 'Nm', 'deg', '']
     """
-    return next(filter(None, (_spelled(ending, known) for ending in _endings(name)[0])), "")
+    return next(
+        filter(None, (_spelled(ending, known) for ending in _endings(name)[0])), ""
+    )
 
 
 def stated_unit(name: str, known: Collection[str]) -> str:
-    """The unit that a name states, as `known` spells it; a unit that is none of `known`, as the name has it.
+    """The unit that a name states, as `known` spells it; a unit that is none of
+    `known`, as the name has it.
 
     >>> [stated_unit(name, ("s", "ms")) for name in ("t [ms]", "time_min", "t [kg]", "time_stamp", "time")]
     ['ms', 'min', 'kg', '', '']
@@ -131,16 +217,19 @@ def stated_unit(name: str, known: Collection[str]) -> str:
 
 
 def _endings(name: str) -> tuple[list[str], bool]:
-    """What may be the unit of a name, the longest first, and whether it stands in square brackets.
+    """What may be the unit of a name, the longest first, and whether it stands in
+    square brackets.
 
-    The ends of "omega_rad_per_s" are "rad/s" and "s". What stands in round brackets may be an argument, as
-    in "Re(H)"; in square brackets there are units alone.
+    The ends of "omega_rad_per_s" are "rad/s" and "s". What stands in round brackets may
+    be an argument, as in "Re(H)"; in square brackets there are units alone.
     """
     if bracketed := re.search(r"([\[(])([^\])]*)[\])]\s*$", name):
         inside = bracketed[2].strip()
         return [inside] if inside else [], bracketed[1] == "["
     # Without the first part, which is the name itself: a column "s" is no unit.
-    parts = [part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"]
+    parts = [
+        part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"
+    ]
     return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]], False
 
 
@@ -163,19 +252,32 @@ def _is_unit(text: str) -> bool:
     return bool(base)
 
 
-UNITS_OF_LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "inch": 0.0254}
+UNITS_OF_LENGTH = {
+    "m": 1.0,
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "inch": 0.0254,
+}
 
 
 def length_of_name(name: str) -> str:
-    """The unit of length that a name ends with, or ""; "m" alone may be the motor, as in theta_m.
+    """The unit of length that a name ends with, or ""; "m" alone may be the motor, as
+    in theta_m.
 
     >>> [length_of_name(name) for name in ("laser_mm", "tip [m]", "cart_m", "theta_m", "x_V")]
     ['mm', 'm', 'm', '', '']
     """
     endings, square = _endings(name)
     found = next((ending for ending in endings if ending in UNITS_OF_LENGTH), "")
-    # theta_m is the motor's angle in every second paper: m is a length there in brackets only.
-    meant = square or "(" in name or not {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
+    # theta_m is the motor's angle in every second paper: m is a length there in
+    # brackets only.
+    meant = (
+        square
+        or "(" in name
+        or not {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
+    )
     return found if found != "m" or meant else ""
 
 
@@ -187,17 +289,20 @@ def names_time(name: str) -> bool:
 def role_of_name(name: str) -> tuple[str, str]:
     """The role that a name suggests, or "", and the word that says so.
 
-    A quantity that no role has (a speed, a reference, the tip) is returned with its description: "a speed".
+    A quantity that no role has (a speed, a reference, the tip) is returned with its
+    description: "a speed".
 
     >>> role_of_name("theta_ref"), role_of_name("Motorwinkel"), role_of_name("x7")
     (('a commanded value', 'ref'), ('motor_angle', 'winkel'), ('', ''))
     """
     words, unit = words_of(name), unit_of_name(name)
-    # A potentiometer and a strain gauge are read in volts, too: only what is no sensor drives the motor.
+    # A potentiometer and a strain gauge are read in volts, too: only what is no sensor
+    # drives the motor.
     driving = unit if unit in UNITS["voltage"] else next(filter(_drives, words), "")
     if driving and not _sensor_role(words):
         return "voltage", driving
-    # Before the roles: theta_ref holds a role's word, and what was asked for is not what was measured.
+    # Before the roles: theta_ref holds a role's word, and what was asked for is not
+    # what was measured.
     for meaning, listed in _OTHER.items():
         if word := next((word for word in words if word in listed), ""):
             return meaning, word
@@ -209,23 +314,37 @@ def _drives(word: str) -> bool:
 
 
 def _sensor_role(words: tuple[str, ...]) -> str:
-    sensors = {"motor_angle": ("pot", "poti", "theta", "angle", "winkel"), "deflection": HINTS["deflection"]}
-    return next((role for role, listed in sensors.items() if any(_hits(w, listed) for w in words)), "")
+    sensors = {
+        "motor_angle": ("pot", "poti", "theta", "angle", "winkel"),
+        "deflection": HINTS["deflection"],
+    }
+    return next(
+        (
+            role
+            for role, listed in sensors.items()
+            if any(_hits(w, listed) for w in words)
+        ),
+        "",
+    )
 
 
 def _hits(word: str, listed: tuple[str, ...]) -> str:
     """The hint that is this word, begins it, or is a long part of it (Motorwinkel)."""
     for hint in listed:
-        # Short hints are parts of too many words: "pos" begins position and compose holds it, "nm" is in
-        # environment; five letters seldom meet by chance.
-        if word == hint or (len(hint) >= 3 and word.startswith(hint)) or (len(hint) >= 5 and hint in word):
+        # Short hints are parts of too many words: "pos" begins position and compose
+        # holds it, "nm" is in environment; five letters seldom meet by chance.
+        if (
+            word == hint
+            or (len(hint) >= 3 and word.startswith(hint))
+            or (len(hint) >= 5 and hint in word)
+        ):
             return hint
     return ""
 
 
 def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
-    # In this order, as names hold two words: "motor_torque" and "joint_effort" are torques, "motor_voltage"
-    # is none of the three.
+    # In this order, as names hold two words: "motor_torque" and "joint_effort" are
+    # torques, "motor_voltage" is none of the three.
     for role in ("torque", "deflection", "motor_angle", "voltage"):
         for word in words:
             if hint := _hits(word, HINTS[role]):

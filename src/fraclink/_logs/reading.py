@@ -1,4 +1,6 @@
-"""`read_log`, the one way from a file to an `Experiment`, and `inspect_log`, what is in a file."""
+"""`read_log`, the one way from a file to an `Experiment`, and `inspect_log`, what is in
+a file.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, Channel, LogColumns, parse_columns
+from fraclink._arm.log_columns import (
+    QUANTITY_OF,
+    ROW_NUMBER,
+    UNITS,
+    Channel,
+    LogColumns,
+    parse_columns,
+)
 from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
 from fraclink._files import sha256_of
@@ -34,11 +43,13 @@ from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 
 _LOGS = Path(__file__).resolve().parents[1] / "logs"
-_ROUNDED = 1e-9  # [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
+# [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
+_ROUNDED = 1e-9
 
 
 def bundled_logs() -> tuple[str, ...]:
-    """The names of the logs that come with the package; each is simulated and marked as such.
+    """The names of the logs that come with the package; each is simulated and marked as
+    such.
 
     >>> "prbs_30g" in bundled_logs()
     True
@@ -54,16 +65,22 @@ def bundled_log(name: str) -> Path:
     """
     if name not in bundled_logs():
         raise FieldError(
-            "log", name, "unknown", allowed=", ".join(bundled_logs()), remedy="give one of these, or a path"
+            "log",
+            name,
+            "unknown",
+            allowed=", ".join(bundled_logs()),
+            remedy="give one of these, or a path",
         )
     return _LOGS / f"{name}.csv"
 
 
 def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
-    """Read a table of numbers as it stands: column name to values, shape (N,), in the file's own units.
+    """Read a table of numbers as it stands: column name to values, shape (N,), in the
+    file's own units.
 
-    For tables that are no log, such as a frequency response. Every format of `read_log` is read.
-    Raises FileFormatError, LogError (a cell is no number, a name stands twice) or SizeError.
+    For tables that are no log, such as a frequency response. Every format of `read_log`
+    is read. Raises FileFormatError, LogError (a cell is no number, a name stands twice)
+    or SizeError.
 
     >>> sorted(read_columns(bundled_log("prbs_30g")))[:2]
     ['motor_angle_rad', 'time_s']
@@ -71,7 +88,9 @@ def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
     table = read_table(Path(path))
     found: dict[str, NDArray[np.float64]] = {}
     for name in table.names:
-        found[name] = clean_column(table, table.place(name, "the table"), interpolate=False)[0]
+        found[name] = clean_column(
+            table, table.place(name, "the table"), interpolate=False
+        )[0]
     return found
 
 
@@ -85,13 +104,16 @@ def read_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2 or MCAP.
+    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2
+    or MCAP.
 
-    Which column is what, in which unit and with which sign, is stated and never guessed: by `columns`, by the
-    rig's `[log]` table, or by names in the log that are a role and a unit (``time_s``, ``motor_angle_rad``,
-    ``torque_Nm`` or ``deflection_rad``, ``voltage_V``).
+    Which column is what, in which unit and with which sign, is stated and never
+    guessed: by `columns`, by the rig's `[log]` table, or by names in the log that are a
+    role and a unit (``time_s``, ``motor_angle_rad``, ``torque_Nm`` or
+    ``deflection_rad``, ``voltage_V``).
 
-    The experiment is in SI units: motor angle [rad], torque [N·m] or deflection [rad], voltage [V].
+    The experiment is in SI units: motor angle [rad], torque [N·m] or deflection [rad],
+    voltage [V].
 
     Parameters
     ----------
@@ -100,16 +122,18 @@ def read_log(
     rig
         whose `[log]` table states the columns.
     columns
-        states them instead; a mapping of texts such as ``{"time": "t [s]", "torque": "- gauge * 0.1 [Nm]"}``
-        does, too.
+        states them instead; a mapping of texts such as ``{"time": "t [s]", "torque": "-
+        gauge * 0.1 [Nm]"}`` does, too.
     payload
         m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
     keep
-        the stretch to read, (from, until) [s] from the first sample, 0 <= from < until; what lies outside
-        need not be uniform. The motor angle before it is kept as far back as it is uniform
-        (`Experiment.earlier_angle`): a link that moves at the cut swings by what the motor did before.
+        the stretch to read, (from, until) [s] from the first sample, 0 <= from < until;
+        what lies outside need not be uniform. The motor angle before it is kept as far
+        back as it is uniform (`Experiment.earlier_angle`): a link that moves at the cut
+        swings by what the motor did before.
     resample
-        interpolate onto a uniform grid where the stamps have gaps, repeats or strong jitter.
+        interpolate onto a uniform grid where the stamps have gaps, repeats or strong
+        jitter.
     interpolate
         fill missing cells linearly, at most 1 % of a column.
 
@@ -130,23 +154,31 @@ def read_log(
     table = read_table(place)
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
-    # The call before the rig, and the rig before the names: who states more, knows more.
+    # The call before the rig, and the rig before the names: who states more, knows
+    # more.
     stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
-    table = with_combined(table, [channel.column for channel in stated.channels().values()])
-    # Units and signs at the border: from here on everything is SI, radians and positive where the motor
-    # speeds up.
+    table = with_combined(
+        table, [channel.column for channel in stated.channels().values()]
+    )
+    # Units and signs at the border: from here on everything is SI, radians and positive
+    # where the motor speeds up.
     data, findings = _channels(table, stated, interpolate)
     stamps = data.pop("time")
     recorded, whole_angle, first = stamps, data["motor_angle"], 0
     if keep is not None:
         inside, cut = _kept(stamps, *keep)
         findings.append(cut)
-        stamps, data = stamps[inside], {role: values[inside] for role, values in data.items()}
+        stamps, data = (
+            stamps[inside],
+            {role: values[inside] for role, values in data.items()},
+        )
         first = int(np.argmax(inside))  # of the samples that are kept
     base = time_base(stamps, resample=resample)
-    if resample and base.findings:  # uniform stamps need no interpolation, which would cost the last bits
+    if (
+        resample and base.findings
+    ):  # uniform stamps need no interpolation, which would cost the last bits
         _check_span(stamps, base.period)
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[stated.output_kind]
@@ -169,8 +201,12 @@ def read_log(
     )
 
 
-def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArray[np.bool_], Finding]:
-    """Which samples lie from `begin` to `end` [s] after the first, and the finding that says so (W237)."""
+def _kept(
+    stamps: NDArray[np.float64], begin: float, end: float
+) -> tuple[NDArray[np.bool_], Finding]:
+    """Which samples lie from `begin` to `end` [s] after the first, and the finding that
+    says so (W237).
+    """
     since = stamps - stamps[0]
     inside = (since >= begin - _ROUNDED) & (since <= end + _ROUNDED)
     if not (0.0 <= begin < end) or inside.sum() < 2:
@@ -193,7 +229,10 @@ def _kept(stamps: NDArray[np.float64], begin: float, end: float) -> tuple[NDArra
 
 
 def _unstated(table: LogTable) -> LogError:
-    words = " ".join(f'--column "{role}={name} [{unit}]"' for role, name, unit in suggested_columns(table))
+    words = " ".join(
+        f'--column "{role}={name} [{unit}]"'
+        for role, name, unit in suggested_columns(table)
+    )
     return LogError(
         "columns",
         ", ".join(table.names[:12]),
@@ -210,13 +249,19 @@ def _channels(
     data: dict[str, NDArray[np.float64]] = {}
     findings: list[Finding] = []
     for role, channel in stated.channels().items():
-        # Optional: a rig file states the voltage for all its logs, of which some have none. It costs the
-        # friction, not the link.
+        # Optional: a rig file states the voltage for all its logs, of which some have
+        # none. It costs the friction, not the link.
         if role == "voltage" and channel.column not in table.names:
             findings.append(_no_voltage(channel))
             continue
-        if role == "time" and channel.column == ROW_NUMBER and ROW_NUMBER not in table.names:
-            rows = table.values[table.place(stated.motor_angle.column, "motor_angle")].size
+        if (
+            role == "time"
+            and channel.column == ROW_NUMBER
+            and ROW_NUMBER not in table.names
+        ):
+            rows = table.values[
+                table.place(stated.motor_angle.column, "motor_angle")
+            ].size
             data[role] = channel.in_si(np.arange(rows, dtype=np.float64), role)
             continue
         place = table.place(channel.column, role)
@@ -227,13 +272,22 @@ def _channels(
     return data, findings
 
 
-def _contradicted(table: LogTable, place: int, role: str, channel: Channel) -> list[Finding]:
-    """The unit that the log's own header states for a column, where it is not the one that was stated."""
+def _contradicted(
+    table: LogTable, place: int, role: str, channel: Channel
+) -> list[Finding]:
+    """The unit that the log's own header states for a column, where it is not the one
+    that was stated.
+    """
     # Compared by size, not by spelling: Nm and N*m agree.
     known = UNITS[QUANTITY_OF[role]]
-    units = (table.units[place] if table.units else "", unit_in(table.names[place], role))
+    units = (
+        table.units[place] if table.units else "",
+        unit_in(table.names[place], role),
+    )
     own = next((unit for unit in units if unit in known), channel.unit)
-    if known[own] == known[channel.unit] or channel.scale != 1:  # a scale states the conversion by itself
+    if (
+        known[own] == known[channel.unit] or channel.scale != 1
+    ):  # a scale states the conversion by itself
         return []
     return [
         Finding(
@@ -248,7 +302,11 @@ def _contradicted(table: LogTable, place: int, role: str, channel: Channel) -> l
 
 def _no_voltage(channel: Channel) -> Finding:
     return Finding(
-        "W219", "info", f"the log has no column {channel.column!r} of voltage", {}, "only friction needs it"
+        "W219",
+        "info",
+        f"the log has no column {channel.column!r} of voltage",
+        {},
+        "only friction needs it",
     )
 
 
@@ -267,7 +325,8 @@ def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> 
 
 
 def _check_span(stamps: NDArray[np.float64], period: float) -> None:
-    # One stamp of another day, and a grid of the usual step over the gap is more memory than the log.
+    # One stamp of another day, and a grid of the usual step over the gap is more memory
+    # than the log.
     count = float(stamps[-1] - stamps[0]) / period
     if count > SAMPLE_LIMIT:
         raise LogError(
@@ -295,9 +354,11 @@ class ChannelSummary:
     minimum, maximum
         range of the finite values.
     quantum
-        smallest step between two of its values, 0 where it looks continuous or is constant.
+        smallest step between two of its values, 0 where it looks continuous or is
+        constant.
     period
-        median step where the values never decrease, as those of a clock; None otherwise.
+        median step where the values never decrease, as those of a clock; None
+        otherwise.
     """
 
     name: str
@@ -312,10 +373,11 @@ class ChannelSummary:
 
 @dataclass(frozen=True)
 class LogListing:
-    """The channels of a file, its header's notes, and a mapping to paste into a rig file.
+    """The channels of a file, its header's notes, and a mapping to paste into a rig
+    file.
 
-    `print` it for a person; `values` gives the same for a machine. `remarks` says in sentences what was done
-    to the file's form to read it.
+    `print` it for a person; `values` gives the same for a machine. `remarks` says in
+    sentences what was done to the file's form to read it.
     """
 
     path: str
@@ -328,7 +390,10 @@ class LogListing:
     def values(self) -> dict[str, object]:
         """The listing as plain values; None for the range of a column without numbers."""
         channels = [
-            {key: None if value != value else value for key, value in asdict(channel).items()}
+            {
+                key: None if value != value else value
+                for key, value in asdict(channel).items()
+            }
             for channel in self.channels
         ]
         return asdict(self) | {"notes": dict(self.notes), "channels": channels}
@@ -337,7 +402,9 @@ class LogListing:
         head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
         width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
         lines = [head, *(f"read as: {_printable(remark)}" for remark in self.remarks)]
-        lines.append(f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step")
+        lines.append(
+            f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"
+        )
         for c in self.channels:
             clock = f"  every {c.period:.6g}" if c.period is not None else ""
             lines.append(
@@ -358,11 +425,12 @@ def _printable(text: str) -> str:
 
 
 def inspect_log(path: Path | str) -> LogListing:
-    """List the channels of a file: rates and ranges [in the file's own units], a suggested mapping.
+    """List the channels of a file: rates and ranges [in the file's own units], a
+    suggested mapping.
 
     Nothing is interpreted: the suggestion marks with ``?`` what only a person can say.
-    Raises FileFormatError, LogError or SizeError where the file cannot be read, MissingExtraError where a
-    reader is not installed.
+    Raises FileFormatError, LogError or SizeError where the file cannot be read,
+    MissingExtraError where a reader is not installed.
 
     >>> from fraclink._logs.reading import bundled_log
     >>> listing = inspect_log(bundled_log("prbs_30g"))
@@ -377,7 +445,9 @@ def inspect_log(path: Path | str) -> LogListing:
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
     remarks = (*table.remarks, *bad_cells(table))
     suggestion = suggested_mapping(table)
-    return LogListing(Path(path).name, table.kind, channels, table.notes, suggestion, remarks)
+    return LogListing(
+        Path(path).name, table.kind, channels, table.notes, suggestion, remarks
+    )
 
 
 def _summary(table: LogTable, number: int) -> ChannelSummary:

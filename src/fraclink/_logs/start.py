@@ -1,4 +1,6 @@
-"""From a log that nobody has described to a first model: guess, ask what cannot be known, read, fit."""
+"""From a log that nobody has described to a first model: guess, ask what cannot be
+known, read, fit.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,8 @@ class Start:
     fit
         the model.
     rig_file
-        text of a rig file with these columns, and blanks for the physics that `design` needs.
+        text of a rig file with these columns, and blanks for the physics that `design`
+        needs.
     decisions
         how many of them the user made: statements of the call and answers.
     """
@@ -68,21 +71,27 @@ class Start:
     @property
     def uncertain(self) -> tuple[Guess, ...]:
         """The guesses that a person should check."""
-        return tuple(guess for guess in self.guesses if guess.certainty in ("likely", "assumed"))
+        return tuple(
+            guess for guess in self.guesses if guess.certainty in ("likely", "assumed")
+        )
 
     @property
     def blanks(self) -> int:
         """How many numbers `design` still needs in the rig file."""
-        # A blank is a commented line with its key: the same by which the draft's reader names what is
-        # missing.
+        # A blank is a commented line with its key: the same by which the draft's reader
+        # names what is missing.
         return len(re.findall(r"^# \w+ = ", self.rig_file, flags=re.MULTILINE))
 
-    def save(self, folder: Path | str = ".", *, force: bool = False) -> tuple[Path, ...]:
+    def save(
+        self, folder: Path | str = ".", *, force: bool = False
+    ) -> tuple[Path, ...]:
         """Write rig.toml and model.json into `folder` and return their paths.
 
         Raises FieldError where a file is already there, unless `force` is given.
         """
-        rig, model = (output_path(Path(folder) / name, force=force) for name in START_FILES)
+        rig, model = (
+            output_path(Path(folder) / name, force=force) for name in START_FILES
+        )
         rig.parent.mkdir(parents=True, exist_ok=True)
         write_text(rig, self.rig_file)
         self.fit.save(model)
@@ -102,18 +111,21 @@ def start(
 ) -> Start:
     """Guess what the columns of a log are, read it, and fit a first model of its link.
 
-    Time, motor angle, output, voltage, units and sign are guessed from names, ranges and the vibration in
-    the log; each guess says why and how certain it is. No number of motor, link or payload is needed.
+    Time, motor angle, output, voltage, units and sign are guessed from names, ranges
+    and the vibration in the log; each guess says why and how certain it is. No number
+    of motor, link or payload is needed.
 
     Parameters
     ----------
     log
         the file, of any format that `read_log` reads.
     column
-        what is known, such as ``"motor_angle=theta [deg]"``, ``"torque=-bridge [mNm]"``, a name alone
-        (``"motor_angle=theta"``), a unit alone (``"deflection=[deg]"``), or a factor with it
-        (``"motor_angle=pot * 36.8 [deg]"``). A minus turns the sign, a plus keeps it. The unit ``raw`` says
-        that an output is not calibrated: it is scaled so that its gain on the motor angle is 1.
+        what is known, such as ``"motor_angle=theta [deg]"``, ``"torque=-bridge
+        [mNm]"``, a name alone (``"motor_angle=theta"``), a unit alone
+        (``"deflection=[deg]"``), or a factor with it (``"motor_angle=pot * 36.8
+        [deg]"``). A minus turns the sign, a plus keeps it. The unit ``raw`` says that
+        an output is not calibrated: it is scaled so that its gain on the motor angle is
+        1.
     period
         sampling period Ts [s] of a log without stamps.
     payload
@@ -121,14 +133,15 @@ def start(
     resample, interpolate
         as in `read_log`.
     ask
-        called with each `Question` that the log leaves open; its answer is a text such as those that the
-        question lists, "" for the default. Without it the defaults are assumed, and a question without one
-        is an error.
+        called with each `Question` that the log leaves open; its answer is a text such
+        as those that the question lists, "" for the default. Without it the defaults
+        are assumed, and a question without one is an error.
 
     Raises
     ------
     LogError
-        a question is open and there is nobody to ask, or the log cannot be read or fitted.
+        a question is open and there is nobody to ask, or the log cannot be read or
+        fitted.
     FieldError
         a statement or an answer that is not understood.
 
@@ -144,11 +157,15 @@ def start(
     decisions = len(stated) + (payload is not None)
     table = read_table(place)
     found, answers = _resolved(table, str(log), stated, ask, interpolate)
-    assert found.columns is not None  # noqa: S101  # `_resolved` ends with columns or an error
-    # Through the one reader: what was guessed is stated to it, and it refuses or converts as it does for
-    # everybody.
+    assert found.columns is not None  # `_resolved` ends with columns or an error  # noqa: S101
+    # Through the one reader: what was guessed is stated to it, and it refuses or
+    # converts as it does for everybody.
     experiment = read_log(
-        place, columns=found.columns, payload=payload, resample=resample, interpolate=interpolate
+        place,
+        columns=found.columns,
+        payload=payload,
+        resample=resample,
+        interpolate=interpolate,
     )
     fit = identify(experiment)
     guesses = (*found.guesses, *_of_the_fit(experiment, fit, payload))
@@ -169,33 +186,54 @@ def start(
     )
 
 
-def _known(log: Experiment, fit: Fit, payload: float | None) -> dict[str, tuple[float, str]]:
-    """What the rig file need not leave blank: a torque log shows c, and the payload was stated."""
+def _known(
+    log: Experiment, fit: Fit, payload: float | None
+) -> dict[str, tuple[float, str]]:
+    """What the rig file need not leave blank: a torque log shows c, and the payload was
+    stated.
+    """
     known = {}
     if log.output_kind == "torque":
         # Five digits: the rest is noise of the fit, and a rig file is read by people.
-        known["link.stiffness"] = (float(f"{fit.model.stiffness:.5g}"), "c, from this log")
+        known["link.stiffness"] = (
+            float(f"{fit.model.stiffness:.5g}"),
+            "c, from this log",
+        )
     if payload is not None:
-        known["payloads.low"] = (payload, "of this log; the lightest that a controller is to be for")
+        known["payloads.low"] = (
+            payload,
+            "of this log; the lightest that a controller is to be for",
+        )
         known["payloads.high"] = (payload, "of this log; the heaviest")
     return known
 
 
 def _resolved(
-    table: LogTable, source: str, stated: dict[str, ColumnStatement], ask: Ask | None, interpolate: bool
+    table: LogTable,
+    source: str,
+    stated: dict[str, ColumnStatement],
+    ask: Ask | None,
+    interpolate: bool,
 ) -> tuple[GuessedColumns, int]:
-    """The columns once every question is answered or assumed, and the number of answers."""
+    """The columns once every question is answered or assumed, and the number of
+    answers.
+    """
     answers = 0
     while True:
-        found = guess_columns(table, stated, assume=ask is None, interpolate=interpolate, source=source)
+        found = guess_columns(
+            table, stated, assume=ask is None, interpolate=interpolate, source=source
+        )
         if not found.questions:
             return found, answers
         if ask is None:
             raise _open(table, found.questions)
-        # One at a time: an answer often settles what else was open, and all of it is weighed again.
+        # One at a time: an answer often settles what else was open, and all of it is
+        # weighed again.
         question = found.questions[0]
         statement = stated.get(question.role, ColumnStatement(question.role))
-        stated[question.role] = answered(statement, question, ask(question) or question.default)
+        stated[question.role] = answered(
+            statement, question, ask(question) or question.default
+        )
         answers += 1
 
 
@@ -209,7 +247,9 @@ def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
     )
 
 
-def _of_the_fit(experiment: Experiment, fit: Fit, payload: float | None) -> tuple[Guess, ...]:
+def _of_the_fit(
+    experiment: Experiment, fit: Fit, payload: float | None
+) -> tuple[Guess, ...]:
     """What the reader and the fit add to the guesses: period, payload and delay."""
     evidence = f"{experiment.motor_angle.size} samples, {experiment.duration:.4g} s"
     found = [Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)]
@@ -217,7 +257,9 @@ def _of_the_fit(experiment: Experiment, fit: Fit, payload: float | None) -> tupl
         source = "as stated" if payload is not None else "in the log's header"
         found.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
     late, error = f"{1e3 * fit.delay:.3g} ms", fit.standard_errors.get("delay")
-    fitted = "fitted with the model" + ("" if error is None else f", ± {1e3 * error:.2g} ms")
+    fitted = "fitted with the model" + (
+        "" if error is None else f", ± {1e3 * error:.2g} ms"
+    )
     found.append(Guess("delay of the output", late, "certain", fitted))
     return tuple(found)
 

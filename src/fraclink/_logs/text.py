@@ -1,14 +1,18 @@
-"""Tables of raw numbers: as a file holds them, the limits beyond which one is refused, and as text.
+"""Tables of raw numbers: as a file holds them, the limits beyond which one is refused,
+and as text.
 
-A rig that runs for an hour at 1 kHz makes 3.6 million samples; four columns of them are about 200 MB of
-text. What is larger is not one experiment and is refused before memory is taken.
+A rig that runs for an hour at 1 kHz makes 3.6 million samples; four columns of them are
+about 200 MB of text. What is larger is not one experiment and is refused before memory
+is taken.
 
-The whole body is checked at once by its bytes (only digits, signs, points, exponents and the separator; the
-same number of separators in every line), then converted by numpy's C parser. Only where that check fails
-are the cells looked at one by one, to say which line is wrong and how.
+The whole body is checked at once by its bytes (only digits, signs, points, exponents
+and the separator; the same number of separators in every line), then converted by
+numpy's C parser. Only where that check fails are the cells looked at one by one, to say
+which line is wrong and how.
 
-`float()` accepts ``1_000``, ``infinity``, digits of other scripts; readers that replace what they do not
-understand by NaN hide faults. Here a number is what the regular expression says, and nothing else.
+`float()` accepts ``1_000``, ``infinity``, digits of other scripts; readers that replace
+what they do not understand by NaN hide faults. Here a number is what the regular
+expression says, and nothing else.
 """
 
 from __future__ import annotations
@@ -25,32 +29,59 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._logs.faults import check_width, fault_of_names, normal_bytes, ragged, width_of
-from fraclink._logs.forms import LINE_LIMIT, NUMBER, Layout, plain_form, separator_of, split_cells
+from fraclink._logs.faults import (
+    check_width,
+    fault_of_names,
+    normal_bytes,
+    ragged,
+    width_of,
+)
+from fraclink._logs.forms import (
+    LINE_LIMIT,
+    NUMBER,
+    Layout,
+    plain_form,
+    separator_of,
+    split_cells,
+)
 from fraclink.errors import FileFormatError, LogError, SizeError
 
 FILE_LIMIT = 256_000_000  # bytes
 SAMPLE_LIMIT = 4_000_000  # rows
 COLUMN_LIMIT = 1_000
 VALUE_LIMIT = 32_000_000  # numbers in all: 256 MB in memory
-MEMORY_LIMIT = 1_000_000_000  # bytes of address space of the child that reads binary files
+MEMORY_LIMIT = (
+    1_000_000_000  # bytes of address space of the child that reads binary files
+)
 CPU_SECONDS = 10  # of that child, for one file
 WALL_SECONDS = 60  # of that child, for one file: the disk may be slow
 
 
 def check_file(path: Path) -> int:
-    """Return the size of the file at `path` [bytes], or raise where there is none or it is too large."""
+    """Return the size of the file at `path` [bytes], or raise where there is none or it
+    is too large.
+    """
     if not path.exists():
-        raise FileFormatError("log", str(path), "not there", allowed="a log file", remedy="check the path")
+        raise FileFormatError(
+            "log", str(path), "not there", allowed="a log file", remedy="check the path"
+        )
     if not path.is_file():
         raise FileFormatError(
-            "log", str(path), "not a file", allowed="a log file", remedy="give the file itself"
+            "log",
+            str(path),
+            "not a file",
+            allowed="a log file",
+            remedy="give the file itself",
         )
     size = path.stat().st_size
     check_bytes(size)
     if size == 0:
         raise FileFormatError(
-            "log", str(path), "empty", allowed="a header and samples", remedy="record again"
+            "log",
+            str(path),
+            "empty",
+            allowed="a header and samples",
+            remedy="record again",
         )
     return size
 
@@ -69,7 +100,8 @@ def check_bytes(size: int) -> None:
 
 @dataclass(frozen=True)
 class CellFaults:
-    """What is wrong with the cells of one text column: how many, and the first of each sort.
+    """What is wrong with the cells of one text column: how many, and the first of each
+    sort.
 
     `first_missing` and `first_bad` are (line number, text).
     """
@@ -82,14 +114,16 @@ class CellFaults:
 
 @dataclass(frozen=True, eq=False)
 class LogTable:
-    """Columns of raw numbers in the order of the file; cells that are missing or bad hold NaN.
+    """Columns of raw numbers in the order of the file; cells that are missing or bad
+    hold NaN.
 
     Parameters
     ----------
     names
         column names, as the file has them; they may repeat.
     values
-        one array for each name, shape (N,); binary files may hold columns of different lengths.
+        one array for each name, shape (N,); binary files may hold columns of different
+        lengths.
     kind
         file format in words.
     notes
@@ -106,17 +140,28 @@ class LogTable:
     values: tuple[NDArray[np.float64], ...]
     kind: str
     notes: tuple[tuple[str, str], ...] = ()
-    faults: Mapping[int, CellFaults] = field(default_factory=lambda: MappingProxyType({}))
+    faults: Mapping[int, CellFaults] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
     units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
-    def place(self, name: str, role: str, remedy: str = "correct [log] of the rig file") -> int:
-        """The place of the column that is stated for `role`; ``"#2"`` names the second by its number.
+    def place(
+        self, name: str, role: str, remedy: str = "correct [log] of the rig file"
+    ) -> int:
+        """The place of the column that is stated for `role`; ``"#2"`` names the second
+        by its number.
 
         `remedy` says where the name was stated and how to mend it.
         """
-        if name.startswith("#") and name[1:].isascii() and name[1:].isdigit() and name not in self.names:
-            # Four digits hold every place there may be; an integer of thousands of digits is not even made.
+        if (
+            name.startswith("#")
+            and name[1:].isascii()
+            and name[1:].isdigit()
+            and name not in self.names
+        ):
+            # Four digits hold every place there may be; an integer of thousands of
+            # digits is not even made.
             number = int(name[1:]) if len(name) <= 5 else 0
             if 1 <= number <= len(self.names):
                 return number - 1
@@ -139,7 +184,9 @@ class LogTable:
         near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         listed = ", ".join(self.names[:12]) + (", …" if len(self.names) > 12 else "")
         hint = f"did you mean {known[near[0]]!r}?" if near else remedy
-        return LogError(f"column of {role}", name, "not in the log", allowed=listed, remedy=hint)
+        return LogError(
+            f"column of {role}", name, "not in the log", allowed=listed, remedy=hint
+        )
 
 
 _NOTE = re.compile(r"[#%]+\s*([^:=]{1,80}?)\s*[:=]\s*(.{0,500})")
@@ -152,8 +199,8 @@ def read_text_table(path: Path, *, numbered: bool = False) -> LogTable:
 
     Where `numbered`, columns that the names do not fit are called by their numbers.
 
-    Raises FileFormatError (another encoding, binary), LogError (no header, no rows, ragged rows) or
-    SizeError (over the limits of `fraclink._logs.text`).
+    Raises FileFormatError (another encoding, binary), LogError (no header, no rows,
+    ragged rows) or SizeError (over the limits of `fraclink._logs.text`).
     """
     check_file(path)
     form = plain_form(normal_bytes(path.read_bytes(), path))
@@ -164,19 +211,31 @@ def read_text_table(path: Path, *, numbered: bool = False) -> LogTable:
             raise fault
         names = tuple(f"#{place + 1}" for place in range(width_of(layout)))
         layout = replace(layout, names=names)
-        form = form.told(f"columns by number: {fault.field} has {fault.problem}; {fault.remedy}")
+        form = form.told(
+            f"columns by number: {fault.field} has {fault.problem}; {fault.remedy}"
+        )
     _check_rows(layout)
     values = _parse_fast(layout)
     faults: dict[int, CellFaults] = {}
     if values is None:
-        values, faults = parse_cells(layout.body, layout.separator, layout.names, layout.first_line)
-    columns = tuple(np.ascontiguousarray(values[:, place]) for place in range(len(layout.names)))
-    units = tuple(form.units.get(name, "") for name in layout.names) if form.units else ()
-    return LogTable(layout.names, columns, "text", layout.notes, faults, units, form.remarks)
+        values, faults = parse_cells(
+            layout.body, layout.separator, layout.names, layout.first_line
+        )
+    columns = tuple(
+        np.ascontiguousarray(values[:, place]) for place in range(len(layout.names))
+    )
+    units = (
+        tuple(form.units.get(name, "") for name in layout.names) if form.units else ()
+    )
+    return LogTable(
+        layout.names, columns, "text", layout.notes, faults, units, form.remarks
+    )
 
 
 def _layout(text: bytes, path: Path) -> Layout:
-    """Split comments, header and body; a table without a header has columns ``#1``, ``#2`` …"""
+    """Split comments, header and body; a table without a header has columns ``#1``,
+    ``#2`` …
+    """
     comments: list[str] = []
     start, number = 0, 0
     while start < len(text):
@@ -189,29 +248,51 @@ def _layout(text: bytes, path: Path) -> Layout:
         comments += [line] if line else []
         start, number = end + 1, number + 1
     raise LogError(
-        "log", path.name, "without samples", allowed="a header and samples", remedy="record or export again"
+        "log",
+        path.name,
+        "without samples",
+        allowed="a header and samples",
+        remedy="record or export again",
     )
 
 
-def _with_header(text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path) -> Layout:
-    notes = tuple((m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c)))
+def _with_header(
+    text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path
+) -> Layout:
+    notes = tuple(
+        (m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c))
+    )
     line = text[slice(*span)].decode()
     separator = separator_of(line)
     cells = split_cells(line, separator)
     if all(NUMBER.fullmatch(cell) for cell in cells):
-        # The first row is numbers already: the names may stand in the last comment, as numpy writes them.
-        names = _names_of_comment(comments, len(cells)) or tuple(f"#{i + 1}" for i in range(len(cells)))
+        # The first row is numbers already: the names may stand in the last comment, as
+        # numpy writes them.
+        names = _names_of_comment(comments, len(cells)) or tuple(
+            f"#{i + 1}" for i in range(len(cells))
+        )
         body, first = text[span[0] :], number + 1
     else:
         names, body, first = tuple(cells), text[span[1] + 1 :], number + 2
     if len(names) > COLUMN_LIMIT:
         raise SizeError(
-            "columns", len(names), "too many", allowed=f"{COLUMN_LIMIT}", remedy="export fewer channels"
+            "columns",
+            len(names),
+            "too many",
+            allowed=f"{COLUMN_LIMIT}",
+            remedy="export fewer channels",
         )
-    # Blank lines at the end are the editor's. A trailing tab of a table of tabs is an empty last cell.
+    # Blank lines at the end are the editor's. A trailing tab of a table of tabs is an
+    # empty last cell.
     body = body.rstrip(b" \t\n") if separator != "\t" else body.rstrip(b" \n")
     if not body:
-        raise LogError("log", path.name, "a header only", allowed="samples", remedy="record or export again")
+        raise LogError(
+            "log",
+            path.name,
+            "a header only",
+            allowed="samples",
+            remedy="record or export again",
+        )
     return Layout(names, separator, first, body + b"\n", notes)
 
 
@@ -267,20 +348,28 @@ def _check_rows(layout: Layout) -> None:
 
 
 def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
-    """The whole body by numpy's C parser, or None where a cell is not a plain finite number."""
+    """The whole body by numpy's C parser, or None where a cell is not a plain finite
+    number.
+    """
     allowed = np.zeros(256, dtype=bool)
-    # A letter other than e and E or a quote: one table lookup for each byte says whether the careful way is
-    # needed, before a cell is looked at.
+    # A letter other than e and E or a quote: one table lookup for each byte says
+    # whether the careful way is needed, before a cell is looked at.
     allowed[list(b"0123456789+-.eE\n " + (layout.separator or "\t").encode())] = True
     if not allowed[np.frombuffer(layout.body, dtype=np.uint8)].all():
         return None
     try:
         values = np.loadtxt(
-            io.BytesIO(layout.body), delimiter=layout.separator or None, comments=None, ndmin=2
+            io.BytesIO(layout.body),
+            delimiter=layout.separator or None,
+            comments=None,
+            ndmin=2,
         )
     except ValueError:
         return None
-    if values.shape != (layout.body.count(b"\n"), len(layout.names)) or not np.isfinite(values).all():
+    if (
+        values.shape != (layout.body.count(b"\n"), len(layout.names))
+        or not np.isfinite(values).all()
+    ):
         return None  # blank lines are skipped by the parser; 1e999 becomes infinite
     return np.asarray(values, dtype=np.float64)
 
@@ -289,16 +378,32 @@ def _parse_fast(layout: Layout) -> NDArray[np.float64] | None:
 
 
 _MISSING = frozenset(
-    ("", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-", "inf", "+inf", "-inf")
+    (
+        "",
+        "nan",
+        "+nan",
+        "-nan",
+        "na",
+        "n/a",
+        "#n/a",
+        "null",
+        "none",
+        "-",
+        "inf",
+        "+inf",
+        "-inf",
+    )
 )
 
 
 def parse_cells(
     body: bytes, separator: str, names: tuple[str, ...], first_line: int
 ) -> tuple[NDArray[np.float64], dict[int, CellFaults]]:
-    """Convert every cell, NaN where it is not a finite number; also return what was wrong, by column.
+    """Convert every cell, NaN where it is not a finite number; also return what was
+    wrong, by column.
 
-    Raises LogError where a row of a table separated by blanks has another number of cells.
+    Raises LogError where a row of a table separated by blanks has another number of
+    cells.
     """
     lines = body.decode().split("\n")[:-1]
     values = np.empty((len(lines), len(names)))
@@ -307,15 +412,15 @@ def parse_cells(
     good_row = re.compile(" *" + blanks.join([NUMBER.pattern] * len(names)) + "[ \\t]*")
     for row, line in enumerate(lines):
         cells = line.split(separator or None)
-        # Most rows of a faulty file are good: they are recognised whole, and only the others are looked at
-        # cell by cell.
+        # Most rows of a faulty file are good: they are recognised whole, and only the
+        # others are looked at cell by cell.
         if good_row.fullmatch(line):
             values[row] = cells  # numpy converts a row of checked cells at once
         else:
             check_width(first_line + row, line, len(cells), len(names))
             _fill(values[row], cells, first_line + row, faults)
-    # A number by its form that no double holds. It is a fault of its cell like any other, found once for the
-    # column.
+    # A number by its form that no double holds. It is a fault of its cell like any
+    # other, found once for the column.
     for place in np.flatnonzero(np.isinf(values).any(axis=0)).tolist():  # such as 1e999
         rows = np.flatnonzero(np.isinf(values[:, place]))
         cell = lines[rows[0]].split(separator or None)[place].strip()
@@ -326,7 +431,9 @@ def parse_cells(
     return values, faults
 
 
-def _fill(row: NDArray[np.float64], cells: list[str], line: int, faults: dict[int, CellFaults]) -> None:
+def _fill(
+    row: NDArray[np.float64], cells: list[str], line: int, faults: dict[int, CellFaults]
+) -> None:
     for place, cell in enumerate(cells):
         row[place] = number = _number(cell.strip())
         if math.isnan(number):

@@ -1,4 +1,6 @@
-"""A deflection made of two columns: motor angle less tip angle, or two gauges of one bridge."""
+"""A deflection made of two columns: motor angle less tip angle, or two gauges of one
+bridge.
+"""
 
 from __future__ import annotations
 
@@ -19,21 +21,28 @@ __all__ = ["CLEARER", "LONGEST_SCAN", "TIP", "gauges", "tip_difference"]
 
 Array = NDArray[np.float64]
 
-LONGEST_SCAN = 2_048  # samples looked at where many pairs or factors are tried: a scan takes 30 ms then
-# Shares of the difference of both angles: on made logs 0.97 and more, of the tip angle itself 0.54 to 0.91.
+# samples looked at where many pairs or factors are tried: a scan takes 30 ms then
+LONGEST_SCAN = 2_048
+# Shares of the difference of both angles: on made logs 0.97 and more, of the tip angle
+# itself 0.54 to 0.91.
 TIP, CLEARER = 0.9, 0.05
-_OWN_GAIN = 1.5  # factor by which the deflection that is left may differ from what its angles say
+# factor by which the deflection that is left may differ from what its angles say
+_OWN_GAIN = 1.5
 _SNAP = 0.03  # of the factor between two units of angle: what is so close is that
 _TOGETHER = 0.9  # correlation of two gauges of one bridge
 
 
-def tip_difference(weighing: Weighing, angle: int, tip: int, time: Channel | None) -> int | None:
-    """The place of the deflection that the tip's column gives, which may be that column; None if neither.
+def tip_difference(
+    weighing: Weighing, angle: int, tip: int, time: Channel | None
+) -> int | None:
+    """The place of the deflection that the tip's column gives, which may be that
+    column; None if neither.
 
-    A tip angle θt = θm − δ rings as a deflection of the other sign does, and would pass for one: what is
-    left of the motor angle must be one vibration, and its gain on the motor angle 1. Where the units do not
-    say how many of one make one of the other, as for a camera's metres, the factor is taken with which the
-    difference is most of all one vibration.
+    A tip angle θt = θm − δ rings as a deflection of the other sign does, and would pass
+    for one: what is left of the motor angle must be one vibration, and its gain on the
+    motor angle 1. Where the units do not say how many of one make one of the other, as
+    for a camera's metres, the factor is taken with which the difference is most of all
+    one vibration.
     """
     if time is None:
         return None
@@ -43,19 +52,28 @@ def tip_difference(weighing: Weighing, angle: int, tip: int, time: Channel | Non
     if turned.size != moved.size or not period > 0:
         return None
     x, y = turned[::stride] - turned[0], moved[::stride] - moved[0]
-    # Without any unit both columns are taken to be in the same one, as people record both angles alike.
-    units = weighing.statement("motor_angle").unit or weighing.unit(angle), weighing.unit(tip)
+    # Without any unit both columns are taken to be in the same one, as people record
+    # both angles alike.
+    units = (
+        weighing.statement("motor_angle").unit or weighing.unit(angle),
+        weighing.unit(tip),
+    )
     angles = [UNITS["angle"].get(unit) for unit in units]
-    if all(angles) or (units[0] == units[1] == "" and not length_of_name(weighing.table.names[tip])):
+    if all(angles) or (
+        units[0] == units[1] == "" and not length_of_name(weighing.table.names[tip])
+    ):
         factor = (angles[1] or 1.0) / (angles[0] or 1.0)
     else:
         factor = _factor(x, y, period)
     itself, rest = find_mode(x, y, period), find_mode(x, x - factor * y, period)
     if itself is None or rest is None:
         return None
-    # Clearer than the column itself: a deflection that is subtracted from the motor angle leaves a mode as
-    # well, but a worse one.
-    if rest.share > max(TIP, itself.share + CLEARER) and 1 / _OWN_GAIN < rest.gain < _OWN_GAIN:
+    # Clearer than the column itself: a deflection that is subtracted from the motor
+    # angle leaves a mode as well, but a worse one.
+    if (
+        rest.share > max(TIP, itself.share + CLEARER)
+        and 1 / _OWN_GAIN < rest.gain < _OWN_GAIN
+    ):
         return _difference(weighing, angle, tip, factor, rest)
     if itself.share > TIP:
         share = f"one vibration explains {100 * itself.share:.3g} % of it: it is measured from the hub"
@@ -74,18 +92,27 @@ def _factor(x: Array, y: Array, period: float) -> float:
         mode = find_mode(x, x - np.exp(logarithm) / slope * y, period)
         return 1.0 if mode is None else -mode.share
 
-    # A slow motion moves tip and motor alike, so that the plain slope is wrong by the vibration in it only.
-    # A factor of 2 either way in steps of a tenth of the logarithm: the share has several local maxima, and a
-    # bounded minimisation alone would end in the nearest.
+    # A slow motion moves tip and motor alike, so that the plain slope is wrong by the
+    # vibration in it only. A factor of 2 either way in steps of a tenth of the
+    # logarithm: the share has several local maxima, and a bounded minimisation alone
+    # would end in the nearest.
     grid = np.linspace(-0.7, 0.7, 15)
     best = float(min(grid, key=left))
-    found = minimize_scalar(left, bounds=(best - 0.1, best + 0.1), method="bounded", options={"xatol": 1e-4})
+    found = minimize_scalar(
+        left, bounds=(best - 0.1, best + 0.1), method="bounded", options={"xatol": 1e-4}
+    )
     factor = float(np.exp(found.x) / slope)
-    known = (size for unit in UNITS["angle"].values() for size in (unit, 1 / unit, -unit, -1 / unit))
+    known = (
+        size
+        for unit in UNITS["angle"].values()
+        for size in (unit, 1 / unit, -unit, -1 / unit)
+    )
     return next((size for size in known if abs(factor / size - 1) < _SNAP), factor)
 
 
-def _difference(weighing: Weighing, angle: int, tip: int, factor: float, rest: Mode) -> int:
+def _difference(
+    weighing: Weighing, angle: int, tip: int, factor: float, rest: Mode
+) -> int:
     """A column of the motor angle less the tip's."""
     first, second, length = (
         weighing.label(angle),
@@ -114,8 +141,12 @@ def _added(weighing: Weighing, name: str, unit: str) -> int:
     return place
 
 
-def gauges(weighing: Weighing, named: Mapping[int, tuple[str, str]], free: list[int]) -> int | None:
-    """The place of two gauges of one bridge, which move together or against each other; None for others."""
+def gauges(
+    weighing: Weighing, named: Mapping[int, tuple[str, str]], free: list[int]
+) -> int | None:
+    """The place of two gauges of one bridge, which move together or against each other;
+    None for others.
+    """
     found = [place for place in free if named[place][0] == "deflection"]
     names = [weighing.table.names[place] for place in found]
     # strain1 and strain2 are one bridge, strain and bend are two quantities.
@@ -125,9 +156,11 @@ def gauges(weighing: Weighing, named: Mapping[int, tuple[str, str]], free: list[
     together = float(np.corrcoef(first, second)[0, 1])
     if abs(together) < _TOGETHER:
         return None
-    # Gauges on both faces of the link: one is stretched where the other is compressed. Their difference
-    # doubles the signal and cancels what temperature does to both.
+    # Gauges on both faces of the link: one is stretched where the other is compressed.
+    # Their difference doubles the signal and cancels what temperature does to both.
     mark, way = ("-", "against each other") if together < 0 else ("+", "together")
     name = f"{weighing.label(found[0])} {mark} {weighing.label(found[1])}"
-    weighing.conclude("output", name, "likely", f"both move {way} (correlation {together:.2g})")
+    weighing.conclude(
+        "output", name, "likely", f"both move {way} (correlation {together:.2g})"
+    )
     return _added(weighing, name, weighing.unit(found[0]))

@@ -1,8 +1,10 @@
-"""The law in real time, around a board, a simulated arm or two functions of Python; and an arm tuned over it.
+"""The law in real time, around a board, a simulated arm or two functions of Python; and
+an arm tuned over it.
 
-The loop is C on absolute deadlines; what it runs is law.c, the file that is simulated and exported. It does
-not judge what happens on the way to the arm: a sample that did not come is NaN and a missed period is a
-jump of the tick, so that the law's own guards decide, and a record replays to the last bit.
+The loop is C on absolute deadlines; what it runs is law.c, the file that is simulated
+and exported. It does not judge what happens on the way to the arm: a sample that did
+not come is NaN and a missed period is a jump of the tick, so that the law's own guards
+decide, and a record replays to the last bit.
 """
 
 from __future__ import annotations
@@ -43,5 +45,6 @@ __all__ = [
     "signals_held",
 ]
 
-# Time for tests, in which `threads` loops and their peers take turns; see csrc/kernels/realtime.h.
+# Time for tests, in which `threads` loops and their peers take turns; see
+# csrc/kernels/realtime.h.
 VirtualClock = getattr(_kernels, "RealtimeClock", None)  # Linux only

@@ -1,4 +1,6 @@
-"""The twin at the other end, where there is no real arm: in real time, or in this process without a clock."""
+"""The twin at the other end, where there is no real arm: in real time, or in this
+process without a clock.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._files import document
 from fraclink._realtime.connections import Callback, Command, Connection, arm_end
-from fraclink._realtime.machine import PRIORITY, Priority, check_machine, granted_priority, period_ns
+from fraclink._realtime.machine import (
+    PRIORITY,
+    Priority,
+    check_machine,
+    granted_priority,
+    period_ns,
+)
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
 from fraclink._validate import Between, Seed, checked
@@ -23,9 +31,11 @@ __all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
 
 Real = NDArray[np.float64]
 
-# Two hours at 4 ms, 80 MB: whoever asks for more has mistaken the unit, and would find out by swapping.
+# Two hours at 4 ms, 80 MB: whoever asks for more has mistaken the unit, and would find
+# out by swapping.
 MOST_PERIODS = 2_000_000
-# The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10 will not come back.
+# The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10
+# will not come back.
 WATCHDOG = 10
 _IDLE, _OFF = 0, 4  # modes in which the drive is off, see arm_io.h
 _CHUNK = 4096  # noise is drawn in rows, as one draw a period costs more than the period
@@ -34,7 +44,9 @@ _COUNTS = ("late", "controllers", "silences", "rejected")
 
 
 def _without_origin(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 1 also said that the arm was simulated, which every one is, and had no digest."""
+    """Format 1 also said that the arm was simulated, which every one is, and had no
+    digest.
+    """
     return {name: value for name, value in content.items() if name != "simulated"}
 
 
@@ -49,12 +61,14 @@ def _without_origin(content: dict[str, Any]) -> dict[str, Any]:
 @compared
 @dataclass(frozen=True, eq=False)
 class ServedArm:
-    """What really happened at the simulated arm, one value for each of its periods; shape (N,).
+    """What really happened at the simulated arm, one value for each of its periods;
+    shape (N,).
 
-    tip_angle θt and motor_angle θm [rad], torque Γ [N·m], the voltage that acted [V], connected: 1 where a
-    controller was heard. `period` [s]; `late`, periods that began after their own end; `controllers` that
-    came, `silences`: how many of them left without a stop, so that the watchdog switched the drive off;
-    `rejected` messages; `scheduling`: what the machine granted.
+    tip_angle θt and motor_angle θm [rad], torque Γ [N·m], the voltage that acted [V],
+    connected: 1 where a controller was heard. `period` [s]; `late`, periods that began
+    after their own end; `controllers` that came, `silences`: how many of them left
+    without a stop, so that the watchdog switched the drive off; `rejected` messages;
+    `scheduling`: what the machine granted.
     """
 
     tip_angle: Real
@@ -95,19 +109,21 @@ def serve_arm(
 ) -> ServedArm:
     """Run the twin in real time and let controllers reach it; return what happened.
 
-    In every period the arm takes the newest command, samples encoder and gauge, sends the sample and moves on
-    under that command's voltage, so that a voltage acts one period after its sample; a twin with a longer
-    `voltage_delay` waits the rest itself. One controller is heard at a time. When it has been silent for
-    `watchdog` periods, or sends a stop, the voltage is 0, its run is over, and no command of that run is
-    obeyed again, however late it comes; the next controller may come. Ends after `duration`, at a signal, or
-    with `once` when the first controller has left.
+    In every period the arm takes the newest command, samples encoder and gauge, sends
+    the sample and moves on under that command's voltage, so that a voltage acts one
+    period after its sample; a twin with a longer `voltage_delay` waits the rest itself.
+    One controller is heard at a time. When it has been silent for `watchdog` periods,
+    or sends a stop, the voltage is 0, its run is over, and no command of that run is
+    obeyed again, however late it comes; the next controller may come. Ends after
+    `duration`, at a signal, or with `once` when the first controller has left.
 
     Parameters
     ----------
     twin
         with a `voltage_delay` of at least 1.
     connection
-        `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to that host.
+        `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to that
+        host.
     period
         the law's [s].
     duration
@@ -119,7 +135,8 @@ def serve_arm(
     seed
         of the gauge's noise.
     priority
-        of SCHED_FIFO, below the controller's; 0 asks for none. What is refused is in the result.
+        of SCHED_FIFO, below the controller's; 0 asks for none. What is refused is in
+        the result.
     clock
         a `VirtualClock` for tests; default: the machine's.
 
@@ -131,21 +148,38 @@ def serve_arm(
         Too long a duration.
     """
     check_machine()
-    # Whole nanoseconds, as the message states them: both ends compare their periods for equality.
+    # Whole nanoseconds, as the message states them: both ends compare their periods for
+    # equality.
     nanoseconds = period_ns(period)
     Between(period, 1e300, "s").check("duration", duration)
     count = math.ceil(duration / period)
     if count > MOST_PERIODS:
         allowed = f"<= {MOST_PERIODS} periods"
-        raise SizeError("duration", duration, "too long", allowed=allowed, remedy="serve a shorter time")
-    # A sample goes out, its command comes back: without that period the arm would have to answer before it is
-    # asked.
+        raise SizeError(
+            "duration",
+            duration,
+            "too long",
+            allowed=allowed,
+            remedy="serve a shorter time",
+        )
+    # A sample goes out, its command comes back: without that period the arm would have
+    # to answer before it is asked.
     if twin.voltage_delay < 1:
-        problem, remedy = "shorter than a message's way", "a command acts one period after its sample here"
-        raise FieldError("voltage_delay", twin.voltage_delay, problem, allowed=">= 1 period", remedy=remedy)
+        problem, remedy = (
+            "shorter than a message's way",
+            "a command acts one period after its sample here",
+        )
+        raise FieldError(
+            "voltage_delay",
+            twin.voltage_delay,
+            problem,
+            allowed=">= 1 period",
+            remedy=remedy,
+        )
     # A twin whose way through the messages is the first period of its delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
-    # Written and not only claimed: pages that are missing at first touch would come late in the loop.
+    # Written and not only claimed: pages that are missing at first touch would come
+    # late in the loop.
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
     with arm_end(connection) as way:
         outcome = _kernels.realtime_serve(
@@ -157,8 +191,8 @@ def serve_arm(
             arm.voltage,
             arm.sensed,
             arm.counters,
-            # Drawn beforehand: the loop in C calls no Python, and the noise is that of `simulate` with the
-            # same seed.
+            # Drawn beforehand: the loop in C calls no Python, and the noise is that of
+            # `simulate` with the same seed.
             _gauge_error(twin, period, count, seed),
             record,
             nanoseconds,
@@ -167,9 +201,15 @@ def serve_arm(
             priority,
             clock or _kernels.RealtimeClock(0),
         )
-    parts: dict[str, Any] = {name: record[: outcome["count"], i].copy() for i, name in enumerate(_SIGNALS)}
+    parts: dict[str, Any] = {
+        name: record[: outcome["count"], i].copy() for i, name in enumerate(_SIGNALS)
+    }
     parts |= {name: int(outcome[name]) for name in _COUNTS}
-    return ServedArm(**parts, period=period, scheduling=granted_priority(priority, outcome["priority_error"]))
+    return ServedArm(
+        **parts,
+        period=period,
+        scheduling=granted_priority(priority, outcome["priority_error"]),
+    )
 
 
 def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
@@ -181,14 +221,16 @@ def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
 
 
 class SimulatedArm:
-    """A twin that a `Callback` reaches, without a clock: each call of `write` is one period of its life.
+    """A twin that a `Callback` reaches, without a clock: each call of `write` is one
+    period of its life.
 
     What really happened is kept, one row for each period.
 
     Parameters
     ----------
     twin
-        its `voltage_delay` counts from a sample to the effect of the voltage that answers it.
+        its `voltage_delay` counts from a sample to the effect of the voltage that
+        answers it.
     period
         [s].
     seed
@@ -221,7 +263,9 @@ class SimulatedArm:
         if noise is None:
             self._noise = iter(self._random.standard_normal(_CHUNK))
             noise = next(self._noise)
-        self._input[3] = sensors.gauge_offset + sensors.gauge_noise * noise  # TWIN_GAUGE_ERROR
+        self._input[3] = (
+            sensors.gauge_offset + sensors.gauge_noise * noise
+        )  # TWIN_GAUGE_ERROR
         return self._state.sense(self._input)
 
     def write(self, command: Command) -> None:
@@ -239,5 +283,7 @@ class SimulatedArm:
 
     @property
     def record(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-        """True tip angle, motor angle [rad], speed [rad/s], torque [N·m] and voltage [V], shape (N, 5)."""
+        """True tip angle, motor angle [rad], speed [rad/s], torque [N·m] and voltage
+        [V], shape (N, 5).
+        """
         return np.array(self._rows).reshape(-1, len(self.COLUMNS))

@@ -1,4 +1,6 @@
-"""Connections to an arm: UDP, shared memory, a library of the user's, two functions of Python."""
+"""Connections to an arm: UDP, shared memory, a library of the user's, two functions of
+Python.
+"""
 
 from __future__ import annotations
 
@@ -41,19 +43,23 @@ IO_VERSION = 1  # ARM_IO_VERSION of arm_io.h
 # No dot and no slash: the name becomes a file of /dev/shm, and must not lead out of it.
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _FORMS = "udp:HOST:PORT, shm:NAME or library:FILE.so"
-_SHARED = Path("/dev/shm")  # noqa: S108  # where Linux keeps POSIX shared memory, by shm_open(3)
-_ARM, _CONTROLLER = 0, 1  # bytes of the shared memory that each end locks while it lives
+_SHARED = Path("/dev/shm")  # where Linux keeps POSIX shared memory, by shm_open(3)  # noqa: S108
+_ARM, _CONTROLLER = (
+    0,
+    1,
+)  # bytes of the shared memory that each end locks while it lives
 _KEY_BYTES = 16  # what nobody guesses
 _TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
 _LOOK = 0.02  # [s] between two looks for an arm that is not there yet
 
 
 class Command(NamedTuple):
-    """What the law gives in one period: motor_reference θm* [rad], voltage [V], the number of the period,
-    and the law's mode, reason and flags (see law.h).
+    """What the law gives in one period: motor_reference θm* [rad], voltage [V], the
+    number of the period, and the law's mode, reason and flags (see law.h).
 
-    In modes 0 and 4 the drive must be off, and the motor reference means nothing: 0 before the law has
-    started, 4 for the safe stop, which is the last command of every run.
+    In modes 0 and 4 the drive must be off, and the motor reference means nothing: 0
+    before the law has started, 4 for the safe stop, which is the last command of every
+    run.
     """
 
     motor_reference: float
@@ -70,11 +76,13 @@ def _error(connection: object, problem: str, allowed: str, remedy: str) -> Field
 
 @dataclass(frozen=True)
 class Udp:
-    """An arm that is reached by datagrams: `host`, a name or an address, and `port`, 1 to 65535.
+    """An arm that is reached by datagrams: `host`, a name or an address, and `port`, 1
+    to 65535.
 
-    Any host but this machine needs `unsafe_remote`: datagrams are not encrypted, and without a `key`
-    everybody who can send to the arm can move it. With the same `key` of 16 bytes or more at both ends,
-    messages carry the first 16 bytes of their HMAC-SHA-256 (RFC 2104), and others are dropped.
+    Any host but this machine needs `unsafe_remote`: datagrams are not encrypted, and
+    without a `key` everybody who can send to the arm can move it. With the same `key`
+    of 16 bytes or more at both ends, messages carry the first 16 bytes of their
+    HMAC-SHA-256 (RFC 2104), and others are dropped.
 
     >>> str(Udp("127.0.0.1", 5005))
     'udp:127.0.0.1:5005'
@@ -86,14 +94,19 @@ class Udp:
     key: bytes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        # An empty host is every address of this machine to the socket library: nobody means that by leaving
-        # it out.
+        # An empty host is every address of this machine to the socket library: nobody
+        # means that by leaving it out.
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
         checked_whole("port", self.port, 1, 65535)
-        if self.key is not None and not (isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES):
+        if self.key is not None and not (
+            isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
+        ):
             shown = f"{len(self.key)} {type(self.key).__name__}"  # never the key itself
-            allowed, remedy = f"{_KEY_BYTES} bytes or more", "head -c 32 /dev/urandom > arm.key"
+            allowed, remedy = (
+                f"{_KEY_BYTES} bytes or more",
+                "head -c 32 /dev/urandom > arm.key",
+            )
             raise FieldError("key", shown, "not a key", allowed=allowed, remedy=remedy)
 
     def __str__(self) -> str:
@@ -102,7 +115,8 @@ class Udp:
 
 @dataclass(frozen=True)
 class SharedMemory:
-    """An arm on the same machine, reached by POSIX shared memory of a `name` of letters, digits, _ and -.
+    """An arm on the same machine, reached by POSIX shared memory of a `name` of
+    letters, digits, _ and -.
 
     >>> str(SharedMemory("arm"))
     'shm:arm'
@@ -112,7 +126,12 @@ class SharedMemory:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
-            raise _error(f"shm:{self.name}", "not a name", "1 to 64 letters, digits, _ and -", "shm:arm")
+            raise _error(
+                f"shm:{self.name}",
+                "not a name",
+                "1 to 64 letters, digits, _ and -",
+                "shm:arm",
+            )
 
     def __str__(self) -> str:
         return f"shm:{self.name}"
@@ -120,7 +139,8 @@ class SharedMemory:
 
 @dataclass(frozen=True)
 class Library:
-    """A board behind a shared library with the functions of `arm_io.h`; `fraclink export io` makes a start.
+    """A board behind a shared library with the functions of `arm_io.h`; `fraclink
+    export io` makes a start.
 
     Loading it runs its code, with the rights of this process.
 
@@ -141,9 +161,10 @@ class Library:
 class Callback:
     """A board behind two functions of Python, each called once in a period.
 
-    `read` returns (motor angle [rad], torque [N·m]), or None where the sample was lost; `write` applies a
-    `Command`. An exception in either stops the run safely and is raised again. Convenient, but the loop then
-    waits for the interpreter: other threads of Python may hold it for milliseconds.
+    `read` returns (motor angle [rad], torque [N·m]), or None where the sample was lost;
+    `write` applies a `Command`. An exception in either stops the run safely and is
+    raised again. Convenient, but the loop then waits for the interpreter: other threads
+    of Python may hold it for milliseconds.
     """
 
     read: Callable[[], tuple[float, float] | None]
@@ -160,7 +181,8 @@ Connection = Udp | SharedMemory | Library | Callback
 def parse_connection(
     io: str, *, unsafe_remote: bool = False, key: bytes | None = None
 ) -> Udp | SharedMemory | Library:
-    """Return the connection that the command line names: udp:HOST:PORT, shm:NAME or library:FILE.so.
+    """Return the connection that the command line names: udp:HOST:PORT, shm:NAME or
+    library:FILE.so.
 
     `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
 
@@ -174,13 +196,17 @@ def parse_connection(
     kind, _, rest = io.partition(":")
     # Refused, not ignored: who gives a key believes that strangers are kept out.
     if key is not None and kind != "udp":
-        raise FieldError("key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out")
+        raise FieldError(
+            "key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out"
+        )
     if kind == "shm":
         return SharedMemory(rest)
     if kind == "library" and rest:
         return Library(Path(rest))
     if kind != "udp":
-        raise _error(io, "no way to an arm", _FORMS, "start with udp:, shm: or library:")
+        raise _error(
+            io, "no way to an arm", _FORMS, "start with udp:, shm: or library:"
+        )
     # From the right, as an IPv6 address has colons of its own, in brackets or not.
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"[0-9]{1,5}", port):
@@ -193,10 +219,13 @@ def parse_connection(
 
 @contextmanager
 def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
-    """Open the controller's end, waiting up to `patience` [s] for shared memory; yields the kernel's way."""
+    """Open the controller's end, waiting up to `patience` [s] for shared memory; yields
+    the kernel's way.
+    """
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
-            # Connected, so that the kernel drops datagrams of anybody else before they are read.
+            # Connected, so that the kernel drops datagrams of anybody else before they
+            # are read.
             plug.connect(address)
             yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
     elif isinstance(connection, SharedMemory):
@@ -217,14 +246,18 @@ def arm_end(connection: Connection) -> Iterator[Any]:
             try:
                 plug.bind(address)
             except OSError as error:
-                raise _refused(connection, error, "a free port of this machine") from error
+                raise _refused(
+                    connection, error, "a free port of this machine"
+                ) from error
             yield _kernels.RealtimeIo.socket(plug.fileno(), True, _seal(connection))
     elif isinstance(connection, SharedMemory):
         with _created(connection) as file:
             yield _kernels.RealtimeIo.memory(file, True)
     else:
         remedy = "a library or a callback is the arm itself"
-        raise _error(connection, "no way to serve an arm", "udp:HOST:PORT or shm:NAME", remedy)
+        raise _error(
+            connection, "no way to serve an arm", "udp:HOST:PORT or shm:NAME", remedy
+        )
 
 
 def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
@@ -232,7 +265,8 @@ def _seal(connection: Udp) -> Callable[[bytes], bytes] | None:
     key = connection.key
     if key is None:
         return None
-    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, keep a forger at 2^-128 a message.
+    # Truncated as RFC 2104, section 5, allows: 128 bits, half of the hash, keep a
+    # forger at 2^-128 a message.
     return lambda message: hmac.digest(key, message, "sha256")[:_TAG_BYTES]
 
 
@@ -244,10 +278,13 @@ def _refused(connection: Connection, error: OSError, allowed: str) -> FieldError
 @contextmanager
 def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     try:
-        found = socket.getaddrinfo(connection.host, connection.port, type=socket.SOCK_DGRAM)
+        found = socket.getaddrinfo(
+            connection.host, connection.port, type=socket.SOCK_DGRAM
+        )
     except OSError as error:
         raise _refused(connection, error, "a host that can be found") from error
-    # The first answer alone: one that is tried after another would send commands to two arms.
+    # The first answer alone: one that is tried after another would send commands to two
+    # arms.
     family, kind, protocol, _, address = found[0]
     # The address and not the name: a name may lead anywhere.
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
@@ -270,9 +307,11 @@ def _lock_of(byte: int) -> bytes:
 
 
 def _locked(file: int, byte: int) -> bool:
-    """Lock one byte for as long as the file is open; False where another open file has it.
+    """Lock one byte for as long as the file is open; False where another open file has
+    it.
 
-    Locks of open files (not of processes): they also hold between two threads, and die with their owner.
+    Locks of open files (not of processes): they also hold between two threads, and die
+    with their owner.
     """
     try:
         fcntl.fcntl(file, fcntl.F_OFD_SETLK, _lock_of(byte))
@@ -290,8 +329,9 @@ def _served(file: int) -> bool:
 def _open_shared(connection: SharedMemory, flags: int) -> int | None:
     """Open the file behind shared memory; None where there is none."""
     try:
-        # Private: any process that may write here moves the arm. A link would lead to a file of another user.
-        # A child process that inherited the file would hold its locks on, as they belong to the open file.
+        # Private: any process that may write here moves the arm. A link would lead to a
+        # file of another user. A child process that inherited the file would hold its
+        # locks on, as they belong to the open file.
         flags |= os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
         return os.open(_SHARED / f"fraclink-{connection.name}", flags, 0o600)
     except FileNotFoundError:
@@ -307,9 +347,12 @@ def _created(connection: SharedMemory) -> Iterator[int]:
         raise _error(connection, "without a place", f"a folder {_SHARED}", "mount it")
     try:
         if not _locked(file, _ARM):
-            raise _error(connection, "served by another arm", "a free name", "choose another")
+            raise _error(
+                connection, "served by another arm", "a free name", "choose another"
+            )
         try:
-            # Only now: a controller takes the size for the sign that the memory is ready.
+            # Only now: a controller takes the size for the sign that the memory is
+            # ready.
             os.ftruncate(file, _kernels.realtime_memory_size())
             yield file
         finally:
@@ -323,14 +366,27 @@ def _attached(connection: SharedMemory, patience: float) -> Iterator[int]:
     last = time.monotonic() + patience
     while (file := _existing(connection)) is None:
         if time.monotonic() > last:
-            problem, allowed = f"served by no arm within {patience:g} s", "an arm that serves it"
-            raise _error(connection, problem, allowed, f"start `fraclink serve-arm DESIGN --io {connection}`")
+            problem, allowed = (
+                f"served by no arm within {patience:g} s",
+                "an arm that serves it",
+            )
+            raise _error(
+                connection,
+                problem,
+                allowed,
+                f"start `fraclink serve-arm DESIGN --io {connection}`",
+            )
         time.sleep(_LOOK)
     try:
-        # Two controllers would each see the other's commands obeyed and trip on a motion that they did not
-        # ask for.
+        # Two controllers would each see the other's commands obeyed and trip on a
+        # motion that they did not ask for.
         if not _locked(file, _CONTROLLER):
-            raise _error(connection, "in use by another controller", "one controller", "end the other one")
+            raise _error(
+                connection,
+                "in use by another controller",
+                "one controller",
+                "end the other one",
+            )
         yield file
     finally:
         os.close(file)
@@ -339,7 +395,9 @@ def _attached(connection: SharedMemory, patience: float) -> Iterator[int]:
 def _existing(connection: SharedMemory) -> int | None:
     """Open shared memory that an arm serves; None where none does."""
     file = _open_shared(connection, 0)
-    if file is None or (os.fstat(file).st_size == _kernels.realtime_memory_size() and _served(file)):
+    if file is None or (
+        os.fstat(file).st_size == _kernels.realtime_memory_size() and _served(file)
+    ):
         return file
     os.close(file)
     return None
@@ -348,7 +406,9 @@ def _existing(connection: SharedMemory) -> int | None:
 @contextmanager
 def _loaded(connection: Library) -> Iterator[tuple[int, int]]:
     """Load the library and open its board; yields the addresses of its two functions."""
-    path = connection.path.resolve()  # without a slash the loader would search its own folders
+    path = (
+        connection.path.resolve()
+    )  # without a slash the loader would search its own folders
     try:
         library = ctypes.CDLL(str(path))
     except OSError as error:
@@ -357,13 +417,15 @@ def _loaded(connection: Library) -> Iterator[tuple[int, int]]:
     read, write, version, begin, end = (getattr(library, name, None) for name in names)
     if read is None or write is None or version is None:
         raise _unfit(connection, "without arm_read, arm_write and arm_io_version")
-    # Asked before the board is opened: what a struct of another layout would do to a motor is not found out.
+    # Asked before the board is opened: what a struct of another layout would do to a
+    # motor is not found out.
     if version() != IO_VERSION:
         raise _unfit(connection, f"made for version {version()} of arm_io.h")
     if begin is not None and (code := begin()) != 0:
         raise _unfit(connection, f"not ready: arm_open gave {code}")
     try:
-        # Addresses, not functions: the loop in C calls them without the interpreter's lock.
+        # Addresses, not functions: the loop in C calls them without the interpreter's
+        # lock.
         yield _address(read), _address(write)
     finally:
         if end is not None:
@@ -383,6 +445,10 @@ def _callables(connection: Callback) -> Any:
     for name in ("read", "write"):
         if not callable(value := getattr(connection, name)):
             field, remedy = f"callback.{name}", "give a function"
-            raise FieldError(field, value, "not a function", allowed="a callable", remedy=remedy)
+            raise FieldError(
+                field, value, "not a function", allowed="a callable", remedy=remedy
+            )
     apply = connection.write
-    return _kernels.RealtimeIo.callables(connection.read, lambda *values: apply(Command(*values)))
+    return _kernels.RealtimeIo.callables(
+        connection.read, lambda *values: apply(Command(*values))
+    )

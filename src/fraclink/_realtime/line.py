@@ -1,4 +1,6 @@
-"""An arm one period at a time, for loops in Python that decide what comes next by what they just read."""
+"""An arm one period at a time, for loops in Python that decide what comes next by what
+they just read.
+"""
 
 from __future__ import annotations
 
@@ -33,11 +35,15 @@ class ArmLost(FraclinkError):
     """The arm sends no more samples; a stop was sent."""
 
     def __init__(self, periods: int) -> None:
-        super().__init__(f"no sample in {periods} periods: the link to the arm is lost; a stop was sent")
+        super().__init__(
+            f"no sample in {periods} periods: the link to the arm is lost; a stop was sent"
+        )
 
 
 class Reading(NamedTuple):
-    """One sample: motor angle [rad], torque [N·m], and the periods since the one before (1: none lost)."""
+    """One sample: motor angle [rad], torque [N·m], and the periods since the one before
+    (1: none lost).
+    """
 
     angle: float
     torque: float
@@ -53,14 +59,18 @@ class SignalWatch(Protocol):
 class ArmLine:
     """An open way to an arm; `exchange` gives a voltage and returns the next sample.
 
-    An arm with a clock of its own (udp, shm) sets the pace; the others are read on deadlines of `clock`.
+    An arm with a clock of its own (udp, shm) sets the pace; the others are read on
+    deadlines of `clock`.
     """
 
-    def __init__(self, way: Any, period: float, clock: Any, signals: SignalWatch) -> None:
+    def __init__(
+        self, way: Any, period: float, clock: Any, signals: SignalWatch
+    ) -> None:
         self.period = period
         self._way, self._clock, self._signals = way, clock, signals
         self._tick = 0
-        # A board without a clock is as old as its first read, so the next one is due a period later.
+        # A board without a clock is as old as its first read, so the next one is due a
+        # period later.
         self._due = clock.now + period
         self._seen = way.taken if way.clocked else 0
         self._last = clock.now
@@ -68,13 +78,15 @@ class ArmLine:
     def exchange(self, voltage: float) -> Reading:
         """Give a voltage [V] and return the sample that comes next.
 
-        Raises `Stopped` after a signal, `ArmLost` where no sample came for five periods. An arm with a clock
-        of its own numbers its samples: where this process was late for some, the newest says how many.
+        Raises `Stopped` after a signal, `ArmLost` where no sample came for five
+        periods. An arm with a clock of its own numbers its samples: where this process
+        was late for some, the newest says how many.
         """
         if self._signals.is_set():
             raise Stopped
         self._tick += 1
-        # Mode 1, "run"; the motor reference means nothing to an arm that obeys voltages.
+        # Mode 1, "run"; the motor reference means nothing to an arm that obeys
+        # voltages.
         self._way.write(0.0, voltage, self._tick, 1, 0, 0)
         periods, found = 0, None
         while found is None:
@@ -83,15 +95,19 @@ class ArmLine:
                 raise ArmLost(_LOST)
             found = self._awaited() if self._way.clocked else self._on_time()
         if self._way.clocked:
-            # The sample's own number counts, not how often was looked: a process that slept finds the newest
-            # one at once, and the motion since would be taken for one of a single period.
+            # The sample's own number counts, not how often was looked: a process that
+            # slept finds the newest one at once, and the motion since would be taken
+            # for one of a single period.
             before, self._seen = self._seen, self._way.taken
             periods = max((self._seen - before) % _NUMBERS, 1)
         return Reading(found[1], found[2], periods)
 
     def _awaited(self) -> tuple[int, float, float] | None:
-        """The next sample of an arm that sends it; None where a period and a half brought none."""
-        # A sample that is half a period late has jitter, one that is later is lost: the next is due.
+        """The next sample of an arm that sends it; None where a period and a half
+        brought none.
+        """
+        # A sample that is half a period late has jitter, one that is later is lost: the
+        # next is due.
         last = self._clock.now + 1.5 * self.period
         while (found := self._way.read()) is None or not math.isfinite(found[1]):
             if self._clock.now > last:
@@ -100,12 +116,13 @@ class ArmLine:
         return found  # type: ignore[no-any-return]
 
     def _on_time(self) -> tuple[int, float, float] | None:
-        # Absolute deadlines: sleeping a period each time would add the work of every period to its length.
+        # Absolute deadlines: sleeping a period each time would add the work of every
+        # period to its length.
         wait = self._due - self._clock.now
         if wait > 0:
             self._clock.sleep(wait)
-        # Deadlines that went by are dropped. Made up for, they would be reads in a burst, each taken for a
-        # period of motion.
+        # Deadlines that went by are dropped. Made up for, they would be reads in a
+        # burst, each taken for a period of motion.
         self._due = max(self._due + self.period, self._clock.now)
         found = self._way.read()
         return None if found is None or not math.isfinite(found[1]) else found
@@ -121,7 +138,9 @@ class ArmLine:
 
 
 class _Called:
-    """A `Callback` behind the calls of the kernel's way, without the way through C and back."""
+    """A `Callback` behind the calls of the kernel's way, without the way through C and
+    back.
+    """
 
     clocked = False
 
@@ -138,7 +157,9 @@ class _Called:
 
 
 class _NoClock:
-    """The clock of an arm in this process that has none: a period is over when it was asked for."""
+    """The clock of an arm in this process that has none: a period is over when it was
+    asked for.
+    """
 
     now = 0.0
 
@@ -148,12 +169,18 @@ class _NoClock:
 
 @contextlib.contextmanager
 def open_line(
-    connection: Connection, period: float | None, *, patience: float = 5.0, clock: Any = None
+    connection: Connection,
+    period: float | None,
+    *,
+    patience: float = 5.0,
+    clock: Any = None,
 ) -> Iterator[tuple[ArmLine, Reading]]:
-    """Open the way to an arm; yields the line and the first sample. However it ends, a stop is sent.
+    """Open the way to an arm; yields the line and the first sample. However it ends, a
+    stop is sent.
 
-    `period` [s] may be None for an arm that states its own; FieldError where neither does, or they differ.
-    `clock` may be a `VirtualClock`, or "none" for an arm in this process that lives by its calls alone.
+    `period` [s] may be None for an arm that states its own; FieldError where neither
+    does, or they differ. `clock` may be a `VirtualClock`, or "none" for an arm in this
+    process that lives by its calls alone.
     """
     check_machine()
     time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
@@ -164,7 +191,9 @@ def open_line(
         else:
             way = stack.enter_context(controller_end(connection, patience))
         first = _first_sample(way, connection, period, patience, time, signals)
-        line = ArmLine(way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals)
+        line = ArmLine(
+            way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals
+        )
         try:
             yield line, Reading(first[1], first[2], 1)
         finally:
@@ -183,19 +212,35 @@ def _first_sample(
     while (found := way.read()) is None or not math.isfinite(found[1]):
         if signals.is_set():
             raise Stopped
-        way.write(0.0, 0.0, 0, 0, 0, 0)  # idle: how an arm learns whom to send its samples to
+        way.write(
+            0.0, 0.0, 0, 0, 0, 0
+        )  # idle: how an arm learns whom to send its samples to
         if clock.now > last:
             problem = f"silent: no sample in {patience:g} s"
             remedy = "start the arm first (`fraclink serve-arm`), or check the board"
-            raise FieldError("io", str(connection), problem, allowed="an arm that answers", remedy=remedy)
+            raise FieldError(
+                "io",
+                str(connection),
+                problem,
+                allowed="an arm that answers",
+                remedy=remedy,
+            )
         clock.sleep(look)
     if period is None and not found[0]:
         allowed, remedy = "the board's sampling period [s]", "give --period-ms"
-        raise FieldError("period", None, "not stated by this board", allowed=allowed, remedy=remedy)
-    # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value in both.
+        raise FieldError(
+            "period", None, "not stated by this board", allowed=allowed, remedy=remedy
+        )
+    # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value
+    # in both.
     if period is not None and found[0] and period_ns(period) != found[0]:
-        allowed, remedy = f"{1e-9 * found[0]:g} s", "leave it out: this arm states its own"
-        raise FieldError("period", period, "not the arm's", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            f"{1e-9 * found[0]:g} s",
+            "leave it out: this arm states its own",
+        )
+        raise FieldError(
+            "period", period, "not the arm's", allowed=allowed, remedy=remedy
+        )
     return found  # type: ignore[no-any-return]
 
 
@@ -208,10 +253,12 @@ class _Noted:
 
 @contextlib.contextmanager
 def _noted_signals() -> Iterator[_Noted]:
-    """Note every signal that would end or stop the process instead of obeying it, in any thread.
+    """Note every signal that would end or stop the process instead of obeying it, in
+    any thread.
 
-    By the loop's own watch: Python's `signal.signal` works in the main thread alone, and a notebook's kernel
-    or a server runs this in a worker. Stopping counts: a process that sleeps behind Ctrl-Z answers no arm.
+    By the loop's own watch: Python's `signal.signal` works in the main thread alone,
+    and a notebook's kernel or a server runs this in a worker. Stopping counts: a
+    process that sleeps behind Ctrl-Z answers no arm.
     """
     _kernels.realtime_watch_signals()
     try:

@@ -34,13 +34,19 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-PRIORITY = 80  # above the kernel's interrupt threads (50), below what keeps the machine alive (99)
+# above the kernel's interrupt threads (50), below what keeps the machine alive (99)
+PRIORITY = 80
 Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
 # A desktop's loop is not faster than that, and needs none of this when it is slower.
-_PERIOD = Between(5e-5, 1.0, "s", remedy="design for another period, or run the law on a board")
+_PERIOD = Between(
+    5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
+)
 _MEASURED = 0.5  # [s], which nobody minds before a move
-_STEP = 0.002  # [s] at most between two wake-ups: how late they come hardly depends on how long one slept
-# Wake-ups later than a period: a machine that misses one in a hundred misses some in every move of a second.
+# [s] at most between two wake-ups: how late they come hardly depends on how long one
+# slept
+_STEP = 0.002
+# Wake-ups later than a period: a machine that misses one in a hundred misses some in
+# every move of a second.
 _LATE_SHARE = 0.01
 
 
@@ -59,13 +65,16 @@ class Spread(NamedTuple):
             return Spread(*[float("nan")] * 4)
         # "higher": a quantile that was measured, not one between two
         high = np.quantile(values, 0.999, method="higher")
-        return Spread(float(values.min()), float(values.mean()), float(high), float(values.max()))
+        return Spread(
+            float(values.min()), float(values.mean()), float(high), float(values.max())
+        )
 
 
 @compared
 @dataclass(frozen=True, eq=False)
 class WakeUps:
-    """How late this machine woke a loop that does nothing else: `latency` [s] of every wake-up, shape (N,).
+    """How late this machine woke a loop that does nothing else: `latency` [s] of every
+    wake-up, shape (N,).
 
     period: which was asked for [s]; scheduling, memory: what the machine granted.
 
@@ -88,13 +97,19 @@ class WakeUps:
 
     @property
     def kept(self) -> bool:
-        """Whether the period can be kept: at most 1 % of the wake-ups were later than a period."""
+        """Whether the period can be kept: at most 1 % of the wake-ups were later than a
+        period.
+        """
         return self.late <= _LATE_SHARE
 
     def __str__(self) -> str:
         spread = Spread.of(self.latency)
         times = f"wake-ups {_time(spread.mean)} late on average, {_time(spread.most)} at most"
-        said = "can be kept" if self.kept else f"cannot be kept, {100 * self.late:.2g} % came later than that"
+        said = (
+            "can be kept"
+            if self.kept
+            else f"cannot be kept, {100 * self.late:.2g} % came later than that"
+        )
         return f"{times} ({self.scheduling}, memory {self.memory}): {1e3 * self.period:g} ms {said}"
 
     def check(self) -> None:
@@ -123,7 +138,8 @@ def measure_wake_ups(
     lock_memory: bool = True,
     clock: Any = None,
 ) -> WakeUps:
-    """Sleep and wake up for `duration` as the real-time loop does, and return how late this machine was.
+    """Sleep and wake up for `duration` as the real-time loop does, and return how late
+    this machine was.
 
     Parameters
     ----------
@@ -145,12 +161,16 @@ def measure_wake_ups(
     """
     check_machine()
     period_ns(period)
-    # 250 wake-ups in half a second at least: at 20 ms alone there would be 25, and a share of 1 % could not
-    # be seen.
+    # 250 wake-ups in half a second at least: at 20 ms alone there would be 25, and a
+    # share of 1 % could not be seen.
     sleep = min(period, _STEP) if step is None else step
     latency = np.zeros(max(1, round(duration / sleep)))
     outcome = _kernels.realtime_bare(
-        latency, period_ns(sleep), priority, lock_memory, clock or _kernels.RealtimeClock(0)
+        latency,
+        period_ns(sleep),
+        priority,
+        lock_memory,
+        clock or _kernels.RealtimeClock(0),
     )
     # The kernel left the loop before its time, which only a signal makes it do.
     if int(outcome["count"]) < len(latency):
@@ -163,7 +183,9 @@ def check_machine() -> None:
     if not _kernels.REALTIME:
         problem = "without clock_nanosleep, mlockall and SCHED_FIFO"
         remedy = "export the law with `fraclink export c` and run it on the board"
-        raise FieldError("system", sys.platform, problem, allowed="Linux", remedy=remedy)
+        raise FieldError(
+            "system", sys.platform, problem, allowed="Linux", remedy=remedy
+        )
 
 
 def period_ns(period: float) -> int:
@@ -177,10 +199,12 @@ def period_ns(period: float) -> int:
 
 @contextlib.contextmanager
 def signals_held() -> Iterator[threading.Event]:
-    """Hold every signal that would end or stop the process until the block ends, in any thread.
+    """Hold every signal that would end or stop the process until the block ends, in any
+    thread.
 
-    What came then takes its course, unless the event that this yields was set: it was obeyed already. A
-    closed terminal sends two, some milliseconds apart, and whoever presses Ctrl-C once does so again.
+    What came then takes its course, unless the event that this yields was set: it was
+    obeyed already. A closed terminal sends two, some milliseconds apart, and whoever
+    presses Ctrl-C once does so again.
     """
     check_machine()
     obeyed = threading.Event()
@@ -189,28 +213,40 @@ def signals_held() -> Iterator[threading.Event]:
         yield obeyed
     finally:
         _kernels.realtime_release_signals()
-        # Asked for after the release, which leaves the number: one that came between both would be forgotten.
+        # Asked for after the release, which leaves the number: one that came between
+        # both would be forgotten.
         number = _kernels.realtime_signalled()
     # Not after an exception, which ends what the signal would have ended.
     if number and not obeyed.is_set():
         signal.raise_signal(number)
 
 
-def granted(outcome: dict[str, float], priority: int, lock_memory: bool) -> tuple[str, str]:
+def granted(
+    outcome: dict[str, float], priority: int, lock_memory: bool
+) -> tuple[str, str]:
     """Return in words what came of asking for SCHED_FIFO and for memory that stays."""
-    # Asked for separately: a container often grants the one and refuses the other, and the reader must know
-    # which.
-    memory = _granted("locked", int(outcome["memory_error"])) if lock_memory else "not locked, as asked"
+    # Asked for separately: a container often grants the one and refuses the other, and
+    # the reader must know which.
+    memory = (
+        _granted("locked", int(outcome["memory_error"]))
+        if lock_memory
+        else "not locked, as asked"
+    )
     return granted_priority(priority, int(outcome["priority_error"])), memory
 
 
 def granted_priority(priority: int, refused: int) -> str:
-    """Return in words what came of asking for SCHED_FIFO; `refused` is the errno, 0 where it was granted.
+    """Return in words what came of asking for SCHED_FIFO; `refused` is the errno, 0
+    where it was granted.
 
     >>> granted_priority(80, 0), granted_priority(80, 1)
     ('SCHED_FIFO 80', 'refused (Operation not permitted)')
     """
-    return _granted(f"SCHED_FIFO {priority}", refused) if priority else "ordinary, as asked"
+    return (
+        _granted(f"SCHED_FIFO {priority}", refused)
+        if priority
+        else "ordinary, as asked"
+    )
 
 
 def _granted(what: str, refused: int) -> str:

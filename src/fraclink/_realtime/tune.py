@@ -1,4 +1,6 @@
-"""`tune`: from an unknown arm to a law, stage by stage; each is written before the next begins."""
+"""`tune`: from an unknown arm to a law, stage by stage; each is written before the next
+begins.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,21 @@ from fraclink.errors import FieldError, FraclinkError
 
 __all__ = ["tune"]
 
-# A repeated experiment is twice as long, and its errors 0.7 of the first one's: what three do not show is not
-# a matter of length.
+# A repeated experiment is twice as long, and its errors 0.7 of the first one's: what
+# three do not show is not a matter of length.
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
 LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
-# A minute and a half is what a person stays at the emergency stop for without looking away.
+# A minute and a half is what a person stays at the emergency stop for without looking
+# away.
 _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
-_FAR_OFF = 2.0  # times the errors that suffice: less of an excess is in the box, and costs a degree of margin
+# times the errors that suffice: less of an excess is in the box, and costs a degree of
+# margin
+_FAR_OFF = 2.0
 _FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
-# First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %, another gear K/J by
-# more.
-_OTHER_ARM = 0.35  # of the first guesses, which scatter by a tenth, between a tuning and its resumption
+# First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %,
+# another gear K/J by more. of the first guesses, which scatter by a tenth, between a
+# tuning and its resumption
+_OTHER_ARM = 0.35
 
 
 @checked
@@ -55,10 +61,12 @@ def tune(
     begin: Callable[[str], None] = lambda stage: None,
     clock: Any = None,
 ) -> Tuning:
-    """Tune an arm: wiring, motor, link, design, proof, law and first moves, within limits that are kept.
+    """Tune an arm: wiring, motor, link, design, proof, law and first moves, within
+    limits that are kept.
 
-    Every stage is written to `out` when it is whole. A limit, a wrong sign, a lost link or a signal switches
-    the drive off and ends the tuning; its reason is in the result, its record in ``log.npz``.
+    Every stage is written to `out` when it is whole. A limit, a wrong sign, a lost link
+    or a signal switches the drive off and ends the tuning; its reason is in the result,
+    its record in ``log.npz``.
 
     Parameters
     ----------
@@ -69,8 +77,8 @@ def tune(
     out
         folder for the results.
     resume
-        go on behind the last stage that is whole; the wiring is looked at again in any case. With another
-        payload of the range, move the law that is there with it.
+        go on behind the last stage that is whole; the wiring is looked at again in any
+        case. With another payload of the range, move the law that is there with it.
     force
         overwrite an earlier tuning.
     moves
@@ -83,7 +91,8 @@ def tune(
     Raises
     ------
     FieldError
-        a value out of its range, an arm that does not answer, files that are there, nothing to resume.
+        a value out of its range, an arm that does not answer, files that are there,
+        nothing to resume.
 
     Examples
     --------
@@ -98,26 +107,30 @@ def tune(
     """
     before = _resumed(out, plan) if resume else None
     if not resume:
-        # Looked at before the arm moves: a minute of motion must not end at a file that may not be written.
+        # Looked at before the arm moves: a minute of motion must not end at a file that
+        # may not be written.
         for name in FILES:
             output_path(out / name, force=force)
     out.mkdir(parents=True, exist_ok=True)
     guard: Guard | None = None
     session = _Session(connection, plan, out, moves, begin, clock, before)
-    # Until the record is kept, and not only while the arm moves: a closed terminal sends a second signal, and
-    # one that comes while something is computed ends the tuning at the next motion, or after the last.
+    # Until the record is kept, and not only while the arm moves: a closed terminal
+    # sends a second signal, and one that comes while something is computed ends the
+    # tuning at the next motion, or after the last.
     with signals_held() as obeyed:
         try:
             guard = session.open()
             session.go(guard)
-        # Whatever a stage can meet ends with a state that is saved. Before the guard there is none: the error
-        # is the caller's.
+        # Whatever a stage can meet ends with a state that is saved. Before the guard
+        # there is none: the error is the caller's.
         except (FraclinkError, OSError, KeyboardInterrupt) as error:
             if guard is None:
                 raise
             if isinstance(error, Stopped):
                 obeyed.set()
-            session.end((str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard))
+            session.end(
+                (str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard)
+            )
         finally:
             if guard is not None:
                 guard.release()
@@ -130,18 +143,32 @@ def _resumed(out: Path, plan: TuningPlan) -> Tuning:
     if not place.is_file():
         allowed = f"a folder with {FILES[0]}"
         raise FieldError(
-            "resume", str(out), "nothing to resume", allowed=allowed, remedy="leave --resume out"
+            "resume",
+            str(out),
+            "nothing to resume",
+            allowed=allowed,
+            remedy="leave --resume out",
         )
     found: Tuning = load(place, Tuning)
     low, high = found.payloads
-    # Another payload is another ω₀: the fit would be of neither arm. With a law whose box holds that payload
-    # nothing needs to be fitted, only moved.
-    if found.payload != plan.payload and not (found.has_law and low <= plan.payload <= high):
+    # Another payload is another ω₀: the fit would be of neither arm. With a law whose
+    # box holds that payload nothing needs to be fitted, only moved.
+    if found.payload != plan.payload and not (
+        found.has_law and low <= plan.payload <= high
+    ):
         remedy = "resume with the same payload, or tune anew"
         allowed = f"{found.payload:g} kg, as before"
         if found.has_law:
-            allowed += f", or {low:g} to {high:g} kg to move the law with another payload"
-        raise FieldError("payload", plan.payload, "another than before", allowed=allowed, remedy=remedy)
+            allowed += (
+                f", or {low:g} to {high:g} kg to move the law with another payload"
+            )
+        raise FieldError(
+            "payload",
+            plan.payload,
+            "another than before",
+            allowed=allowed,
+            remedy=remedy,
+        )
     return found
 
 
@@ -165,10 +192,18 @@ class _Session:
         guard = Guard(opened, self.plan.limits)
         plan = self.plan
         self.state = self.before or Tuning(
-            plan.limits, plan.payload, plan.range, guard.period, folder=str(self.out), rig=plan.rig
+            plan.limits,
+            plan.payload,
+            plan.range,
+            guard.period,
+            folder=str(self.out),
+            rig=plan.rig,
         )
-        # Limits may be drawn tighter or wider on resuming: they belong to whoever stands at the arm now.
-        self.state = replace(self.state, stopped="", folder=str(self.out), limits=plan.limits)
+        # Limits may be drawn tighter or wider on resuming: they belong to whoever
+        # stands at the arm now.
+        self.state = replace(
+            self.state, stopped="", folder=str(self.out), limits=plan.limits
+        )
         return guard
 
     def go(self, guard: Guard) -> None:
@@ -176,7 +211,8 @@ class _Session:
         self.begin("wiring")
         wiring = check_wiring(guard, self.plan.rig)
         self._same_arm(wiring)
-        # From the first guess on, so that the motor's own moves cannot run past the speed limit.
+        # From the first guess on, so that the motor's own moves cannot run past the
+        # speed limit.
         guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
         if self.plan.payload != self.state.payload:
@@ -195,17 +231,19 @@ class _Session:
                 )
             )
             self._write(guard, motor=motor)
-        assert self.state.motor is not None  # noqa: S101  # measured now, or before
+        assert self.state.motor is not None  # measured now, or before  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
         link, built, laws = self._link(guard, begin)
         if built.passed and self.moves:
             self._move(guard, link, itertools.chain((built,), laws))
 
     def _carry(self, guard: Guard) -> None:
-        """Move the law that is there with another payload of its range, which the arm carries now."""
+        """Move the law that is there with another payload of its range, which the arm
+        carries now.
+        """
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
-        assert self.state.motor is not None  # noqa: S101  # there is a law
+        assert self.state.motor is not None  # there is a law  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
         why = self._refusal(guard, Built(design.rig, design, law, None, ()))
         if why:
@@ -213,7 +251,9 @@ class _Session:
             self._tell(self.state.reasons)
 
     def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
-        """First moves under the law; one that the arm refuses is withheld, and the next one is tried."""
+        """First moves under the law; one that the arm refuses is withheld, and the next
+        one is tried.
+        """
         for number, built in enumerate(itertools.islice(laws, LAWS)):
             if number:
                 self.begin("the arm refused that law, which is withheld; the next one")
@@ -224,12 +264,16 @@ class _Session:
             self._withhold(why)
 
     def _refusal(self, guard: Guard, built: Built) -> str:
-        """Make the first moves, and return why the arm refuses the law, "" where it does not."""
-        assert built.design is not None and built.law is not None  # noqa: S101  # passed
-        assert self.state.motor is not None  # noqa: S101  # measured
+        """Make the first moves, and return why the arm refuses the law, "" where it
+        does not.
+        """
+        assert built.design is not None and built.law is not None  # passed  # noqa: S101
+        assert self.state.motor is not None  # measured  # noqa: S101
         self.begin("first moves")
         try:
-            found = first_moves(guard, built.design, built.law, self.state.motor, self.plan.payload)
+            found = first_moves(
+                guard, built.design, built.law, self.state.motor, self.plan.payload
+            )
         except LimitReached as error:
             self._withhold(str(error))
             raise
@@ -238,15 +282,19 @@ class _Session:
         finally:
             guard.release()
         self._tell(tuple(map(str, found)))
-        # Moves with other payloads stay, so that a verdict is over the whole range that was tried.
-        others = tuple(move for move in self.state.moves if move.payload != self.plan.payload)
+        # Moves with other payloads stay, so that a verdict is over the whole range that
+        # was tried.
+        others = tuple(
+            move for move in self.state.moves if move.payload != self.plan.payload
+        )
         self._write(guard, moves=others + found)
         return "; ".join(self.state.verdict.reality.reasons)
 
     def _withhold(self, why: str) -> None:
         """Take back the law that the arm refused: its files, and that it passed."""
         for name in LAW_FILES:
-            # Not only in the state: `run-realtime` takes a design.json as it lies there.
+            # Not only in the state: `run-realtime` takes a design.json as it lies
+            # there.
             (self.out / name).unlink(missing_ok=True)
         self.state = replace(
             self.state,
@@ -257,8 +305,12 @@ class _Session:
         )
         save(self.state, self.out / FILES[0], force=True)
 
-    def _link(self, guard: Guard, begin: Any) -> tuple[LinkResult, Built, Iterator[Built]]:
-        """The link's experiments, at most three where a gate or the proof fails, and the law."""
+    def _link(
+        self, guard: Guard, begin: Any
+    ) -> tuple[LinkResult, Built, Iterator[Built]]:
+        """The link's experiments, at most three where a gate or the proof fails, and
+        the law.
+        """
         state, plan = self.state, self.plan
         assert state.wiring is not None and state.motor is not None  # noqa: S101
         # A link that was fitted before is designed for at once; its experiment counts.
@@ -269,7 +321,12 @@ class _Session:
                 self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
                 longer = 1.0 if attempt == 1 else 2.0
                 link, _ = tune_link(
-                    guard, state.wiring, state.motor, plan.payload, begin=begin, longer=longer
+                    guard,
+                    state.wiring,
+                    state.motor,
+                    plan.payload,
+                    begin=begin,
+                    longer=longer,
                 )
                 self._tell(tuple(str(link.fit).splitlines()))
                 self._write(guard, link=link, attempts=attempt)
@@ -285,12 +342,16 @@ class _Session:
                 stated=plan.rig,
                 name=self.out.name[:100] or "arm",
             )
-            # A law that the arm has refused is refused after a resumption, too: they are made in the same
-            # order.
+            # A law that the arm has refused is refused after a resumption, too: they
+            # are made in the same order.
             laws = itertools.islice(built_laws(rig, link), state.refused, None)
-            built = next(laws, None) or Built(rig, None, None, None, state.reasons)  # all refused before
+            built = next(laws, None) or Built(
+                rig, None, None, None, state.reasons
+            )  # all refused before
             self._wrote(built, link)
-            spent = guard.count * guard.period + 2.0 * sum(duration for _, duration, _ in link.rounds)
+            spent = guard.count * guard.period + 2.0 * sum(
+                duration for _, duration, _ in link.rounds
+            )
             # What the next one would take: it is twice as long as the last.
             tired = attempt >= EXPERIMENTS or spent > _PATIENCE
             if built.passed or tired or not _worth_repeating(built, link):
@@ -367,10 +428,15 @@ class _Session:
             save(log, self._free_log())
 
     def _free_log(self) -> Path:
-        """The next log that is not there yet: a tuning that goes on keeps what was recorded before."""
+        """The next log that is not there yet: a tuning that goes on keeps what was
+        recorded before.
+        """
         if self.before is None:
             (self.out / "log.npz").unlink(missing_ok=True)
-        names = (f"log{f'-{number}' if number > 1 else ''}.npz" for number in itertools.count(1))
+        names = (
+            f"log{f'-{number}' if number > 1 else ''}.npz"
+            for number in itertools.count(1)
+        )
         return next(self.out / name for name in names if not (self.out / name).exists())
 
     def _tell(self, lines: tuple[str, ...]) -> None:
@@ -379,7 +445,9 @@ class _Session:
 
 
 def _lateness(guard: Guard) -> str:
-    """What lost samples add to why a tuning ended: a busy machine looks like another arm."""
+    """What lost samples add to why a tuning ended: a busy machine looks like another
+    arm.
+    """
     if guard.lost <= _FEW_LOST * guard.count:
         return ""
     return (
@@ -389,5 +457,9 @@ def _lateness(guard: Guard) -> str:
 
 
 def _worth_repeating(built: Built, link: LinkResult) -> bool:
-    """Whether a longer experiment can help: a gate of the fit failed, or its errors are far too large."""
-    return (built.design is None and not link.fit.passed) or shortfall(link.fit) > _FAR_OFF
+    """Whether a longer experiment can help: a gate of the fit failed, or its errors are
+    far too large.
+    """
+    return (built.design is None and not link.fit.passed) or shortfall(
+        link.fit
+    ) > _FAR_OFF

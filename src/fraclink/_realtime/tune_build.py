@@ -1,4 +1,6 @@
-"""From what was measured to a law: the rig as it was found, the design over the box, the certificate."""
+"""From what was measured to a law: the rig as it was found, the design over the box,
+the certificate.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ import numpy as np
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import hold, smooth_step
-from fraclink._arm.rig import Encoder, Gauge, Link, Motor, Payloads, Rig, StatedTolerances
+from fraclink._arm.rig import (
+    Encoder,
+    Gauge,
+    Link,
+    Motor,
+    Payloads,
+    Rig,
+    StatedTolerances,
+)
 from fraclink._certify import Certificate, certify
 from fraclink._design import Design, design
 from fraclink._design.completed import design_for
@@ -25,10 +35,11 @@ from fraclink.errors import FieldError, InfeasibleError
 
 __all__ = ["Built", "build_law", "built_laws", "link_twins", "measured_rig"]
 
-# Crossover over the torque resonance of the heaviest payload (below 1 nothing crosses right of the peak), the
-# phase margin [°] that the whole box keeps, and the filter's time times that resonance. The filter of
-# `design`'s rule is shorter than a period: with a late gauge β is above one, and the noise saturates the
-# voltage. Three tenths cost little margin, as β grows with them, and take a fifth of the noise and a third of
+# Crossover over the torque resonance of the heaviest payload (below 1 nothing crosses
+# right of the peak), the phase margin [°] that the whole box keeps, and the filter's
+# time times that resonance. The filter of `design`'s rule is shorter than a period:
+# with a late gauge β is above one, and the noise saturates the voltage. Three tenths
+# cost little margin, as β grows with them, and take a fifth of the noise and a third of
 # the gain at a second mode that nobody has seen.
 _WANTED: tuple[tuple[float, float, float], ...] = (
     (1.05, 32.0, 0.3),
@@ -41,32 +52,44 @@ _WANTED: tuple[tuple[float, float, float], ...] = (
     (1.05, 40.0, 0.3),
     (1.1, 25.0, 0.15),
 )
-# Where none of these gives a law: crossovers and filters at which a margin is looked for between one with
-# which moves ring and one with which the second mode is too loud; its lowest value, widest gap [°], halvings.
+# Where none of these gives a law: crossovers and filters at which a margin is looked
+# for between one with which moves ring and one with which the second mode is too loud;
+# its lowest value, widest gap [°], halvings.
 _BETWEEN = ((1.035, 0.4), (1.02, 0.4), (1.05, 0.3))
 _LOWEST, _GAP, _HALVINGS = 25.0, 12.0, 3
-# Loop gain at a second mode that was measured: below one over the whole box no phase of the mode matters, and
-# the proof holds the mode besides; below 0.7 is preferred, by the 3 dB that `design_for` keeps.
+# Loop gain at a second mode that was measured: below one over the whole box no phase of
+# the mode matters, and the proof holds the mode besides; below 0.7 is preferred, by the
+# 3 dB that `design_for` keeps.
 _MODE_GAIN, _MODE_PREFERRED = 0.95, 0.7
-# What a second mode may differ by from where a burst showed it a minute ago, relative: with the payload it
-# moves by 3 %. The 5 and 20 % of an arm that nobody has measured so cost a heavy link its law.
+# What a second mode may differ by from where a burst showed it a minute ago, relative:
+# with the payload it moves by 3 %. The 5 and 20 % of an arm that nobody has measured so
+# cost a heavy link its law.
 _MODE_FREQUENCY, _MODE_SIZE = 0.03, 0.10
-# What an arm that was measured a minute ago may differ by until `watch` says so; the fit's own intervals are
-# added. A quarter of what a rig file allows an arm that nobody has looked at for a year costs less margin.
+# What an arm that was measured a minute ago may differ by until `watch` says so; the
+# fit's own intervals are added. A quarter of what a rig file allows an arm that nobody
+# has looked at for a year costs less margin.
 _DRIFT = StatedTolerances(
-    natural_frequency=0.015, order=0.01, gauge_gain=0.03, gauge_delay=0.001, motor_pole=0.05
+    natural_frequency=0.015,
+    order=0.01,
+    gauge_gain=0.03,
+    gauge_delay=0.001,
+    motor_pole=0.05,
 )
-# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks reach the limit, and a
-# loop that saturates has no margin.
+# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks
+# reach the limit, and a loop that saturates has no margin.
 _NOISE, _AT_REST = 0.12, 1.5  # [s]
 _MOVE, _PERIODS = 0.3, 1.2  # [rad], periods of the heaviest payload's vibration
-# Mass of a uniform link over the tuning's payload that a burst without a second mode leaves open. A beam
-# clamped at one end moves like 0.243 of its mass at the tip.
+# Mass of a uniform link over the tuning's payload that a burst without a second mode
+# leaves open. A beam clamped at one end moves like 0.243 of its mass at the tip.
 _LINK_MASSES, _AT_TIP = (0.0, 0.1, 0.25), 0.243
 _LIGHTEST, _HEAVIEST = 0.01, 3.0
-_STEPS = 4  # ω₂ goes nearly with one over the root of the mass: each step leaves a tenth of an error
+# ω₂ goes nearly with one over the root of the mass: each step leaves a tenth of an
+# error
+_STEPS = 4
 _FULL_TURN = 2 * math.pi
-_COUNTED = 2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
+_COUNTED = (
+    2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
+)
 
 
 @dataclass(frozen=True)
@@ -99,32 +122,44 @@ def measured_rig(
 ) -> Rig:
     """The rig as it was measured, at the gear's output and in the gauge's units.
 
-    The length is the one with which ω₀² = c/(mL²) (5) holds; what no motion shows, and what a design shall
-    reach, is as stated.
+    The length is the one with which ω₀² = c/(mL²) (5) holds; what no motion shows, and
+    what a design shall reach, is as stated.
     """
     fit, motor = link.fit, link.motor.fit
-    assert motor.inertia is not None  # noqa: S101  # the link's stage gives it
+    assert motor.inertia is not None  # the link's stage gives it  # noqa: S101
     inertia, model = motor.inertia, fit.model
     length = math.sqrt(model.stiffness / (payload * model.natural_frequency**2))
     # The smallest step seen in a record, where it is small enough to be a count.
-    counts = round(_FULL_TURN / wiring.encoder_step) if 0 < wiring.encoder_step < _COUNTED else None
+    counts = (
+        round(_FULL_TURN / wiring.encoder_step)
+        if 0 < wiring.encoder_step < _COUNTED
+        else None
+    )
     rig = Rig(
         name=name,
         motor=Motor(
             inertia=inertia,
             viscous_friction=motor.decay * inertia,
             torque_constant=motor.gain * inertia,
-            coulomb_torque=(motor.coulomb_voltage + motor.dead_zone) * motor.gain * inertia,
+            coulomb_torque=(motor.coulomb_voltage + motor.dead_zone)
+            * motor.gain
+            * inertia,
             voltage_limit=limits.voltage,
         ),
-        link=Link(length=length, flexural_rigidity=model.stiffness * length / 3, stiffness=model.stiffness),
+        link=Link(
+            length=length,
+            flexural_rigidity=model.stiffness * length / 3,
+            stiffness=model.stiffness,
+        ),
         payloads=Payloads(low=payloads[0], high=payloads[1], nominal=payload),
         period=period,
         encoder=Encoder(counts_per_revolution=counts),
         gauge=Gauge(noise=wiring.gauge_noise),
         motor_loop=link.motor.loop,
         tolerances=_DRIFT,
-        assumptions=("measured by fraclink tune; torques and inertia are in the gauge's units",),
+        assumptions=(
+            "measured by fraclink tune; torques and inertia are in the gauge's units",
+        ),
         source="fraclink tune",
     )
     if stated is None:
@@ -139,14 +174,19 @@ def build_law(rig: Rig, link: LinkResult) -> Built:
 
 
 def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
-    """Laws with a design over the box of what the fit leaves open, a proof, and moves on links with mass.
+    """Laws with a design over the box of what the fit leaves open, a proof, and moves
+    on links with mass.
 
-    The preferred one first; each is made when it is asked for. Where there is none, why the first one is
-    none.
+    The preferred one first; each is made when it is asked for. Where there is none, why
+    the first one is none.
     """
     fit = link.fit
     if not fit.passed:
-        gates = "; ".join(f"{item.code}: {item.message}" for item in fit.findings if item.severity == "error")
+        gates = "; ".join(
+            f"{item.code}: {item.message}"
+            for item in fit.findings
+            if item.severity == "error"
+        )
         yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
         return
     refused: Built | None = None
@@ -162,20 +202,23 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         yield refused or Built(rig, None, None, None, (_none(rig, fit.model, missed),))
 
 
-def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple[Design, tuple[str, ...]]]:
-    """The designs that keep their requirements over the box, the preferred one first; the others go to
-    `missed`.
+def _designs(
+    rig: Rig, model: LinkModel, missed: list[Design]
+) -> Iterator[tuple[Design, tuple[str, ...]]]:
+    """The designs that keep their requirements over the box, the preferred one first;
+    the others go to `missed`.
     """
     asked: tuple[str, ...] = ()
     if rig.design is not None:
         try:
-            # The nearest feasible request costs a quarter of a minute; `fraclink design` says it at leisure.
+            # The nearest feasible request costs a quarter of a minute; `fraclink
+            # design` says it at leisure.
             yield design_for(rig, model, box=True, nearest=False)
             asked = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             asked = (f"what the rig asks for is not feasible ({error}); instead:",)
-    # By the heaviest payload, whose resonance is the lowest: a crossover left of any resonance has the margin
-    # that falls the other way.
+    # By the heaviest payload, whose resonance is the lowest: a crossover left of any
+    # resonance has the margin that falls the other way.
     heavy = model.at_payload(rig.payloads.high)
     resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
     second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
@@ -196,7 +239,9 @@ def _designs(rig: Rig, model: LinkModel, missed: list[Design]) -> Iterator[tuple
     for _, made, words in sorted(second_choice, key=lambda row: row[0]):
         yield made, words
     for ratio, share in _BETWEEN:
-        for degrees, made in _between(model, rig, ratio * resonance, share / resonance, tried[ratio, share]):
+        for degrees, made in _between(
+            model, rig, ratio * resonance, share / resonance, tried[ratio, share]
+        ):
             yield made, (*asked, *_words(made, degrees))
 
 
@@ -206,11 +251,18 @@ def _words(made: Design, degrees: float) -> tuple[str, ...]:
         f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the whole "
         "box keeps",
     )
-    return (*words, f"loop gain of {gain:.2g} at most at the second mode") if gain > 0.0 else words
+    return (
+        (*words, f"loop gain of {gain:.2g} at most at the second mode")
+        if gain > 0.0
+        else words
+    )
 
 
 def _mode_gain(made: Design) -> float:
-    return max((item.achieved for item in made.requirements if "mode" in item.name), default=0.0)
+    return max(
+        (item.achieved for item in made.requirements if "mode" in item.name),
+        default=0.0,
+    )
 
 
 def _between(
@@ -220,7 +272,9 @@ def _between(
     filter_time: float,
     tried: list[tuple[float, Design | None]],
 ) -> Iterator[tuple[float, Design]]:
-    """The design whose margin damps the moves and leaves the second mode quiet, where halving meets one."""
+    """The design whose margin damps the moves and leaves the second mode quiet, where
+    halving meets one.
+    """
     low, high, tried = _LOWEST, math.inf, list(tried)
     for turn in range(_HALVINGS + len(tried)):
         if turn < len(tried):
@@ -258,16 +312,23 @@ def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
         return Built(rig, design, law, None, reasons)
     try:
         certificate = certify(design, law=law)
-    except FieldError as error:  # the derived limits leave the correction no room: nothing to prove
+    except (
+        FieldError
+    ) as error:  # the derived limits leave the correction no room: nothing to prove
         return Built(rig, design, law, None, (str(error),))
     if not certificate.passed:
         reasons = (certificate.verdict,)
-    words = (*words, f"at rest the gauge's noise takes {100 * share:.2g} % of the voltage limit")
+    words = (
+        *words,
+        f"at rest the gauge's noise takes {100 * share:.2g} % of the voltage limit",
+    )
     return Built(rig, design, law, certificate, reasons, words)
 
 
 def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
-    """Why there is no design: what each of those that keep their margins over the box misses."""
+    """Why there is no design: what each of those that keep their margins over the box
+    misses.
+    """
     second, least = model.second_mode, min(degrees for _, degrees, _ in _WANTED)
     low, high = (1e3 * payload for payload in (rig.payloads.low, rig.payloads.high))
     text = (
@@ -276,7 +337,12 @@ def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
         f"payloads {low:.3g} to {high:.3g} g)"
     )
     rings = sum(any(one.code == "W409" for one in made.findings) for made in missed)
-    gains = [item.achieved for made in missed for item in made.requirements if not item.passed]
+    gains = [
+        item.achieved
+        for made in missed
+        for item in made.requirements
+        if not item.passed
+    ]
     parts, unkept = [f"of {len(_WANTED)} tried"], len(_WANTED) - len(missed)
     if unkept:
         parts.append(f"{unkept} do not keep their margin")
@@ -291,7 +357,9 @@ def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
 
 
 def _noise(made: Design, law: Law) -> float:
-    """Standard deviation of the voltage at rest, with the gauge's noise, over the limit."""
+    """Standard deviation of the voltage at rest, with the gauge's noise, over the
+    limit.
+    """
     run = simulate(
         law,
         hold(0.0),
@@ -301,11 +369,16 @@ def _noise(made: Design, law: Law) -> float:
         duration=_AT_REST,
         compensation="measured",
     )
-    return float(np.std(run.voltage[run.voltage.size // 3 :])) / made.rig.motor.voltage_limit
+    return (
+        float(np.std(run.voltage[run.voltage.size // 3 :]))
+        / made.rig.motor.voltage_limit
+    )
 
 
 def _moves_fail(made: Design, law: Law) -> tuple[str, ...]:
-    """What is wrong with gentle moves of both ends of the payloads, with noise, on links with mass."""
+    """What is wrong with gentle moves of both ends of the payloads, with noise, on
+    links with mass.
+    """
     heavy = made.model.at_payload(made.payloads[1])
     move = smooth_step(_MOVE, _PERIODS * 2.0 * math.pi / abs(heavy.pole))
     for twin in link_twins(made):
@@ -321,19 +394,24 @@ def _moves_fail(made: Design, law: Law) -> tuple[str, ...]:
 
 
 def link_twins(made: Design) -> tuple[Twin, ...]:
-    """The arm with the measured ω₀, its link without a mass and with what the second mode leaves open."""
+    """The arm with the measured ω₀, its link without a mass and with what the second
+    mode leaves open.
+    """
     mode = made.model.second_mode
     ratios = _LINK_MASSES if mode is None else (0.0, _mass_ratio(made, mode.frequency))
     return tuple(_with_link(made, ratio) for ratio in ratios)
 
 
 def _mass_ratio(made: Design, frequency: float) -> float:
-    """Mass of the link over the payload with which a uniform beam has its second mode at `frequency` [rad/s].
+    """Mass of the link over the payload with which a uniform beam has its second mode
+    at `frequency` [rad/s].
 
     A power law moves a mode of ω to ω √(Re (jω)^(2 - λ)).
     """
     missing = 2.0 - made.model.order
-    wanted = frequency / math.sqrt(frequency**missing * math.cos(0.5 * math.pi * missing))
+    wanted = frequency / math.sqrt(
+        frequency**missing * math.cos(0.5 * math.pi * missing)
+    )
     ratio = 0.5
     for _ in range(_STEPS):
         second = float(_with_link(made, ratio).beam.modes(2).frequencies[1])
@@ -344,16 +422,20 @@ def _mass_ratio(made: Design, frequency: float) -> float:
 def _with_link(made: Design, ratio: float) -> Twin:
     rig, model = made.rig, made.model
     payload = model.payload
-    assert payload is not None  # noqa: S101  # the tuning's own
+    assert payload is not None  # the tuning's own  # noqa: S101
     mass = ratio * payload
     length = rig.link.length * math.sqrt(payload / (payload + _AT_TIP * mass))
     flexural = model.stiffness * length / 3
-    link = Link(length=length, flexural_rigidity=flexural, stiffness=model.stiffness, mass=mass)
+    link = Link(
+        length=length, flexural_rigidity=flexural, stiffness=model.stiffness, mass=mass
+    )
     arm = replace(rig, link=link)
     return Twin.from_rig(arm, model=model, payload=payload, damping=damping_of(model))
 
 
-def _asked(model: LinkModel, rig: Rig, crossover: float, degrees: float, filter_time: float) -> Design | None:
+def _asked(
+    model: LinkModel, rig: Rig, crossover: float, degrees: float, filter_time: float
+) -> Design | None:
     box, mode = ParameterBox.of(model, rig), model.second_mode
     if mode is not None:
         box = replace(
@@ -369,8 +451,8 @@ def _asked(model: LinkModel, rig: Rig, crossover: float, degrees: float, filter_
             phase_margin=math.radians(degrees),
             filter_time=filter_time,
             mode_gain=None if mode is None else _MODE_GAIN,
-            # Two poles, whatever β is: a loop gain that stays level up to half the sampling rate comes close
-            # to -1 there.
+            # Two poles, whatever β is: a loop gain that stays level up to half the
+            # sampling rate comes close to -1 there.
             filter_order=2,
             inner="sampled",
             placement="direct",
@@ -387,5 +469,7 @@ def _about(value: float, share: float) -> tuple[float, float]:
 
 
 def late_free(model: LinkModel) -> LinkModel:
-    """The model without a gauge that leads by less than its standard error: a delay below zero is none."""
+    """The model without a gauge that leads by less than its standard error: a delay
+    below zero is none.
+    """
     return model if model.gauge_delay >= 0 else replace(model, gauge_delay=0.0)

@@ -1,4 +1,6 @@
-"""The link: an excitation that is planned from the errors of the last fit and grows until they suffice."""
+"""The link: an excitation that is planned from the errors of the last fit and grows
+until they suffice.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode
 from fraclink._arm.rig import Motor
 from fraclink._files import document
-from fraclink._identify import Fit, design_experiment, identify, identify_motor, simulated_torque
+from fraclink._identify import (
+    Fit,
+    design_experiment,
+    identify,
+    identify_motor,
+    simulated_torque,
+)
 from fraclink._law import Law
 from fraclink._realtime.tune_guard import PLANNED, Guard, Record
 from fraclink._realtime.tune_motion import burst, calm, follow, motor_law, random_steps
@@ -25,32 +33,36 @@ Real = NDArray[np.float64]
 
 __all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
 
-# Standard errors that suffice: their 95 % intervals are no wider than what an arm may drift by until `watch`
-# says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms of its delay.
+# Standard errors that suffice: their 95 % intervals are no wider than what an arm may
+# drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms
+# of its delay.
 ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
-# Sixteen vibrations of the paper's arm (12 rad/s). Errors fall with the root of the length but with the
-# amplitude itself: size is tried first.
+# Sixteen vibrations of the paper's arm (12 rad/s). Errors fall with the root of the
+# length but with the amplitude itself: size is tried first.
 _DURATION, _LONGEST = 8.0, 16.0  # [s] of one excitation
 _LARGER = 3.0  # the most by which an excitation grows at once
 _LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
 _ROUNDS = 2
 _COMPENSATED = 0.8  # of the friction: more than there is would drive
-# A random voltage that changes every 12 ms has power up to 250 rad/s, where a link as heavy as half its
-# payload has its second mode; the smooth moves end at a tenth of that. A quarter of the speed limit is small.
+# A random voltage that changes every 12 ms has power up to 250 rad/s, where a link as
+# heavy as half its payload has its second mode; the smooth moves end at a tenth of
+# that. A quarter of the speed limit is small.
 _BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s], [s], of the speed limit
 _RINGING = 1.5  # [s] at most in which the link is calmed; what is left is fitted
-_CLEANED = (
-    2  # fits of a record without what the structure does not have: a third changes a quarter of an error
-)
+# fits of a record without what the structure does not have: a third changes a quarter
+# of an error
+_CLEANED = 2
 _DECAYS = (1.97, 1.87)  # orders λ of links that ring for long, and for some periods
 
 
 @document("tuned-link")
 @dataclass(frozen=True, eq=False)
 class LinkResult:
-    """The link's fit, the motor with the link's own torque, and what each excitation gave.
+    """The link's fit, the motor with the link's own torque, and what each excitation
+    gave.
 
-    `rounds` has (amplitude [rad], duration [s], standard error of λ) of each excitation.
+    `rounds` has (amplitude [rad], duration [s], standard error of λ) of each
+    excitation.
     """
 
     fit: Fit
@@ -69,19 +81,26 @@ def tune_link(
 ) -> tuple[LinkResult, Record]:
     """Excite the link until every standard error suffices, or the limits are reached.
 
-    `begin` is what the motor stage recorded, from which the first excitation is planned; `longer` stretches
-    every excitation, for an experiment that is repeated.
+    `begin` is what the motor stage recorded, from which the first excitation is
+    planned; `longer` stretches every excitation, for an experiment that is repeated.
     """
     limits, period = guard.limits, guard.period
     fit = None if begin is None else _first_fit(begin)
-    law = motor_law(motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction)
+    law = motor_law(
+        motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction
+    )
     reach, bit = _planned(fit, wiring, motor, guard)
     rounds: list[tuple[float, float, float]] = []
     duration = min(_DURATION * longer, _LONGEST)
     for _ in range(_ROUNDS):
-        # The edge of a bit is as fast as the limits allow, and slow enough for the motor's loop to follow: a
-        # reference that saturates the voltage excites less than it says.
-        rise = max(2 * 1.875 * reach / (PLANNED * limits.speed), 3.0 / motor.loop.pole, 6 * period)
+        # The edge of a bit is as fast as the limits allow, and slow enough for the
+        # motor's loop to follow: a reference that saturates the voltage excites less
+        # than it says.
+        rise = max(
+            2 * 1.875 * reach / (PLANNED * limits.speed),
+            3.0 / motor.loop.pole,
+            6 * period,
+        )
         # Fewer than eight bits may leave out the band in which the resonance lies.
         bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
         calm(
@@ -100,10 +119,12 @@ def tune_link(
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
-        # Errors fall with the amplitude, so that the shortfall is the factor that is missing; a fifth more
-        # allows for their own scatter.
+        # Errors fall with the amplitude, so that the shortfall is the factor that is
+        # missing; a fifth more allows for their own scatter.
         short = shortfall(fit)
-        rounds.append((reach, record.duration, fit.standard_errors.get("order", math.nan)))
+        rounds.append(
+            (reach, record.duration, fit.standard_errors.get("order", math.nan))
+        )
         if short <= 1.0 and fit.passed:
             break
         most = min(
@@ -111,22 +132,22 @@ def tune_link(
             PLANNED * limits.torque / float(abs(record.torque).max()),
             PLANNED * limits.voltage / float(abs(record.voltage).max()),
         )
-        # A tenth more of size is less than the errors' own scatter: another round would cost time and change
-        # nothing.
+        # A tenth more of size is less than the errors' own scatter: another round would
+        # cost time and change nothing.
         if most < 1.1 and duration >= _LONGEST:
             break
         grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
         # What the amplitude may not give, the length must: errors fall with its root.
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
-    assert fit is not None  # noqa: S101  # there was a round
+    assert fit is not None  # there was a round  # noqa: S101
     return LinkResult(fit, loaded_motor(motor, record, fit), tuple(rounds)), record
 
 
 def _shaken(guard: Guard, law: Law, motor: MotorResult, start: int) -> Record:
     """The record from `start` on, with a burst at its end that shows the second mode."""
-    # What turns the motor by that speed within one bit; friction comes on top, or the burst would not move
-    # it.
+    # What turns the motor by that speed within one bit; friction comes on top, or the
+    # burst would not move it.
     push = _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
     voltages = burst(voltage, _BIT, _BURST, guard.period)
@@ -135,31 +156,43 @@ def _shaken(guard: Guard, law: Law, motor: MotorResult, start: int) -> Record:
 
 
 def _fitted(moves: Experiment, whole: Experiment) -> Fit:
-    """The link from the moves and the burst behind them, with the second mode or up to where there is none.
+    """The link from the moves and the burst behind them, with the second mode or up to
+    where there is none.
 
-    What the structure does not have is taken out of the record and the link is fitted again: the torque of
-    the second mode, and what still rang from the motion before. Either bends λ and the delay, and colours the
-    residual, from which their errors are taken; a wrong delay bends the mode. Nothing is held out of these
-    fits, as one of a part leaves in the other what would be taken for ringing; whether a part is predicted is
-    looked at in the end.
+    What the structure does not have is taken out of the record and the link is fitted
+    again: the torque of the second mode, and what still rang from the motion before.
+    Either bends λ and the delay, and colours the residual, from which their errors are
+    taken; a wrong delay bends the mode. Nothing is held out of these fits, as one of a
+    part leaves in the other what would be taken for ringing; whether a part is
+    predicted is looked at in the end.
     """
     fit, rings = identify(whole, FRACTIONAL, heldout=0.0), np.zeros(whole.output.size)
     shown = fit.model
     for _ in range(_CLEANED):
         mode = shown.second_mode
-        rest = whole.output if mode is None else whole.output - _torque_of(mode, shown, whole)
+        rest = (
+            whole.output
+            if mode is None
+            else whole.output - _torque_of(mode, shown, whole)
+        )
         fit = identify(replace(whole, output=rest - rings), FRACTIONAL, heldout=0.0)
         rings = _ringing(fit, rest)
         known = replace(whole, output=whole.output - rings)
-        # The delay of the moves is held: on the burst it and the mode's phase stand for each other.
-        shown = identify(known, FRACTIONAL, heldout=0.0, fixed={"delay": fit.delay}).model
+        # The delay of the moves is held: on the burst it and the mode's phase stand for
+        # each other.
+        shown = identify(
+            known, FRACTIONAL, heldout=0.0, fixed={"delay": fit.delay}
+        ).model
     clean = rest - rings
     fit = identify(replace(whole, output=clean), FRACTIONAL, heldout=0.0)
-    # On the moves alone, of which a part is held out: what a fit to everything may hide is whether it
-    # predicts.
+    # On the moves alone, of which a part is held out: what a fit to everything may hide
+    # is whether it predicts.
     tested = identify(replace(moves, output=clean[: moves.output.size]), FRACTIONAL)
     found = fit if tested.passed else tested
-    return replace(found, model=replace(found.model, second_mode=mode, unseen_up_to=shown.unseen_up_to))
+    return replace(
+        found,
+        model=replace(found.model, second_mode=mode, unseen_up_to=shown.unseen_up_to),
+    )
 
 
 def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
@@ -171,28 +204,49 @@ def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
         damping=2.0 * mode.damping_ratio * mode.frequency,
         damping_order=1.0,
     )
-    return simulated_torque(alone, log.motor_angle, log.period, delay=model.gauge_delay, hold="first")
+    return simulated_torque(
+        alone, log.motor_angle, log.period, delay=model.gauge_delay, hold="first"
+    )
 
 
 def _ringing(fit: Fit, output: Real) -> Real:
-    """The free vibration in what a fit leaves of the output: it begins with the record, and only decays.
+    """The free vibration in what a fit leaves of the output: it begins with the record,
+    and only decays.
 
-    Two dampings stand for any: the fit that still has it in its record does not know the link's own.
+    Two dampings stand for any: the fit that still has it in its record does not know
+    the link's own.
     """
     time = fit.period * np.arange(output.size)
-    # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ = −cos(π/λ).
-    turns = [np.exp(cmath.rect(abs(fit.model.pole), math.pi / order) * time) for order in _DECAYS]
-    columns = np.column_stack([part for turn in turns for part in (turn.real, turn.imag)])
+    # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ =
+    # −cos(π/λ).
+    turns = [
+        np.exp(cmath.rect(abs(fit.model.pole), math.pi / order) * time)
+        for order in _DECAYS
+    ]
+    columns = np.column_stack(
+        [part for turn in turns for part in (turn.real, turn.imag)]
+    )
     size, *_ = np.linalg.lstsq(columns, output - fit.predicted, rcond=None)
     return np.asarray(columns @ size)
 
 
 def shortfall(fit: Fit) -> float:
-    """The largest standard error over what suffices; relative errors where the table's are."""
+    """The largest standard error over what suffices; relative errors where the table's
+    are.
+    """
     errors, model = fit.standard_errors, fit.model
     # ω₀ and gain relative, λ and the delay as they are: the table's own units.
-    scale = {"order": 1.0, "delay": 1.0, "natural_frequency": model.natural_frequency, "gain": abs(fit.gain)}
-    found = [errors[name] / scale[name] / most for name, most in ENOUGH.items() if name in errors]
+    scale = {
+        "order": 1.0,
+        "delay": 1.0,
+        "natural_frequency": model.natural_frequency,
+        "gain": abs(fit.gain),
+    }
+    found = [
+        errors[name] / scale[name] / most
+        for name, most in ENOUGH.items()
+        if name in errors
+    ]
     return max(found, default=math.inf)
 
 
@@ -211,31 +265,35 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
 def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
     """The motor with the inertia that the link's torque shows, in the gauge's units.
 
-    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power law |jω|^(2−λ), 1.22 at
-    the 11.9 rad/s of the paper's arm. The inertia comes out smaller by it, and Γ/J, which the law
-    compensates, is what acts on the hub at the vibration.
+    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power
+    law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
+    smaller by it, and Γ/J, which the law compensates, is what acts on the hub at the
+    vibration.
 
-    The torque is the model's, which is neither noisy nor late: a regressor with errors loses part of its
-    slope, and the inertia would come out small.
+    The torque is the model's, which is neither noisy nor late: a regressor with errors
+    loses part of its slope, and the inertia would come out small.
     """
     try:
         found = identify_motor(
             record.voltage,
             record.angle,
             period=record.period,
-            torque=simulated_torque(fit.model, record.angle, record.period, hold="first"),
+            torque=simulated_torque(
+                fit.model, record.angle, record.period, hold="first"
+            ),
         )
     except LogError:
         return motor
-    # A negative one is the noise of moves that hardly load the motor: then the motor alone is known, and no
-    # load is made up.
+    # A negative one is the noise of moves that hardly load the motor: then the motor
+    # alone is known, and no load is made up.
     if found.inertia is None or found.inertia <= 0:
         return motor
     fitted = replace(
         motor.fit,
         inertia=found.inertia,
         coulomb_torque=motor.fit.coulomb_voltage * motor.fit.gain * found.inertia,
-        standard_errors=motor.fit.standard_errors | {"inertia": found.standard_errors["inertia"]},
+        standard_errors=motor.fit.standard_errors
+        | {"inertia": found.standard_errors["inertia"]},
     )
     return replace(motor, fit=fitted)
 
@@ -252,8 +310,12 @@ def _resonance(frequency: float, order: float) -> float:
     return math.exp(2.0 / order * math.log(frequency))
 
 
-def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) -> tuple[float, float]:
-    """Amplitude [rad] and bit [s] of the first excitation: the smallest that is expected to suffice."""
+def _planned(
+    fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard
+) -> tuple[float, float]:
+    """Amplitude [rad] and bit [s] of the first excitation: the smallest that is
+    expected to suffice.
+    """
     limits = guard.limits
     if fit is None:
         return 0.05, math.pi / (0.7 * wiring.natural_frequency)
@@ -268,7 +330,8 @@ def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) 
         plan = design_experiment(
             fit.model,
             standard_error=ENOUGH["order"] / 1.5,
-            # A gauge that does not flicker has a count, not no noise: zero would ask for no motion at all.
+            # A gauge that does not flicker has a count, not no noise: zero would ask
+            # for no motion at all.
             noise=max(wiring.gauge_noise, 1e-9),
             period=guard.period,
             duration=_DURATION,
@@ -277,10 +340,12 @@ def _planned(fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard) 
             inner_pole=motor.loop.pole,
         )
     except InfeasibleError:
-        return 0.05, math.pi / (0.7 * _resonance(fit.model.natural_frequency, fit.model.order))
-    # Torque for each radian of the reference: it grows near the resonance, where the gauge's limit is met
-    # before the angle's.
+        return 0.05, math.pi / (
+            0.7 * _resonance(fit.model.natural_frequency, fit.model.order)
+        )
+    # Torque for each radian of the reference: it grows near the resonance, where the
+    # gauge's limit is met before the angle's.
     bent = abs(fit.gain) * plan.peak_deflection / plan.amplitude
     most = PLANNED * min(limits.angle, limits.torque / bent)
-    assert plan.bit is not None  # noqa: S101  # a random sequence
+    assert plan.bit is not None  # a random sequence  # noqa: S101
     return min(max(1.5 * plan.amplitude, _LEAST), most), plan.bit

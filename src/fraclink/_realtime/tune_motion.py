@@ -1,4 +1,6 @@
-"""Moving the arm in the motor loop: law.c with its correction left out, and references within the limits."""
+"""Moving the arm in the motor loop: law.c with its correction left out, and references
+within the limits.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,20 @@ from fraclink._law.limits import Moves, derive_limits
 from fraclink._realtime.tune_guard import Guard, Record
 from fraclink.errors import FieldError, FraclinkError
 
-__all__ = ["LawTripped", "burst", "fastest_loop", "follow", "motor_law", "random_moves", "random_steps"]
+__all__ = [
+    "LawTripped",
+    "burst",
+    "fastest_loop",
+    "follow",
+    "motor_law",
+    "random_moves",
+    "random_steps",
+]
 
 Real = NDArray[np.float64]
 
-# From fast to slow, a tenth to a quarter apart: the first that keeps its distance is taken.
+# From fast to slow, a tenth to a quarter apart: the first that keeps its distance is
+# taken.
 _POLES = (
     80.0,
     70.0,
@@ -45,7 +56,10 @@ _POLES = (
     4.0,
 )
 _CALM, _LOOK = 0.5, 25  # [s] of a quiet gauge, periods between two looks
-_DAMPING, _LEAK = 0.8, 1.0  # twice the damping ratio, of which friction and lag take half; 1/s
+_DAMPING, _LEAK = (
+    0.8,
+    1.0,
+)  # twice the damping ratio, of which friction and lag take half; 1/s
 _FREE = 1e6  # where the guard watches, and not the law
 
 
@@ -61,10 +75,18 @@ class Follower:
         self._tick = 0
         self._signals, self._outputs = np.zeros((5, 1)), np.empty((5, 1))
         self._signals[4, 0] = payload
-        self._marks, self._ticks = np.empty((3, 1), dtype=np.uint32), np.zeros(1, dtype=np.uint32)
+        self._marks, self._ticks = (
+            np.empty((3, 1), dtype=np.uint32),
+            np.zeros(1, dtype=np.uint32),
+        )
 
     def step(
-        self, reference: float, acceleration: float, angle: float, torque: float, periods: int = 1
+        self,
+        reference: float,
+        acceleration: float,
+        angle: float,
+        torque: float,
+        periods: int = 1,
     ) -> float:
         """Return the voltage [V]; `LawTripped` where the law switches off."""
         self._tick += periods
@@ -72,26 +94,38 @@ class Follower:
         self._signals[:4, 0] = reference, acceleration, angle, torque
         single = self._law.precision == "single"
         self._state = _kernels.law_run(
-            self._law.block, self._state, self._ticks, self._signals, self._outputs, self._marks, single
+            self._law.block,
+            self._state,
+            self._ticks,
+            self._signals,
+            self._outputs,
+            self._marks,
+            single,
         )
         mode, reason, _ = (int(value) for value in self._marks[:, 0])
         if mode >= MODES.index("degraded"):
-            raise LawTripped(f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off")
+            raise LawTripped(
+                f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off"
+            )
         return float(self._outputs[1, 0])
 
 
-def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: float = 0.0) -> Law:
-    """The law of the motor loop alone: no correction, no feed-forward, no use of the gauge.
+def motor_law(
+    motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: float = 0.0
+) -> Law:
+    """The law of the motor loop alone: no correction, no feed-forward, no use of the
+    gauge.
 
     `friction` [V] is compensated.
     """
     limits, period, pole = guard.limits, guard.period, loop.pole
-    # Room for what the guard allows: from one end of the limits to the other, and the acceleration of a
-    # reference that the loop's own pole could follow four times over.
+    # Room for what the guard allows: from one end of the limits to the other, and the
+    # acceleration of a reference that the loop's own pole could follow four times over.
     moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
     # Any link will do: its thresholds are lifted, as the guard has the user's own.
     derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
-    # A threshold that a link of an unknown stiffness trips would end the experiment that is to measure it.
+    # A threshold that a link of an unknown stiffness trips would end the experiment
+    # that is to measure it.
     free = replace(
         derived,
         torque_limit=_FREE,
@@ -106,8 +140,9 @@ def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: floa
         period=period,
         precision="double",
         stiffness=1.0,
-        # Without a correction law.c is the motor loop alone: the controller that moves the arm for its
-        # identification is the one that is shipped, with its guards on encoder and clock.
+        # Without a correction law.c is the motor loop alone: the controller that moves
+        # the arm for its identification is the one that is shipped, with its guards on
+        # encoder and clock.
         correction=Modes(0.0),
         feedforward=Modes(0.0),
         inner_pole=pole,
@@ -123,12 +158,19 @@ def motor_law(motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: floa
 
 
 def fastest_loop(
-    motor: MotorGain, delay: float, period: float, *, ratios: tuple[float, ...], margin: float, most: float
+    motor: MotorGain,
+    delay: float,
+    period: float,
+    *,
+    ratios: tuple[float, ...],
+    margin: float,
+    most: float,
 ) -> MotorLoop:
-    """The fastest motor loop that keeps its distance from −1 on motors with `ratios` times that gain.
+    """The fastest motor loop that keeps its distance from −1 on motors with `ratios`
+    times that gain.
 
-    Its poles are placed in z with the delay inside the equation: at the same pole this leaves three times the
-    distance that a discretised PID does.
+    Its poles are placed in z with the delay inside the equation: at the same pole this
+    leaves three times the distance that a discretised PID does.
     """
     # Up to half the sampling rate, where a late loop comes closest to −1.
     frequency = np.geomspace(1e-2, math.pi / period, 600)
@@ -136,7 +178,9 @@ def fastest_loop(
     samples = max(1, round(delay / period))
     for pole in _POLES:
         loop = MotorLoop(pole, samples, "sampled", "direct")
-        if pole <= most and all(_keeps(loop, motor, ratio, period, frequency, margin) for ratio in ratios):
+        if pole <= most and all(
+            _keeps(loop, motor, ratio, period, frequency, margin) for ratio in ratios
+        ):
             return loop
     raise FraclinkError(
         f"no motor loop keeps a distance of {margin:g} from -1 with a delay of {1e3 * delay:.3g} ms at a "
@@ -145,13 +189,20 @@ def fastest_loop(
 
 
 def _keeps(
-    loop: MotorLoop, motor: MotorGain, ratio: float, period: float, frequency: Real, margin: float
+    loop: MotorLoop,
+    motor: MotorGain,
+    ratio: float,
+    period: float,
+    frequency: Real,
+    margin: float,
 ) -> bool:
     try:
         pid = loop.pid(motor, period)
     except FieldError:
         return False
-    true = SampledMotorLoop(pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples)
+    true = SampledMotorLoop(
+        pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples
+    )
     # Poles first: the distance from −1 of a loop that is unstable says nothing.
     if float(np.max(np.abs(true.poles()))) >= 1.0:
         return False
@@ -169,34 +220,47 @@ def follow(
 ) -> Record:
     """Let the law follow a reference, rows angle [rad] and acceleration [rad/s²].
 
-    The reference counts from `origin`, or from where the arm stands. `shaken` [V] is added to the law's
-    voltage, one value for each period.
+    The reference counts from `origin`, or from where the arm stands. `shaken` [V] is
+    added to the law's voltage, one value for each period.
     """
     here = guard.connect().angle
     start, origin = guard.count, here if origin is None else origin
     # A law that goes on from the path before keeps its integrator, and its tick.
     runs = follower or Follower(law)
     more = np.zeros(path.shape[1]) if shaken is None else shaken
-    for (angle, acceleration), voltage in zip(path.T.tolist(), more.tolist(), strict=True):
+    for (angle, acceleration), voltage in zip(
+        path.T.tolist(), more.tolist(), strict=True
+    ):
         reading = guard.reading
-        # With the periods since the last sample, so that the law counts what was lost as its own guards do.
-        law_s = runs.step(origin + angle, acceleration, reading.angle, guard.torque, reading.periods)
+        # With the periods since the last sample, so that the law counts what was lost
+        # as its own guards do.
+        law_s = runs.step(
+            origin + angle, acceleration, reading.angle, guard.torque, reading.periods
+        )
         guard.step(law_s + voltage)
     return guard.record(start)
 
 
-def random_moves(reach: float, speed: float, duration: float, period: float, *, seed: int) -> Real:
-    """Smooth moves between random angles within ± reach [rad], rest to rest, at most at `speed` [rad/s]."""
+def random_moves(
+    reach: float, speed: float, duration: float, period: float, *, seed: int
+) -> Real:
+    """Smooth moves between random angles within ± reach [rad], rest to rest, at most at
+    `speed` [rad/s].
+    """
     random = np.random.default_rng(seed)
     at, parts, total = 0.0, [], 0.0
     while total < duration:
-        # To the other side each time: the motor must reverse for friction to be told from damping.
+        # To the other side each time: the motor must reverse for friction to be told
+        # from damping.
         to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
-        # The last move ends at the start, so that the next stage finds the limits on both sides.
+        # The last move ends at the start, so that the next stage finds the limits on
+        # both sides.
         last = total > duration - 1.0
         to = 0.0 if last else to
         # 15/8 is the peak of the quintic's speed over its mean.
-        time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period)
+        time = max(
+            1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period
+        )
         move = smooth_step(to - at, time)
         grid = period * np.arange(math.ceil(time / period))
         parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
@@ -207,8 +271,12 @@ def random_moves(reach: float, speed: float, duration: float, period: float, *, 
     return np.concatenate(parts, axis=1)
 
 
-def random_steps(reach: float, bit: float, rise: float, bits: int, period: float) -> Real:
-    """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of `rise` [s]."""
+def random_steps(
+    reach: float, bit: float, rise: float, bits: int, period: float
+) -> Real:
+    """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of
+    `rise` [s].
+    """
     # 511 bits before it repeats: the longest excitation has fewer.
     levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
     count = max(round(bit / period), 2)
@@ -223,31 +291,63 @@ def random_steps(reach: float, bit: float, rise: float, bits: int, period: float
     return np.concatenate(parts, axis=1)
 
 
-def calm(guard: Guard, law: Law, *, stiffness: float, resonance: float, noise: float, longest: float) -> None:
-    """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows its `noise` alone.
+def calm(
+    guard: Guard,
+    law: Law,
+    *,
+    stiffness: float,
+    resonance: float,
+    noise: float,
+    longest: float,
+) -> None:
+    """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows
+    its `noise` alone.
 
         θm = -k ω ∫ Γ/c dt    in    θt'' = ω² Γ/c    is    θt'' + k ω θt' + ω² θt = 0
 
-    A stiffness or a resonance [rad/s] that is a quarter off, and a gauge 20 ms late, change the damping by as
-    much and no more. The integral leaks, as the gauge's zero is not exact.
+    A stiffness or a resonance [rad/s] that is a quarter off, and a gauge 20 ms late,
+    change the damping by as much and no more. The integral leaks, as the gauge's zero
+    is not exact.
     """
     runs, origin, part = Follower(law), guard.connect().angle, 0.0
-    window, last = math.ceil(_CALM / guard.period), guard.count + math.ceil(longest / guard.period)
+    window, last = (
+        math.ceil(_CALM / guard.period),
+        guard.count + math.ceil(longest / guard.period),
+    )
     first = guard.count + window
     while guard.count < last:
-        if guard.count >= first and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise:
+        if (
+            guard.count >= first
+            and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise
+        ):
             return
-        # A tenth of a second between two looks: the deviation is that of half a second anyway.
+        # A tenth of a second between two looks: the deviation is that of half a second
+        # anyway.
         for _ in range(_LOOK):
             reading = guard.reading
-            # Steps of the integral of Γ/c; the leak takes out in a second what the gauge's offset would wind
-            # up.
-            part -= guard.period * (_DAMPING * resonance * guard.torque / stiffness + _LEAK * part)
-            guard.step(runs.step(origin + part, 0.0, reading.angle, guard.torque, reading.periods))
+            # Steps of the integral of Γ/c; the leak takes out in a second what the
+            # gauge's offset would wind up.
+            part -= guard.period * (
+                _DAMPING * resonance * guard.torque / stiffness + _LEAK * part
+            )
+            guard.step(
+                runs.step(
+                    origin + part, 0.0, reading.angle, guard.torque, reading.periods
+                )
+            )
 
 
 def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
-    """Voltages of ± `voltage` [V] that change at random every `bit` [s], and a rest of the motor's loop."""
+    """Voltages of ± `voltage` [V] that change at random every `bit` [s], and a rest of
+    the motor's loop.
+    """
     held = max(round(bit / period), 1)
-    bits = prbs(voltage, held * period, bits=max(round(seconds / (held * period)), 2), register=9)
-    return np.concatenate([np.repeat(bits.coefficients[:-1, 0], held), np.zeros(round(0.2 / period))])
+    bits = prbs(
+        voltage,
+        held * period,
+        bits=max(round(seconds / (held * period)), 2),
+        register=9,
+    )
+    return np.concatenate(
+        [np.repeat(bits.coefficients[:-1, 0], held), np.zeros(round(0.2 / period))]
+    )

@@ -1,8 +1,10 @@
-"""The wiring, found within 5° of motion and before any loop is closed: signs, scales, liveness, delay.
+"""The wiring, found within 5° of motion and before any loop is closed: signs, scales,
+liveness, delay.
 
-The arm is pushed with doublets, a voltage and then its opposite, each just a little stronger than the last,
-until encoder or gauge answers. A train of such moves is then fitted: the motor to the angle, the link to the
-torque. Every sign is a fitted gain with its standard error.
+The arm is pushed with doublets, a voltage and then its opposite, each just a little
+stronger than the last, until encoder or gauge answers. A train of such moves is then
+fitted: the motor to the angle, the link to the torque. Every sign is a fitted gain with
+its standard error.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ _REST = 0.4  # [s] in which the noise of the sensors is measured
 # Three seconds, for an arm that somebody has just let go.
 _LOOKS = 8  # that an arm may take to come to rest
 _STILL = 0.004  # [rad]
-_PULSE = 0.04  # [s] of one half of a doublet: shorter than a quarter vibration of any arm of a laboratory
+# [s] of one half of a doublet: shorter than a quarter vibration of any arm of a
+# laboratory
+_PULSE = 0.04
 _PAUSE = 0.16  # [s] behind it
 _FIRST, _GROWTH = (
     0.004,
@@ -39,23 +43,33 @@ _FIRST, _GROWTH = (
 )  # of the voltage limit; a motion that has just begun must not be 5° the next time
 _ANSWER = 0.012  # [rad], 0.7°: the motion that the doublets grow to
 _MOST = 0.040  # [rad], 2.3°: grown to this where the gauge does not show the first
-_FELT = 0.006  # [N·m], at least: where the gauge alone answers, be it with an angle, it must be a motion
+# [N·m], at least: where the gauge alone answers, be it with an angle, it must be a
+# motion
+_FELT = 0.006
 _MISSING = 0.5  # of the wanted motion: less is none where the gauge answers
 # A motion of fewer counts is known to no better than an eighth, and so is K/J.
 _COUNTS = 8  # of an encoder, at least
 # A wrong sign closes a loop that runs away: one in two million is allowed to be chance.
 _SURE = 5.0  # standard errors that a sign needs
 _DEVIATIONS = 8.0  # of the gauge's noise, smoothed, that are an answer
-_KEPT = 0.3  # of a motion that follows the doublets: of an angle about half, of a torque a tenth
-_REVERSED = 0.6  # of what the link leaves unexplained: with the right wires the reverse leaves more
-_CLEAR = 8.0  # standard errors of the torque's gain that a fit over all frequencies does not find in noise
+# of a motion that follows the doublets: of an angle about half, of a torque a tenth
+_KEPT = 0.3
+# of what the link leaves unexplained: with the right wires the reverse leaves more
+_REVERSED = 0.6
+# standard errors of the torque's gain that a fit over all frequencies does not find in
+# noise
+_CLEAR = 8.0
 # Of both signs, six each: what drifts or drags to one side cancels.
 _DOUBLETS = 12
-_FAR = 1.6  # times the stated K/J: the fit to small motions is within a tenth, payload and gear a third off
-_SCALE = 2.5  # that a stated value may be off: friction, payload and gauge differ by a third, units by ten
-_EXPLAINED = (
-    0.85  # nmse above which one signal is not the other's link; of noise nothing is explained, nmse 1
-)
+# times the stated K/J: the fit to small motions is within a tenth, payload and gear a
+# third off
+_FAR = 1.6
+# that a stated value may be off: friction, payload and gauge differ by a third, units
+# by ten
+_SCALE = 2.5
+# nmse above which one signal is not the other's link; of noise nothing is explained,
+# nmse 1
+_EXPLAINED = 0.85
 
 
 class WiringFault(FraclinkError):
@@ -74,7 +88,8 @@ class Wiring:
     Parameters
     ----------
     gain, friction
-        of the motor, a first guess: A = K/J [rad/(s²·V)], Coulomb friction as a voltage [V].
+        of the motor, a first guess: A = K/J [rad/(s²·V)], Coulomb friction as a voltage
+        [V].
     delay
         from a voltage to the motion [s].
     stiffness, natural_frequency
@@ -108,9 +123,11 @@ class Wiring:
 
 
 def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
-    """Find signs, scales and delays with small motions; `WiringFault` where one is wrong.
+    """Find signs, scales and delays with small motions; `WiringFault` where one is
+    wrong.
 
-    `stated` is what the user says of the arm: scales are compared with its motor and its stiffness.
+    `stated` is what the user says of the arm: scales are compared with its motor and
+    its stiffness.
     """
     for _ in range(_LOOKS):
         start = guard.count
@@ -118,7 +135,10 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         still = guard.record(start)
         # Second differences: an arm that still rings adds nothing to them.
         # Second differences of white noise have six times its variance: 1 + 4 + 1.
-        shake, noise = (float(np.std(np.diff(x, 2))) / math.sqrt(6.0) for x in (still.angle, still.torque))
+        shake, noise = (
+            float(np.std(np.diff(x, 2))) / math.sqrt(6.0)
+            for x in (still.angle, still.torque)
+        )
         turned = float(np.ptp(_smoothed(still.angle)))
         if turned <= _STILL + _DEVIATIONS * shake / math.sqrt(_SMOOTH):
             break
@@ -146,8 +166,8 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         moved = float(np.ptp(record.angle))
         if not isinstance(found, _Unsure) or moved > _MOST / 1.6:
             raise found
-        # Grown on from there: a motion that was too small for the noise is made 1.6 times as large, up to
-        # 2.3°.
+        # Grown on from there: a motion that was too small for the noise is made 1.6
+        # times as large, up to 2.3°.
         pulse = _grown(guard, (1.6 * max(moved, answers[0]), answers[1]), pulse)
 
 
@@ -164,7 +184,8 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         sign = -sign
         record = guard.record(before)
         moved = float(np.max(np.abs(_smoothed(record.angle) - angle)))
-        # The encoder's own step is looked at each time: it is not known before something moves.
+        # The encoder's own step is looked at each time: it is not known before
+        # something moves.
         if moved >= max(wanted, _COUNTS * _step(record.angle)):
             return pulse
         # Twice, as one swing of the gauge may be chance.
@@ -203,13 +224,16 @@ def _half(period: float) -> int:
 
 
 def _train(guard: Guard, pulse: float) -> Record:
-    """Doublets of both signs with pauses of different lengths, so that no vibration builds up."""
+    """Doublets of both signs with pauses of different lengths, so that no vibration
+    builds up.
+    """
     guard.rest(0.2)
     start = guard.count
     guard.rest(0.1)
     for k in range(_DOUBLETS):
         _doublet(guard, pulse if k % 2 == 0 else -pulse)
-        # Equal pauses would feed a link whose period they are; four different ones feed none.
+        # Equal pauses would feed a link whose period they are; four different ones feed
+        # none.
         guard.rest(0.05 * (k % 4))
     guard.rest(0.3)
     return guard.record(start)
@@ -228,13 +252,15 @@ def _concluded(
             f"{float(np.ptp(_smoothed(record.torque))):.3g} N·m"
         )
     gain, error, friction, delay = motor_of_doublets(record, _half(record.period))
-    # Before the gauge is looked at: with counts of another encoder the torque fits no link either, and would
-    # be blamed.
+    # Before the gauge is looked at: with counts of another encoder the torque fits no
+    # link either, and would be blamed.
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
     link = _link(record.angle, record.torque, record.period)
     kept = _kept(record, record.angle), _kept(record, record.torque)
-    if kept[1] > max(_KEPT, 2.0 * kept[0]) or (kept[1] > max(_KEPT, kept[0]) and _swapped(record, link)):
+    if kept[1] > max(_KEPT, 2.0 * kept[0]) or (
+        kept[1] > max(_KEPT, kept[0]) and _swapped(record, link)
+    ):
         return WiringFault(
             "channels swapped: what is read as the torque stays where the motor was moved to "
             f"({100 * kept[1]:.0f} % of its motion), what is read as the angle does not "
@@ -290,7 +316,9 @@ def _concluded(
     )
 
 
-def _scales(gain: float, stiffness: float, stated: Rig | None) -> tuple[tuple[str, ...], str]:
+def _scales(
+    gain: float, stiffness: float, stated: Rig | None
+) -> tuple[tuple[str, ...], str]:
     """What is said of the scales, and which of them is wrong."""
     if stated is None:
         return (
@@ -298,9 +326,11 @@ def _scales(gain: float, stiffness: float, stated: Rig | None) -> tuple[tuple[st
         ), ""
     motor = stated.motor.gain
     encoder = gain / motor
-    # The stiffness is torque over angle, so that a wrong encoder's scale divides it; the product is the
-    # gauge's alone.
-    bend = stiffness / stated.link.stiffness * encoder  # the gauge's scale over the true one
+    # The stiffness is torque over angle, so that a wrong encoder's scale divides it;
+    # the product is the gauge's alone.
+    bend = (
+        stiffness / stated.link.stiffness * encoder
+    )  # the gauge's scale over the true one
     said = (
         f"encoder scale: K/J is {encoder:.2g} of what the rig states",
         f"gauge scale: torque over angle is {stiffness / stated.link.stiffness:.2g} of the rig's stiffness",
@@ -323,11 +353,13 @@ def _encoder_scale(gain: float, stated: Rig) -> str:
 
 
 def _kept(record: Record, channel: Real) -> float:
-    """The share of a channel's motion that follows the places the doublets move the motor to."""
+    """The share of a channel's motion that follows the places the doublets move the
+    motor to.
+    """
     place = np.zeros(channel.size)
     for begin in edges_of(record):
-        # A doublet leaves the motor where its first half has thrown it: stairs, each from the doublet's
-        # middle on.
+        # A doublet leaves the motor where its first half has thrown it: stairs, each
+        # from the doublet's middle on.
         place[begin + _half(record.period) :] += np.sign(record.voltage[begin])
     matrix = np.column_stack([place, np.ones(channel.size)])
     left = channel - matrix @ np.linalg.lstsq(matrix, channel, rcond=None)[0]
@@ -343,8 +375,12 @@ def _step(angle: Real) -> float:
     return float(np.min(apart)) if apart.size else 0.0
 
 
-def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float, float, float] | None:
-    """Gain with its sign, its standard error, ω₀, delay and nmse of the torque as a link on that angle."""
+def _link(
+    angle: Real, torque: Real, period: float
+) -> tuple[float, float, float, float, float] | None:
+    """Gain with its sign, its standard error, ω₀, delay and nmse of the torque as a
+    link on that angle.
+    """
     try:
         fit = identify(
             Experiment(period=period, motor_angle=angle, output=torque),
@@ -355,14 +391,24 @@ def _link(angle: Real, torque: Real, period: float) -> tuple[float, float, float
         )
     except FraclinkError:
         return None
-    # A fit without errors, as of a gain at its bound, is known to what it leaves unexplained.
+    # A fit without errors, as of a gain at its bound, is known to what it leaves
+    # unexplained.
     error = fit.standard_errors.get("gain", abs(fit.gain) * math.sqrt(fit.nmse))
     return fit.gain, error, fit.model.natural_frequency, fit.delay, fit.nmse
 
 
-def _swapped(record: Record, link: tuple[float, float, float, float, float] | None) -> bool:
-    """Whether what is read as the angle is the link's answer to what is read as the torque."""
+def _swapped(
+    record: Record, link: tuple[float, float, float, float, float] | None
+) -> bool:
+    """Whether what is read as the angle is the link's answer to what is read as the
+    torque.
+    """
     other = _link(record.torque, record.angle, record.period)
-    # The reverse must explain clearly more: torque on angle, read as angle on torque, fits a little, too.
+    # The reverse must explain clearly more: torque on angle, read as angle on torque,
+    # fits a little, too.
     left = 1.0 if link is None else link[4]
-    return other is not None and other[0] > _SURE * other[1] and other[4] < _REVERSED * left
+    return (
+        other is not None
+        and other[0] > _SURE * other[1]
+        and other[4] < _REVERSED * left
+    )

@@ -1,4 +1,6 @@
-"""What is asked of a tuning, and what it has come to: every stage that is whole, in one file."""
+"""What is asked of a tuning, and what it has come to: every stage that is whole, in one
+file.
+"""
 
 from __future__ import annotations
 
@@ -21,19 +23,30 @@ from fraclink.findings import Scope, Verdict
 
 __all__ = ["FILES", "Tuning", "TuningPlan"]
 
-FILES = ("tuning.json", "rig.toml", "model.json", "design.json", "law.json", "certificate.json", "log.npz")
+FILES = (
+    "tuning.json",
+    "rig.toml",
+    "model.json",
+    "design.json",
+    "law.json",
+    "certificate.json",
+    "log.npz",
+)
 LAW_FILES = FILES[3:6]  # that are taken back where the arm refuses the law
 
-# Four vibrations of the paper's arm (12 rad/s): what rings longer was not damped by the law.
+# Four vibrations of the paper's arm (12 rad/s): what rings longer was not damped by the
+# law.
 _LATEST = 2.0  # [s] behind the reference's end
-# 1.1°, which one sees: a law that takes over without a bump moves the motor by its noise alone.
+# 1.1°, which one sees: a law that takes over without a bump moves the motor by its
+# noise alone.
 _JUMP = 0.02  # [rad] at the hand-over
 
 
 @checked
 @dataclass(frozen=True)
 class TuningPlan:
-    """What is asked of a tuning: the limits, the payload that the arm carries, and the range it shall carry.
+    """What is asked of a tuning: the limits, the payload that the arm carries, and the
+    range it shall carry.
 
     Parameters
     ----------
@@ -42,13 +55,13 @@ class TuningPlan:
     payload
         at the tip during the tuning [kg]: no motion shows it.
     payloads
-        (lightest, heaviest) that the law is for [kg]; default: from three quarters of the payload to a third
-        more.
+        (lightest, heaviest) that the law is for [kg]; default: from three quarters of
+        the payload to a third more.
     period
         of the arm [s]; None for an arm that states its own.
     rig
-        what is known of the arm: scales are compared with its motor and link, tolerances and the wish for
-        the design come from it.
+        what is known of the arm: scales are compared with its motor and link,
+        tolerances and the wish for the design come from it.
 
     Examples
     --------
@@ -68,7 +81,10 @@ class TuningPlan:
 
     def __post_init__(self) -> None:
         checked_noun(
-            "limits", self.limits, MotionLimits, remedy="MotionLimits(angle, speed, torque, voltage)"
+            "limits",
+            self.limits,
+            MotionLimits,
+            remedy="MotionLimits(angle, speed, torque, voltage)",
         )
         if self.payloads is not None:
             low, high = self.payloads
@@ -86,12 +102,15 @@ class TuningPlan:
         """(lightest, heaviest) payload that the law is for [kg]."""
         if self.payloads is not None:
             return self.payloads
-        # A rig's range counts only where it holds this payload: otherwise it is that of another tool at the
-        # tip.
-        if self.rig is not None and self.rig.payloads.low <= self.payload <= self.rig.payloads.high:
+        # A rig's range counts only where it holds this payload: otherwise it is that of
+        # another tool at the tip.
+        if (
+            self.rig is not None
+            and self.rig.payloads.low <= self.payload <= self.rig.payloads.high
+        ):
             return self.rig.payloads.low, self.rig.payloads.high
-        # By the same factor to both sides: the payload that was measured is their geometric mean, and ω₀ ∝
-        # 1/√m.
+        # By the same factor to both sides: the payload that was measured is their
+        # geometric mean, and ω₀ ∝ 1/√m.
         return 0.75 * self.payload, float(f"{4 / 3 * self.payload:.6g}")
 
     @property
@@ -119,7 +138,10 @@ class TuningPlan:
 
 
 @displayed
-@document("tuning", summary=lambda tuning: {"passed": tuning.passed, "stopped": tuning.stopped})
+@document(
+    "tuning",
+    summary=lambda tuning: {"passed": tuning.passed, "stopped": tuning.stopped},
+)
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """A tuning: what each stage found, None where it was not reached.
@@ -180,27 +202,44 @@ class Tuning:
         if self.certified and self.design_passed:
             promise = Scope("passed")
         elif self.reasons or self.stopped:
-            # Reasons are what was found against a law; a stop alone leaves it open whether there is one.
-            promise = Scope("failed" if self.reasons else "not run", self.reasons or (self.stopped,))
+            # Reasons are what was found against a law; a stop alone leaves it open
+            # whether there is one.
+            promise = Scope(
+                "failed" if self.reasons else "not run", self.reasons or (self.stopped,)
+            )
         else:
             promise = Scope("not run")
         if not self.moves:
             return Verdict(
-                promise, Scope("not run"), Scope("not run", (self.stopped,) if self.stopped else ())
+                promise,
+                Scope("not run"),
+                Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # By the promise and not by the arm: this scope is the model's.
-        settles = all(move.promised_settling <= move.duration + _LATEST for move in self._fast)
-        model = Scope("passed") if settles else Scope("failed", ("the model's move does not settle",))
+        settles = all(
+            move.promised_settling <= move.duration + _LATEST for move in self._fast
+        )
+        model = (
+            Scope("passed")
+            if settles
+            else Scope("failed", ("the model's move does not settle",))
+        )
         return Verdict(promise, model, self._reality())
 
     @property
     def _fast(self) -> tuple[FirstMove, ...]:
-        """The last move with each payload; of the slow one the gauge's noise says when it has settled."""
+        """The last move with each payload; of the slow one the gauge's noise says when
+        it has settled.
+        """
         return tuple({move.payload: move for move in self.moves}.values())
 
     def _reality(self) -> Scope:
         off = [str(move) for move in self._fast if not move.kept]
-        off += [f"jump of {move.jump:.2g} rad at the hand-over" for move in self.moves if move.jump > _JUMP]
+        off += [
+            f"jump of {move.jump:.2g} rad at the hand-over"
+            for move in self.moves
+            if move.jump > _JUMP
+        ]
         if self.stopped:
             off.append(self.stopped)
         return Scope("failed", tuple(off)) if off else Scope("passed")

@@ -1,4 +1,6 @@
-"""The arm in a page: one HTML file in which the law of a study moves its model, with the package's bits."""
+"""The arm in a page: one HTML file in which the law of a study moves its model, with
+the package's bits.
+"""
 
 from __future__ import annotations
 
@@ -20,22 +22,25 @@ from fraclink.errors import FieldError
 __all__ = ["render_arm_page", "write_arm_page"]
 
 _LARGEST = 150_000  # bytes of a page
-_FEWEST = (
-    9  # payloads of a slider; below, a fast clock's page goes without the twin, whose noise takes its room
-)
+# payloads of a slider; below, a fast clock's page goes without the twin, whose noise
+# takes its room
+_FEWEST = 9
 
 
 def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
-    """Write the arm of `study` as a page that moves, one HTML file that asks nobody, and return its path.
+    """Write the arm of `study` as a page that moves, one HTML file that asks nobody,
+    and return its path.
 
-    The page runs the law of the design on the identified model, compiled from the package's own C to
-    WebAssembly: a run in it equals `simulate` in every bit. Payload, move, noise, gauge offset and delay are
-    sliders, faults are buttons. What was promised, and for which payloads, stands in it as text.
+    The page runs the law of the design on the identified model, compiled from the
+    package's own C to WebAssembly: a run in it equals `simulate` in every bit. Payload,
+    move, noise, gauge offset and delay are sliders, faults are buttons. What was
+    promised, and for which payloads, stands in it as text.
 
     Parameters
     ----------
     study
-        what `run` returned or `load_study` read. Its design is needed; verdict and certificate are shown.
+        what `run` returned or `load_study` read. Its design is needed; verdict and
+        certificate are shown.
     path
         of the HTML file; it is written whole or not at all.
     title
@@ -44,8 +49,8 @@ def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) 
     Raises
     ------
     FieldError
-        the study has no design, or a period too long for its model. MissingExtraError where jinja2 is
-        not installed.
+        the study has no design, or a period too long for its model. MissingExtraError
+        where jinja2 is not installed.
 
     Examples
     --------
@@ -82,7 +87,9 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
         "scopes": tables.scopes(study.verdict),
         "certificate": study.certificate,
         "requirements": tables.requirements_table(design.requirements),
-        "margins": tables.margins_table(design, sorted({*design.payloads, design.rig.payloads.nominal})),
+        "margins": tables.margins_table(
+            design, sorted({*design.payloads, design.rig.payloads.nominal})
+        ),
         "simulated": _simulated(design),
         "not_simulated": _not_simulated(design),
     }
@@ -92,15 +99,22 @@ def render_arm_page(study: Study, *, title: str | None = None) -> str:
             raise _too_fast(design)
         style = squeezed("palette.css") + arm.style + squeezed("arm.css")
         twin_said = _twin_simulated(design, twin_fits=arm.has_twin)
-        page = rendered("arm.html", arm=arm, style=style, style_hash=page_hash(style), twin=twin_said, **said)
+        page = rendered(
+            "arm.html",
+            arm=arm,
+            style=style,
+            style_hash=page_hash(style),
+            twin=twin_said,
+            **said,
+        )
         excess = len(page.encode()) - _LARGEST
         if excess <= 0 or payloads <= 5:
             return page
-        # At least one less in every round, so that it ends; a link is counted as if it were one of the large
-        # ones, so as not to drop more than needed.
+        # At least one less in every round, so that it ends; a link is counted as if it
+        # were one of the large ones, so as not to drop more than needed.
         payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
-        # The page without its twin but with a fine slider says more than one with both and five payloads; so
-        # the full count is tried again.
+        # The page without its twin but with a fine slider says more than one with both
+        # and five payloads; so the full count is tried again.
         if twin and payloads < _FEWEST:
             payloads, twin = MOST_PAYLOADS, False
 
@@ -118,8 +132,8 @@ def _too_fast(design: Design) -> FieldError:
 def _simulated(design: Design) -> list[str]:
     """Sentences on what a run in the page contains."""
     rig = design.rig
-    # A model that names no payload is the nominal one's: simulate takes it so, and the page must say the
-    # same.
+    # A model that names no payload is the nominal one's: simulate takes it so, and the
+    # page must say the same.
     model = with_payload(design.model, rig)
     link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
     if model.payload is not None:
@@ -134,7 +148,9 @@ def _simulated(design: Design) -> list[str]:
     return [
         link,
         "a motor with inertia, viscous and Coulomb friction, driven by the law's own motor loop",
-        f"an encoder with {counts} counts per revolution" if counts else "an encoder without steps",
+        f"an encoder with {counts} counts per revolution"
+        if counts
+        else "an encoder without steps",
         gauge,
         f"the shipped law (law.c) with its guards, run every {number(1e3 * rig.period)} ms",
     ]
@@ -148,8 +164,12 @@ def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
     except FieldError as error:
         return [f"there is no twin in this page: {error}"]
     if not twin_fits:
-        return ["there is no twin in this page: at this sampling period it does not fit into it"]
-    assumed = "" if design.rig.link.mass else ", assumed because the rig file gives none"
+        return [
+            "there is no twin in this page: at this sampling period it does not fit into it"
+        ]
+    assumed = (
+        "" if design.rig.link.mass else ", assumed because the rig file gives none"
+    )
     return [
         f"a link with a mass of {grams(mass)}{assumed}: its second mode moves tip and gauge",
         "the torque of the link acts on the motor, and the law compensates it from the gauge's reading",
@@ -166,5 +186,9 @@ def _not_simulated(design: Design) -> list[str]:
         "contact, gravity, play and elasticity of the gear, heat, wear",
         "anything about the arm that the log did not show",
     ]
-    higher = "higher modes" if design.model.second_mode else "the second and all higher modes"
+    higher = (
+        "higher modes"
+        if design.model.second_mode
+        else "the second and all higher modes"
+    )
     return [f"the mass of the link, and so {higher} in the motion of the tip", *missing]

@@ -1,4 +1,6 @@
-"""Axes of matplotlib in fraclink's colours, and the grid on which a response drawn in them looks smooth."""
+"""Axes of matplotlib in fraclink's colours, and the grid on which a response drawn in
+them looks smooth.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +27,27 @@ from fraclink.errors import FieldError, MissingExtraError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["BLUE", "FAINT", "GREEN", "GREY", "INK", "LEVELS", "LINES", "ORANGE", "VIOLET"]
-__all__ += ["LoopCurve", "cycle", "figure", "finish", "labelled", "load_matplotlib", "new_axes", "sample"]
+__all__ = [
+    "BLUE",
+    "FAINT",
+    "GREEN",
+    "GREY",
+    "INK",
+    "LEVELS",
+    "LINES",
+    "ORANGE",
+    "VIOLET",
+]
+__all__ += [
+    "LoopCurve",
+    "cycle",
+    "figure",
+    "finish",
+    "labelled",
+    "load_matplotlib",
+    "new_axes",
+    "sample",
+]
 __all__ += ["save_figure", "svg", "theme_on", "tint"]
 
 Real = NDArray[np.float64]
@@ -34,15 +55,19 @@ Complex = NDArray[np.complex128]
 
 _LIGHT = colours()
 INK, GREY, FAINT = _LIGHT["ink"], _LIGHT["quiet"], _LIGHT["rule"]
-LEVELS = BLUE, ORANGE, GREEN, VIOLET = tuple(_LIGHT[f"line-{line}"] for line in LINE_NUMBERS)
+LEVELS = BLUE, ORANGE, GREEN, VIOLET = tuple(
+    _LIGHT[f"line-{line}"] for line in LINE_NUMBERS
+)
 _DASHES: tuple[Any, ...] = ("-", (0, (7, 3)), (0, (3, 2.5)), (0, (9, 3, 2, 3)))
 LINES: tuple[dict[str, Any], ...] = tuple(
-    {"color": color, "linestyle": style} for color, style in zip(LEVELS, _DASHES, strict=True)
+    {"color": color, "linestyle": style}
+    for color, style in zip(LEVELS, _DASHES, strict=True)
 )
 
 
 def load_matplotlib() -> Any:
-    """Return matplotlib with the parts that draw without a display; it takes a third of a second to import.
+    """Return matplotlib with the parts that draw without a display; it takes a third of
+    a second to import.
 
     Raises MissingExtraError where it is not installed.
     """
@@ -57,7 +82,8 @@ def load_matplotlib() -> Any:
 
 
 _STYLE: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
+    # comes with matplotlib: the same glyphs on every machine
+    "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9,
     "axes.titleweight": "bold",
@@ -87,7 +113,8 @@ _STYLE: dict[Any, Any] = {
 
 
 def theme_on(background: Any) -> int:
-    """The theme whose lines stand out on a background: dark below half of the full brightness.
+    """The theme whose lines stand out on a background: dark below half of the full
+    brightness.
 
     >>> theme_on("white"), theme_on("#131920")
     (0, 1)
@@ -100,11 +127,15 @@ def theme_on(background: Any) -> int:
 
 
 def cycle() -> dict[Any, Any]:
-    """What gives the lines of new axes fraclink's colours and dashes, light or dark as the axes are."""
+    """What gives the lines of new axes fraclink's colours and dashes, light or dark as
+    the axes are.
+    """
     mpl = load_matplotlib()
     known = colours(theme_on(mpl.rcParams["axes.facecolor"]))
     lines = [known[f"line-{line}"] for line in LINE_NUMBERS]
-    return {"axes.prop_cycle": mpl.cycler(color=lines) + mpl.cycler(linestyle=list(_DASHES))}
+    return {
+        "axes.prop_cycle": mpl.cycler(color=lines) + mpl.cycler(linestyle=list(_DASHES))
+    }
 
 
 def tint(ax: Any, name: str) -> str:
@@ -116,12 +147,15 @@ def tint(ax: Any, name: str) -> str:
 def figure(width: float, height: float) -> Iterator[Figure]:
     """Yield an empty figure of `width` × `height` inches in the report's style."""
     mpl = load_matplotlib()
-    # `layout` is solved when the figure is drawn, and `svg` draws it inside of the same style.
+    # `layout` is solved when the figure is drawn, and `svg` draws it inside of the same
+    # style.
     with mpl.rc_context(_STYLE):
         yield mpl.figure.Figure(figsize=(width, height), layout="constrained")
 
 
-_PLACES = re.compile(r'\b(?:d|x|y|x1|x2|y1|y2|width|height|viewBox|points)="[^"]*"|\btranslate\([^)]*\)')
+_PLACES = re.compile(
+    r'\b(?:d|x|y|x1|x2|y1|y2|width|height|viewBox|points)="[^"]*"|\btranslate\([^)]*\)'
+)
 
 
 def _rounded(number: re.Match[str]) -> str:
@@ -131,7 +165,8 @@ def _rounded(number: re.Match[str]) -> str:
 def svg(drawing: Figure, name: str, description: str) -> str:
     """Return `drawing` as an inline SVG element whose ids begin with `name`.
 
-    Several SVGs share one page, and matplotlib names its clip paths and glyphs alike in each of them.
+    Several SVGs share one page, and matplotlib names its clip paths and glyphs alike in
+    each of them.
     """
     stream, mpl = io.StringIO(), load_matplotlib()
     with mpl.rc_context(_STYLE):
@@ -140,29 +175,42 @@ def svg(drawing: Figure, name: str, description: str) -> str:
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
-    # matplotlib's ids are hashes of coordinates in all their digits, and the layout's solver does not find
-    # the last one twice alike; numbers in the order of the page are the same every time.
-    order = {old: f"{name}-{number}" for number, old in enumerate(re.findall(r'\bid="([^"]*)"', text))}
-    text = re.sub(r'(\bid="|url\(#|href="#)([^")]*)', lambda at: at[1] + order[at[2]], text)
-    # A hundredth of a point is a thirtieth of a screen's dot; more digits are half of the text, and they
-    # differ in the last place between processors.
-    text = _PLACES.sub(lambda place: re.sub(r"-?\d+\.\d{3,}", _rounded, place.group()), text)
+    # matplotlib's ids are hashes of coordinates in all their digits, and the layout's
+    # solver does not find the last one twice alike; numbers in the order of the page
+    # are the same every time.
+    order = {
+        old: f"{name}-{number}"
+        for number, old in enumerate(re.findall(r'\bid="([^"]*)"', text))
+    }
+    text = re.sub(
+        r'(\bid="|url\(#|href="#)([^")]*)', lambda at: at[1] + order[at[2]], text
+    )
+    # A hundredth of a point is a thirtieth of a screen's dot; more digits are half of
+    # the text, and they differ in the last place between processors.
+    text = _PLACES.sub(
+        lambda place: re.sub(r"-?\d+\.\d{3,}", _rounded, place.group()), text
+    )
     text = re.sub(r"\s*\n\s*", "\n", text)
     opening = f'<svg role="img" aria-label="{html.escape(description)}" '
     return opening + text[len("<svg") :].strip()
 
 
 def save_figure(
-    path: Path | str, draw: Callable[[Figure], object], *, size: tuple[float, float] = (7.5, 5.0)
+    path: Path | str,
+    draw: Callable[[Figure], object],
+    *,
+    size: tuple[float, float] = (7.5, 5.0),
 ) -> None:
-    """Let `draw` fill a figure of `size` [inches] and write it as the suffix says (SVG without one).
+    """Let `draw` fill a figure of `size` [inches] and write it as the suffix says (SVG
+    without one).
 
     Raises MissingExtraError where matplotlib is not installed.
     """
     mpl = load_matplotlib()
     kind = Path(path).suffix.lstrip(".").lower() or "svg"
     # Without a date and with ids that do not change a second run writes the same file.
-    # Pixels at 110 per inch: what a page of 7.5 inches needs on a screen of usual density.
+    # Pixels at 110 per inch: what a page of 7.5 inches needs on a screen of usual
+    # density.
     extra = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 110}
     with mpl.rc_context({"svg.hashsalt": "fraclink"}):
         drawing = mpl.figure.Figure(figsize=size, layout="constrained")
@@ -176,7 +224,9 @@ def save_figure(
 
 
 def new_axes(rows: int = 1) -> Any:
-    """New axes, one or one for each row; matplotlib.pyplot is imported when the first plot is drawn."""
+    """New axes, one or one for each row; matplotlib.pyplot is imported when the first
+    plot is drawn.
+    """
     try:
         from matplotlib import pyplot
     except ImportError as error:
@@ -208,21 +258,28 @@ class LoopCurve:
 
     @property
     def phase(self) -> Real:
-        """arg L [rad], continuous; it starts within π of the low-frequency slope times π/2."""
+        """arg L [rad], continuous; it starts within π of the low-frequency slope times
+        π/2.
+        """
         turns = np.angle(self.values[1:] / self.values[:-1])
-        # Across a pole of the axis the phase falls by π, whichever sign rounding gave the jump.
+        # Across a pole of the axis the phase falls by π, whichever sign rounding gave
+        # the jump.
         size = np.abs(self.values)
-        # 2.8 rad between two neighbours of a refined grid is no curve but a jump by ±π; it counts as a pole's
-        # only where both sides are large, for at a zero of the axis the phase rises.
+        # 2.8 rad between two neighbours of a refined grid is no curve but a jump by ±π;
+        # it counts as a pole's only where both sides are large, for at a zero of the
+        # axis the phase rises.
         over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
         turns[over] -= 2 * math.pi
         first = float(np.angle(self.values[0]))
-        # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It picks the multiple of
-        # 360°, which the angle alone leaves open: k/s³ starts at −270° and not at +90°.
+        # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It
+        # picks the multiple of 360°, which the angle alone leaves open: k/s³ starts at
+        # −270° and not at +90°.
         x = np.log(self.frequency[:2])
         slope = float(np.diff(np.log(size[:2]))[0] / (x[1] - x[0]))
         if math.isfinite(slope):
-            first += 2 * math.pi * round((0.5 * math.pi * slope - first) / (2 * math.pi))
+            first += (
+                2 * math.pi * round((0.5 * math.pi * slope - first) / (2 * math.pi))
+            )
         return np.concatenate([[first], first + np.cumsum(turns)])
 
 
@@ -232,11 +289,18 @@ def sample(
     limit: float | None,
     drawn: Callable[[LoopCurve], tuple[Real, Real]] | None = None,
 ) -> LoopCurve:
-    """The response on `frequency` [rad/s], or on its own grid refined until `drawn` looks smooth."""
+    """The response on `frequency` [rad/s], or on its own grid refined until `drawn`
+    looks smooth.
+    """
     loop = as_loop(system, limit)
     if frequency is not None:
         w = np.asarray(frequency, dtype=float).reshape(-1)
-        if w.size < 3 or not np.all(np.isfinite(w)) or np.any(w <= 0) or np.any(np.diff(w) <= 0):
+        if (
+            w.size < 3
+            or not np.all(np.isfinite(w))
+            or np.any(w <= 0)
+            or np.any(np.diff(w) <= 0)
+        ):
             raise FieldError(
                 "frequency",
                 frequency,
@@ -254,16 +318,25 @@ def sample(
 def _evaluated(loop: SampledLoop, x: Real) -> LoopCurve:
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         values = loop(x)
-    # No value beside a pole says where the curve goes, and an infinite one would scale the axis away.
-    # A pole or zero hit exactly is drawn as a gap in nothing: its neighbours are 1e-9 beside it.
+    # No value beside a pole says where the curve goes, and an infinite one would scale
+    # the axis away. A pole or zero hit exactly is drawn as a gap in nothing: its
+    # neighbours are 1e-9 beside it.
     usual = np.isfinite(values) & (values != 0)
     return LoopCurve(np.exp(x), np.where(usual, values, math.nan))
 
 
-def labelled(systems: Sequence[Any], labels: Sequence[str] | None) -> list[tuple[Any, str | None]]:
+def labelled(
+    systems: Sequence[Any], labels: Sequence[str] | None
+) -> list[tuple[Any, str | None]]:
     """Systems with their labels."""
     if not systems:
-        raise FieldError("systems", "none", "empty", allowed="one system or more", remedy="pass a loop")
+        raise FieldError(
+            "systems",
+            "none",
+            "empty",
+            allowed="one system or more",
+            remedy="pass a loop",
+        )
     if labels is not None and len(labels) != len(systems):
         raise FieldError(
             "labels",
@@ -272,4 +345,7 @@ def labelled(systems: Sequence[Any], labels: Sequence[str] | None) -> list[tuple
             allowed="one label for each system",
             remedy="give as many labels as systems",
         )
-    return [(system, None if labels is None else labels[i]) for i, system in enumerate(systems)]
+    return [
+        (system, None if labels is None else labels[i])
+        for i, system in enumerate(systems)
+    ]

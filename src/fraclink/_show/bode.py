@@ -1,4 +1,6 @@
-"""Bode plots: magnitude and phase of loops, and a loop's crossings and margins marked in them."""
+"""Bode plots: magnitude and phase of loops, and a loop's crossings and margins marked
+in them.
+"""
 
 from __future__ import annotations
 
@@ -95,9 +97,11 @@ def margin_plot(
         _mark_gain(axes, crossing.frequency, crossing.phase_margin, curve, phase)
     for place in found.phase_crossings:
         _mark_phase(axes, place.frequency, place.gain_margin, curve, phase)
-    places = [c.frequency for c in found.gain_crossings] + [c.frequency for c in found.phase_crossings]
-    # The automatic grid runs over every corner of the loop; what decides on stability lies around the
-    # crossings.
+    places = [c.frequency for c in found.gain_crossings] + [
+        c.frequency for c in found.phase_crossings
+    ]
+    # The automatic grid runs over every corner of the loop; what decides on stability
+    # lies around the crossings.
     if places and frequency is None:  # a decade and a half beside them
         low, high = curve.frequency[[0, -1]]
         axes[0].set_xlim(max(min(places) / 30, low), min(max(places) * 30, high))
@@ -112,12 +116,17 @@ def _headline(found: Margins) -> str:
     return f"phase margin {math.degrees(found.phase_margin):.2f}° at {found.gain_crossover:.4g} rad/s"
 
 
-def _mark_gain(axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real) -> None:
+def _mark_gain(
+    axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real
+) -> None:
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
     # The multiple of −180° that the margin is measured from on the sheet that is drawn.
     line = at - math.degrees(margin)
-    # Where a resonance rises through 0 dB the phase is far from −180° on either side: neither good nor bad.
-    name = "quiet" if abs(margin) > 0.5 * math.pi else "line-2" if margin < 0 else "line-3"
+    # Where a resonance rises through 0 dB the phase is far from −180° on either side:
+    # neither good nor bad.
+    name = (
+        "quiet" if abs(margin) > 0.5 * math.pi else "line-2" if margin < 0 else "line-3"
+    )
     color = tint(axes[0], name)
     axes[0].plot([frequency], [0.0], "o", color=color, markersize=4)
     axes[1].plot([frequency, frequency], [line, at], "-", color=color, linewidth=1.6)
@@ -134,9 +143,11 @@ def _mark_gain(axes: Any, frequency: float, margin: float, curve: LoopCurve, pha
     )
 
 
-def _mark_phase(axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real) -> None:
-    # |L| at the crossing is the inverse of the gain margin: the bar runs from 0 dB to the curve, and says by
-    # how much the gain may grow.
+def _mark_phase(
+    axes: Any, frequency: float, margin: float, curve: LoopCurve, phase: Real
+) -> None:
+    # |L| at the crossing is the inverse of the gain margin: the bar runs from 0 dB to
+    # the curve, and says by how much the gain may grow.
     level = -20 * math.log10(margin)
     color = tint(axes[0], "line-2" if margin < 1 else "line-1")
     at = float(np.interp(math.log(frequency), np.log(curve.frequency), phase))
@@ -157,9 +168,12 @@ def _as_drawn(curve: LoopCurve) -> tuple[Real, Real]:
     """Both panels at once: their curves bend at the same places."""
     x = np.log(curve.frequency)
     decibels = np.clip(np.nan_to_num(curve.decibels, nan=0.0), *_decibel_range(curve))
-    # A flat magnitude, as of a delay, must not blow its rounding up to a span that asks for refinement.
+    # A flat magnitude, as of a delay, must not blow its rounding up to a span that asks
+    # for refinement.
     span = max(float(np.ptp(decibels)), 6.0)
-    phase = np.nan_to_num(curve.phase, nan=0.0) / max(float(np.ptp(np.nan_to_num(curve.phase))), 0.5)
+    phase = np.nan_to_num(curve.phase, nan=0.0) / max(
+        float(np.ptp(np.nan_to_num(curve.phase))), 0.5
+    )
     return (x - x[0]) / (x[-1] - x[0]), decibels / span + 0.5 * phase
 
 
@@ -171,10 +185,12 @@ def _decibel_range(curve: LoopCurve) -> tuple[float, float]:
     x, decibels = np.log(curve.frequency[usual]), curve.decibels[usual]
     # By the length of the axis and not by points: those crowd at the resonance.
     even = np.interp(np.linspace(x[0], x[-1], 400), x, decibels)
-    # What an undamped mode reaches depends on how near the grid comes to it: two per cent of the axis belong
-    # to it, and 30 dB more show that it is one.
+    # What an undamped mode reaches depends on how near the grid comes to it: two per
+    # cent of the axis belong to it, and 30 dB more show that it is one.
     low, high = np.percentile(even, [1, 99])
-    return max(float(decibels.min()), float(low) - 30), min(float(decibels.max()), float(high) + 30)
+    return max(float(decibels.min()), float(low) - 30), min(
+        float(decibels.max()), float(high) + 30
+    )
 
 
 def _two_axes(ax: Sequence[Any] | None) -> Any:
@@ -183,17 +199,26 @@ def _two_axes(ax: Sequence[Any] | None) -> Any:
     axes = np.asarray(ax, dtype=object).reshape(-1)
     if axes.size != 2:
         raise FieldError(
-            "ax", axes.size, "not two axes", allowed="magnitude and phase axes", remedy="plt.subplots(2, 1)"
+            "ax",
+            axes.size,
+            "not two axes",
+            allowed="magnitude and phase axes",
+            remedy="plt.subplots(2, 1)",
         )
     return axes
 
 
-def _draw(axes: Any, curve: LoopCurve, label: str | None, style: dict[str, Any]) -> None:
+def _draw(
+    axes: Any, curve: LoopCurve, label: str | None, style: dict[str, Any]
+) -> None:
     (line,) = axes[0].semilogx(curve.frequency, curve.decibels, label=label, **style)
-    axes[1].semilogx(curve.frequency, np.degrees(curve.phase), **{"color": line.get_color(), **style})
+    axes[1].semilogx(
+        curve.frequency, np.degrees(curve.phase), **{"color": line.get_color(), **style}
+    )
     low, high = _decibel_range(curve)
     spare = 0.05 * (high - low) + 1.0
-    # Limits stated, matplotlib no longer scales: with a second system they must hold both.
+    # Limits stated, matplotlib no longer scales: with a second system they must hold
+    # both.
     if axes[0].get_lines()[:-1]:
         bottom, top = axes[0].get_ylim()
         axes[0].set_ylim(min(bottom, low - spare), max(top, high + spare))
@@ -207,13 +232,21 @@ def _finish(axes: Any) -> None:
     axes[1].set_xlabel("frequency [rad/s]")
     low, high = axes[1].get_ylim()
     if high > -270.0:
-        # Below lies only what delay adds where the gain is long gone: it would flatten what matters.
+        # Below lies only what delay adds where the gain is long gone: it would flatten
+        # what matters.
         low = max(low, -370.0)
-    # Degrees that people count in; 1e9 is for a phase of thousands of turns, which matplotlib divides itself.
-    step = next(d for d in (15, 30, 45, 90, 180, 360, 720, 1e9) if (high - low) / d <= 7)
+    # Degrees that people count in; 1e9 is for a phase of thousands of turns, which
+    # matplotlib divides itself.
+    step = next(
+        d for d in (15, 30, 45, 90, 180, 360, 720, 1e9) if (high - low) / d <= 7
+    )
     if step <= 720:
-        axes[1].set_yticks(np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step)
+        axes[1].set_yticks(
+            np.arange(math.floor(low / step), math.ceil(high / step) + 1) * step
+        )
         axes[1].set_ylim(low, high)
     for axis in axes:
         axis.grid(True, which="major", color=tint(axis, "rule"))
-        axis.grid(True, which="minor", axis="x", color=tint(axis, "faint"), linewidth=0.5)
+        axis.grid(
+            True, which="minor", axis="x", color=tint(axis, "faint"), linewidth=0.5
+        )

@@ -1,4 +1,6 @@
-"""Marks of a drawing: curves, dots, bands, bars, cells, zones, levels, places, each as SVG in its panel."""
+"""Marks of a drawing: curves, dots, bands, bars, cells, zones, levels, places, each as
+SVG in its panel.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +32,13 @@ __all__ += ["Upright", "Zone", "escaped", "percent"]
 
 Real = NDArray[np.float64]
 
-# Whole numbers make a path half as long as decimals would. 4000 steps are a fifth of a dot at a text's width
-# of 860: finer than a stroke, and still after the page zooms in by four.
-ACROSS, DOWN = 4000, 2000  # steps of the box that curves lie in; it stretches with its panel
+# Whole numbers make a path half as long as decimals would. 4000 steps are a fifth of a
+# dot at a text's width of 860: finer than a stroke, and still after the page zooms in
+# by four.
+ACROSS, DOWN = (
+    4000,
+    2000,
+)  # steps of the box that curves lie in; it stretches with its panel
 _ASIDE = 0.55  # of the width: a text beside a place further right stands left of it
 
 
@@ -69,15 +75,21 @@ class Frame:
     def path(self, x: ArrayLike, y: ArrayLike, *, dots: bool = False) -> str:
         """A line through points, or a dot at each; what is not finite is a gap."""
         with np.errstate(invalid="ignore"):
-            # A scalar stands for a level or an upright line: Curve(w, 0.0) needs no array.
-            a, b = np.broadcast_arrays(ACROSS * self.x.share(x), DOWN * (1.0 - self.y.share(y)))
+            # A scalar stands for a level or an upright line: Curve(w, 0.0) needs no
+            # array.
+            a, b = np.broadcast_arrays(
+                ACROSS * self.x.share(x), DOWN * (1.0 - self.y.share(y))
+            )
         good = np.isfinite(a) & np.isfinite(b)
-        # Far outside, a value is clipped at once the panel's size: the slope at the edge hardly changes, and
-        # a pole does not put numbers of a hundred digits into the page.
+        # Far outside, a value is clipped at once the panel's size: the slope at the
+        # edge hardly changes, and a pole does not put numbers of a hundred digits into
+        # the page.
         at = np.rint(np.clip(np.nan_to_num(a), -ACROSS, 2 * ACROSS)).astype(int)
         down = np.rint(np.clip(np.nan_to_num(b), -DOWN, 2 * DOWN)).astype(int)
         if dots:
-            return "".join(f"M{p} {q}h0" for p, q, fine in zip(at, down, good, strict=True) if fine)
+            return "".join(
+                f"M{p} {q}h0" for p, q, fine in zip(at, down, good, strict=True) if fine
+            )
         parts, last = [], None
         for p, q, fine in zip(at.tolist(), down.tolist(), good.tolist(), strict=True):
             if not fine:
@@ -85,7 +97,8 @@ class Frame:
             elif last is None:
                 parts.append(f"M{p} {q}l")
                 last = (p, q)
-            # A step of nothing is left out: where a record rests, all of its points fall on one place.
+            # A step of nothing is left out: where a record rests, all of its points
+            # fall on one place.
             elif (p, q) != last:
                 parts.append(f"{p - last[0]} {q - last[1]} ")
                 last = (p, q)
@@ -95,7 +108,9 @@ class Frame:
 
 @dataclass(frozen=True)
 class Layers:
-    """What a mark adds to a panel: below the curves, among them, and above; and the label at its end."""
+    """What a mark adds to a panel: below the curves, among them, and above; and the
+    label at its end.
+    """
 
     below: str = ""
     curves: str = ""
@@ -119,17 +134,28 @@ class Curve:
         dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
         style = f"c{self.line}{dash} {self.weight}".strip()
         if self.weight == "fill":
-            # A disk or a corridor has no end where a name could stand, and must not cover the curves: it lies
-            # below.
-            return Layers(below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>')
+            # A disk or a corridor has no end where a name could stand, and must not
+            # cover the curves: it lies below.
+            return Layers(
+                below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>'
+            )
         values = np.asarray(self.y, dtype=float).ravel()
-        across = frame.x.share(np.broadcast_to(np.asarray(self.x, dtype=float), values.shape))
-        # A name stands where its line leaves the panel: what is drawn on behind the right edge is cut off
-        # there.
+        across = frame.x.share(
+            np.broadcast_to(np.asarray(self.x, dtype=float), values.shape)
+        )
+        # A name stands where its line leaves the panel: what is drawn on behind the
+        # right edge is cut off there.
         seen = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
         named = f' data-name="{escaped(self.name)}"' if self.name else ""
-        ends = ((frame.down(float(seen[-1])), self.name, style),) if self.name and seen.size else ()
-        return Layers(curves=f'<path class="{style}"{named} d="{frame.path(self.x, self.y)}"/>', ends=ends)
+        ends = (
+            ((frame.down(float(seen[-1])), self.name, style),)
+            if self.name and seen.size
+            else ()
+        )
+        return Layers(
+            curves=f'<path class="{style}"{named} d="{frame.path(self.x, self.y)}"/>',
+            ends=ends,
+        )
 
 
 @dataclass(frozen=True)
@@ -143,7 +169,9 @@ class Dots:
     large: bool = False
 
     def drawn(self, frame: Frame) -> Layers:
-        """Strokes without length and with round ends stay round in a box that stretches."""
+        """Strokes without length and with round ends stay round in a box that
+        stretches.
+        """
         large = " large" if self.large else ""
         text = f'<path class="c{self.line} dots{large}" d="{frame.path(self.x, self.y, dots=True)}"/>'
         values = np.asarray(self.y, dtype=float).ravel()
@@ -167,13 +195,17 @@ class Band:
 
     def drawn(self, frame: Frame) -> Layers:
         """One closed path, there on the upper edge and back on the lower."""
-        x, low, high = (np.asarray(v, dtype=float) for v in (self.x, self.low, self.high))
+        x, low, high = (
+            np.asarray(v, dtype=float) for v in (self.x, self.low, self.high)
+        )
         x, low, high = np.broadcast_arrays(x, low, high)
         there, back = frame.path(x, high), frame.path(x[::-1], low[::-1])
-        # Joined by a line instead of begun anew, both edges are one surface; two subpaths would be two
-        # slivers.
+        # Joined by a line instead of begun anew, both edges are one surface; two
+        # subpaths would be two slivers.
         back = re.sub(r"^M", "L", back)
-        return Layers(below=f'<path class="b{self.line}" d="{there}{back}z"/>' if there else "")
+        return Layers(
+            below=f'<path class="b{self.line}" d="{there}{back}z"/>' if there else ""
+        )
 
 
 @dataclass(frozen=True)
@@ -186,16 +218,24 @@ class Bars:
 
     def drawn(self, frame: Frame) -> Layers:
         """One outline of all bars."""
-        edges, heights = np.asarray(self.edges, dtype=float), np.asarray(self.heights, dtype=float)
+        edges, heights = (
+            np.asarray(self.edges, dtype=float),
+            np.asarray(self.heights, dtype=float),
+        )
         x = np.repeat(edges, 2)
-        # As one outline neighbours share their side: bars of their own would leave hairlines between them.
+        # As one outline neighbours share their side: bars of their own would leave
+        # hairlines between them.
         y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
-        return Layers(below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>')
+        return Layers(
+            below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>'
+        )
 
 
 @dataclass(frozen=True)
 class Cells:
-    """A table in colours: `levels` 0 to 3 of the palette, shape (rows, columns), below 0 for none."""
+    """A table in colours: `levels` 0 to 3 of the palette, shape (rows, columns), below
+    0 for none.
+    """
 
     across: Real
     up: Real
@@ -207,12 +247,17 @@ class Cells:
         y = np.rint(DOWN * (1.0 - frame.y.share(self.up))).astype(int)
         parts: dict[int, list[str]] = {}
         for row, values in enumerate(self.levels):
-            # The appended value differs from the last one whatever that is, so that the last run ends, too.
+            # The appended value differs from the last one whatever that is, so that the
+            # last run ends, too.
             ends = np.flatnonzero(np.diff(values, append=values[-1] - 1)) + 1
             for start, end in zip([0, *ends[:-1]], ends, strict=True):
                 box = f"M{x[start]} {y[row]}H{x[end]}V{y[row + 1]}H{x[start]}z"
                 parts.setdefault(int(values[start]), []).append(box)
-        paths = (f'<path class="l{k}" d="{"".join(parts[k])}"/>' for k in sorted(parts) if k >= 0)
+        paths = (
+            f'<path class="l{k}" d="{"".join(parts[k])}"/>'
+            for k in sorted(parts)
+            if k >= 0
+        )
         return Layers(below="".join(paths))
 
 
@@ -230,16 +275,18 @@ class Zone:
             top, bottom = frame.down(self.high), frame.down(self.low)
             place = f'x="0" width="100%" y="{top}" height="{round(bottom - top, 1)}"'
         else:
-            left, right = (float(np.clip(frame.x.share(v), 0, 1)) for v in (self.low, self.high))
-            place = (
-                f'x="{percent(left)}" width="{percent(right - left)}" y="{frame.top}" height="{frame.height}"'
+            left, right = (
+                float(np.clip(frame.x.share(v), 0, 1)) for v in (self.low, self.high)
             )
+            place = f'x="{percent(left)}" width="{percent(right - left)}" y="{frame.top}" height="{frame.height}"'
         return Layers(below=f'<rect class="zone" {place}/>')
 
 
 @dataclass(frozen=True)
 class Across:
-    """A level over the whole width, dashed where it is a `limit`, with a text above its left end."""
+    """A level over the whole width, dashed where it is a `limit`, with a text above its
+    left end.
+    """
 
     value: float
     text: str = ""
@@ -249,7 +296,11 @@ class Across:
         """A line and its text."""
         y = frame.down(self.value)
         line = f'<line class="{"limit" if self.limit else "zero"}" x2="100%" y1="{y}" y2="{y}"/>'
-        text = f'<text class="halo" x="4" y="{y - 4}">{escaped(self.text)}</text>' if self.text else ""
+        text = (
+            f'<text class="halo" x="4" y="{y - 4}">{escaped(self.text)}</text>'
+            if self.text
+            else ""
+        )
         return Layers(above=line + text)
 
 
@@ -263,7 +314,11 @@ class Upright:
 
     def drawn(self, frame: Frame) -> Layers:
         """A line and its text."""
-        left = self.left if self.left is not None else float(frame.x.share(self.value)) > _ASIDE
+        left = (
+            self.left
+            if self.left is not None
+            else float(frame.x.share(self.value)) > _ASIDE
+        )
         x, bottom = frame.across(self.value), frame.top + frame.height
         line = f'<line class="limit" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
         side = 'text-anchor="end" dx="-4"' if left else 'dx="4"'
@@ -289,12 +344,18 @@ class Point:
             "ring": f'<circle class="c{self.line} ring" r="6"/>',
             "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
         }
-        # No width of a text is known here, since the page's typeface is the reader's: the side with more room
-        # is the guess that rarely runs out of the drawing.
+        # No width of a text is known here, since the page's typeface is the reader's:
+        # the side with more room is the guess that rarely runs out of the drawing.
         left = float(frame.x.share(self.x)) > _ASIDE
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'
-        text = f'<text class="halo name" {side} y="-5">{escaped(self.text)}</text>' if self.text else ""
-        return Layers(above=f'<svg x="{x}" y="{y}" overflow="visible">{shapes[self.sign]}{text}</svg>')
+        text = (
+            f'<text class="halo name" {side} y="-5">{escaped(self.text)}</text>'
+            if self.text
+            else ""
+        )
+        return Layers(
+            above=f'<svg x="{x}" y="{y}" overflow="visible">{shapes[self.sign]}{text}</svg>'
+        )
 
 
 Mark = Curve | Dots | Band | Bars | Cells | Zone | Across | Upright | Point

@@ -1,4 +1,6 @@
-"""What a prompt and a notebook show of each result: a line, its tables, and a drawing where one exists."""
+"""What a prompt and a notebook show of each result: a line, its tables, and a drawing
+where one exists.
+"""
 
 from __future__ import annotations
 
@@ -45,15 +47,19 @@ def short(result: Any) -> str:
     """
     shown = view(result)
     # Headlines may have several lines, as a tournament's; a repr is one.
-    text = " ".join(f"{marked(shown.state)}: {shown.headline}".removeprefix(": ").split())
+    text = " ".join(
+        f"{marked(shown.state)}: {shown.headline}".removeprefix(": ").split()
+    )
     text = text if len(text) <= _LONGEST else text[: _LONGEST - 1] + "…"
     return f"{type(result).__name__}({text})"
 
 
 def drawing(result: Any) -> str | None:
-    """Return the drawing of a result as SVG, in the colours of both themes; None where it has none."""
-    # By the class itself and not by its bases: a subclass that has no drawing of its own is not drawn as
-    # something else.
+    """Return the drawing of a result as SVG, in the colours of both themes; None where
+    it has none.
+    """
+    # By the class itself and not by its bases: a subclass that has no drawing of its
+    # own is not drawn as something else.
     if type(result).__name__ not in _DRAWINGS:
         return None
     drawn: Figure | str = looked_up(_DRAWINGS, result)(result)
@@ -61,7 +67,8 @@ def drawing(result: Any) -> str | None:
 
 
 def draw(result: Any, path: Path | str) -> None:
-    """Write the drawing of a result to an SVG file, as a notebook shows it, in the colours of both themes.
+    """Write the drawing of a result to an SVG file, as a notebook shows it, in the
+    colours of both themes.
 
     FieldError for a result without a drawing, and for a file of another kind.
 
@@ -74,7 +81,13 @@ def draw(result: Any, path: Path | str) -> None:
     drawn = drawing(result)
     if drawn is None:
         allowed, given = ", ".join(sorted(_DRAWINGS)), type(result).__name__
-        raise FieldError("result", given, "without a drawing", allowed=allowed, remedy="draw one of these")
+        raise FieldError(
+            "result",
+            given,
+            "without a drawing",
+            allowed=allowed,
+            remedy="draw one of these",
+        )
     save_svg(drawn, path)
 
 

@@ -1,4 +1,6 @@
-"""Pages from templates, in which everything from outside is escaped, and the colours of every drawing."""
+"""Pages from templates, in which everything from outside is escaped, and the colours of
+every drawing.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,16 @@ __all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
 __all__ += ["rendered", "squeezed", "template_text", "tightened"]
 
 _FOLDER = files("fraclink._show") / "templates"
-# What a script is made of, as far as its spaces matter. A template holds at most one more inside of it.
-_TEMPLATE = r"`(?:\\.|[^`\\$]|\$(?!\{)|\$\{(?:[^`{}]|`(?:\\.|[^`\\])*`|\{[^{}]*\})*\})*`"
+# What a script is made of, as far as its spaces matter. A template holds at most one
+# more inside of it.
+_TEMPLATE = (
+    r"`(?:\\.|[^`\\$]|\$(?!\{)|\$\{(?:[^`{}]|`(?:\\.|[^`\\])*`|\{[^{}]*\})*\})*`"
+)
 _PARTS = re.compile(
     r"(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<space>\s+)"
     r"|(?P<text>'(?:\\.|[^'\\\n])*'|\"(?:\\.|[^\"\\\n])*\"|" + _TEMPLATE + r")"
-    # Behind a sign that a value follows, with a space or without, a stroke begins a pattern; else it divides.
+    # Behind a sign that a value follows, with a space or without, a stroke begins a
+    # pattern; else it divides.
     r"|(?P<pattern>(?:(?<=[(,=:!&|?])|(?<=[(,=:!&|?] ))"
     r"/(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/)|(?P<code>[\w$]+|.)",
     re.DOTALL,
@@ -32,17 +38,24 @@ def template_text(name: str) -> str:
 
 
 def squeezed(name: str) -> str:
-    """A script or style without indentation and lines of comment: 5 kB, room for two more payloads."""
-    # A comment of several lines is one: its second line, left in, takes the rule behind it along.
-    text = re.sub(r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE)
+    """A script or style without indentation and lines of comment: 5 kB, room for two
+    more payloads.
+    """
+    # A comment of several lines is one: its second line, left in, takes the rule behind
+    # it along.
+    text = re.sub(
+        r"^\s*/\*.*?\*/", "", template_text(name), flags=re.DOTALL | re.MULTILINE
+    )
     lines = (line.strip() for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
 
 
 def tightened(script: str) -> str:
-    """Return a script without its comments, and without the spaces and signs that separate nothing.
+    """Return a script without its comments, and without the spaces and signs that
+    separate nothing.
 
-    It must be written with a semicolon behind every statement but a block, and without empty bodies of loops.
+    It must be written with a semicolon behind every statement but a block, and without
+    empty bodies of loops.
 
     >>> tightened("const a = (b) => { return `${b} + 1`; }; // twice\\n  f( a,\\n  'x y' );\\n")
     "const a=b=>{return`${b} + 1`};f(a,'x y');\\n"
@@ -53,20 +66,28 @@ def tightened(script: str) -> str:
         if part.lastgroup in ("comment", "space"):
             gap = "\n" if "\n" in text or gap == "\n" else " "
             continue
-        # What stands between two tokens is decided when the second is known: a space only between two words
-        # or two equal signs, `a - -b`, and a line break only where it may end a statement.
+        # What stands between two tokens is decided when the second is known: a space
+        # only between two words or two equal signs, `a - -b`, and a line break only
+        # where it may end a statement.
         before, after = found[-1][-1:], text[0]
         if gap == "\n" and _may_end(before, after):
             found.append("\n")
-        elif gap and ((_is_word(before) and _is_word(after)) or (before == after and after in "+-")):
+        elif gap and (
+            (_is_word(before) and _is_word(after))
+            or (before == after and after in "+-")
+        ):
             found.append(" ")
-        # The last comma of a list and the last semicolon of a block separate nothing. In an empty for (;;)
-        # both count, which is why scripts are written without.
+        # The last comma of a list and the last semicolon of a block separate nothing.
+        # In an empty for (;;) both count, which is why scripts are written without.
         if text in ("}", "]", ")") and found[-1] == ("," if text != "}" else ";"):
             found.pop()
         found.append(text)
         gap = ""
-        if found[-5:-4] == ["("] and found[-3:] == [")", "=", ">"] and not _is_word(found[-6][-1:]):
+        if (
+            found[-5:-4] == ["("]
+            and found[-3:] == [")", "=", ">"]
+            and not _is_word(found[-6][-1:])
+        ):
             del found[-5], found[-3]  # of the one parameter of a function
     return "".join(found) + "\n"
 
@@ -83,14 +104,16 @@ def _is_word(character: str) -> bool:
 
 
 def rendered(template: str, **contents: object) -> str:
-    """Return the page that `template` makes of `contents`; a name that is missing is an error."""
+    """Return the page that `template` makes of `contents`; a name that is missing is an
+    error.
+    """
     try:
         import jinja2
     except ModuleNotFoundError as error:
         raise MissingExtraError("jinja2", "report") from error
 
-    # StrictUndefined: a name misspelled in a template is an error of the test suite, not a blank in a report.
-    # autoescape: names of files and columns come from outside.
+    # StrictUndefined: a name misspelled in a template is an error of the test suite,
+    # not a blank in a report. autoescape: names of files and columns come from outside.
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(template_text),
         autoescape=True,
@@ -104,8 +127,8 @@ def rendered(template: str, **contents: object) -> str:
 
 # --- colours, read from the one style sheet ---------------------------------------------------------------
 
-# Dashes [dots] of the lines 0 to 4: where colours are of no use, in grey print, and where curves lie on one
-# another. Line 0 is the ink: a reference, a measured signal.
+# Dashes [dots] of the lines 0 to 4: where colours are of no use, in grey print, and
+# where curves lie on one another. Line 0 is the ink: a reference, a measured signal.
 DASHES = ("", "", "7 3", "3 2.5", "9 3 2 3")
 LINES = tuple(range(1, len(DASHES)))
 LIGHT, DARK = 0, 1
@@ -118,12 +141,15 @@ def colours(theme: int = LIGHT) -> dict[str, str]:
     >>> colours()["card"], colours(DARK)["card"]
     ('#ffffff', '#131920')
     """
-    found = re.findall(r"--([\w-]+): light-dark\((#\w{6}), (#\w{6})\)", template_text("palette.css"))
+    found = re.findall(
+        r"--([\w-]+): light-dark\((#\w{6}), (#\w{6})\)", template_text("palette.css")
+    )
     return {name: values[theme] for name, *values in found}
 
 
 def literal(style: str, theme: int = LIGHT) -> str:
-    """Return a style with its colours by value: a drawing that stands alone has no page to ask.
+    """Return a style with its colours by value: a drawing that stands alone has no page
+    to ask.
 
     >>> literal("fill:var(--card)")
     'fill:#ffffff'

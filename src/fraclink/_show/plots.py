@@ -1,8 +1,10 @@
-"""Plots of loops, responses and designs: each draws into `ax` (or new axes) and returns the axes.
+"""Plots of loops, responses and designs: each draws into `ax` (or new axes) and returns
+the axes.
 
-Conventions of python-control: dB, degrees, rad/s, one curve for each system. Unlike there, the grid refines
-itself where the drawn curve bends, and the phase starts on the sheet of the low-frequency slope: a lead
-s^0.65 is drawn at 58.5° and not at −301.5°. matplotlib is imported at the first plot.
+Conventions of python-control: dB, degrees, rad/s, one curve for each system. Unlike
+there, the grid refines itself where the drawn curve bends, and the phase starts on the
+sheet of the low-frequency slope: a lead s^0.65 is drawn at 58.5° and not at −301.5°.
+matplotlib is imported at the first plot.
 """
 
 from __future__ import annotations
@@ -57,7 +59,8 @@ def step_plot(
     *systems
         Proper.
     duration
-        Length of the time axis [s], > 0; without it eight time constants of the slowest pole.
+        Length of the time axis [s], > 0; without it eight time constants of the slowest
+        pole.
     ax
         axes to draw into; new ones without.
     labels
@@ -77,7 +80,11 @@ def step_plot(
         duration = max(_duration(system) for system in systems)
     if not (math.isfinite(duration) and duration > 0):
         raise FieldError(
-            "duration", duration, "not a length of time", allowed="> 0 s", remedy="give the seconds to show"
+            "duration",
+            duration,
+            "not a length of time",
+            allowed="> 0 s",
+            remedy="give the seconds to show",
         )
     ax = new_axes() if ax is None else ax
     time = np.linspace(0.0, duration, _POINTS)
@@ -88,15 +95,18 @@ def step_plot(
 
 
 def _duration(system: FractionalTransferFunction) -> float:
-    """Eight time constants of the slowest stable pole; of the lowest corner where there is none."""
+    """Eight time constants of the slowest stable pole; of the lowest corner where there
+    is none.
+    """
     delay = max(t.delay for t in system.numerator)
     if not any(t.delay for t in system.denominator):
-        # Fractional systems decay at last like a power of time, which has no time constant; eight of the
-        # slowest exponential show what is not that tail.
+        # Fractional systems decay at last like a power of time, which has no time
+        # constant; eight of the slowest exponential show what is not that tail.
         rates = -poles(system).real
         if np.any(rates > 0):
             return float(_TIMES / rates[rates > 0].min()) + 2 * delay
-    # Without a stable pole, as for 1/(s^0.5 + 1), the lowest corner frequency is the only time there is.
+    # Without a stable pole, as for 1/(s^0.5 + 1), the lowest corner frequency is the
+    # only time there is.
     low, _ = FractionalLoop.of(system, None).span
     return _TIMES / math.exp(low) + 2 * delay
 
@@ -107,7 +117,8 @@ _NAMES = {
     "loop": "with hold and delay, too",
     "sampled": "sampled, with the shipped law",
 }
-# The sampled loop lies on the continuous one to a fraction of a degree: dots on a line show both.
+# The sampled loop lies on the continuous one to a fraction of a degree: dots on a line
+# show both.
 _STYLES = {"ideal": ":", "motor": "--", "loop": "-", "sampled": "."}
 
 
@@ -143,7 +154,13 @@ def margins_against_payload(
     'phase margin [°]'
     """
     if not curves:
-        raise FieldError("curves", "none", "empty", allowed="one curve or more", remedy="call margin_curve")
+        raise FieldError(
+            "curves",
+            "none",
+            "empty",
+            allowed="one curve or more",
+            remedy="call margin_curve",
+        )
     ax = new_axes() if ax is None else ax
     if payloads is not None:
         ax.axvspan(*(1e3 * mass for mass in payloads), color=tint(ax, "zone"), zorder=0)
@@ -182,13 +199,24 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
     'phase margin'
     """
     if not shares:
-        raise FieldError("shares", "none", "empty", allowed="one share or more", remedy="call phase_budget")
+        raise FieldError(
+            "shares",
+            "none",
+            "empty",
+            allowed="one share or more",
+            remedy="call phase_budget",
+        )
     ax = new_axes() if ax is None else ax
     level, names = 180.0, ["180°", *(share.element for share in shares), "phase margin"]
     ax.bar(0, level, color=tint(ax, "rule"))
     for place, share in enumerate(shares, start=1):
         step = math.degrees(share.phase)
-        ax.bar(place, step, bottom=level, color=tint(ax, "line-2" if step < 0.0 else "line-1"))
+        ax.bar(
+            place,
+            step,
+            bottom=level,
+            color=tint(ax, "line-2" if step < 0.0 else "line-1"),
+        )
         _label(ax, place, max(level, level + step), f"{step:+.1f}°")
         level += step
     ax.bar(len(shares) + 1, level, color=tint(ax, "line-3"))
@@ -203,7 +231,9 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
 
 
 def _label(ax: Any, place: int, top: float, text: str) -> None:
-    ax.annotate(text, (place, top), (0, 3), textcoords="offset points", ha="center", fontsize=8)
+    ax.annotate(
+        text, (place, top), (0, 3), textcoords="offset points", ha="center", fontsize=8
+    )
 
 
 _BINS = 80  # over some four decades: a factor of 1.12 each
@@ -211,10 +241,11 @@ _LEAST = 1e-7  # [s]: below, a monotonic clock read twice says nothing
 
 
 def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
-    """Draw how late the loop woke up and how long its work took, as histograms on logarithmic axes.
+    """Draw how late the loop woke up and how long its work took, as histograms on
+    logarithmic axes.
 
-    What counts is the tail: one late period in a thousand is a bar of its own. The period is a dashed line;
-    latency and work together must stay left of it.
+    What counts is the tail: one late period in a thousand is a bar of its own. The
+    period is a dashed line; latency and work together must stay left of it.
 
     Parameters
     ----------
@@ -236,13 +267,26 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     """
     ax = new_axes() if ax is None else ax
     # Up to twice the largest time, be it late: every period must have its bar.
-    longest = max(run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work)))
+    longest = max(
+        run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work))
+    )
     bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
-    for label, values in (("wake-up latency", run.latency), ("computing time", run.work)):
-        # A time of zero has no place on a logarithmic axis and counts as the smallest: no period is lost.
+    for label, values in (
+        ("wake-up latency", run.latency),
+        ("computing time", run.work),
+    ):
+        # A time of zero has no place on a logarithmic axis and counts as the smallest:
+        # no period is lost.
         ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
-    ax.axvline(1e6 * run.period, color=tint(ax, "quiet"), linestyle="--", linewidth=1.0, label="period")
-    # Limits before scales: an axis that scales itself warns of a run that ended before its first period.
+    ax.axvline(
+        1e6 * run.period,
+        color=tint(ax, "quiet"),
+        linestyle="--",
+        linewidth=1.0,
+        label="period",
+    )
+    # Limits before scales: an axis that scales itself warns of a run that ended before
+    # its first period.
     ax.set_ylim(0.5, 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1))
     ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
     ax.legend(loc="best", fontsize="small")
@@ -254,7 +298,8 @@ _SETTLING = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
 def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
-    """Draw β in colour where a controller exists, with contours of noise gain and settling time.
+    """Draw β in colour where a controller exists, with contours of noise gain and
+    settling time.
 
     Parameters
     ----------
@@ -275,11 +320,20 @@ def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
     ax = new_axes() if ax is None else ax
     grid = (found.gain_crossover, np.degrees(found.phase_margin))
     # Where no controller exists nothing is drawn, and the background says so.
-    shade = ax.pcolormesh(*grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest")
+    shade = ax.pcolormesh(
+        *grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest"
+    )
     ax.figure.colorbar(shade, ax=ax, label="β")
-    noise = ax.contour(*grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=tint(ax, "line-2"))
+    noise = ax.contour(
+        *grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=tint(ax, "line-2")
+    )
     ax.clabel(noise, fmt="noise %g", fontsize=8)
-    settling = ax.contour(*grid, np.ma.masked_invalid(found.settling_time), _SETTLING, colors=tint(ax, "ink"))
+    settling = ax.contour(
+        *grid,
+        np.ma.masked_invalid(found.settling_time),
+        _SETTLING,
+        colors=tint(ax, "ink"),
+    )
     ax.clabel(settling, fmt="%g s", fontsize=8)
     ax.set(
         xlabel="gain crossover ω_c at the heaviest payload [rad/s]",

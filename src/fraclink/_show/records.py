@@ -1,7 +1,7 @@
 """What programs read of each result: JSON in SI units and radians.
 
-A result is looked up by the name of its class, as in the views: importing the classes here would load every
-package whatever is written.
+A result is looked up by the name of its class, as in the views: importing the classes
+here would load every package whatever is written.
 """
 
 from __future__ import annotations
@@ -26,23 +26,27 @@ __all__ = ["plain", "to_json"]
 
 
 def to_json(result: Any) -> dict[str, Any]:
-    """Return what programs read of a result: plain values in SI units and radians, null where not finite."""
+    """Return what programs read of a result: plain values in SI units and radians, null
+    where not finite.
+    """
     values: dict[str, Any] = looked_up(_RECORDS, result)(result)
     return values
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as JSON has it: results by their records, other dataclasses by their fields.
+    """Return `value` as JSON has it: results by their records, other dataclasses by
+    their fields.
 
     >>> plain({"gain": np.float64(1.5), "limit": math.inf, "payloads": (0.02, 0.04)})
     {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
     """
     if isinstance(value, float | np.floating):
-        # JSON has neither infinity nor NaN; Python's own writer would put words there that no other parser
-        # reads.
+        # JSON has neither infinity nor NaN; Python's own writer would put words there
+        # that no other parser reads.
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray | np.generic):
-        # numpy's scalars are no JSON either; bool and str of numpy come back as Python's own.
+        # numpy's scalars are no JSON either; bool and str of numpy come back as
+        # Python's own.
         return plain(value.tolist())
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
@@ -57,7 +61,11 @@ def plain(value: Any) -> Any:
 def _attribute(value: Any, path: str) -> Any:
     """The attribute at a dotted path; through a tuple that of every element."""
     for name in path.split("."):
-        value = [getattr(item, name) for item in value] if isinstance(value, tuple) else getattr(value, name)
+        value = (
+            [getattr(item, name) for item in value]
+            if isinstance(value, tuple)
+            else getattr(value, name)
+        )
     return value
 
 
@@ -68,10 +76,14 @@ def _record(names: str, result: Any) -> dict[str, Any]:
 
 def _summary_json(summary: Summary) -> dict[str, Any]:
     def limit(x: float) -> float | str:
-        return x if math.isfinite(x) else str(x)  # "inf" is an answer here: the run never settles
+        return (
+            x if math.isfinite(x) else str(x)
+        )  # "inf" is an answer here: the run never settles
 
     def metric(m: Any) -> dict[str, Any]:
-        quantiles = [[q.probability, *map(limit, (q.value, q.low, q.high))] for q in m.quantiles]
+        quantiles = [
+            [q.probability, *map(limit, (q.value, q.low, q.high))] for q in m.quantiles
+        ]
         return {
             "quantiles": quantiles,
             "worst": [[n, limit(v)] for n, v in m.worst],
@@ -101,13 +113,19 @@ def _study_json(study: Study) -> dict[str, Any]:
         "findings": study.findings,
         "fits": list(study.comparison.fits.values()) if study.comparison else [],
     }
-    rest = {name: getattr(study, name) for name in ("design", "runs", "arms", "assumptions")}
+    rest = {
+        name: getattr(study, name) for name in ("design", "runs", "arms", "assumptions")
+    }
     return {name: plain(part) for name, part in (parts | rest).items()}
 
 
 def _realtime_json(run: Any) -> dict[str, Any]:
     def spread(values: Any) -> dict[str, float] | None:
-        return None if math.isnan(values.mean) else {name: float(v) for name, v in values._asdict().items()}
+        return (
+            None
+            if math.isnan(values.mean)
+            else {name: float(v) for name, v in values._asdict().items()}
+        )
 
     names = "passed problem stopped missed overruns lost_samples lost_commands scheduling memory"
     return _record(names, run) | {
@@ -122,7 +140,9 @@ def _realtime_json(run: Any) -> dict[str, Any]:
 def _assessment_json(found: Any) -> dict[str, Any]:
     return {
         "phase_budget": {share.element: plain(share.phase) for share in found.budget},
-        "phase_margin": {curve.kind: plain(curve.phase_margin) for curve in found.curves},
+        "phase_margin": {
+            curve.kind: plain(curve.phase_margin) for curve in found.curves
+        },
         "rivals": list(rival_sentences(found.rivals)),
     } | _record("payloads tolerances max_sensitivity spillover:modes", found)
 
@@ -137,11 +157,19 @@ def _faults_json(table: Any) -> dict[str, Any]:
         }
         for o in table.failures
     ]
-    faults = {row.number: {"runs": row.runs, "failed": row.failed} for row in table.rows()}
-    return {"passed": table.passed, "runs": len(table.outcomes), "faults": faults, "failures": failures}
+    faults = {
+        row.number: {"runs": row.runs, "failed": row.failed} for row in table.rows()
+    }
+    return {
+        "passed": table.passed,
+        "runs": len(table.outcomes),
+        "faults": faults,
+        "failures": failures,
+    }
 
 
-# Names of attributes; ``key:path`` where the key is another, or the value belongs to a part of the result.
+# Names of attributes; ``key:path`` where the key is another, or the value belongs to a
+# part of the result.
 _NAMES = {
     "Finding": "code severity message evidence remedy",
     "LinkModel": "stiffness natural_frequency order damping damping_order payload",
@@ -176,8 +204,12 @@ _NAMES = {
 _RECORDS: dict[str, Callable[[Any], dict[str, Any]]] = {
     **{name: partial(_record, names) for name, names in _NAMES.items()},
     "tuple": lambda findings: {"findings": plain(findings)},
-    "MotorFit": lambda fit: {item.name: plain(getattr(fit, item.name)) for item in fields(fit)},
-    "Optimised": lambda found: to_json(found.design) | _record("pays tried:steps", found),
+    "MotorFit": lambda fit: {
+        item.name: plain(getattr(fit, item.name)) for item in fields(fit)
+    },
+    "Optimised": lambda found: (
+        to_json(found.design) | _record("pays tried:steps", found)
+    ),
     "Certificate": lambda certificate: (
         _record("passed verdict payload frequency", certificate)
         | {"sha256": certificate.sha256 if certificate.passed else None}
@@ -192,12 +224,17 @@ _RECORDS: dict[str, Callable[[Any], dict[str, Any]]] = {
         _record("passed late controllers silences rejected", served)
         | {
             "periods": len(served.voltage),
-            "last_tip_angle": float(served.tip_angle[-1]) if len(served.tip_angle) else None,
+            "last_tip_angle": float(served.tip_angle[-1])
+            if len(served.tip_angle)
+            else None,
         }
     ),
     "Replay": lambda result: (
         _record("passed first_difference largest_difference", result)
         | {"periods": len(result.mode), "last_mode": int(result.mode[-1])}
     ),
-    "Tournament": lambda result: {"verdicts": list(result.verdicts()), "winners": result.winners()},
+    "Tournament": lambda result: {
+        "verdicts": list(result.verdicts()),
+        "winners": result.winners(),
+    },
 }

@@ -1,4 +1,6 @@
-"""Reports as one HTML file each: no request, complete without a script, whatever files hold is escaped."""
+"""Reports as one HTML file each: no request, complete without a script, whatever files
+hold is escaped.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +32,14 @@ _PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
 _MAP = 48  # cells of the map of an infeasible request, each way
 
 
-def write_report(study: Study, path: Path | str, *, title: str | None = None, script: bool = True) -> Path:
+def write_report(
+    study: Study, path: Path | str, *, title: str | None = None, script: bool = True
+) -> Path:
     """Write the report of `study` to `path`, in one step, and return the path.
 
-    With `script`, and where the study has a design, its first figure is the arm that moves, as in
-    `write_arm_page`, and figures show their values under the pointer; without, the report holds no script
-    at all.
+    With `script`, and where the study has a design, its first figure is the arm that
+    moves, as in `write_arm_page`, and figures show their values under the pointer;
+    without, the report holds no script at all.
 
     Raises MissingExtraError where jinja2 is not installed.
 
@@ -47,7 +51,9 @@ def write_report(study: Study, path: Path | str, *, title: str | None = None, sc
     return Path(path)
 
 
-def render_report(study: Study, *, title: str | None = None, script: bool = True) -> str:
+def render_report(
+    study: Study, *, title: str | None = None, script: bool = True
+) -> str:
     """Return the report of `study` as HTML; the same study gives the same bytes.
 
     >>> "Content-Security-Policy" in render_report(Study(), title="<script>")
@@ -57,16 +63,25 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
     source = tables.source_name(study.experiment)
     verdict, design = study.verdict, study.design
     model = (
-        design.model if design else study.fit.model if study.fit else study.rig.model if study.rig else None
+        design.model
+        if design
+        else study.fit.model
+        if study.fit
+        else study.rig.model
+        if study.rig
+        else None
     )
-    # The arm that moves needs a law: of the design, or of the study where the design has none.
+    # The arm that moves needs a law: of the design, or of the study where the design
+    # has none.
     moves = study.law is not None or (design is not None and design.has_law)
     drawn = {name: figure.inline() for name, figure in _figures(study).items()}
     return rendered(
         "report.html",
         title=title or f"{name}: {source}",
         study=study,
-        arm=arm_box(study, design, payloads=_PAYLOADS) if script and design and moves else None,
+        arm=arm_box(study, design, payloads=_PAYLOADS)
+        if script and design and moves
+        else None,
         pointer=_pointer(script=script),
         zone=_zone(design),
         source=source,
@@ -75,11 +90,17 @@ def render_report(study: Study, *, title: str | None = None, script: bool = True
         scopes=tables.scopes(verdict),
         in_short=tables.summary_rows(study),
         tables=_tables(study),
-        sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model))) if study.rig else "",
+        sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model)))
+        if study.rig
+        else "",
         said=words.arm_sentences(study.rig, model) if study.rig else [],
         tolerated=_tolerated(design),
-        rig_findings=[finding for finding in study.findings if finding.code.startswith("W1")],
-        log_findings=[finding for finding in study.findings if not finding.code.startswith("W1")],
+        rig_findings=[
+            finding for finding in study.findings if finding.code.startswith("W1")
+        ],
+        log_findings=[
+            finding for finding in study.findings if not finding.code.startswith("W1")
+        ],
         coincidence=tables.coincidence(study.fits),
         faults=_faults(study),
         figures=drawn,
@@ -101,14 +122,17 @@ def _pointer(*, script: bool) -> Mapping[str, str] | None:
 
 def _inline(text: str) -> str:
     """A drawing that stands alone, without the style and the ground that the page has."""
-    # The page has the same rules once; a style in every drawing would be 4 kB each, and the policy allows a
-    # style by its hash alone.
-    return text[: text.index("<style>")] + text[text.index("/>", text.index("</style>")) + 2 :]
+    # The page has the same rules once; a style in every drawing would be 4 kB each, and
+    # the policy allows a style by its hash alone.
+    return (
+        text[: text.index("<style>")]
+        + text[text.index("/>", text.index("</style>")) + 2 :]
+    )
 
 
 def _copy(drawing: str) -> str:
-    """A drawing again, for the first sheet of paper, where nothing is pointed at: what is clipped finds its
-    edge by the name that the first one has."""
+    """A drawing again, for the first sheet of paper, where nothing is pointed at: what
+    is clipped finds its edge by the name that the first one has."""
     return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
 
 
@@ -156,7 +180,10 @@ def _tables(study: Study) -> Mapping[str, Table]:
     if study.fits:
         found["models"] = tables.fits_table(study.fits)
     if study.design is not None:
-        payloads = [loops.BEYOND * study.design.payloads[0], *loops.payloads_of(study.design)]
+        payloads = [
+            loops.BEYOND * study.design.payloads[0],
+            *loops.payloads_of(study.design),
+        ]
         found["controller"] = tables.controller_table(study.design, study.law)
         found["requirements"] = tables.requirements_table(study.design.requirements)
         found["margins"] = tables.margins_table(study.design, payloads)
@@ -177,7 +204,9 @@ def _figures(study: Study) -> dict[str, Figure]:
         drawn["residual"] = figures.residual_figure(fit)
         drawn["response"] = None if log is None else figures.response_figure(log, fit)
     if study.fits:
-        drawn["models"] = figures.models_figure(study.fits, fit.structure if fit else None)
+        drawn["models"] = figures.models_figure(
+            study.fits, fit.structure if fit else None
+        )
     if design is not None:
         proved = study.certificate.statement.modulus if study.certificate else None
         drawn["bode"] = loops.bode_figure(design)
@@ -193,7 +222,9 @@ def _figures(study: Study) -> dict[str, Figure]:
 
 def _budget(design: Design) -> Figure | None:
     try:
-        return loops.budget_figure(phase_budget(design, design.payloads[0]), design.payloads[0])
+        return loops.budget_figure(
+            phase_budget(design, design.payloads[0]), design.payloads[0]
+        )
     except FieldError:  # a loop that crosses nowhere has no budget
         return None
 
@@ -211,24 +242,34 @@ def _map(study: Study) -> Figure | None:
     if len(places) < 2:
         return None
     rates, angles = zip(*places, strict=True)
-    # Wide enough for both places, and for what lies beside them.
-    # From a little motion to well beyond both places; margins up to 100°, where every design has become
+    # Wide enough for both places, and for what lies beside them. From a little motion
+    # to well beyond both places; margins up to 100°, where every design has become
     # sluggish.
     crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
-    margins = np.linspace(math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP)
-    found = feasibility_map(model, study.rig, gain_crossovers=crossovers, phase_margins=margins)
+    margins = np.linspace(
+        math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP
+    )
+    found = feasibility_map(
+        model, study.rig, gain_crossovers=crossovers, phase_margins=margins
+    )
     return loops.map_figure(found, places[0], places[1])
 
 
-def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str) -> Path:
-    """Write histograms, failure map, drivers and worst cases of a campaign to `path`; return it.
+def write_campaign_report(
+    campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str
+) -> Path:
+    """Write histograms, failure map, drivers and worst cases of a campaign to `path`;
+    return it.
 
     Raises MissingExtraError where jinja2 is not installed.
     """
     names = list(fleets.SHOWN)
-    # Failures are drawn over the two parameters that matter most, or chance would fill the map.
+    # Failures are drawn over the two parameters that matter most, or chance would fill
+    # the map.
     drivers = fleets.strongest(summary)
-    first, second, passed, *values = columns(campaign, folder, *drivers, "passed", *names)
+    first, second, passed, *values = columns(
+        campaign, folder, *drivers, "passed", *names
+    )
     titles = tuple(name.replace("_", " ") for name in drivers)
     worst = tuple(
         (
@@ -242,7 +283,10 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
     )
     parameters, rows = fleets.driver_rows(summary)
     failures = fleets.failures_figure(
-        first.astype(float), second.astype(float), ~passed.astype(bool), (titles[0], titles[1])
+        first.astype(float),
+        second.astype(float),
+        ~passed.astype(bool),
+        (titles[0], titles[1]),
     )
     text = rendered(
         "campaign.html",
@@ -261,7 +305,9 @@ def write_campaign_report(campaign: Campaign, folder: Path | str, summary: Summa
         drivers=rows,
         spread=[
             drawn.inline()
-            for drawn in fleets.spread_figures(dict(zip(names, map(np.asarray, values), strict=True)))
+            for drawn in fleets.spread_figures(
+                dict(zip(names, map(np.asarray, values), strict=True))
+            )
         ],
         figures={"failures": failures.inline()},
     )

@@ -32,9 +32,11 @@ def number(value: float | None, digits: int = 4) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    text = f"{value + 0.0:.{digits}g}"  # of −0.0 the sum is 0.0: nobody reads a sign of nothing
+    # of −0.0 the sum is 0.0: nobody reads a sign of nothing
+    text = f"{value + 0.0:.{digits}g}"
     mantissa, _, exponent = text.partition("e")
-    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one column are misread.
+    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one
+    # column are misread.
     if 0 < abs(value) < 1e-3 and not exponent:
         mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
     mantissa = mantissa.replace("-", "−")
@@ -56,7 +58,8 @@ def uncertain(value: float, error: float | None) -> str:
     # Digits of a value that may as well have the other sign would be read as knowledge.
     if error >= abs(value):
         return "undetermined"
-    # Two digits of the error: one would round 0.14 to 0.1, three claim what no covariance knows.
+    # Two digits of the error: one would round 0.14 to 0.1, three claim what no
+    # covariance knows.
     places = max(0, 1 - math.floor(math.log10(error)))
     if places > 9 or abs(value) >= 1e6:
         return f"{number(value, 5)} ± {number(error, 2)}"
@@ -73,7 +76,8 @@ def grams(payload: float | None) -> str:
 
 
 def milli(value: float | None, places: int = 1) -> str:
-    """A value in thousandths, with as many decimal places as matter beside its neighbours in a column.
+    """A value in thousandths, with as many decimal places as matter beside its
+    neighbours in a column.
 
     >>> milli(0.0633), milli(-0.0000519, 2), milli(-1e-9, 2)
     ('63.3', '−0.05', '0.00')
@@ -110,17 +114,23 @@ def quantity(value: float | None, unit: str) -> str:
 
 
 def option(name: str, value: float) -> str:
-    """A keyword argument as the option that stands for it, with every digit that decides.
+    """A keyword argument as the option that stands for it, with every digit that
+    decides.
 
     >>> option("phase_margin", math.radians(50.0)), option("gain_crossover", 12.346)
     ('--phase-margin-deg 50', '--gain-crossover 12.346')
     >>> option("mode_gain", 0.505987)
     '--mode-gain 0.506'
     """
-    # The nearest request lies on a bound, the highest or the lowest: half a digit further would be infeasible
-    # again. It has five digits already, on the feasible side; what is allowed at most is rounded up.
+    # The nearest request lies on a bound, the highest or the lowest: half a digit
+    # further would be infeasible again. It has five digits already, on the feasible
+    # side; what is allowed at most is rounded up.
     word = f"--{name.replace('_', '-')}"
-    shown, word = (math.degrees(value), f"{word}-deg") if name == "phase_margin" else (value, word)
+    shown, word = (
+        (math.degrees(value), f"{word}-deg")
+        if name == "phase_margin"
+        else (value, word)
+    )
     # Eight digits: the request itself, on its bound as far as the solver went.
     if name in ("phase_margin", "gain_crossover"):
         return f"{word} {shown:.8g}"
@@ -135,7 +145,8 @@ def sentence(text: str) -> str:
     """
     text = text.strip()
     first = text.partition(" ")[0]
-    # Fields such as link.stiffness are what the user types: a capital would make another name of them.
+    # Fields such as link.stiffness are what the user types: a capital would make
+    # another name of them.
     named = "_" in first or "." in first.rstrip(".") or first == "fraclink"
     ended = text.endswith((".", "?", "!", ":")) or not text
     return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
@@ -155,17 +166,25 @@ class Table:
     @property
     def shown(self) -> tuple[Row, ...]:
         """The rows as people read them: the word of a verdict behind its sign."""
-        return tuple((*row[:-1], marked(row[-1])) for row in self.rows) if self.judged else self.rows
+        return (
+            tuple((*row[:-1], marked(row[-1])) for row in self.rows)
+            if self.judged
+            else self.rows
+        )
 
 
 def finding_line(finding: Finding) -> str:
-    """A finding in a line; the numbers behind a remark, which fill two lines more, are left to the JSON."""
+    """A finding in a line; the numbers behind a remark, which fill two lines more, are
+    left to the JSON.
+    """
     return str(finding if finding.severity != "info" else replace(finding, evidence={}))
 
 
 @dataclass(frozen=True)
 class View:
-    """What people read of a result: verdict first, tables, then notes; `state` is the word of the verdict."""
+    """What people read of a result: verdict first, tables, then notes; `state` is the
+    word of the verdict.
+    """
 
     headline: str = ""
     tables: tuple[Table, ...] = ()
@@ -176,25 +195,45 @@ class View:
         return plain_text(self)
 
     def doubted(self, findings: tuple[Finding, ...]) -> View:
-        """The same with errors of the input, which stand first: nothing is shown by this result."""
+        """The same with errors of the input, which stand first: nothing is shown by
+        this result.
+        """
         if not findings:
             return self
         notes = (*map(finding_line, findings), *self.notes)
         return replace(
-            self, headline=f"the input is in doubt; {self.headline}", notes=notes, state="not shown"
+            self,
+            headline=f"the input is in doubt; {self.headline}",
+            notes=notes,
+            state="not shown",
         )
 
     def _repr_html_(self) -> str:
         """What a notebook shows."""
-        parts = [f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"]
+        parts = [
+            f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"
+        ]
         for table in self.tables:
             lines = [("th", table.header), *(("td", row) for row in table.shown)]
-            cells = ("".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines)
-            parts.append("<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>")
-        return "\n".join([*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)])
+            cells = (
+                "".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines
+            )
+            parts.append(
+                "<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>"
+            )
+        return "\n".join(
+            [*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)]
+        )
 
 
-_MARKS = {"passed": "✓", "failed": "✗", "missed": "✗", "not shown": "!", "missing": "!", "not run": "–"}
+_MARKS = {
+    "passed": "✓",
+    "failed": "✗",
+    "missed": "✗",
+    "not shown": "!",
+    "missing": "!",
+    "not run": "–",
+}
 
 
 def marked(state: str) -> str:
@@ -208,16 +247,25 @@ def marked(state: str) -> str:
 
 def plain_text(shown: View, width: int = 80) -> str:
     """Return `shown` as lines of at most `width` columns, broken between words."""
-    lead = f"{marked(shown.state)}: " if shown.state and shown.headline else marked(shown.state)
-    # The verdict first: it is what a person reads at all, and what a pipe into `head` keeps.
-    parts = [folded(lead + shown.headline, width)] if shown.headline or shown.state else []
+    lead = (
+        f"{marked(shown.state)}: "
+        if shown.state and shown.headline
+        else marked(shown.state)
+    )
+    # The verdict first: it is what a person reads at all, and what a pipe into `head`
+    # keeps.
+    parts = (
+        [folded(lead + shown.headline, width)] if shown.headline or shown.state else []
+    )
     parts += [table_text(table, width) for table in shown.tables if table.rows]
     notes = "\n".join(folded(note, width) for note in shown.notes)
     return "\n\n".join([*parts, *([notes] if notes else [])])
 
 
 def folded(text: str, width: int) -> str:
-    """Every line of `text` broken between words, then indented by two columns more; paths stay whole."""
+    """Every line of `text` broken between words, then indented by two columns more;
+    paths stay whole.
+    """
     return "\n".join(
         textwrap.fill(
             line,
@@ -231,7 +279,8 @@ def folded(text: str, width: int) -> str:
 
 
 def table_text(table: Table, width: int = 80) -> str:
-    """A table of text: first column flush left, others right; heads and sentences wrap at words.
+    """A table of text: first column flush left, others right; heads and sentences wrap
+    at words.
 
     >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9"))), 16))
               phase
@@ -240,34 +289,55 @@ def table_text(table: Table, width: int = 80) -> str:
     20 g       48.8
     8 g        23.9
     """
-    # What keeps a value and its error together on a page only shows as an escape in a terminal.
-    rows = [tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row) for row in table.shown]
+    # What keeps a value and its error together on a page only shows as an escape in a
+    # terminal.
+    rows = [
+        tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row)
+        for row in table.shown
+    ]
     # A head folds into three lines at most, and never within a word.
-    words = [max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in table.header]
+    words = [
+        max(-(-len(head) // 3), *map(len, head.split() or [""]))
+        for head in table.header
+    ]
     widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
-    # The order in which room is found: sentences fold, then columns move below, and only heads and paths
-    # overrun.
+    # The order in which room is found: sentences fold, then columns move below, and
+    # only heads and paths overrun.
     if spare < 0:
-        # Sentences give way: the widest column folds, as far as a line of it can still be read.
+        # Sentences give way: the widest column folds, as far as a line of it can still
+        # be read.
         widest = max(range(len(widths)), key=widths.__getitem__)
-        # 24 letters hold three or four words: below that a sentence becomes a column of single ones.
+        # 24 letters hold three or four words: below that a sentence becomes a column of
+        # single ones.
         widths[widest] = max(24, widths[widest] + spare)
-        fitting = [sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)]
+        fitting = [
+            sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)
+        ]
         if not fitting[-1] and len(widths) > 2:
-            # Still too wide: the columns that do not fit stand below, behind the first one again.
+            # Still too wide: the columns that do not fit stand below, behind the first
+            # one again.
             k = max(2, sum(fitting))
             above = Table(table.header[:k], tuple(row[:k] for row in table.rows))
             rest = tuple((row[0], *row[k:]) for row in table.rows)
             below = Table((table.header[0], *table.header[k:]), rest, table.judged)
             return f"{table_text(above, width)}\n\n{table_text(below, width)}"
-    # Heads need not fold where there is room: from left to right each takes what it needs.
+    # Heads need not fold where there is room: from left to right each takes what it
+    # needs.
     for k, head in enumerate(table.header):
-        more = min(max(spare, 0), max(0, len(head) - widths[k])) if spare >= len(head) - widths[k] else 0
+        more = (
+            min(max(spare, 0), max(0, len(head) - widths[k]))
+            if spare >= len(head) - widths[k]
+            else 0
+        )
         widths[k], spare = widths[k] + more, spare - more
-    # Numbers flush right, so that their digits stand below one another; words flush left.
+    # Numbers flush right, so that their digits stand below one another; words flush
+    # left.
     last = len(widths) - 1
-    left = [k == 0 or (k == last and table.judged) or _wordy(rows, k) for k in range(len(widths))]
+    left = [
+        k == 0 or (k == last and table.judged) or _wordy(rows, k)
+        for k in range(len(widths))
+    ]
     lines = _folded_row(table.header, widths, left, bottom=True)
     for row in rows:
         lines += _folded_row(row, widths, left, bottom=False)
@@ -278,14 +348,20 @@ def _wordy(rows: Sequence[Row], column: int) -> bool:
     return any(re.search(r"[^\W\d_]{4,} [^\W\d_]{2,}", row[column]) for row in rows)
 
 
-def _folded_row(row: Row, widths: list[int], left: list[bool], *, bottom: bool) -> list[str]:
+def _folded_row(
+    row: Row, widths: list[int], left: list[bool], *, bottom: bool
+) -> list[str]:
     cells = [
-        textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False) or [""]
+        textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False)
+        or [""]
         for cell, size in zip(row, widths, strict=True)
     ]
     height = max(map(len, cells))
     padded = [
-        [""] * (height - len(cell)) + cell if bottom else cell + [""] * (height - len(cell)) for cell in cells
+        [""] * (height - len(cell)) + cell
+        if bottom
+        else cell + [""] * (height - len(cell))
+        for cell in cells
     ]
     return [
         "  ".join(
@@ -296,8 +372,14 @@ def _folded_row(row: Row, widths: list[int], left: list[bool], *, bottom: bool) 
     ]
 
 
-def looked_up(by_class: Mapping[str, Callable[[Any], Any]], result: Any) -> Callable[[Any], Any]:
+def looked_up(
+    by_class: Mapping[str, Callable[[Any], Any]], result: Any
+) -> Callable[[Any], Any]:
     """The entry of a result's class, or of the nearest class above it that has one."""
-    # By name, as importing the classes would load every package to show one result; by the bases too, so that
-    # a user's subclass of a result is shown as that result.
-    return next(by_class[kind.__name__] for kind in type(result).__mro__ if kind.__name__ in by_class)
+    # By name, as importing the classes would load every package to show one result; by
+    # the bases too, so that a user's subclass of a result is shown as that result.
+    return next(
+        by_class[kind.__name__]
+        for kind in type(result).__mro__
+        if kind.__name__ in by_class
+    )

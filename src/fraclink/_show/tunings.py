@@ -1,4 +1,6 @@
-"""What people see of a tuning and of a shaped move: what was promised beside what was measured."""
+"""What people see of a tuning and of a shaped move: what was promised beside what was
+measured.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,11 @@ __all__ = ["pid_view", "shaped_view", "tuning_view", "watch_view"]
 def tuning_view(made: Tuning) -> View:
     """The three scopes, what was measured with how sure it is, and the first moves."""
     verdict = made.verdict
-    tables = [Table(("what", "found", "± standard error"), tuple(_measured(made)))] if made.wiring else []
+    tables = (
+        [Table(("what", "found", "± standard error"), tuple(_measured(made)))]
+        if made.wiring
+        else []
+    )
     if made.moves:
         rows = tuple(
             (
@@ -32,19 +38,35 @@ def tuning_view(made: Tuning) -> View:
             )
             for move in made.moves
         )
-        header = ("move", "settles, promised / measured [s]", "residual, promised / measured [mrad]")
+        header = (
+            "move",
+            "settles, promised / measured [s]",
+            "residual, promised / measured [mrad]",
+        )
         tables.append(Table((*header, "hand-over [mrad]", "peak [V]"), rows))
-    scopes = tuple((name, scope.state, "; ".join(scope.reasons)) for name, scope in verdict.scopes.items())
+    scopes = tuple(
+        (name, scope.state, "; ".join(scope.reasons))
+        for name, scope in verdict.scopes.items()
+    )
     tables.append(Table(("scope", "state", "why"), scopes))
     time = f"{made.arm_time:.0f} s of the arm, {made.computing:.1f} s of computing"
     headline = (
-        f"stopped: {made.stopped}" if made.stopped else f"{made.attempts} experiments on the link, {time}"
+        f"stopped: {made.stopped}"
+        if made.stopped
+        else f"{made.attempts} experiments on the link, {time}"
     )
-    return View(headline, tuple(tables), made.wiring.evidence if made.wiring else (), verdict.state)
+    return View(
+        headline,
+        tuple(tables),
+        made.wiring.evidence if made.wiring else (),
+        verdict.state,
+    )
 
 
 def pid_view(made: PidTuning) -> View:
-    """The controller, what was asked for and achieved, and how the step of the reference is answered."""
+    """The controller, what was asked for and achieved, and how the step of the
+    reference is answered.
+    """
     rows = tuple(
         (
             name.replace("[rad]", "[°]"),
@@ -59,23 +81,36 @@ def pid_view(made: PidTuning) -> View:
     )
     asked_for = {row[0] for row in rows}
     table = Table(
-        ("what", "asked for", "achieved", ""), (*rows, *(r for r in others if r[0] not in asked_for))
+        ("what", "asked for", "achieved", ""),
+        (*rows, *(r for r in others if r[0] not in asked_for)),
     )
-    notes = [f"ITAE {number(made.itae)} s² over {number(made.horizon)} s after a unit step"]
+    notes = [
+        f"ITAE {number(made.itae)} s² over {number(made.horizon)} s after a unit step"
+    ]
     if made.delay:
-        notes.append(f"{number(1e3 * made.delay)} ms of the delay in the loop are those of the sampling")
+        notes.append(
+            f"{number(1e3 * made.delay)} ms of the delay in the loop are those of the sampling"
+        )
     if not made.stable:
         notes.append("the closed loop is not stable")
     # A reader of arms' certificates must not take this verdict for one.
-    notes.append("computed, not proved: certificates know the loop of an arm, and no other plant")
+    notes.append(
+        "computed, not proved: certificates know the loop of an arm, and no other plant"
+    )
     state = "passed" if made.passed else "failed"
-    return View(made.controller.formula, (table,), (*notes, *map(str, made.findings)), state)
+    return View(
+        made.controller.formula, (table,), (*notes, *map(str, made.findings)), state
+    )
 
 
 def _shown(name: str, value: float) -> str:
-    # Solved to rounding, a margin of 60° reads 59.99999999: rounded before it is cut to four digits; + 0.0
-    # takes the sign of −0.
-    return number(round(math.degrees(value), 5) + 0.0, 4) if name.endswith("[rad]") else number(value)
+    # Solved to rounding, a margin of 60° reads 59.99999999: rounded before it is cut to
+    # four digits; + 0.0 takes the sign of −0.
+    return (
+        number(round(math.degrees(value), 5) + 0.0, 4)
+        if name.endswith("[rad]")
+        else number(value)
+    )
 
 
 def watch_view(seen: Watch) -> View:
@@ -91,19 +126,24 @@ def watch_view(seen: Watch) -> View:
         for each in seen.changes
     )
     due = ", ".join(name.replace("_", " ") for name in seen.due)
-    headline = f"a retune is due: {due}" if due else f"as it was tuned, by {seen.motion:.0f} s of motion"
-    left = (
-        f"the fit leaves {number(seen.residual, 2)} N·m, the gauge's noise was {number(seen.expected, 2)} N·m"
+    headline = (
+        f"a retune is due: {due}"
+        if due
+        else f"as it was tuned, by {seen.motion:.0f} s of motion"
     )
+    left = f"the fit leaves {number(seen.residual, 2)} N·m, the gauge's noise was {number(seen.expected, 2)} N·m"
     table = Table(("what", "tuned", "now", "± standard error", ""), rows)
     return View(headline, (table,), (left,), "passed" if seen.passed else "failed")
 
 
 def _measured(made: Tuning) -> Iterator[Row]:
     if made.motor is not None:
-        # The motor measured with its link is the later and better one; the errors are those of the motor's
-        # own experiments, which are larger.
-        fit, errors = (made.link.motor if made.link else made.motor).fit, made.motor.fit.standard_errors
+        # The motor measured with its link is the later and better one; the errors are
+        # those of the motor's own experiments, which are larger.
+        fit, errors = (
+            (made.link.motor if made.link else made.motor).fit,
+            made.motor.fit.standard_errors,
+        )
         yield "K/J [rad/(s²·V)]", number(fit.gain), number(errors["gain"], 2)
         yield "ν/J [1/s]", number(fit.decay), number(errors["decay"], 2)
         yield (
@@ -122,9 +162,17 @@ def _measured(made: Tuning) -> Iterator[Row]:
         ):
             if name in found:
                 yield word, number(getattr(model, name)), number(found[name], 2)
-        yield "torque over bend [N·m/rad]", number(model.stiffness), number(found.get("gain"), 2)
+        yield (
+            "torque over bend [N·m/rad]",
+            number(model.stiffness),
+            number(found.get("gain"), 2),
+        )
         late = found.get("delay")
-        yield "delay of the gauge [ms]", number(1e3 * model.gauge_delay, 3), number(late and 1e3 * late, 2)
+        yield (
+            "delay of the gauge [ms]",
+            number(1e3 * model.gauge_delay, 3),
+            number(late and 1e3 * late, 2),
+        )
         mode = model.second_mode
         if mode is not None:
             yield "second mode [rad/s]", number(mode.frequency), ""
@@ -138,7 +186,9 @@ def _seconds(value: float) -> str:
 
 
 def shaped_view(made: ShapedMove) -> View:
-    """The settling time, or along a path the largest distance, as promised and as measured."""
+    """The settling time, or along a path the largest distance, as promised and as
+    measured.
+    """
     ours, along = made.shaped, made.target is not None
     low, high = map(grams, made.payloads)
     carried = low if low == high else f"{low} to {high}"
@@ -147,14 +197,33 @@ def shaped_view(made: ShapedMove) -> View:
         result = f"the tip stays within {milli(ours.largest_error)} mrad of the path"
     else:
         time = ours.settling_time
-        result = f"settles in {_seconds(time)} s" if math.isfinite(time) else "does not settle"
+        result = (
+            f"settles in {_seconds(time)} s"
+            if math.isfinite(time)
+            else "does not settle"
+        )
     voltage = f"{number(ours.peak_voltage, 3)} V of {number(made.voltage)} V"
     last = "farthest [mrad]" if along else "residual vibration [mrad]"
-    promised = ("promised [mrad]", "lasts [s]") if along else ("promised [s]", "settles to 2 % [s]")
-    header = ("reference", *promised, last, "peak voltage [V]", "guards act [% of runs]")
+    promised = (
+        ("promised [mrad]", "lasts [s]")
+        if along
+        else ("promised [s]", "settles to 2 % [s]")
+    )
+    header = (
+        "reference",
+        *promised,
+        last,
+        "peak voltage [V]",
+        "guards act [% of runs]",
+    )
     table = Table(header, tuple(_row(each, along=along) for each in made.measured))
     state = "passed" if made.passed else "failed"
-    return View(f"{what}: {result}, {voltage}", (table,), tuple(map(finding_line, made.findings)), state)
+    return View(
+        f"{what}: {result}, {voltage}",
+        (table,),
+        tuple(map(finding_line, made.findings)),
+        state,
+    )
 
 
 def _row(each: Measured, *, along: bool) -> Row:
@@ -162,4 +231,9 @@ def _row(each: Measured, *, along: bool) -> Row:
     if not along:
         settled = _seconds(each.predicted), _seconds(each.settling_time)
         first = (*settled, milli(each.residual_vibration))
-    return (each.name, *first, number(each.peak_voltage, 3), f"{100 * each.limited:.0f}")
+    return (
+        each.name,
+        *first,
+        number(each.peak_voltage, 3),
+        f"{100 * each.limited:.0f}",
+    )

@@ -1,7 +1,7 @@
 """What people read of each result: a headline with the verdict, tables, then notes.
 
-A result is looked up by the name of its class: importing the classes here would load every package whatever
-is shown.
+A result is looked up by the name of its class: importing the classes here would load
+every package whatever is shown.
 """
 
 from __future__ import annotations
@@ -42,7 +42,15 @@ from fraclink._show.tables import (
     verdict_sentence,
     verdict_table,
 )
-from fraclink._show.text import Table, View, degrees, finding_line, grams, looked_up, number
+from fraclink._show.text import (
+    Table,
+    View,
+    degrees,
+    finding_line,
+    grams,
+    looked_up,
+    number,
+)
 from fraclink._show.tunings import pid_view, shaped_view, tuning_view, watch_view
 from fraclink.findings import errors_of
 
@@ -77,11 +85,26 @@ def view(result: Any) -> View:
 
 def _findings_view(findings: tuple[Finding, ...]) -> View:
     found = [f.severity for f in findings]
-    # A warning is no failure, but a result with one is not yet shown to be right: the word between.
-    state = "failed" if "error" in found else "not shown" if "warning" in found else "passed"
-    counts = [(found.count(word), word) for word in ("error", "warning", "info") if word in found]
-    headline = ", ".join(f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts)
-    return View(headline or "no findings", notes=tuple(map(finding_line, findings)), state=state)
+    # A warning is no failure, but a result with one is not yet shown to be right: the
+    # word between.
+    state = (
+        "failed"
+        if "error" in found
+        else "not shown"
+        if "warning" in found
+        else "passed"
+    )
+    counts = [
+        (found.count(word), word)
+        for word in ("error", "warning", "info")
+        if word in found
+    ]
+    headline = ", ".join(
+        f"{n} {word}{'s' if n > 1 and word != 'info' else ''}" for n, word in counts
+    )
+    return View(
+        headline or "no findings", notes=tuple(map(finding_line, findings)), state=state
+    )
 
 
 # --- rig, log and models ----------------------------------------------------------------------------------
@@ -107,9 +130,16 @@ def _fit_view(fit: Fit) -> View:
 
 def _start_view(started: Start) -> View:
     model = _fit_view(started.fit)
-    rows = tuple((guess.part, guess.value, guess.certainty, guess.evidence) for guess in started.guesses)
+    rows = tuple(
+        (guess.part, guess.value, guess.certainty, guess.evidence)
+        for guess in started.guesses
+    )
     check = len(started.uncertain)
-    headline = f"{model.headline}; {check} of {len(rows)} guesses to check" if check else model.headline
+    headline = (
+        f"{model.headline}; {check} of {len(rows)} guesses to check"
+        if check
+        else model.headline
+    )
     notes = (*map(str, errors_of(started.findings)), *model.notes)
     tables = (Table(("log", "taken as", "certainty", "evidence"), rows), *model.tables)
     return View(headline, tables, notes, "passed" if started.passed else "not shown")
@@ -117,7 +147,11 @@ def _start_view(started: Start) -> View:
 
 def _comparison_view(comparison: Comparison) -> View:
     fits = comparison.fits
-    warned = (f"{name}: {text}" for name, fit in fits.items() for text in worth_reading(fit.findings))
+    warned = (
+        f"{name}: {text}"
+        for name, fit in fits.items()
+        for text in worth_reading(fit.findings)
+    )
     return View(comparison.verdict, (fits_table(fits),), (*coincidence(fits), *warned))
 
 
@@ -127,12 +161,16 @@ def _comparison_view(comparison: Comparison) -> View:
 def _design_view(design: Design) -> View:
     c = design.controller
     filtered = (
-        f", filter δ = {number(c.filter_time)} s, n = {c.filter_order}" if c.filter_time else ", no filter"
+        f", filter δ = {number(c.filter_time)} s, n = {c.filter_order}"
+        if c.filter_time
+        else ", no filter"
     )
-    headline = f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
+    headline = (
+        f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
+    )
     tables = (requirements_table(design.requirements),)
-    # A doubt about the input outweighs requirements that are met, for they are met by a model in doubt; one
-    # that is missed fails whatever the input.
+    # A doubt about the input outweighs requirements that are met, for they are met by a
+    # model in doubt; one that is missed fails whatever the input.
     missed = any(not item.passed for item in design.requirements)
     state = "not shown" if design.doubts and not missed else state_of(design)
     return View(headline, tables, tuple(map(finding_line, design.findings)), state)
@@ -140,14 +178,20 @@ def _design_view(design: Design) -> View:
 
 def _law_view(law: Law) -> View:
     order = len(law.correction.poles) + 2 * len(law.correction.pair_poles)
-    motor = "with its motor loop" if law.drive is not None else "for a robot with its own servo"
+    motor = (
+        "with its motor loop"
+        if law.drive is not None
+        else "for a robot with its own servo"
+    )
     motor = motor if law.has_gauge else "a fractional PID"
     headline = f"{order} states, one step every {number(1e3 * law.period)} ms, {motor}"
     return View(headline, notes=(f"SHA-256 {law.digest}",))
 
 
 def _optimised_view(found: Any) -> View:
-    figure = "worst noise gain" if found.goal == "noise" else "smallest crossover [rad/s]"
+    figure = (
+        "worst noise gain" if found.goal == "noise" else "smallest crossover [rad/s]"
+    )
     rows = tuple(
         (
             s.structure,
@@ -157,16 +201,23 @@ def _optimised_view(found: Any) -> View:
         for s in found.steps
     )
     shown = _design_view(found.design)
-    # A search that finds nothing is an answer; said first, or the table of structures reads as a failure.
+    # A search that finds nothing is an answer; said first, or the table of structures
+    # reads as a failure.
     kept = f"no structure is better by {100 * found.least:g} %: the closed-form design is kept"
     notes = shown.notes if found.pays else (kept, *shown.notes)
-    return replace(shown, tables=(Table(("structure", figure, ""), rows), *shown.tables), notes=notes)
+    return replace(
+        shown,
+        tables=(Table(("structure", figure, ""), rows), *shown.tables),
+        notes=notes,
+    )
 
 
 def _assessment_view(found: Any) -> View:
     payloads = found.payloads
     shares = tuple((share.element, degrees(share.phase, 2)) for share in found.budget)
-    margins = tuple((c.kind, *(degrees(float(p), 2) for p in c.phase_margin)) for c in found.curves)
+    margins = tuple(
+        (c.kind, *(degrees(float(p), 2) for p in c.phase_margin)) for c in found.curves
+    )
     tables = (
         requirements_table(found.modes),
         Table((f"phase at {grams(payloads[-1])}", "share"), shares),
@@ -177,10 +228,17 @@ def _assessment_view(found: Any) -> View:
     notes = (
         f"at equal worst-case Ms = {found.max_sensitivity:.3f}, the paper's printed controllers as they are:",
         *rivals,
-        *(() if found.modes else ("higher modes: none, as the link has no mass; give --link-mass [kg]",)),
+        *(
+            ()
+            if found.modes
+            else ("higher modes: none, as the link has no mass; give --link-mass [kg]",)
+        ),
     )
     return View(
-        f"stable with {1e3 * found.tolerances.delay:.3g} ms more delay", tables, notes, state_of(found)
+        f"stable with {1e3 * found.tolerances.delay:.3g} ms more delay",
+        tables,
+        notes,
+        state_of(found),
     )
 
 
@@ -195,14 +253,21 @@ def _tolerance_table(tolerated: Any) -> Table:
         ("slower motor loop", tolerated.motor_pole, "rad/s"),
     )
     limits = (
-        (what, f"{number(value, 3)} {unit}" if 0.0 < value < math.inf else "no limit found")
+        (
+            what,
+            f"{number(value, 3)} {unit}"
+            if 0.0 < value < math.inf
+            else "no limit found",
+        )
         for what, value, unit in rows
     )
     return Table(("stable with", "up to"), tuple(limits))
 
 
 def rival_sentences(rivals: Sequence[Alternative]) -> tuple[str, ...]:
-    """Return what the comparison at equal Ms says, each rival against the design's own controller."""
+    """Return what the comparison at equal Ms says, each rival against the design's own
+    controller.
+    """
     own, *others = rivals
     return tuple(_rival_sentence(rival, own) for rival in others)
 
@@ -211,11 +276,14 @@ def _rival_sentence(rival: Alternative, own: Alternative) -> str:
     name = f"{rival.name} (β = {rival.controller.order:.3g})"
     if not rival.stable:
         return f"{rival.name}: unstable for some payload of the range"
-    # At the bound on Ms a rival's gain may stay below 1 everywhere: a ratio of crossovers would be 0 and its
-    # noise look good.
+    # At the bound on Ms a rival's gain may stay below 1 everywhere: a ratio of
+    # crossovers would be 0 and its noise look good.
     if rival.gain_crossover == 0.0:
         return f"{name} has no gain crossover at this Ms"
-    speed, noise = rival.gain_crossover / own.gain_crossover, rival.noise_gain / own.noise_gain
+    speed, noise = (
+        rival.gain_crossover / own.gain_crossover,
+        rival.noise_gain / own.noise_gain,
+    )
     return (
         f"{name} crosses at {speed:.2f} times the crossover of {own.name} "
         f"(β = {own.controller.order:.3g}), with {noise:.2f} times its noise"
@@ -233,25 +301,37 @@ def _run_view(run: Run) -> View:
     # The reason already says which requirement of the move was missed, with its number.
     headline = "move settled" if run.verdict.passed else run.verdict.reason
     return View(
-        headline, (moves_table([run]),), tuple(map(finding_line, run.findings)), state_of(run.verdict)
+        headline,
+        (moves_table([run]),),
+        tuple(map(finding_line, run.findings)),
+        state_of(run.verdict),
     )
 
 
 def _certificate_view(certificate: Any) -> View:
     # The sign before the headline says "failed" already.
-    return View(certificate.verdict.removeprefix("Not certified: "), state=state_of(certificate))
+    return View(
+        certificate.verdict.removeprefix("Not certified: "), state=state_of(certificate)
+    )
 
 
 # --- many runs --------------------------------------------------------------------------------------------
 
 
 def _summary_view(summary: Summary) -> View:
-    trips = tuple(f"{count} runs: {MODES[mode]} ({REASONS[reason]})" for mode, reason, count in summary.trips)
+    trips = tuple(
+        f"{count} runs: {MODES[mode]} ({REASONS[reason]})"
+        for mode, reason, count in summary.trips
+    )
     notes = (*filter(None, (summary.left_out, summary.given)), *trips)
     headline = summary.failure.sentence
     if summary.damaged:  # else "failed" would stand before "0 of 2000 runs failed"
-        parts = "1 part" if len(summary.damaged) == 1 else f"{len(summary.damaged)} parts"
-        headline = f"{parts} of the campaign damaged or edited; of the others, {headline}"
+        parts = (
+            "1 part" if len(summary.damaged) == 1 else f"{len(summary.damaged)} parts"
+        )
+        headline = (
+            f"{parts} of the campaign damaged or edited; of the others, {headline}"
+        )
     return View(headline, (spread_table(summary),), notes, state_of(summary))
 
 
@@ -265,7 +345,9 @@ def repeated(table: FaultTable, outcome: Outcome) -> str:
 
 
 def _faults_view(table: FaultTable) -> View:
-    """The table, and for each fault that fails its worst run by name: `campaign replay` repeats it."""
+    """The table, and for each fault that fails its worst run by name: `campaign replay`
+    repeats it.
+    """
     notes = tuple(f"{row.number}: {row.worst}" for row in table.rows() if row.example)
     return View(faults_sentence(table), (faults_table(table),), notes, state_of(table))
 
@@ -284,9 +366,12 @@ def faults_page(table: FaultTable) -> str:
 def _study_view(study: Study) -> View:
     verdict, design = study.verdict, study.design
     tables, notes = [verdict_table(verdict)], list(verdict.remarks)
-    # What is only good to know fills the report; a terminal gets what may change a decision.
+    # What is only good to know fills the report; a terminal gets what may change a
+    # decision.
     for finding in (*study.findings, *(design.findings if design else ())):
-        notes += [f"{finding.code}: {finding.message}"] if finding.severity != "info" else []
+        notes += (
+            [f"{finding.code}: {finding.message}"] if finding.severity != "info" else []
+        )
     if study.comparison:
         tables.append(fits_table(study.comparison.fits, brief=True))
         notes += [*coincidence(study.comparison.fits), study.comparison.verdict]
@@ -302,14 +387,24 @@ def _study_view(study: Study) -> View:
 
 def _realtime_view(run: Any) -> View:
     spreads = (("wake-up latency", run.latencies), ("computing time", run.works))
-    rows = tuple((name, *(f"{1e6 * value:.1f}" for value in values)) for name, values in spreads)
+    rows = tuple(
+        (name, *(f"{1e6 * value:.1f}" for value in values)) for name, values in spreads
+    )
     headline = (
         f"{len(run.tick)} periods of {1e3 * run.period:g} ms, {run.missed} missed, "
         f"{run.overruns} overruns, {run.lost_samples} lost samples"
     )
-    notes = [*map(finding_line, run.findings), f"scheduling {run.scheduling}, memory {run.memory}"]
-    # Bit for bit, or the record is not that of this law: there is no "nearly" to report.
-    notes += ["the record replays through the law to the last bit"] if run.first_difference is None else []
+    notes = [
+        *map(finding_line, run.findings),
+        f"scheduling {run.scheduling}, memory {run.memory}",
+    ]
+    # Bit for bit, or the record is not that of this law: there is no "nearly" to
+    # report.
+    notes += (
+        ["the record replays through the law to the last bit"]
+        if run.first_difference is None
+        else []
+    )
     notes += [] if run.passed else [f"stopped: {run.problem}"]
     table = Table(("time [µs]", "min", "mean", "99.9 %", "max"), rows)
     return View(headline, (table,), tuple(notes), state_of(run))
@@ -362,5 +457,7 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "ShapedMove": shaped_view,
     "Tuning": tuning_view,
     "Watch": watch_view,
-    "Tournament": lambda result: View("\n".join(result.verdicts()), state=state_of(result.standings[0])),
+    "Tournament": lambda result: View(
+        "\n".join(result.verdicts()), state=state_of(result.standings[0])
+    ),
 }

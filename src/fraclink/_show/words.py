@@ -1,4 +1,6 @@
-"""What a report says in sentences: the arm, how far one may rely on the design, what to do next."""
+"""What a report says in sentences: the arm, how far one may rely on the design, what to
+do next.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,14 @@ from fraclink._design.assess import Tolerances
 from fraclink._show.tables import source_name
 from fraclink._show.text import degrees, grams, number, option
 
-__all__ = ["arm_sentences", "nearest_command", "oscillates", "power_on", "sketch_notes", "steps"]
+__all__ = [
+    "arm_sentences",
+    "nearest_command",
+    "oscillates",
+    "power_on",
+    "sketch_notes",
+    "steps",
+]
 __all__ += ["tolerance_sentences"]
 
 _LEFT = 0.05  # of a swing: what nobody sees any more
@@ -23,20 +32,28 @@ _LEFT = 0.05  # of a swing: what nobody sees any more
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
     """The arm's numbers as a person would say them."""
     low, high = rig.payloads.low, rig.payloads.high
-    said = [f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."]
+    said = [
+        f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
+    ]
     if model is not None:
         said += _swing(model)
         if model.second_mode is not None:
             hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
-            said.append(f"It has a second mode at {hertz} Hz; the design bounds the loop gain there.")
+            said.append(
+                f"It has a second mode at {hertz} Hz; the design bounds the loop gain there."
+            )
         # Less than a microsecond is rounding of a fit: no log shows it.
         if abs(model.gauge_delay) > 1e-6:
             late = number(1e3 * abs(model.gauge_delay), 2)
-            said.append(f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}.")
-    # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the workshop's usual figure
-    # [ms].
+            said.append(
+                f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}."
+            )
+    # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the
+    # workshop's usual figure [ms].
     settled = number(4.0e3 / rig.motor_loop.pole, 2)
-    said.append(f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms.")
+    said.append(
+        f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms."
+    )
     return said
 
 
@@ -46,7 +63,8 @@ def oscillates(pole: complex) -> bool:
     >>> oscillates(-1 + 10j), oscillates(-5 + 1e-16j)
     (True, False)
     """
-    # The pole of an overdamped link comes from a Newton iteration or from e^(jπ): real but for rounding.
+    # The pole of an overdamped link comes from a Newton iteration or from e^(jπ): real
+    # but for rounding.
     return abs(pole.imag) > 1e-9 * abs(pole)
 
 
@@ -61,7 +79,8 @@ def _swing(model: LinkModel) -> Iterator[str]:
     if ratio <= 0:
         yield f"{swing}, undamped in this model."
         return
-    # e^(−σt) = 0.05 after t = −ln 0.05/σ; in periods of 2π/ω, whatever the order λ, as the pole has both.
+    # e^(−σt) = 0.05 after t = −ln 0.05/σ; in periods of 2π/ω, whatever the order λ, as
+    # the pole has both.
     swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
     yield f"{swing}; after {number(swings, 2)} swings the amplitude is down to 5 %."
 
@@ -80,15 +99,33 @@ def tolerance_sentences(found: Tolerances, design: Design) -> list[str]:
     said = []
     if 0.0 < found.delay < math.inf:
         said.append(f"{number(1e3 * found.delay, 2)} ms more delay")
-    light = f"down to {number(1e3 * found.payload_low, 2)} g" if found.payload_low > 0 else ""
-    heavy = f"up to {grams(found.payload_high)}" if math.isfinite(found.payload_high) else ""
+    light = (
+        f"down to {number(1e3 * found.payload_low, 2)} g"
+        if found.payload_low > 0
+        else ""
+    )
+    heavy = (
+        f"up to {grams(found.payload_high)}"
+        if math.isfinite(found.payload_high)
+        else ""
+    )
     ends = " and ".join(part for part in (light, heavy) if part)
-    said.append(f"payloads {ends} instead of {number(1e3 * low)} to {grams(high)}" if ends else "any payload")
+    said.append(
+        f"payloads {ends} instead of {number(1e3 * low)} to {grams(high)}"
+        if ends
+        else "any payload"
+    )
     soft = f"{number(found.stiffness_low, 2)}" if found.stiffness_low > 0 else ""
-    hard = f"{number(found.stiffness_high, 3)}" if math.isfinite(found.stiffness_high) else ""
+    hard = (
+        f"{number(found.stiffness_high, 3)}"
+        if math.isfinite(found.stiffness_high)
+        else ""
+    )
     if soft or hard:
         span = " to ".join(part for part in (soft, hard) if part)
-        said.append(f"a link {'up to ' if not soft else ''}{span} times as stiff as the model")
+        said.append(
+            f"a link {'up to ' if not soft else ''}{span} times as stiff as the model"
+        )
     if found.motor_pole > 0:
         rate = number(found.motor_pole, 2)
         said.append(
@@ -101,10 +138,13 @@ def nearest_command(study: Study) -> str:
     """The command line that asks for the nearest request; empty where none is known."""
     if study.refused is None or study.rig is None:
         return ""
-    options = " ".join(option(name, value) for name, value in study.refused.nearest.items())
+    options = " ".join(
+        option(name, value) for name, value in study.refused.nearest.items()
+    )
     named = study.experiment is not None and study.experiment.source
     log = source_name(study.experiment) if named else "LOG"
-    # A rig that is not bundled is known to the command by its file only, which lies beside the report.
+    # A rig that is not bundled is known to the command by its file only, which lies
+    # beside the report.
     rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
     return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
 
@@ -113,13 +153,18 @@ def refusal_sentence(study: Study) -> str:
     """The request and the nearest one, in degrees and with two decimals."""
     if study.refused is None:
         return ""
-    texts = [_request(values) for values in (study.refused.asked, study.refused.nearest)]
+    texts = [
+        _request(values) for values in (study.refused.asked, study.refused.nearest)
+    ]
     return f"Requested: {texts[0]}. Nearest feasible request: {texts[1]}."
 
 
 def _request(values: object) -> str:
     known = dict(values)  # type: ignore[call-overload]
-    words = {"gain_crossover": "a crossover of {} rad/s", "phase_margin": "a phase margin of {}"}
+    words = {
+        "gain_crossover": "a crossover of {} rad/s",
+        "phase_margin": "a phase margin of {}",
+    }
     parts = []
     for name, value in known.items():
         text = degrees(value, 2) if name == "phase_margin" else number(value, 4)
@@ -130,10 +175,14 @@ def _request(values: object) -> str:
 def steps(study: Study) -> list[tuple[str, str]]:
     """What to do next, each with the command that does it in the folder of the report."""
     if study.design is None:
-        return [("Request the nearest feasible design", nearest_command(study))] if study.refused else []
+        return (
+            [("Request the nearest feasible design", nearest_command(study))]
+            if study.refused
+            else []
+        )
     todo = []
-    # In the order of what a reader can still lose: a failing arm first, then the proof, the faults, and only
-    # then the board.
+    # In the order of what a reader can still lose: a failing arm first, then the proof,
+    # the faults, and only then the board.
     if study.arms is not None and study.arms.failed:
         todo.append(
             (
@@ -150,7 +199,12 @@ def steps(study: Study) -> list[tuple[str, str]]:
                 "fraclink campaign faults --design design.json --out .",
             )
         )
-    todo.append(("Write the law as C99 with a self-test", "fraclink export c design.json --out firmware"))
+    todo.append(
+        (
+            "Write the law as C99 with a self-test",
+            "fraclink export c design.json --out firmware",
+        )
+    )
     todo.append(("Share the moving arm as one file", "fraclink share . --out arm.html"))
     return todo
 
@@ -158,9 +212,13 @@ def steps(study: Study) -> list[tuple[str, str]]:
 def power_on(design: Design) -> list[str]:
     """The first power-on in the order in which a mistake costs least."""
     volts = design.rig.motor.voltage_limit
-    # A fifth of the voltage: a wrong sign of encoder or gauge then pushes the arm gently enough to be caught
-    # by hand.
-    limit = f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)" if math.isfinite(volts) else ""
+    # A fifth of the voltage: a wrong sign of encoder or gauge then pushes the arm
+    # gently enough to be caught by hand.
+    limit = (
+        f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)"
+        if math.isfinite(volts)
+        else ""
+    )
     return [
         "Motor off: turn the hub by hand towards the positive side; the encoder must count up.",
         "Motor off: bend the tip by hand; the gauge torque must have the same sign as in the log.",

@@ -1,4 +1,6 @@
-"""One arm and one run: the model (a massless link) or the twin, under the law that is shipped; its moves."""
+"""One arm and one run: the model (a massless link) or the twin, under the law that is
+shipped; its moves.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,14 @@ from fraclink._simulate.damping import FractionalKelvinVoigt, KelvinVoigt, Power
 from fraclink._simulate.metrics import Metrics, MoveVerdict
 from fraclink._simulate.plant import Plant, assemble
 from fraclink._simulate.run import Run
-from fraclink._simulate.sensors import Obstacle, PayloadChange, Restart, SensorFault, Sensors, TipPulse
+from fraclink._simulate.sensors import (
+    Obstacle,
+    PayloadChange,
+    Restart,
+    SensorFault,
+    Sensors,
+    TipPulse,
+)
 from fraclink._simulate.simulate import simulate
 
 __all__ = [

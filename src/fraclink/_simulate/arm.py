@@ -1,4 +1,6 @@
-"""The twin of a rig: link, motor with friction, amplifier and sensors; and the logs that it records."""
+"""The twin of a rig: link, motor with friction, amplifier and sensors; and the logs
+that it records.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,30 @@ from fraclink._arm.beam import Beam
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Motor, Rig
 from fraclink._files import write_text
-from fraclink._simulate.damping import Damping, FractionalKelvinVoigt, KelvinVoigt, PowerLaw
-from fraclink._simulate.plant import LONGEST_STEP, Plant, StepMatrices, assemble, substeps
+from fraclink._simulate.damping import (
+    Damping,
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    PowerLaw,
+)
+from fraclink._simulate.plant import (
+    LONGEST_STEP,
+    Plant,
+    StepMatrices,
+    assemble,
+    substeps,
+)
 from fraclink._simulate.sensors import Sensors
-from fraclink._validate import Array, Between, Frequency, Period, Positive, Seed, Time, checked
+from fraclink._validate import (
+    Array,
+    Between,
+    Frequency,
+    Period,
+    Positive,
+    Seed,
+    Time,
+    checked,
+)
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
 
@@ -29,22 +51,26 @@ Vector = NDArray[np.float64]
 
 MOST_SAMPLES = 2_000_000  # two hours at 4 ms
 
-# Hub inertia over the arm's below which the compensation of the coupling torque, late by a period and a half,
-# feeds the mode more than the inner loop takes from it. Seen on the paper's rig with 8 to 40 g at 4 ms: 0.5 %
-# (as printed) and 2 % are unstable, 4.5 % rings at 8 g, 12 % and more hold.
+# Hub inertia over the arm's below which the compensation of the coupling torque, late
+# by a period and a half, feeds the mode more than the inner loop takes from it. Seen on
+# the paper's rig with 8 to 40 g at 4 ms: 0.5 % (as printed) and 2 % are unstable, 4.5 %
+# rings at 8 g, 12 % and more hold.
 LIGHT_HUB = 0.1
 
-# A model's frequency and equation (5) may differ by what the mass of the link does, up to 17 % at 8 g.
+# A model's frequency and equation (5) may differ by what the mass of the link does, up
+# to 17 % at 8 g.
 SAME_ARM = 0.2
 
 
 @checked
 def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
-    """Return the rig with its printed motor behind a gear: the hub the twin of the paper's arm needs.
+    """Return the rig with its printed motor behind a gear: the hub the twin of the
+    paper's arm needs.
 
-    Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that is 0.5 % of the arm's
-    own inertia, and no sampled compensation of the coupling torque holds such a hub (see W601). The text
-    names a harmonic drive; 50 is its smallest usual ratio. A = K/(nJ) and the inner loop follow.
+    Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that
+    is 0.5 % of the arm's own inertia, and no sampled compensation of the coupling
+    torque holds such a hub (see W601). The text names a harmonic drive; 50 is its
+    smallest usual ratio. A = K/(nJ) and the inner loop follow.
 
     ratio: n, motor turns for one turn of the output, > 0
     """
@@ -55,7 +81,8 @@ def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
 def damping_of(model: LinkModel) -> Damping:
     """Return the material whose massless link is the given lumped model.
 
-    UD-FOM is a power law, D-IOM viscous with η = μ/ω₀², D-FOM fractional with η = μ/ω₀², UD-IOM undamped.
+    UD-FOM is a power law, D-IOM viscous with η = μ/ω₀², D-FOM fractional with η =
+    μ/ω₀², UD-IOM undamped.
 
     >>> from fraclink._arm.link import LinkModel
     >>> damping_of(LinkModel(stiffness=1.56, natural_frequency=10.0, order=1.92))
@@ -63,7 +90,8 @@ def damping_of(model: LinkModel) -> Damping:
     """
     if model.order < 2.0:
         return PowerLaw(model.order)
-    # (15) and (16) have μ s^α beside ω₀²: divided by ω₀² it is D − 1, whatever the payload is.
+    # (15) and (16) have μ s^α beside ω₀²: divided by ω₀² it is D − 1, whatever the
+    # payload is.
     factor = model.damping / model.natural_frequency**2
     if model.damping == 0.0 or model.damping_order == 1.0:
         return KelvinVoigt(factor)
@@ -71,7 +99,9 @@ def damping_of(model: LinkModel) -> Damping:
 
 
 def _agree(rig: Rig, model: LinkModel) -> None:
-    """Refuse a rig whose model is another arm than its length, stiffness and payload make."""
+    """Refuse a rig whose model is another arm than its length, stiffness and payload
+    make.
+    """
     # A model that does not know its payload cannot contradict one.
     if model.payload is None:
         return
@@ -98,12 +128,13 @@ class Twin:
     damping
         what the link's material does
     motor
-        motor and amplifier as in the rig file; its inertia, friction and torques act at the gear's
-        output as n²J, n²ν, nΓc and nK V
+        motor and amplifier as in the rig file; its inertia, friction and torques act at
+        the gear's output as n²J, n²ν, nΓc and nK V
     sensors
         encoder and gauge
     stiction
-        breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2 times that
+        breakaway torque at the motor's side [N·m], >= the Coulomb torque; default 1.2
+        times that
     voltage_delay
         control periods between reading the sensors and the voltage's effect, 0 to 100
     modes
@@ -157,14 +188,17 @@ class Twin:
         damping
             default the material of the model (`damping_of`)
         gauge_delay, gauge_gain
-            of the strain amplifier [s], [1]; what was identified where they are left out
+            of the strain amplifier [s], [1]; what was identified where they are left
+            out
         """
         link = rig.model if model is None else model
         if damping is None:
             if link is None:
                 allowed = "KelvinVoigt, FractionalKelvinVoigt or PowerLaw"
                 remedy = "give damping=, or a [model] in the rig file"
-                raise FieldError("damping", None, "missing", allowed=allowed, remedy=remedy)
+                raise FieldError(
+                    "damping", None, "missing", allowed=allowed, remedy=remedy
+                )
             _agree(rig, link)
             damping = damping_of(link)
         gauge = rig.gauge
@@ -174,12 +208,19 @@ class Twin:
             gauge_offset=gauge.offset,
             gauge_quantum=gauge.quantum,
             gauge_limit=None if math.isinf(gauge.limit) else gauge.limit,
-            # A gauge that leads is the fit's way to say that the motor angle is late; no arm runs ahead.
-            gauge_delay=max(link.gauge_delay if link else 0.0, 0.0) if gauge_delay is None else gauge_delay,
-            gauge_gain=(link.gauge_gain if link else 1.0) if gauge_gain is None else gauge_gain,
+            # A gauge that leads is the fit's way to say that the motor angle is late;
+            # no arm runs ahead.
+            gauge_delay=max(link.gauge_delay if link else 0.0, 0.0)
+            if gauge_delay is None
+            else gauge_delay,
+            gauge_gain=(link.gauge_gain if link else 1.0)
+            if gauge_gain is None
+            else gauge_gain,
         )
         return Twin(
-            beam=Beam.from_rig(rig, payload=payload, link_mass=link_mass, rigidity=rigidity),
+            beam=Beam.from_rig(
+                rig, payload=payload, link_mass=link_mass, rigidity=rigidity
+            ),
             damping=damping,
             motor=rig.motor,
             sensors=sensors,
@@ -200,8 +241,11 @@ class Twin:
     @property
     def breakaway(self) -> float:
         """Stiction at the gear's output [N·m]."""
-        # 1.2: the excess of static over sliding friction of greased harmonic drives; the paper gives none.
-        at_motor = 1.2 * self.motor.coulomb_torque if self.stiction is None else self.stiction
+        # 1.2: the excess of static over sliding friction of greased harmonic drives;
+        # the paper gives none.
+        at_motor = (
+            1.2 * self.motor.coulomb_torque if self.stiction is None else self.stiction
+        )
         return self.motor.gear_ratio * at_motor
 
     @property
@@ -227,7 +271,9 @@ class Twin:
         )
 
     def plant(self, step: float) -> Plant:
-        """Return the linear part with the motor's inertia and viscous friction, for steps of `step` [s]."""
+        """Return the linear part with the motor's inertia and viscous friction, for
+        steps of `step` [s].
+        """
         return assemble(
             self.beam,
             self.damping,
@@ -242,21 +288,24 @@ class Twin:
     def vibration_period(self) -> float:
         """Period of the first mode with its damping [s]."""
         frequency = float(self.beam.modes(1).frequencies[0])
-        # With a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω² |D(s)|.
+        # With a power law ω is not in rad/s: the mode is at ω^(2/λ), where |s²| = ω²
+        # |D(s)|.
         if isinstance(self.damping, PowerLaw):
             frequency = frequency ** (2.0 / self.damping.order)
         return 2.0 * math.pi / frequency
 
 
-# ── logs ────────────────────────────────────────────────────────────────────────────────────────────────────
+# ── logs
+# ────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True)
 class TwinLog:
     """A recorded move of the twin.
 
-    time [s], motor_angle [rad] and torque [N·m] are what the sensors gave; true_motor_angle, tip_angle [rad]
-    and true_torque [N·m] what was there. `header` holds the lines of the file's head.
+    time [s], motor_angle [rad] and torque [N·m] are what the sensors gave;
+    true_motor_angle, tip_angle [rad] and true_torque [N·m] what was there. `header`
+    holds the lines of the file's head.
     """
 
     time: Vector
@@ -268,7 +317,9 @@ class TwinLog:
     header: Mapping[str, str]
 
     def text(self) -> str:
-        """Return the file's text: ``# key: value`` lines, names with units, one row per sample."""
+        """Return the file's text: ``# key: value`` lines, names with units, one row per
+        sample.
+        """
         lines = [f"# {key}: {value}" for key, value in self.header.items()]
         lines.append("time_s,motor_angle_rad,torque_Nm")
         # Nine digits: a thousandth of the finest quantum, and short files.
@@ -296,14 +347,16 @@ def simulate_log(
     seed: Seed = 0,
     title: str = "",
 ) -> TwinLog:
-    """Simulate a recorded move: the hub follows a reference, the link swings, the sensors look.
+    """Simulate a recorded move: the hub follows a reference, the link swings, the
+    sensors look.
 
     Parameters
     ----------
     reference
-        hub reference, one value per period [rad], shape (N,). With ``drive="servo"`` it is held over
-        the period and the hub follows through M(s) = 1/(1 + s/p)², equation (21); with ``"prescribed"`` the
-        hub passes through the samples on straight lines.
+        hub reference, one value per period [rad], shape (N,). With ``drive="servo"`` it
+        is held over the period and the hub follows through M(s) = 1/(1 + s/p)²,
+        equation (21); with ``"prescribed"`` the hub passes through the samples on
+        straight lines.
     sensors
         imperfections; default none
     modes
@@ -322,17 +375,30 @@ def simulate_log(
     """
     if reference.size > MOST_SAMPLES:
         allowed, remedy = f"{MOST_SAMPLES} samples", "simulate a shorter log"
-        raise SizeError("reference", reference.size, "too long", allowed=allowed, remedy=remedy)
+        raise SizeError(
+            "reference", reference.size, "too long", allowed=allowed, remedy=remedy
+        )
     # After the size: a month of samples takes a gigabyte to look through.
     if not np.isfinite(reference).all():
-        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
+        raise FieldError(
+            "reference",
+            "NaN",
+            "not finite",
+            allowed="finite",
+            remedy="check the reference",
+        )
     sensors = Sensors() if sensors is None else sensors
     count = substeps(period, step)
     fine = period / count
-    plant = assemble(beam, damping, drive=drive, modes=modes, step=fine, servo_pole=servo_pole)
-    outputs = _march(plant.discretise(fine), reference, count, drive == "prescribed", fine)
+    plant = assemble(
+        beam, damping, drive=drive, modes=modes, step=fine, servo_pole=servo_pole
+    )
+    outputs = _march(
+        plant.discretise(fine), reference, count, drive == "prescribed", fine
+    )
     angle, tip, torque = outputs[:, 0], outputs[:, 2], outputs[:, 3]
-    # Delayed at the fine steps, then sampled: a delay of half a period is not to be rounded to one.
+    # Delayed at the fine steps, then sampled: a delay of half a period is not to be
+    # rounded to one.
     delayed = sensors.delayed(torque, fine)[::count]
     generator = np.random.default_rng(seed)
     hub = angle[::count].copy()
@@ -345,16 +411,34 @@ def simulate_log(
         tip_angle=tip[::count].copy(),
         true_torque=torque[::count].copy(),
         header=_header(
-            beam, damping, sensors, plant.modes.frequencies, period, fine, drive, servo_pole, seed, title
+            beam,
+            damping,
+            sensors,
+            plant.modes.frequencies,
+            period,
+            fine,
+            drive,
+            servo_pole,
+            seed,
+            title,
         ),
     )
 
 
-def _march(matrices: StepMatrices, reference: Vector, count: int, prescribed: bool, fine: float) -> Vector:
-    """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest at the first sample."""
-    inputs = np.diff(reference) / (fine * count) if prescribed else reference[:-1] - reference[0]
+def _march(
+    matrices: StepMatrices, reference: Vector, count: int, prescribed: bool, fine: float
+) -> Vector:
+    """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest
+    at the first sample.
+    """
+    inputs = (
+        np.diff(reference) / (fine * count)
+        if prescribed
+        else reference[:-1] - reference[0]
+    )
     marched = _kernels.twin_march(*matrices.arrays, inputs, count, matrices.rest())
-    # Linear and at rest at first: marched from zero, and only the angles know where zero is.
+    # Linear and at rest at first: marched from zero, and only the angles know where
+    # zero is.
     result = np.vstack([np.zeros(marched.shape[1]), marched])
     result[:, 0] += reference[0]
     result[:, 2] += reference[0]
@@ -377,7 +461,9 @@ def _header(
     return {
         **({"title": title} if title else {}),
         "simulated": "true",
-        "source": "digital twin of fraclink, tools/make_logs.py" if title else "digital twin of fraclink",
+        "source": "digital twin of fraclink, tools/make_logs.py"
+        if title
+        else "digital twin of fraclink",
         "columns": "time_s [s], motor_angle_rad [rad], torque_Nm [N m]",
         "period_s": f"{period:g}",
         "payload_kg": f"{beam.payload:.3f}",
@@ -388,13 +474,19 @@ def _header(
         "damping": damping.label,
         "modes_rad_per_s": " ".join(f"{w:.6g}" for w in frequencies),
         "step_s": f"{fine:g}",
-        "hub": f"servo with double pole at {servo_pole:g} rad/s" if drive == "servo" else "prescribed",
+        "hub": f"servo with double pole at {servo_pole:g} rad/s"
+        if drive == "servo"
+        else "prescribed",
         "encoder_counts": str(counts) if counts else "none",
         "gauge_noise_Nm": f"{sensors.gauge_noise:g}",
         "gauge_offset_Nm": f"{sensors.gauge_offset:g}",
         "gauge_drift_Nm_per_s": f"{sensors.gauge_drift:g}",
         "gauge_quantum_Nm": f"{sensors.gauge_quantum:g}",
         "gauge_delay_s": f"{sensors.gauge_delay:g}",
-        **({"gauge_gain": f"{sensors.gauge_gain:g}"} if sensors.gauge_gain != 1.0 else {}),
+        **(
+            {"gauge_gain": f"{sensors.gauge_gain:g}"}
+            if sensors.gauge_gain != 1.0
+            else {}
+        ),
         "seed": str(seed),
     }

@@ -1,6 +1,8 @@
-"""What the link's material does: a passive chain of springs and dashpots for each damping law.
+"""What the link's material does: a passive chain of springs and dashpots for each
+damping law.
 
-Stress and strain of the link are tied by D(s), in the modal equation q̈i + ωi² D(s) qi = −Γi θ̈m:
+Stress and strain of the link are tied by D(s), in the modal equation q̈i + ωi² D(s) qi
+= −Γi θ̈m:
 
     viscous (Kelvin–Voigt)       D = 1 + η s            massless limit: D-IOM, equation (15), μ = η ω₀²
     fractional (Kelvin–Voigt)    D = 1 + η s^α          massless limit: D-FOM, equation (16), μ = η ω₀²
@@ -10,9 +12,9 @@ s^a with 0 < a < 1 is the exact superposition of Maxwell elements s/(s + r),
 
     s^a = (sin πa/π) ∫ r^a s/(s + r) d(ln r),
 
-and the trapezoid rule in ln r is exponentially accurate. Every weight is positive, so the chain is
-passive whatever the step and the truncation: energy can be stored or lost, never made. The two tails
-of the integral become two elements each, by Gauss quadrature.
+and the trapezoid rule in ln r is exponentially accurate. Every weight is positive, so
+the chain is passive whatever the step and the truncation: energy can be stored or lost,
+never made. The two tails of the integral become two elements each, by Gauss quadrature.
 """
 
 from __future__ import annotations
@@ -30,17 +32,22 @@ __all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw
 
 Vector = NDArray[np.float64]
 
-# Range of the relaxation rates [1/s] that the trapezoid covers. What lies outside is two elements at either
-# end with the tail's first four moments, so that the neglected terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times
-# the tail's share: 3e-6 of the damping at 1000 rad/s, and at low frequencies, where D matters like (s/ω)²,
-# less than 2e-7 of the tip's angle. The trapezoid alone would need twice the elements for as much.
+# Range of the relaxation rates [1/s] that the trapezoid covers. What lies outside is
+# two elements at either end with the tail's first four moments, so that the neglected
+# terms are (SLOWEST/s)⁴ and (s/fastest)⁴ times the tail's share: 3e-6 of the damping at
+# 1000 rad/s, and at low frequencies, where D matters like (s/ω)², less than 2e-7 of the
+# tip's angle. The trapezoid alone would need twice the elements for as much.
 SLOWEST, FASTEST = 0.1, 3e3
-REACH = 2.0  # the highest frequency lies at least this factor below the fastest rate of the trapezoid
+# the highest frequency lies at least this factor below the fastest rate of the
+# trapezoid
+REACH = 2.0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """D(s) = spring + dashpot·s + Σ weights·s/(s + rates), all coefficients >= 0: passive by form."""
+    """D(s) = spring + dashpot·s + Σ weights·s/(s + rates), all coefficients >= 0:
+    passive by form.
+    """
 
     spring: float
     dashpot: float
@@ -49,36 +56,49 @@ class Chain:
 
     def __call__(self, s: complex) -> complex:
         """Return D(s)."""
-        return complex(self.spring + self.dashpot * s + np.sum(self.weights * s / (s + self.rates)))
+        return complex(
+            self.spring + self.dashpot * s + np.sum(self.weights * s / (s + self.rates))
+        )
 
 
 def _gauss(moments: list[float]) -> tuple[Vector, Vector]:
-    """Two nodes and weights with the first four moments of a positive measure on (0, 1): both positive."""
+    """Two nodes and weights with the first four moments of a positive measure on (0,
+    1): both positive.
+    """
     m0, m1, m2, m3 = moments
     determinant = m0 * m2 - m1 * m1
     linear = (m1 * m2 - m0 * m3) / determinant
     constant = (m1 * m3 - m2 * m2) / determinant
-    # Roots of the quadratic orthogonal polynomial of the measure; the smaller by the product, since the
-    # difference would cancel.
+    # Roots of the quadratic orthogonal polynomial of the measure; the smaller by the
+    # product, since the difference would cancel.
     large = 0.5 * (-linear + math.sqrt(linear * linear - 4.0 * constant))
     small = constant / large
     weight = (m1 - m0 * small) / (large - small)
     return np.array([small, large]), np.array([m0 - weight, weight])
 
 
-def _chain(spring: float, scale: float, order: float, tolerance: float, highest: float) -> Chain:
-    """Return spring + scale·s^order as a passive chain, to `tolerance` relative on the imaginary axis."""
-    # The nearest singularity of the integrand lies π/2 off the real axis of ln r for s = jω, so that the
-    # trapezoid's error is 2 exp(−π²/h).
-    # So 3e-8 takes h = 0.55: 20 elements for four and a half decades of rates.
+def _chain(
+    spring: float, scale: float, order: float, tolerance: float, highest: float
+) -> Chain:
+    """Return spring + scale·s^order as a passive chain, to `tolerance` relative on the
+    imaginary axis.
+    """
+    # The nearest singularity of the integrand lies π/2 off the real axis of ln r for s
+    # = jω, so that the trapezoid's error is 2 exp(−π²/h). So 3e-8 takes h = 0.55: 20
+    # elements for four and a half decades of rates.
     step = math.pi**2 / math.log(2.0 / tolerance)
     count = math.ceil(math.log(max(FASTEST, REACH * highest) / SLOWEST) / step) + 1
     rates = SLOWEST * np.exp(step * np.arange(count))
     factor = scale * step * math.sin(math.pi * order) / math.pi
-    # The trapezoid's sum goes on to both sides; its moments there are geometric sums, in r/SLOWEST below
-    # the range and, for Σ w s/(s + r) = s Σ (w/r)/(1 + s/r), in fastest/r above it.
-    near, near_weights = _gauss([factor / math.expm1((order + k) * step) for k in range(4)])
-    far, far_weights = _gauss([factor / math.expm1((1.0 - order + k) * step) for k in range(4)])
+    # The trapezoid's sum goes on to both sides; its moments there are geometric sums,
+    # in r/SLOWEST below the range and, for Σ w s/(s + r) = s Σ (w/r)/(1 + s/r), in
+    # fastest/r above it.
+    near, near_weights = _gauss(
+        [factor / math.expm1((order + k) * step) for k in range(4)]
+    )
+    far, far_weights = _gauss(
+        [factor / math.expm1((1.0 - order + k) * step) for k in range(4)]
+    )
     fast = rates[-1] / far
     return Chain(
         spring,
@@ -101,15 +121,21 @@ _ENERGY = "a negative one would make energy: check its sign"
 _LAMBDA = "use KelvinVoigt(0.0) for λ = 2; beyond it the link would make energy"
 Coefficient = Annotated[float, Between(0.0, 1e6, "s^α", remedy=_ENERGY)]
 FractionalOrder = Annotated[
-    float, Between(0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1")
+    float,
+    Between(
+        0.0, 1.0, low_open=True, high_open=True, remedy="use KelvinVoigt for α = 1"
+    ),
 ]
-LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", low_open=True, high_open=True, remedy=_LAMBDA)]
+LinkOrder = Annotated[
+    float, Between(1.0, 2.0, "(λ)", low_open=True, high_open=True, remedy=_LAMBDA)
+]
 
 
 @checked
 @dataclass(frozen=True)
 class KelvinVoigt:
-    """Viscous damping, D = 1 + η s: modal damping ratio ηω/2, so ∝ ω² in the modal equation.
+    """Viscous damping, D = 1 + η s: modal damping ratio ηω/2, so ∝ ω² in the modal
+    equation.
 
     time: η [s], >= 0; 0 is the undamped link. Negative η makes energy and is refused.
 
@@ -123,7 +149,9 @@ class KelvinVoigt:
     @staticmethod
     @checked
     def from_ratio(ratio: Fraction, *, frequency: Frequency) -> KelvinVoigt:
-        """Return the damping whose mode at `frequency` [rad/s] has the damping ratio `ratio`, η = 2ζ/ω."""
+        """Return the damping whose mode at `frequency` [rad/s] has the damping ratio
+        `ratio`, η = 2ζ/ω.
+        """
         return KelvinVoigt(2.0 * ratio / frequency)
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
@@ -141,8 +169,9 @@ class KelvinVoigt:
 class FractionalKelvinVoigt:
     """Fractional damping, D = 1 + η s^α.
 
-    coefficient: η [s^α], >= 0; order: α, 0 < α < 1. Outside of it the element is no damper of a material
-    (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia), and η < 0 makes energy.
+    coefficient: η [s^α], >= 0; order: α, 0 < α < 1. Outside of it the element is no
+    damper of a material (α = 1 is `KelvinVoigt`, α > 1 is partly an inertia), and η < 0
+    makes energy.
 
     >>> FractionalKelvinVoigt(coefficient=0.012, order=0.9).label
     'fractional, D = 1 + 0.012 s^0.9'
@@ -164,10 +193,12 @@ class FractionalKelvinVoigt:
 @checked
 @dataclass(frozen=True)
 class PowerLaw:
-    """Power-law link, D = s^(2−λ): the paper's order λ of the inertia, seen as the material's.
+    """Power-law link, D = s^(2−λ): the paper's order λ of the inertia, seen as the
+    material's.
 
-    m L² s^λ θt = c (θm − θt), equation (8), is m L² s² θt = c s^(2−λ) (θm − θt): Newton's law with a link
-    whose stiffness is a springpot. D is in units of s^(λ−2), with the second as its reference time.
+    m L² s^λ θt = c (θm − θt), equation (8), is m L² s² θt = c s^(2−λ) (θm − θt):
+    Newton's law with a link whose stiffness is a springpot. D is in units of s^(λ−2),
+    with the second as its reference time.
 
     order: λ, 1 < λ < 2; λ = 2 is `KelvinVoigt(0)`. λ > 2 makes energy and is refused.
 
@@ -179,7 +210,8 @@ class PowerLaw:
 
     def chain(self, tolerance: float, highest: float = 1500.0) -> Chain:
         """Return D(s) as a passive chain, good up to `highest` [rad/s]."""
-        # A springpot has no spring beside it: in rest its slowest element bears the load, and creeps.
+        # A springpot has no spring beside it: in rest its slowest element bears the
+        # load, and creeps.
         return _chain(0.0, 1.0, 2.0 - self.order, tolerance, highest)
 
     @property

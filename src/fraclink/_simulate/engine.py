@@ -1,7 +1,9 @@
-"""What loop and twin take as WebAssembly (csrc/web/engine.c): the numbers of an arm in the engine's order.
+"""What loop and twin take as WebAssembly (csrc/web/engine.c): the numbers of an arm in
+the engine's order.
 
-The engine has no library of mathematics. Whatever takes one is computed here, by the functions and kernels
-that `simulate` uses, so that a run in a page has the bits of a run in Python.
+The engine has no library of mathematics. Whatever takes one is computed here, by the
+functions and kernels that `simulate` uses, so that a run in a page has the bits of a
+run in Python.
 """
 
 from __future__ import annotations
@@ -41,12 +43,16 @@ Real = NDArray[np.float64]
 
 # 16 s at 4 ms: a page shows a move and what is left of it.
 LONGEST = 4001  # periods: room in the engine's buffers
-MOST_ROWS, MOST_GAUGE = 96, 1024  # of the twin: states and two inputs; steps that its gauge is late
-TWIN_MODES = (
-    2  # the third doubles the time of a run, and moves the tip by 1.3 mrad at most in a move of 1 rad
-)
+MOST_ROWS, MOST_GAUGE = (
+    96,
+    1024,
+)  # of the twin: states and two inputs; steps that its gauge is late
+# the third doubles the time of a run, and moves the tip by 1.3 mrad at most in a move
+# of 1 rad
+TWIN_MODES = 2
 
-# The rig's numbers in the order of loop_rig. A page changes delay, offset, noise and payload.
+# The rig's numbers in the order of loop_rig. A page changes delay, offset, noise and
+# payload.
 RIG_NUMBERS = (
     "sampled",
     "substeps",
@@ -78,14 +84,16 @@ def engine_bytes() -> bytes:
     >>> engine_bytes()[:4]
     b'\\x00asm'
     """
-    # Read from the package and not built: a user has no compiler for it, and its digest is tested against
-    # csrc.
+    # Read from the package and not built: a user has no compiler for it, and its digest
+    # is tested against csrc.
     return (files("fraclink._simulate") / "engine.wasm").read_bytes()
 
 
 @dataclass(frozen=True)
 class EngineLink:
-    """A link as the engine reads it: counts of real modes and pairs, and its numbers behind one another."""
+    """A link as the engine reads it: counts of real modes and pairs, and its numbers
+    behind one another.
+    """
 
     reals: int
     pairs: int
@@ -99,11 +107,16 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
     >>> engine_link(LinkModel(1.56, 11.094, order=2.0), 0.004, 4.0).numbers.size
     36
     """
-    # As `simulate` does, whose bits the page must have: for two periods at least, since a response has to be
-    # remembered for one.
+    # As `simulate` does, whose bits the page must have: for two periods at least, since
+    # a response has to be remembered for one.
     weights = link_weights(model, period, max(span, 2 * period))
     second = weights.second.ravel()
-    pair = (weights.pair.real, weights.pair.imag, weights.pair_weight.real, weights.pair_weight.imag)
+    pair = (
+        weights.pair.real,
+        weights.pair.imag,
+        weights.pair_weight.real,
+        weights.pair_weight.imag,
+    )
     parts = (
         model.stiffness,
         weights.first,
@@ -114,11 +127,15 @@ def engine_link(model: LinkModel, period: float, span: float) -> EngineLink:
         *pair,
     )
     numbers = np.concatenate([np.ravel(part) for part in parts])
-    return EngineLink(weights.decay.shape[1], weights.pair.shape[1], bool(second.size), numbers)
+    return EngineLink(
+        weights.decay.shape[1], weights.pair.shape[1], bool(second.size), numbers
+    )
 
 
 def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
-    """Return the rig's numbers as `simulate` has them for the model: the rig's own delay, offset, noise."""
+    """Return the rig's numbers as `simulate` has them for the model: the rig's own
+    delay, offset, noise.
+    """
     motor, gauge = rig.motor, rig.gauge
     numbers = {
         "sampled": 1.0,
@@ -135,8 +152,8 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "noise": gauge.noise,
         "limit": gauge.limit,
         "quantum": gauge.quantum,
-        # In periods, as the kernel counts; a gauge that leads is the motor angle being late, as in
-        # `simulate`.
+        # In periods, as the kernel counts; a gauge that leads is the motor angle being
+        # late, as in `simulate`.
         "gauge_delay": max(model.gauge_delay, 0.0) / law.period,
         "gauge_gain": model.gauge_gain,
         "payload": 0.0,
@@ -151,9 +168,9 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
 class EngineTwin:
     """A twin as a page assembles it, by the operations of `assemble` in their order.
 
-    rig: twin_rig of twin.h. material: step [s], length [m], spring, dashpot and hub friction, then weights
-    and rates of the Maxwell elements. arms: for every payload the hub's inertia, then ω², Γ and tip of each
-    mode.
+    rig: twin_rig of twin.h. material: step [s], length [m], spring, dashpot and hub
+    friction, then weights and rates of the Maxwell elements. arms: for every payload
+    the hub's inertia, then ω², Γ and tip of each mode.
     """
 
     rig: Real
@@ -163,8 +180,11 @@ class EngineTwin:
     modes: int
 
 
-def engine_twin(rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass: float) -> EngineTwin | None:
-    """Return the twins of `Twin.from_rig` with two modes; None where the engine has no room for them.
+def engine_twin(
+    rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass: float
+) -> EngineTwin | None:
+    """Return the twins of `Twin.from_rig` with two modes; None where the engine has no
+    room for them.
 
     >>> rig = Rig.named("paper-2023-geared")
     >>> found = engine_twin(rig, rig.model, [0.020, 0.030], 0.00735)
@@ -172,11 +192,14 @@ def engine_twin(rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass
     (2, 24, (2, 7))
     """
     # The first payload's twin gives what all have in common: motor, sensors, material.
-    twin = Twin.from_rig(rig, model=model, payload=payloads[0], link_mass=link_mass, modes=TWIN_MODES)
+    twin = Twin.from_rig(
+        rig, model=model, payload=payloads[0], link_mass=link_mass, modes=TWIN_MODES
+    )
     numbers = twin_numbers(twin, rig.period)
     fine = rig.period / numbers[0]
     plant = twin.plant(fine)
-    # Two more rows than states: the matrix whose exponential is the step holds the inputs, too.
+    # Two more rows than states: the matrix whose exponential is the step holds the
+    # inputs, too.
     if plant.order + 2 > MOST_ROWS or numbers[2] >= MOST_GAUGE:
         return None
     chain, arms = plant.chain, []
@@ -184,14 +207,31 @@ def engine_twin(rig: Rig, model: LinkModel, payloads: Sequence[float], link_mass
         modes = resolved(beam, TWIN_MODES, fine)
         each = zip(modes.frequencies, modes.participation, modes.tip, strict=True)
         inertia = twin.hub_inertia + residual_inertia(beam, modes)
-        arms.append([inertia, *(number for w, load, tip in each for number in (w**2, load, tip))])
+        arms.append(
+            [
+                inertia,
+                *(number for w, load, tip in each for number in (w**2, load, tip)),
+            ]
+        )
     friction = twin.motor.gear_ratio**2 * twin.motor.viscous_friction
-    material = [fine, twin.beam.length, chain.spring, chain.dashpot, friction, *chain.weights, *chain.rates]
-    return EngineTwin(numbers, np.array(material), np.array(arms), chain.rates.size, plant.modes.count)
+    material = [
+        fine,
+        twin.beam.length,
+        chain.spring,
+        chain.dashpot,
+        friction,
+        *chain.weights,
+        *chain.rates,
+    ]
+    return EngineTwin(
+        numbers, np.array(material), np.array(arms), chain.rates.size, plant.modes.count
+    )
 
 
 def twin_noise(seed: int, count: int) -> Real:
-    """Return the standard normal numbers of the twin's gauge, shape (count,): those of `healthy_inputs`."""
+    """Return the standard normal numbers of the twin's gauge, shape (count,): those of
+    `healthy_inputs`.
+    """
     return np.random.default_rng(seed).standard_normal(count)
 
 

@@ -1,4 +1,6 @@
-"""What the payload estimator said during a run: its signals, and what a reader should know of them."""
+"""What the payload estimator said during a run: its signals, and what a reader should
+know of them.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,15 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-ESTIMATED = "estimated"  # what `told` and a run's "payload_given" say where the law was given the estimate
-_NAMES = ("payload_given", "payload_estimate", "payload_low", "payload_high", "payload_flags")
+# what `told` and a run's "payload_given" say where the law was given the estimate
+ESTIMATED = "estimated"
+_NAMES = (
+    "payload_given",
+    "payload_estimate",
+    "payload_low",
+    "payload_high",
+    "payload_flags",
+)
 
 
 def estimated_over(
@@ -42,12 +51,17 @@ def estimated_over(
     ticks: NDArray[np.integer[Any]],
     called: NDArray[np.bool_],
 ) -> tuple[bytes, Estimates]:
-    """Run the estimator over the sensors of a run, which gives the bits that it gave in the loop.
+    """Run the estimator over the sensors of a run, which gives the bits that it gave in
+    the loop.
 
-    `called` is False in periods that the control missed: there the values of the period before stand.
+    `called` is False in periods that the control missed: there the values of the period
+    before stand.
     """
-    after, found = estimator.run(state, motor_angle[called], torque[called], ticks=ticks[called])
-    # Number of the last call up to each period; before the first there is nothing, and the first stands in.
+    after, found = estimator.run(
+        state, motor_angle[called], torque[called], ticks=ticks[called]
+    )
+    # Number of the last call up to each period; before the first there is nothing, and
+    # the first stands in.
     row = np.maximum(np.cumsum(called) - 1, 0)
     return after, Estimates(*(column[row] for column in found))
 
@@ -58,9 +72,12 @@ def joined(parts: Sequence[Estimates]) -> Estimates:
 
 
 def estimate_signals(estimates: Estimates) -> dict[str, Real]:
-    """Return the signals as a run keeps them: given, estimate, low and high [kg], flags."""
+    """Return the signals as a run keeps them: given, estimate, low and high [kg],
+    flags.
+    """
     return {
-        name: np.asarray(values, dtype=np.float64) for name, values in zip(_NAMES, estimates, strict=True)
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in zip(_NAMES, estimates, strict=True)
     }
 
 
@@ -70,16 +87,28 @@ def estimator_for(
     rig: Rig | None = None,
     model: LinkModel | None = None,
 ) -> PayloadEstimator | None:
-    """Return what estimates the payload, in the law's precision; None where it is told, or nothing is.
+    """Return what estimates the payload, in the law's precision; None where it is told,
+    or nothing is.
 
-    FieldError where nothing says how the link moves, or the estimator was made for another period.
+    FieldError where nothing says how the link moves, or the estimator was made for
+    another period.
     """
     if isinstance(told, PayloadEstimator):
         law = design.law() if isinstance(design, Design) else design
-        # Its models are recursions at one period: at another they would see every frequency scaled.
+        # Its models are recursions at one period: at another they would see every
+        # frequency scaled.
         if not math.isclose(told.period, law.period, rel_tol=1e-9):
-            allowed, remedy = f"{law.period} s", "make it for this law: design.estimator()"
-            raise FieldError("told.period", told.period, "not the law's", allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                f"{law.period} s",
+                "make it for this law: design.estimator()",
+            )
+            raise FieldError(
+                "told.period",
+                told.period,
+                "not the law's",
+                allowed=allowed,
+                remedy=remedy,
+            )
         # law.c and the estimator share their type of reals on a board.
         return told.in_precision(law.precision)
     if told != ESTIMATED:
@@ -88,22 +117,31 @@ def estimator_for(
         return design.estimator()
     link = model or (rig.model if rig is not None else None)
     if rig is None or link is None:
-        allowed, remedy = "a design, or a law with rig= and model=", "give the design in place of its law"
-        raise FieldError("told", told, "without a model of the link", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "a design, or a law with rig= and model=",
+            "give the design in place of its law",
+        )
+        raise FieldError(
+            "told", told, "without a model of the link", allowed=allowed, remedy=remedy
+        )
     # A law alone does not say for which payloads it was designed: those of its rig.
-    return payload_estimator(with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high))
+    return payload_estimator(
+        with_payload(link, rig), rig, design, (rig.payloads.low, rig.payloads.high)
+    )
 
 
 def estimate_findings(
     estimator: PayloadEstimator, estimates: Estimates, period: float
 ) -> tuple[Finding, ...]:
-    """Return W604 where the estimate left the payloads of the certificate, W605 where it met a contact."""
+    """Return W604 where the estimate left the payloads of the certificate, W605 where
+    it met a contact.
+    """
     found = []
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
     if outside.any():
         low, high = estimator.certified
-        # The last look outside: early in a move the interval is wide, and leaves the range for a while by its
-        # width.
+        # The last look outside: early in a move the interval is wide, and leaves the
+        # range for a while by its width.
         last = int(np.flatnonzero(outside)[-1])
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
         found.append(
@@ -112,7 +150,10 @@ def estimate_findings(
                 "warning",
                 f"the estimated payload ({share} at the end) left the {1e3 * low:g} to {1e3 * high:g} g that "
                 f"the design covers, in {np.count_nonzero(outside)} of {outside.size} periods",
-                {"low": float(estimates.low[last]), "high": float(estimates.high[last])},
+                {
+                    "low": float(estimates.low[last]),
+                    "high": float(estimates.high[last]),
+                },
                 "design for a range that holds this payload: the certificate says nothing about it",
             )
         )

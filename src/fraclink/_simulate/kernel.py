@@ -1,7 +1,8 @@
-"""Where Python meets the compiled arm: what the kernels take, and the two calls into them.
+"""Where Python meets the compiled arm: what the kernels take, and the two calls into
+them.
 
-The model, whose link is massless and lumped, runs through `run_lumped`, one arm or many; the twin through
-`ArmState`, which can be stopped, tampered with and continued.
+The model, whose link is massless and lumped, runs through `run_lumped`, one arm or
+many; the twin through `ArmState`, which can be stopped, tampered with and continued.
 """
 
 from __future__ import annotations
@@ -24,9 +25,22 @@ from fraclink._simulate.arm import Twin
 from fraclink._simulate.estimates import estimated_over
 from fraclink._simulate.links import LinkWeights
 from fraclink._simulate.plant import Plant, StepMatrices, substeps
-from fraclink._simulate.sensors import Event, Obstacle, PayloadChange, Restart, delay_line
+from fraclink._simulate.sensors import (
+    Event,
+    Obstacle,
+    PayloadChange,
+    Restart,
+    delay_line,
+)
 
-__all__ = ["ArmState", "LumpedArms", "apply", "run_lumped", "shared_rig", "twin_numbers"]
+__all__ = [
+    "ArmState",
+    "LumpedArms",
+    "apply",
+    "run_lumped",
+    "shared_rig",
+    "twin_numbers",
+]
 
 Real = NDArray[np.float64]
 Bits = NDArray[np.uint32]
@@ -56,10 +70,17 @@ _SEEN = ("motor_angle_measured", "torque_measured", "tip_estimate")
 
 # What `run_lumped` returns of each arm, and what more with `everything`.
 SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
-OTHER_SIGNALS = ("motor_angle", "torque", "torque_measured", "tip_estimate", "motor_angle_measured")
+OTHER_SIGNALS = (
+    "motor_angle",
+    "torque",
+    "torque_measured",
+    "tip_estimate",
+    "motor_angle_measured",
+)
 
 
-# ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
+# ── the model
+# ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 # Columns of a run's numbers, in the order of batch.h.
@@ -80,11 +101,13 @@ _NUMBERS = (
 
 @dataclass(frozen=True)
 class LumpedArms:
-    """R arms: their links, and one value each, shape (R,), of what differs between them.
+    """R arms: their links, and one value each, shape (R,), of what differs between
+    them.
 
-    stiffness [N·m/rad], motor_gain A [rad/(s²·V)], motor_decay B [1/s], friction [rad/s²], gauge_offset and
-    noise [N·m], delay_samples [periods], amplitude of the reference [rad], gauge_delay [periods], gauge_gain
-    [1], the payload that the law is given [kg] (0: none), and the seed of the noise.
+    stiffness [N·m/rad], motor_gain A [rad/(s²·V)], motor_decay B [1/s], friction
+    [rad/s²], gauge_offset and noise [N·m], delay_samples [periods], amplitude of the
+    reference [rad], gauge_delay [periods], gauge_gain [1], the payload that the law is
+    given [kg] (0: none), and the seed of the noise.
     """
 
     links: LinkWeights
@@ -102,11 +125,19 @@ class LumpedArms:
     seed: NDArray[np.uint64]
 
     @staticmethod
-    def of(rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real) -> LumpedArms:
-        """Return arms of one rig; motor gain, viscous friction, Coulomb torque are factors of its own."""
+    def of(
+        rig: Rig, links: LinkWeights, seed: NDArray[np.uint64], **values: Real
+    ) -> LumpedArms:
+        """Return arms of one rig; motor gain, viscous friction, Coulomb torque are
+        factors of its own.
+        """
         motor = rig.motor
         # As a deceleration at the gear's output: nΓc over n²J.
-        friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio) * values.pop("coulomb_torque")
+        friction = (
+            motor.coulomb_torque
+            / (motor.inertia * motor.gear_ratio)
+            * values.pop("coulomb_torque")
+        )
         return LumpedArms(
             links=links,
             seed=seed,
@@ -131,7 +162,9 @@ def shared_rig(
     coupling: float = 0.0,
     start: float = 0.0,
 ) -> _kernels.LoopRig:
-    """Return what the arms of one call have in common; start: the angle at rest before they run [rad]."""
+    """Return what the arms of one call have in common; start: the angle at rest before
+    they run [rad].
+    """
     return _kernels.LoopRig(
         sampled=motor_loop == "sampled",
         substeps=substeps,
@@ -167,8 +200,9 @@ def run_lumped(
     chosen
         which reference each arm follows, shape (R,).
     everything
-        False: tip, motor reference, voltage, shape (3, R, N). True: motor, torque, measured torque, tip
-        estimate and measured angle too, shape (8, R, N). The marks (3, R, N) are flags, mode, reason.
+        False: tip, motor reference, voltage, shape (3, R, N). True: motor, torque,
+        measured torque, tip estimate and measured angle too, shape (8, R, N). The marks
+        (3, R, N) are flags, mode, reason.
     faults
         of all arms, rows of the twin's inputs, shape (N, 12); None: healthy.
     estimator
@@ -179,7 +213,8 @@ def run_lumped(
     marks = np.empty((3, runs, length), dtype=np.uint32)
     # The kernel walks rows: what was sliced or stacked must lie one behind the other.
     links = {
-        field.name: np.ascontiguousarray(getattr(arms.links, field.name)) for field in fields(LinkWeights)
+        field.name: np.ascontiguousarray(getattr(arms.links, field.name))
+        for field in fields(LinkWeights)
     }
     numbers = np.stack([getattr(arms, name) for name in _NUMBERS], axis=1)
     single = law.precision == "single"
@@ -200,13 +235,17 @@ def run_lumped(
     return signals, marks
 
 
-# ── the twin ────────────────────────────────────────────────────────────────────────────────────────────────
+# ── the twin
+# ────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def twin_numbers(twin: Twin, period: float) -> Real:
-    """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control period [s]."""
+    """Return twin_rig of twin.h, shape (15,): motor, amplifier and sensors at a control
+    period [s].
+    """
     count, sensors = substeps(period, twin.step), twin.sensors
-    # In the arm's own steps and not in periods: the queue of true torques is written at every step.
+    # In the arm's own steps and not in periods: the queue of true torques is written at
+    # every step.
     oldest, weights = delay_line(sensors.gauge_delay / (period / count))
     return np.array(
         [
@@ -227,25 +266,32 @@ def twin_numbers(twin: Twin, period: float) -> Real:
 
 
 class ArmState:
-    """A twin while it runs: link, gauge queue, voltage queue, sensors, law. Internal, mutable."""
+    """A twin while it runs: link, gauge queue, voltage queue, sensors, law. Internal,
+    mutable.
+    """
 
-    def __init__(self, twin: Twin, period: float, law_state: bytes, *, start_angle: float = 0.0) -> None:
+    def __init__(
+        self, twin: Twin, period: float, law_state: bytes, *, start_angle: float = 0.0
+    ) -> None:
         self.count = substeps(period, twin.step)
         self.fine = period / self.count
         self.rig = twin_numbers(twin, period)
         self.plant, self.step = _discretised(twin, self.fine)
         self.state = self.step.rest()
-        # A straight link at rest: the hub at its angle, and each mode where Γi θm puts its absolute
-        # coordinate.
+        # A straight link at rest: the hub at its angle, and each mode where Γi θm puts
+        # its absolute coordinate.
         self.state[0] = start_angle
         self.state += _straight(self.plant, start_angle, self.state.size)
-        # The queues hold zeros: the link is straight, and no voltage has been asked for.
+        # The queues hold zeros: the link is straight, and no voltage has been asked
+        # for.
         self.gauge = np.zeros(int(self.rig[2]) + 1)
         self.voltage = np.zeros(twin.voltage_delay + 1)
         self.sensed = np.array([start_angle, 0.0])
         self.counters = np.array([1, 1], dtype=np.uint32)  # stuck, first tick
         self.law = np.frombuffer(bytearray(law_state), dtype=np.uint8)
-        self.estimate = np.zeros(0, dtype=np.uint8)  # of the payload estimator, where the law has one
+        self.estimate = np.zeros(
+            0, dtype=np.uint8
+        )  # of the payload estimator, where the law has one
         self.obstacle = np.array([0.0, 0.0, 0.0, twin.beam.length, 1.0])
         self.twin = twin
 
@@ -257,12 +303,16 @@ class ArmState:
         single: bool = False,
         estimator: PayloadEstimator | None = None,
     ) -> NDArray[np.float64]:
-        """Advance by the rows of `inputs` under a law's block; returns the kernel's record.
+        """Advance by the rows of `inputs` under a law's block; returns the kernel's
+        record.
 
-        With an `estimator` of the law's precision the law is given its payload, and not that of the rows.
+        With an `estimator` of the law's precision the law is given its payload, and not
+        that of the rows.
         """
         if estimator is not None and self.estimate.size == 0:
-            self.estimate = np.frombuffer(bytearray(estimator.initial_state()), dtype=np.uint8)
+            self.estimate = np.frombuffer(
+                bytearray(estimator.initial_state()), dtype=np.uint8
+            )
         return np.asarray(
             _kernels.twin_run(
                 *self.step.arrays,
@@ -285,9 +335,12 @@ class ArmState:
     def estimating(
         self, law: Law, inputs: Real, estimator: PayloadEstimator | None, first: int
     ) -> tuple[Real, list[Estimates]]:
-        """Return the record of `run` for the periods from `first` on, and the estimates behind it."""
-        # The estimator's memory before the run: what it said is recomputed from there, bit for bit, since the
-        # kernel records what the law did and not what it was told.
+        """Return the record of `run` for the periods from `first` on, and the estimates
+        behind it.
+        """
+        # The estimator's memory before the run: what it said is recomputed from there,
+        # bit for bit, since the kernel records what the law did and not what it was
+        # told.
         single, before = law.precision == "single", self.estimate.tobytes()
         record = self.run(law.block, inputs, single=single, estimator=estimator)
         if estimator is None:
@@ -298,7 +351,9 @@ class ArmState:
             np.isfinite(tip),
         )  # the law missed a period without
         state = before or estimator.initial_state()
-        return record, [estimated_over(estimator, state, angle, torque, ticks, called)[1]]
+        return record, [
+            estimated_over(estimator, state, angle, torque, ticks, called)[1]
+        ]
 
     def sense(self, inputs: Real) -> tuple[float, float]:
         """Return what encoder and gauge read now."""
@@ -314,7 +369,9 @@ class ArmState:
         return float(angle), float(torque)
 
     def change_payload(self, payload: float) -> None:
-        """Go on with another payload: shape, speed and the material's memory stay, the modes are new."""
+        """Go on with another payload: shape, speed and the material's memory stay, the
+        modes are new.
+        """
         twin = self.twin.with_payload(payload)
         plant, step = _discretised(twin, self.fine)
         self.state = _transfer(self.plant, plant, self.state, step)
@@ -323,13 +380,16 @@ class ArmState:
 
 @lru_cache(maxsize=64)
 def _discretised(twin: Twin, step: float) -> tuple[Plant, StepMatrices]:
-    # Modes and matrix exponential cost more than a run; a campaign asks for the same few arms over and over.
+    # Modes and matrix exponential cost more than a run; a campaign asks for the same
+    # few arms over and over.
     plant = twin.plant(step)
     return plant, plant.discretise(step)
 
 
 def _straight(plant: Plant, angle: float, size: int) -> Real:
-    """The absolute modal coordinates Γi θm of a straight link whose hub stands at `angle`."""
+    """The absolute modal coordinates Γi θm of a straight link whose hub stands at
+    `angle`.
+    """
     state = np.zeros(size)
     for i in range(plant.modes.count):
         state[plant.mode_slice(i).start] = plant.modes.participation[i] * angle
@@ -337,14 +397,18 @@ def _straight(plant: Plant, angle: float, size: int) -> Real:
 
 
 def _transfer(old: Plant, new: Plant, state: Real, step: StepMatrices) -> Real:
-    """Project link, velocity and every Maxwell element of the old modes on the new ones."""
-    # Least squares in the norm of the kinetic energy, in which the new modes are orthogonal.
+    """Project link, velocity and every Maxwell element of the old modes on the new
+    ones.
+    """
+    # Least squares in the norm of the kinetic energy, in which the new modes are
+    # orthogonal.
     mass, _ = matrices(new.beam)
     projection = new.modes.shapes.T @ mass @ old.modes.shapes
     result = step.rest()
     result[:2] = state[:2]
     blocks = np.array([state[old.mode_slice(i)] for i in range(old.modes.count)])
-    # From absolute to bending coordinates and back: the rigid rotation Γi θm belongs to the payload's own Γi.
+    # From absolute to bending coordinates and back: the rigid rotation Γi θm belongs to
+    # the payload's own Γi.
     blocks[:, 0] -= old.modes.participation * state[0]
     blocks[:, 1] -= old.modes.participation * state[1]
     moved = projection @ blocks
@@ -361,12 +425,18 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
             state.obstacle[1] = 0.0
         elif isinstance(event, Obstacle):
             length = state.twin.beam.length
-            state.obstacle[:] = (event.angle, event.stiffness, event.damping, length, event.side)
+            state.obstacle[:] = (
+                event.angle,
+                event.stiffness,
+                event.damping,
+                length,
+                event.side,
+            )
         elif isinstance(event, PayloadChange):
             state.change_payload(event.payload)
         elif isinstance(event, Restart):
-            # The law and its estimator forget; arm, queues and clock go on, as the processor restarts and the
-            # world does not.
+            # The law and its estimator forget; arm, queues and clock go on, as the
+            # processor restarts and the world does not.
             state.law = np.frombuffer(bytearray(law.initial_state()), dtype=np.uint8)
             state.estimate = np.zeros(0, dtype=np.uint8)
 

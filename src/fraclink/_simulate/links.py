@@ -1,15 +1,19 @@
-"""The lumped link of the model, one or many at once: how its tip answers a motor angle between two samples.
+"""The lumped link of the model, one or many at once: how its tip answers a motor angle
+between two samples.
 
-Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of the link to each power
-is exact: at the end of its own period by the power series of G = θt/θm, later by the modes of the step
-response (a sum of exponentials, see fraclink._systems.response).
+Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of
+the link to each power is exact: at the end of its own period by the power series of G =
+θt/θm, later by the modes of the step response (a sum of exponentials, see
+fraclink._systems.response).
 
 The links of many arms at once are the same recursion, vectorised. The step response of
 ``G = ω₀²/(s^λ + ω₀²)`` is, in the link's own time x = Ω t with Ω = ω₀^(2/λ),
 
-``S = 1 − (2/λ) Re e^(x e^(iπ/λ)) − (1/π) ∫ sin(πλ) e^(λv) / |1 + e^(λv + iπλ)|² · e^(−x e^v) dv``,
+``S = 1 − (2/λ) Re e^(x e^(iπ/λ)) − (1/π) ∫ sin(πλ) e^(λv) / |1 + e^(λv + iπλ)|² · e^(−x
+e^v) dv``,
 
-so one grid in v = ln(r/Ω) serves every payload (Lemma 1's homothety) and only exponentials are left to do.
+so one grid in v = ln(r/Ω) serves every payload (Lemma 1's homothety) and only
+exponentials are left to do.
 """
 
 from __future__ import annotations
@@ -31,23 +35,30 @@ __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# Degree 5: angle, speed and acceleration of the motor at both ends of a period are six numbers.
+# Degree 5: angle, speed and acceleration of the motor at both ends of a period are six
+# numbers.
 POWERS = 6
-# |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no loop passes.
+# |pole|·T [rad]: beyond, three samples a vibration, the power series cancels and no
+# loop passes.
 LONGEST = 2.0
-LINK_TOLERANCE = 1e-9  # of the step response: three digits below what is promised of a move
-# Trapezoidal step in ln r. The integrand's poles lie at distances π(1 − 1/λ) and π(3/λ − 1); the first is
-# corrected exactly, and the second, which cannot be (its exponential grows), leaves e^(−2π·1.57/0.6) = 7e-8.
+LINK_TOLERANCE = (
+    1e-9  # of the step response: three digits below what is promised of a move
+)
+# Trapezoidal step in ln r. The integrand's poles lie at distances π(1 − 1/λ) and π(3/λ
+# − 1); the first is corrected exactly, and the second, which cannot be (its exponential
+# grows), leaves e^(−2π·1.57/0.6) = 7e-8.
 STEP = 0.6
-NEGLIGIBLE = 15.0  # e^-15 = 3e-7 of the step response: a Monte Carlo metric is read to 1e-4
+NEGLIGIBLE = (
+    15.0  # e^-15 = 3e-7 of the step response: a Monte Carlo metric is read to 1e-4
+)
 
 
 @dataclass(frozen=True)
 class LinkWeights:
     """Decays and weights of the recursions of R links; see loop.h for the formula.
 
-    decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6), and second (R, 15), or
-    (0, 15) where no link has a second mode.
+    decay (R, n), weight (R, 6, n), pair (R, m), pair_weight (R, 6, m), first (R, 6),
+    and second (R, 15), or (0, 15) where no link has a second mode.
     """
 
     decay: Real
@@ -59,10 +70,16 @@ class LinkWeights:
 
     def rows(self, rows: slice | NDArray[np.intp]) -> LinkWeights:
         """Return the recursions of some of the links."""
-        # Every array has a row for each link: no field is to be forgotten here when one is added.
+        # Every array has a row for each link: no field is to be forgotten here when one
+        # is added.
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         # No link has a second mode: no rows to take.
-        return LinkWeights(**{name: value[rows] if len(value) else value for name, value in own.items()})
+        return LinkWeights(
+            **{
+                name: value[rows] if len(value) else value
+                for name, value in own.items()
+            }
+        )
 
 
 def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
@@ -82,43 +99,56 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
             remedy="simulate at a shorter period",
         )
     modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
-    # A sum of exponentials is good from one period on; within the first, where a fractional response begins
-    # like t^λ, the power series is exact.
+    # A sum of exponentials is good from one period on; within the first, where a
+    # fractional response begins like t^λ, the power series is exact.
     at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
-    # What the modes of one period would say at its end is taken out of the direct term, as the recursion adds
-    # it.
+    # What the modes of one period would say at its end is taken out of the direct term,
+    # as the recursion adds it.
     first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
     second = second_mode_weights(model.second_mode, period)
     return LinkWeights(
-        modes.decays[None], real[None], modes.pole_decays[None], pair[None], first[None], second
+        modes.decays[None],
+        real[None],
+        modes.pole_decays[None],
+        pair[None],
+        first[None],
+        second,
     )
 
 
 def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
-    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) where there is none.
+    """Return the kernel's row of a second mode, shape (1, 15); (0, 15) where there is
+    none.
 
-    Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p z + g₀ p θm, and the
-    angle gain θm + Re z that it adds to the bend: exact at the samples, above the Nyquist frequency too.
+    Its step response is Re(g₀ e^(pt)) with g₀ = gain (1 + jζ/√(1 − ζ²)): a state z' = p
+    z + g₀ p θm, and the angle gain θm + Re z that it adds to the bend: exact at the
+    samples, above the Nyquist frequency too.
     """
     if mode is None:
         return np.zeros((0, 15))
-    # The step response of gain s²/(s² + 2ζωs + ω²): starts at the gain, with the slope of −2ζω.
+    # The step response of gain s²/(s² + 2ζωs + ω²): starts at the gain, with the slope
+    # of −2ζω.
     damped = math.sqrt(1.0 - mode.damping_ratio**2)
     z = mode.frequency * period * complex(-mode.damping_ratio, damped)
     step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
     weights = step * _relative_powers(np.array([z]))[:, 0]
     decay = np.exp(z)
-    return np.concatenate([[mode.gain, decay.real, decay.imag], weights.real, weights.imag])[None]
+    return np.concatenate(
+        [[mode.gain, decay.real, decay.imag], weights.real, weights.imag]
+    )[None]
 
 
 def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term: t^q/Γ(q + 1)."""
+    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term:
+    t^q/Γ(q + 1).
+    """
     stiff = model.natural_frequency**2 * period**model.order
     soft = model.damping * period ** (model.order - model.damping_order)
     total = 0.0
-    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some twenty terms do.
+    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some
+    # twenty terms do.
     for n in range(1, 100):
         part = 0.0
         for k in range(n + 1 if soft else 1):
@@ -132,32 +162,37 @@ def _end_of_power(model: LinkModel, period: float, power: int) -> float:
 
 
 def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to x^j, relative to a step.
+    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to
+    x^j, relative to a step.
 
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series j! Σ zⁿ/(n + j
-    + 1)! is used.
+    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the
+    series j! Σ zⁿ/(n + j + 1)! is used.
     """
     z = np.atleast_1d(np.asarray(log_decay))
-    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and 1/20! ends the series at 4e-19: they
-    # meet at |z| = 1.
+    # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and 1/20! ends the
+    # series at 4e-19: they meet at |z| = 1.
     near = np.abs(z) < 1.0
     small = np.where(near, z, 0.0)
     large = np.where(near, 1.0, z)
     rows = []
     by_recursion = np.expm1(large) / large
     for j in range(POWERS):
-        by_series = math.factorial(j) * sum(small**n / math.factorial(n + j + 1) for n in range(20))
+        by_series = math.factorial(j) * sum(
+            small**n / math.factorial(n + j + 1) for n in range(20)
+        )
         if j:
             by_recursion = (j * by_recursion - 1.0) / large
         rows.append(np.where(near, by_series, by_recursion))
     return np.asarray(np.array(rows) / rows[0])
 
 
-# ── many links ──────────────────────────────────────────────────────────────────────────────────────────────
+# ── many links
+# ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
-    """Return the recursions of links ``G = ω₀²/(s^λ + ω₀²)`` at `period` [s] for a motor angle of degree 5.
+    """Return the recursions of links ``G = ω₀²/(s^λ + ω₀²)`` at `period` [s] for a
+    motor angle of degree 5.
 
     Parameters
     ----------
@@ -180,8 +215,8 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
     """
     speed = stiff ** (1.0 / order)
     reach = speed * period
-    # One arm of a block that cannot be simulated is an error of the draws, and named; leaving it out would
-    # make the campaign's share of failures a lie.
+    # One arm of a block that cannot be simulated is an error of the draws, and named;
+    # leaving it out would make the campaign's share of failures a lie.
     if float(reach.max()) >= LONGEST:
         raise FieldError(
             "period",
@@ -190,11 +225,15 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
             allowed=f"< {LONGEST / float(speed.max()):.3g} s",
             remedy="draw heavier payloads or a smaller stiffness",
         )
-    # One grid for all arms: the smallest λ needs both ends farthest out, the slowest link the upper one.
+    # One grid for all arms: the smallest λ needs both ends farthest out, the slowest
+    # link the upper one.
     grid = _grid(float(reach.min()), float(order.min()))
-    density = -np.sin(np.pi * order)[:, None] * np.exp(np.multiply.outer(order, grid)) / np.pi
+    density = (
+        -np.sin(np.pi * order)[:, None] * np.exp(np.multiply.outer(order, grid)) / np.pi
+    )
     density /= np.abs(1.0 + np.exp(order[:, None] * (grid + 1j * np.pi))) ** 2
-    # Weight of e^(−r t) in S; over one period a mode answers a step by −gain·(1 − e^(−rT)) of it.
+    # Weight of e^(−r t) in S; over one period a mode answers a step by −gain·(1 −
+    # e^(−rT)) of it.
     real = STEP * density
     log_decay = -reach[:, None] * np.exp(grid)
     pole = reach * np.exp(1j * np.pi / order)
@@ -214,27 +253,39 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
 
 
 def _grid(reach: float, order: float) -> Real:
-    """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one period on."""
+    """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one
+    period on.
+    """
     low = -NEGLIGIBLE / order
-    # Either fall is enough: beyond the sooner of the two the nodes add less than e^-15 of the response.
+    # Either fall is enough: beyond the sooner of the two the nodes add less than e^-15
+    # of the response.
     high = min(NEGLIGIBLE / order, math.log(NEGLIGIBLE / reach))
-    return np.asarray(np.arange(math.floor(low / STEP), math.ceil(high / STEP) + 1) * STEP + 0.5 * STEP)
+    return np.asarray(
+        np.arange(math.floor(low / STEP), math.ceil(high / STEP) + 1) * STEP
+        + 0.5 * STEP
+    )
 
 
 def _correction(order: Real, start: float) -> Complex:
-    """What the trapezoidal rule leaves of a pole's residue: the rule counts the rest of it by itself.
+    """What the trapezoidal rule leaves of a pole's residue: the rule counts the rest of
+    it by itself.
 
-    The density has simple poles at v = ±i y, y = π(1 − 1/λ), whose exponential is the link's own pair.
+    The density has simple poles at v = ±i y, y = π(1 − 1/λ), whose exponential is the
+    link's own pair.
     """
     y = np.pi * (1.0 - 1.0 / order)
     phase = np.exp(2j * np.pi * start / STEP)
     return np.asarray(1.0 / (1.0 - phase * np.exp(-2.0 * np.pi * y / STEP)))
 
 
-def _answers(gain: NDArray[np.inexact], log_decay: NDArray[np.inexact]) -> NDArray[np.inexact]:
-    """Answer of gain·e^(zt/T), a part of a step response, to x^j over one period, at its end: (R, 6, modes).
+def _answers(
+    gain: NDArray[np.inexact], log_decay: NDArray[np.inexact]
+) -> NDArray[np.inexact]:
+    """Answer of gain·e^(zt/T), a part of a step response, to x^j over one period, at
+    its end: (R, 6, modes).
 
-    A step's share is gain·(e^z − 1) = gain·z·φ_0, so x^j's is gain·z·φ_j with φ_j = ∫₀¹ x^j e^(z(1−x)) dx.
+    A step's share is gain·(e^z − 1) = gain·z·φ_0, so x^j's is gain·z·φ_j with φ_j = ∫₀¹
+    x^j e^(z(1−x)) dx.
     """
     # The two ways meet at |z| = 1, as in `_relative_powers`.
     near = np.abs(log_decay) < 1.0
@@ -261,7 +312,12 @@ def _powers_at_end(stiff: Real, order: Real, period: float) -> Real:
     """Response of G to x^j at x = 1, from the power series −Σ (−X)ⁿ of G: shape (R, 6)."""
     ratio = (stiff * period**order)[:, None, None]
     power = np.arange(POWERS)[None, :, None]
-    # X < LONGEST^λ <= 4, and 4^39/Γ(40) is 1e-23; logarithms, since Γ of the highest overflows.
+    # X < LONGEST^λ <= 4, and 4^39/Γ(40) is 1e-23; logarithms, since Γ of the highest
+    # overflows.
     n = np.arange(1, 40)[None, None, :]
-    size = n * np.log(ratio) + gammaln(power + 1.0) - gammaln(order[:, None, None] * n + power + 1.0)
+    size = (
+        n * np.log(ratio)
+        + gammaln(power + 1.0)
+        - gammaln(order[:, None, None] * n + power + 1.0)
+    )
     return np.asarray(-np.sum((-1.0) ** n * np.exp(size), axis=2))

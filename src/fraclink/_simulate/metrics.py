@@ -1,4 +1,6 @@
-"""What runs are judged by: the same figures and the same verdict for one run and for a million."""
+"""What runs are judged by: the same figures and the same verdict for one run and for a
+million.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,15 @@ Bits = NDArray[np.uint32]
 
 BAND = 0.02  # of the move: the usual band of the settling time
 REST_BAND = 2e-3  # [rad]: what "settled" means where there is no move to take 2 % of
-# A growing vibration differs from one that noise drives by how straight its envelope is in a logarithmic
-# plot: slope over standard error. Student's t would be enough for independent windows; those of a lightly
-# damped loop are not, hence the floor: with it none of 5000 good arms with the paper's noise grows, nor one
-# of 500 resonances that noise rings. The printed controller (58) reaches 20 to 160 in 4 s, where 18 is asked.
+# A growing vibration differs from one that noise drives by how straight its envelope is
+# in a logarithmic plot: slope over standard error. Student's t would be enough for
+# independent windows; those of a lightly damped loop are not, hence the floor: with it
+# none of 5000 good arms with the paper's noise grows, nor one of 500 resonances that
+# noise rings. The printed controller (58) reaches 20 to 160 in 4 s, where 18 is asked.
 CHANCE, STRAIGHT = 2e-4, 10.0
 WINDOWS = 4  # vibration periods: a line through three points has no error to speak of
-_AT_LIMIT = 0.05  # of the periods at rest: white noise with half the limit as its RMS is at it in 4.6 %
+# of the periods at rest: white noise with half the limit as its RMS is at it in 4.6 %
+_AT_LIMIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,11 @@ class Metrics:
     overshoot
         largest excess of the tip beyond its final reference, as a part of the move [1].
     settling_time
-        time from which the tip stays within 2 % of the move [s]; infinite if it never does.
+        time from which the tip stays within 2 % of the move [s]; infinite if it never
+        does.
     residual_vibration
-        half the peak-to-peak tip angle in the two vibration periods after the reference came to rest [rad].
+        half the peak-to-peak tip angle in the two vibration periods after the reference
+        came to rest [rad].
     steady_state_error
         mean of tip − reference over the last tenth of the run [rad].
     peak_tip_error
@@ -48,12 +54,13 @@ class Metrics:
     peak_voltage
         largest |voltage| [V].
     motor_reference_noise
-        standard deviation of the motor reference about a parabola in the last tenth [rad].
+        standard deviation of the motor reference about a parabola in the last tenth
+        [rad].
     saturated
         part of the periods with the voltage at its limit [1].
     growth
-        rate at which the vibration's envelope grows [1/s]; negative where it decays, 0 where it cannot be
-        distinguished from what noise does.
+        rate at which the vibration's envelope grows [1/s]; negative where it decays, 0
+        where it cannot be distinguished from what noise does.
     """
 
     overshoot: float
@@ -87,10 +94,11 @@ class MoveVerdict:
 
 @dataclass(frozen=True)
 class Signals:
-    """What is judged of R runs of N periods: reference, tip, motor reference, voltage, flags, mode, reason.
+    """What is judged of R runs of N periods: reference, tip, motor reference, voltage,
+    flags, mode, reason.
 
-    All have shape (R, N); `ended` (R,) is when each reference comes to rest [s], `vibration_period` (R,)
-    that of each link [s].
+    All have shape (R, N); `ended` (R,) is when each reference comes to rest [s],
+    `vibration_period` (R,) that of each link [s].
     """
 
     reference: Real
@@ -114,14 +122,16 @@ def measure_many(signals: Signals) -> dict[str, Real]:
     tenth = _tenth(tip.shape[1])
     beyond = (excess * np.sign(move)[:, None]).max(axis=1)
     return {
-        # In the direction of the move; where there is none there is nothing to be overshot, and
-        # `settling_time` has its own band.
+        # In the direction of the move; where there is none there is nothing to be
+        # overshot, and `settling_time` has its own band.
         "overshoot": np.maximum(
-            0.0, np.divide(beyond, np.abs(move), out=np.zeros_like(move), where=move != 0)
+            0.0,
+            np.divide(beyond, np.abs(move), out=np.zeros_like(move), where=move != 0),
         ),
         "settling_time": _settling(np.abs(excess), _band(reference), signals.period),
         "residual_vibration": _residual(signals),
-        # A mean, so that neither the gauge's noise nor a vibration that dies away is taken for an offset.
+        # A mean, so that neither the gauge's noise nor a vibration that dies away is
+        # taken for an offset.
         "steady_state_error": (tip[:, -tenth:] - reference[:, -tenth:]).mean(axis=1),
         "peak_tip_error": np.abs(tip - reference).max(axis=1),
         "peak_voltage": np.abs(signals.voltage).max(axis=1),
@@ -131,20 +141,24 @@ def measure_many(signals: Signals) -> dict[str, Real]:
     }
 
 
-def judge_many(signals: Signals, metrics: dict[str, Real]) -> dict[str, NDArray[np.generic]]:
-    """Return the law's first abnormal mode and its reason (1 and 0 where there is none), and who passed.
+def judge_many(
+    signals: Signals, metrics: dict[str, Real]
+) -> dict[str, NDArray[np.generic]]:
+    """Return the law's first abnormal mode and its reason (1 and 0 where there is
+    none), and who passed.
 
-    A run passes where the tip settled half a vibration period before the end at the latest (what only passes
-    through the band has left it again by then), the law stayed in its normal mode, no vibration grows, and
-    the voltage is not at its limit when reference and tip are at rest: an unstable loop that the limit holds
-    hardly moves the tip.
+    A run passes where the tip settled half a vibration period before the end at the
+    latest (what only passes through the band has left it again by then), the law stayed
+    in its normal mode, no vibration grows, and the voltage is not at its limit when
+    reference and tip are at rest: an unstable loop that the limit holds hardly moves
+    the tip.
     """
     rows, at = np.arange(len(signals.tip)), _first_abnormal(signals.mode)
     within = np.minimum(at, signals.mode.shape[1] - 1)
     mode = signals.mode[rows, within]
     normal = mode == _kernels.LAW_RUN
-    # Half a period of the vibration: a swing of constant size that happens to end inside the band has been
-    # outside within that time.
+    # Half a period of the vibration: a swing of constant size that happens to end
+    # inside the band has been outside within that time.
     settled = metrics["settling_time"] <= _latest_settling(signals)
     return {
         "mode": mode,
@@ -160,7 +174,9 @@ def judge_many(signals: Signals, metrics: dict[str, Real]) -> dict[str, NDArray[
 def measure(signals: Signals) -> Metrics:
     """Return the metrics of the one run in `signals`."""
     values = measure_many(signals)
-    return Metrics(**{field.name: float(values[field.name][0]) for field in fields(Metrics)})
+    return Metrics(
+        **{field.name: float(values[field.name][0]) for field in fields(Metrics)}
+    )
 
 
 def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
@@ -168,7 +184,9 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
 
     Instability comes first, then trips, saturation, and a tip that has not settled.
     """
-    many = judge_many(signals, {name: np.array([value]) for name, value in vars(metrics).items()})
+    many = judge_many(
+        signals, {name: np.array([value]) for name, value in vars(metrics).items()}
+    )
     if many["passed"][0]:
         return MoveVerdict(True, f"settled in {metrics.settling_time:.3g} s")
     stop = int(_first_abnormal(signals.mode)[0])
@@ -176,19 +194,35 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
     if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip)):
         grown = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
         return MoveVerdict(
-            False, f"{grown}; the law trips at {signals.period * stop:.3g} s" if tripped else grown
+            False,
+            f"{grown}; the law trips at {signals.period * stop:.3g} s"
+            if tripped
+            else grown,
         )
     if tripped:
         what = f"{MODES[int(many['mode'][0])]} ({REASONS[int(many['reason'][0])]})"
-        return MoveVerdict(False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s")
+        return MoveVerdict(
+            False, f"tripped: the law goes to {what} at {signals.period * stop:.3g} s"
+        )
     driven = float(_driven(signals)[0])
     if driven > _AT_LIMIT:
-        what = f"it is at its limit in {100 * driven:.2g} % of the periods after the move"
+        what = (
+            f"it is at its limit in {100 * driven:.2g} % of the periods after the move"
+        )
         return MoveVerdict(False, f"the voltage does not come to rest: {what}")
-    lasting = "saturated: the voltage is at its limit" if metrics.saturated > 0.2 else "not settled"
+    lasting = (
+        "saturated: the voltage is at its limit"
+        if metrics.saturated > 0.2
+        else "not settled"
+    )
     error = signals.tip[0] - signals.reference[0]
-    away, end = float(np.max(np.abs(error[-_tenth(len(error)) :]))), signals.period * (len(error) - 1)
-    return MoveVerdict(False, f"{lasting}; the tip is still {away:.3g} rad away at {end:.3g} s")
+    away, end = (
+        float(np.max(np.abs(error[-_tenth(len(error)) :]))),
+        signals.period * (len(error) - 1),
+    )
+    return MoveVerdict(
+        False, f"{lasting}; the tip is still {away:.3g} rad away at {end:.3g} s"
+    )
 
 
 def _tenth(count: int) -> int:
@@ -206,13 +240,17 @@ def _settling(distance: Real, band: Real, period: float) -> Real:
     outside = distance > band[:, None]
     length = distance.shape[1]
     # From the end: the band may be left and entered again any number of times.
-    last = length - 1 - np.argmax(outside[:, ::-1], axis=1)  # last sample outside, where there is one
+    last = (
+        length - 1 - np.argmax(outside[:, ::-1], axis=1)
+    )  # last sample outside, where there is one
     time = np.where(outside.any(axis=1), (last + 1.0) * period, 0.0)
     return np.asarray(np.where(outside[:, -1], np.inf, time))
 
 
 def _latest_settling(signals: Signals) -> Real:
-    return np.asarray(signals.period * (signals.tip.shape[1] - 1) - 0.5 * signals.vibration_period)
+    return np.asarray(
+        signals.period * (signals.tip.shape[1] - 1) - 0.5 * signals.vibration_period
+    )
 
 
 def _residual(signals: Signals) -> Real:
@@ -220,8 +258,12 @@ def _residual(signals: Signals) -> Real:
     time = signals.period * np.arange(length)
     begin = np.searchsorted(time, signals.ended, side="left")
     # Two periods: one may begin at a node of what several modes leave.
-    end = np.searchsorted(time, signals.ended + 2.0 * signals.vibration_period, side="right")
-    begin = np.minimum(begin, length - _tenth(length))  # a run that ends with its reference: its last tenth
+    end = np.searchsorted(
+        time, signals.ended + 2.0 * signals.vibration_period, side="right"
+    )
+    begin = np.minimum(
+        begin, length - _tenth(length)
+    )  # a run that ends with its reference: its last tenth
     rows = zip(signals.tip, begin, end, strict=True)
     return np.array([0.5 * np.ptp(row[b : max(e, b + 1)]) for row, b, e in rows])
 
@@ -229,14 +271,16 @@ def _residual(signals: Signals) -> Real:
 def _noise(tail: Real) -> Real:
     """Standard deviation about a parabola, which is taken out as one projection."""
     steps = np.linspace(-1.0, 1.0, tail.shape[1])
-    # The motor reference still creeps at the end of a run, by the slow modes of the correction: that is no
-    # noise.
+    # The motor reference still creeps at the end of a run, by the slow modes of the
+    # correction: that is no noise.
     basis, _ = np.linalg.qr(np.vander(steps, 3))
     return np.asarray(np.std(tail - (tail @ basis) @ basis.T, axis=1))
 
 
 def _driven(signals: Signals) -> Real:
-    """Part of the last tenth with the voltage at its limit, 0 where the reference still moves; shape (R,)."""
+    """Part of the last tenth with the voltage at its limit, 0 where the reference still
+    moves; shape (R,).
+    """
     length = signals.tip.shape[1]
     tenth = _tenth(length)
     # A reference that still moves may need all of the voltage.
@@ -246,32 +290,45 @@ def _driven(signals: Signals) -> Real:
 
 
 def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
-    """Index of the first period that is not LAW_RUN, or the number of periods; shape (R,)."""
+    """Index of the first period that is not LAW_RUN, or the number of periods; shape
+    (R,).
+    """
     abnormal = mode != _kernels.LAW_RUN
-    return np.asarray(np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1]))
+    return np.asarray(
+        np.where(abnormal.any(axis=1), np.argmax(abnormal, axis=1), mode.shape[1])
+    )
 
 
 def _growth(signals: Signals) -> Real:
     stop = _first_abnormal(signals.mode)
     deviation = signals.tip - signals.reference
-    # A period after the reference's end: what the move itself leaves there is a step of the envelope, no
-    # growth.
-    begin = np.ceil((signals.ended + signals.vibration_period) / signals.period).astype(int)
-    window = np.maximum(2, np.rint(signals.vibration_period / signals.period)).astype(int)
+    # A period after the reference's end: what the move itself leaves there is a step of
+    # the envelope, no growth.
+    begin = np.ceil((signals.ended + signals.vibration_period) / signals.period).astype(
+        int
+    )
+    window = np.maximum(2, np.rint(signals.vibration_period / signals.period)).astype(
+        int
+    )
     rows = zip(deviation, begin, stop, window, strict=True)
-    return np.array([_rate(row[b:s], w) / (w * signals.period) for row, b, s, w in rows])
+    return np.array(
+        [_rate(row[b:s], w) / (w * signals.period) for row, b, s, w in rows]
+    )
 
 
 def _rate(deviation: Real, window: int) -> float:
-    """Growth of ln(envelope) in each vibration period, 0 where its line is not straight enough to trust."""
+    """Growth of ln(envelope) in each vibration period, 0 where its line is not straight
+    enough to trust.
+    """
     count = len(deviation) // window
     if count < WINDOWS:
         return 0.0
-    # Peak to peak in windows of one vibration period, counted back from the end: an offset falls out, and the
-    # last window, the largest of a growing vibration, is a whole one.
+    # Peak to peak in windows of one vibration period, counted back from the end: an
+    # offset falls out, and the last window, the largest of a growing vibration, is a
+    # whole one.
     peaks = np.ptp(deviation[-count * window :].reshape(count, window), axis=1)
-    # Below 2 mrad a vibration is the sensors', however straight its envelope; `not >=`, as NaN is no
-    # vibration either.
+    # Below 2 mrad a vibration is the sensors', however straight its envelope; `not >=`,
+    # as NaN is no vibration either.
     if not peaks.max() >= REST_BAND:
         return 0.0
     # A quiet window has no logarithm: a picoradian in its place.
@@ -280,8 +337,8 @@ def _rate(deviation: Real, window: int) -> float:
     spread = float(at @ at)
     slope = float(at @ level) / spread
     left = level - level.mean() - slope * at
-    # Standard error of the slope of a straight line through `count` points, with count − 2 degrees of
-    # freedom.
+    # Standard error of the slope of a straight line through `count` points, with count
+    # − 2 degrees of freedom.
     error = math.sqrt(float(left @ left) / ((count - 2) * spread))
     return slope if abs(slope) > _straight(count) * error else 0.0
 

@@ -1,4 +1,6 @@
-"""A run of the twin: law.c's own code around the arm with distributed mass, cut where something changes."""
+"""A run of the twin: law.c's own code around the arm with distributed mass, cut where
+something changes.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,22 @@ from fraclink._arm.rig import Rig
 from fraclink._law import Law, equip
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
-from fraclink._simulate.estimates import ESTIMATED, estimate_findings, estimate_signals, joined
+from fraclink._simulate.estimates import (
+    ESTIMATED,
+    estimate_findings,
+    estimate_signals,
+    joined,
+)
 from fraclink._simulate.kernel import RECORD, ArmState, apply, drive_of
 from fraclink._simulate.run import Run, judged_run
-from fraclink._simulate.sensors import PAYLOAD, REFERENCE, Event, given_payload, healthy_inputs, segments
+from fraclink._simulate.sensors import (
+    PAYLOAD,
+    REFERENCE,
+    Event,
+    given_payload,
+    healthy_inputs,
+    segments,
+)
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
@@ -29,9 +43,15 @@ Real = NDArray[np.float64]
 
 
 def with_motor_loop(
-    law: Law, *, rig: Rig | None = None, link: LinkModel | None = None, twin: Twin | None = None
+    law: Law,
+    *,
+    rig: Rig | None = None,
+    link: LinkModel | None = None,
+    twin: Twin | None = None,
 ) -> tuple[Law, tuple[Finding, ...]]:
-    """Return the law with the motor loop of its rig, or of the twin's motor, and W602 where it had none."""
+    """Return the law with the motor loop of its rig, or of the twin's motor, and W602
+    where it had none.
+    """
     if law.drive is None:
         finding = Finding(
             "W602",
@@ -40,13 +60,14 @@ def with_motor_loop(
             {},
             "simulate design.law(), which has the motor loop that is shipped",
         )
-        # With rig and link the law gets the guards of its sensors, too; the twin's motor alone gives a loop
-        # and no limits.
+        # With rig and link the law gets the guards of its sensors, too; the twin's
+        # motor alone gives a loop and no limits.
         if rig is not None and link is not None:
             return equip(law, rig, link), (finding,)
         if twin is not None:
             return replace(law, drive=drive_of(twin, law)), (finding,)
-    # Each is a recursion of its own period: run at another, its pole would be elsewhere without a word.
+    # Each is a recursion of its own period: run at another, its pole would be elsewhere
+    # without a word.
     elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
@@ -70,20 +91,25 @@ def on_twin(
 ) -> Run:
     law, findings = with_motor_loop(law, twin=twin)
     count = round(length / law.period) + 1
-    inputs = healthy_inputs(twin.sensors, reference, law.period, count, np.random.default_rng(seed))
-    state = ArmState(twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE]))
+    inputs = healthy_inputs(
+        twin.sensors, reference, law.period, count, np.random.default_rng(seed)
+    )
+    state = ArmState(
+        twin, law.period, law.initial_state(), start_angle=float(inputs[0, REFERENCE])
+    )
     records, payloads, estimates = [], [], []
     for first, last, changes in segments(events, law.period, inputs):
         apply(state, law, changes)
         if estimator is None:
-            # Within a segment the payload is constant: an event that changes it begins the next, and True
-            # follows the arm.
+            # Within a segment the payload is constant: an event that changes it begins
+            # the next, and True follows the arm.
             inputs[first:last, PAYLOAD] = given_payload(told, state.twin.beam.payload)
         part, seen = state.estimating(law, inputs[first:last], estimator, first)
         estimates += seen
         records.append(part)
         payloads.append(np.full(len(part), state.twin.beam.payload))
-        # The arm has left every bound: the run ends here, and says that it is not finished.
+        # The arm has left every bound: the run ends here, and says that it is not
+        # finished.
         if len(part) < last - first:
             break
     return twin_run(
@@ -125,11 +151,21 @@ def twin_run(
     findings: tuple[Finding, ...] = (),
     estimates: tuple[PayloadEstimator, Estimates] | None = None,
 ) -> Run:
-    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload [kg]."""
-    columns = {name: np.ascontiguousarray(column) for name, column in zip(RECORD, record.T, strict=True)}
-    columns |= {name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")}
+    """Return the run of what `ArmState.run` recorded: columns `RECORD`, and the payload
+    [kg].
+    """
+    columns = {
+        name: np.ascontiguousarray(column)
+        for name, column in zip(RECORD, record.T, strict=True)
+    }
+    columns |= {
+        name: columns[name].astype(np.uint32) for name in ("mode", "reason", "flags")
+    }
     # What only a twin has stays out of the signals that all runs share.
-    extras = {name: columns.pop(name) for name in ("motor_velocity", "contact_force", "voltage_asked")}
+    extras = {
+        name: columns.pop(name)
+        for name in ("motor_velocity", "contact_force", "voltage_asked")
+    }
     if estimates is not None:
         extras |= estimate_signals(estimates[1])
         findings += estimate_findings(*estimates, period)

@@ -1,7 +1,7 @@
 """The linear part of the twin, stepped exactly: its hub and the modes of its link.
 
-Hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi θm, its velocity, and
-one state zj per Maxwell element of the damping:
+Hub angle θm and velocity v, then for every mode the absolute coordinate pi = qi + Γi
+θm, its velocity, and one state zj per Maxwell element of the damping:
 
     fi  = ωi² (e qi + d q̇i + Σj wj zj)           modal force of the material, e spring, d dashpot
     żj  = q̇i − rj zj
@@ -42,11 +42,15 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Drive = Literal["motor", "servo", "prescribed"]
 
-# Relative error of D(jω), for all modes alike so that the elements keep their meaning when the payload and
-# with it the shapes change. At λ = 1.92 the resonance amplifies it about 50 times in the tip angle.
+# Relative error of D(jω), for all modes alike so that the elements keep their meaning
+# when the payload and with it the shapes change. At λ = 1.92 the resonance amplifies it
+# about 50 times in the tip angle.
 TOLERANCE = 3e-8
-LONGEST_STEP = 1e-3  # [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
-Step = Annotated[float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")]
+# [s]; longer steps would hold the hub's force or speed over a quarter of mode 2
+LONGEST_STEP = 1e-3
+Step = Annotated[
+    float, Between(1e-6, LONGEST_STEP, "s", remedy="1 ms is exact for three modes")
+]
 
 # Rows of the outputs.
 HUB_ANGLE, HUB_VELOCITY, TIP_ANGLE, GAUGE_TORQUE, TIP_VELOCITY, HUB_MOMENT = range(6)
@@ -56,8 +60,8 @@ HUB_ANGLE, HUB_VELOCITY, TIP_ANGLE, GAUGE_TORQUE, TIP_VELOCITY, HUB_MOMENT = ran
 class StepMatrices:
     """x⁺ = A x + b u, y = C x over `step` seconds, laid out for the kernel.
 
-    Row j of `transition` is column j of A, padded with zeros to a whole number of vectors; `hub` and `tip`
-    are the columns of b, `outputs` is C, padded alike.
+    Row j of `transition` is column j of A, padded with zeros to a whole number of
+    vectors; `hub` and `tip` are the columns of b, `outputs` is C, padded alike.
     """
 
     step: float
@@ -81,9 +85,10 @@ class StepMatrices:
 class Plant:
     """The assembled twin: ẋ = A x + B u, y = C x, and its energy xᵀ E x.
 
-    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m], the servo's reference
-    [rad] or the hub's velocity [rad/s]. Outputs y: hub angle [rad], hub velocity [rad/s], tip angle [rad],
-    gauge torque −EI w''(0) [N·m], tip velocity [rad/s], moment of the material on the hub [N·m].
+    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m],
+    the servo's reference [rad] or the hub's velocity [rad/s]. Outputs y: hub angle
+    [rad], hub velocity [rad/s], tip angle [rad], gauge torque −EI w''(0) [N·m], tip
+    velocity [rad/s], moment of the material on the hub [N·m].
     """
 
     beam: Beam
@@ -102,19 +107,28 @@ class Plant:
         return int(self.dynamics.shape[0])
 
     def mode_slice(self, mode: int) -> slice:
-        """Return where the states of one mode are: its coordinate, its velocity, its Maxwell elements."""
+        """Return where the states of one mode are: its coordinate, its velocity, its
+        Maxwell elements.
+        """
         width = 2 + self.chain.rates.size
         return slice(2 + mode * width, 2 + (mode + 1) * width)
 
     def energy(self, state: Vector) -> float:
-        """Kinetic plus stored energy of hub and link [J]; without input it can only fall."""
+        """Kinetic plus stored energy of hub and link [J]; without input it can only
+        fall.
+        """
         inner = state[: self.order]
         return float(inner @ self.energy_matrix @ inner)
 
     def response(self, s: complex) -> NDArray[np.complex128]:
-        """Return the outputs per unit of hub input at the complex frequency s, shape (6,)."""
+        """Return the outputs per unit of hub input at the complex frequency s, shape
+        (6,).
+        """
         matrix = s * np.eye(self.order) - self.dynamics
-        return np.asarray(self.outputs @ np.linalg.solve(matrix, self.inputs[:, 0]), dtype=np.complex128)
+        return np.asarray(
+            self.outputs @ np.linalg.solve(matrix, self.inputs[:, 0]),
+            dtype=np.complex128,
+        )
 
     def discretise(self, step: float) -> StepMatrices:
         """Return the exact step of length `step` [s] for inputs held over it."""
@@ -126,7 +140,11 @@ class Plant:
         stride = -(-n // 8) * 8
         columns, drives = np.zeros((n, stride)), np.zeros((m, stride))
         outputs = np.zeros((self.outputs.shape[0], stride))
-        columns[:, :n], drives[:, :n], outputs[:, :n] = exact[:n, :n].T, exact[:n, n:].T, self.outputs
+        columns[:, :n], drives[:, :n], outputs[:, :n] = (
+            exact[:n, :n].T,
+            exact[:n, n:].T,
+            self.outputs,
+        )
         for array in (columns, drives, outputs):
             array.flags.writeable = False
         return StepMatrices(step, n, columns, drives[0], drives[1], outputs)
@@ -140,10 +158,13 @@ def substeps(period: Period, step: Step) -> int:
 
 
 def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
-    """Return the modes that a step resolves; an explicit number that it does not is refused."""
+    """Return the modes that a step resolves; an explicit number that it does not is
+    refused.
+    """
     # Three of the link: the third moves the tip by 1.3 mrad at most in a move of 1 rad.
     found = beam.modes(3 if modes is None else modes)
-    # Four steps per period: with fewer the input held over a step cannot follow the mode at all.
+    # Four steps per period: with fewer the input held over a step cannot follow the
+    # mode at all.
     fit = int(np.count_nonzero(found.frequencies * step <= np.pi / 2))
     if fit == 0 or (modes is not None and fit < found.count):
         raise FieldError(
@@ -165,7 +186,9 @@ class _Rows:
     force: Vector  # fi, without it
 
 
-def _rows(size: int, at: int, omega: float, load: float, chain: Chain, prescribed: bool) -> _Rows:
+def _rows(
+    size: int, at: int, omega: float, load: float, chain: Chain, prescribed: bool
+) -> _Rows:
     place, speed, force = np.zeros(size), np.zeros(size), np.zeros(size)
     place[at], place[0] = 1.0, -load
     speed[at + 1] = 1.0
@@ -214,12 +237,19 @@ def assemble(
     True
     """
     kept = resolved(beam, modes, step)
-    chain = damping.chain(TOLERANCE, 0.5 * np.pi / step)  # no mode is above that, whatever the payload
+    chain = damping.chain(
+        TOLERANCE, 0.5 * np.pi / step
+    )  # no mode is above that, whatever the payload
     size = 2 + kept.count * (2 + chain.rates.size)
-    a, b, y, energy = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((6, size)), np.zeros((size, size))
+    a, b, y, energy = (
+        np.zeros((size, size)),
+        np.zeros((size, 2)),
+        np.zeros((6, size)),
+        np.zeros((size, size)),
+    )
     prescribed = drive == "prescribed"
-    # What of the arm's inertia the modes that were kept do not carry turns rigidly with the hub; without it a
-    # heavy link would be too light by its higher modes.
+    # What of the arm's inertia the modes that were kept do not carry turns rigidly with
+    # the hub; without it a heavy link would be too light by its higher modes.
     inertia = hub_inertia + residual_inertia(beam, kept)
     y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = 1.0
     if not prescribed:
@@ -236,12 +266,13 @@ def assemble(
         a[elements] = rows.speed
         a[elements, elements] -= np.diag(chain.rates)
         if prescribed:
-            # The hub's velocity is given here and no state: its share of q̇i comes in as an input.
+            # The hub's velocity is given here and no state: its share of q̇i comes in
+            # as an input.
             b[elements, 0] = -load
             b[at + 1, 0] = omega**2 * chain.dashpot * load
         y[TIP_ANGLE] += tip * rows.place
-        # EI w''(0) by the modes' own curvature at the clamp, without D(s): a gauge sees strain and not
-        # stress.
+        # EI w''(0) by the modes' own curvature at the clamp, without D(s): a gauge sees
+        # strain and not stress.
         y[GAUGE_TORQUE] -= omega**2 * load * rows.place
         y[TIP_VELOCITY] += tip * rows.speed
         y[HUB_MOMENT] += load * rows.force
@@ -276,7 +307,11 @@ def _attach_hub(
         return
     if not inertia > 0.0:
         raise FieldError(
-            "hub_inertia", inertia, "not positive", allowed="> 0 kg·m²", remedy="give the motor's J"
+            "hub_inertia",
+            inertia,
+            "not positive",
+            allowed="> 0 kg·m²",
+            remedy="give the motor's J",
         )
     a[1] = y[HUB_MOMENT] / inertia
     a[1, 1] -= friction / inertia

@@ -1,4 +1,6 @@
-"""One run of the closed loop, whatever arm it was made on: the model, the twin, or a real one."""
+"""One run of the closed loop, whatever arm it was made on: the model, the twin, or a
+real one.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ SIGNALS = (
 def _of_model(old: dict[str, Any]) -> dict[str, Any]:
     """A run of the model of format 1: its settings are what is said about it now."""
     about = {"arm": "model", **old.pop("settings")}
-    # Names of release 0.1 in its files; what it did not know (growth, findings) is empty rather than guessed.
+    # Names of release 0.1 in its files; what it did not know (growth, findings) is
+    # empty rather than guessed.
     about["motor_loop"] = about.pop("inner")
     mass = about.pop("payload")
     return _upgraded(old, about, math.nan if mass is None else mass)
@@ -52,16 +55,30 @@ def _of_model(old: dict[str, Any]) -> dict[str, Any]:
 def _of_twin(old: dict[str, Any]) -> dict[str, Any]:
     """A run of the twin of format 1: the payload was a signal."""
     about = {"arm": "twin", **old.pop("about")}
-    return _upgraded(old, about, float(old["payload"][0])) | {"finished": old["finished"]}
+    return _upgraded(old, about, float(old["payload"][0])) | {
+        "finished": old["finished"]
+    }
 
 
-def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dict[str, Any]:
-    # Not zero: a signal that was not recorded must not be drawn as one that was at rest.
+def _upgraded(
+    old: dict[str, Any], about: dict[str, Any], payload: float
+) -> dict[str, Any]:
+    # Not zero: a signal that was not recorded must not be drawn as one that was at
+    # rest.
     unknown = np.full(len(old["time"]), math.nan)
-    extras = {k: v for k, v in old.items() if isinstance(v, np.ndarray) and k not in SIGNALS}
+    extras = {
+        k: v for k, v in old.items() if isinstance(v, np.ndarray) and k not in SIGNALS
+    }
     signals = {name: old.get(name, unknown) for name in SIGNALS}
     judged = {"metrics": old["metrics"] | {"growth": 0.0}, "verdict": old["verdict"]}
-    return {**signals, **judged, "about": about, "payload": payload, "findings": [], "extras": extras}
+    return {
+        **signals,
+        **judged,
+        "about": about,
+        "payload": payload,
+        "findings": [],
+        "extras": extras,
+    }
 
 
 @displayed
@@ -71,12 +88,15 @@ def _upgraded(old: dict[str, Any], about: dict[str, Any], payload: float) -> dic
     container="npz",
     upgrades={1: _of_model, ("twin-run", 1): _of_twin},
     period=lambda run: run.period,
-    sources=lambda run: {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {},
+    sources=lambda run: (
+        {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {}
+    ),
 )
 @compared
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run of the closed loop, one value per control period, each at the period's beginning; shape (N,).
+    """A run of the closed loop, one value per control period, each at the period's
+    beginning; shape (N,).
 
     A signal that this arm does not have is NaN: the tip of a real arm is not measured.
 
@@ -101,11 +121,13 @@ class Run:
     tip_estimate
         θm − Γ/c as the law saw it [rad].
     voltage
-        of the motor [V]; behind an ideal motor loop the one that it needs, compensations left out.
+        of the motor [V]; behind an ideal motor loop the one that it needs,
+        compensations left out.
     mode, reason, flags
         of the law, see law.h.
     payload
-        mass at the tip when the run began [kg]; NaN where only the natural frequency was known.
+        mass at the tip when the run began [kg]; NaN where only the natural frequency
+        was known.
     metrics
         figures of the run.
     verdict
@@ -152,7 +174,8 @@ class Run:
 
     def __post_init__(self) -> None:
         for name in SIGNALS:
-            # A run is shared by plots, reports and comparisons: who wants to change a signal takes a copy.
+            # A run is shared by plots, reports and comparisons: who wants to change a
+            # signal takes a copy.
             getattr(self, name).flags.writeable = False
         for values in self.extras.values():
             values.flags.writeable = False
@@ -169,12 +192,16 @@ class Run:
         return np.asarray(self.reference - self.tip_angle)
 
     def save(self, path: Path | str) -> None:
-        """Write signals, metrics and what was run to one NPZ file, complete or not at all."""
+        """Write signals, metrics and what was run to one NPZ file, complete or not at
+        all.
+        """
         save(self, path, force=True)
 
     @staticmethod
     def load(path: Path | str) -> Run:
-        """Read back what `save` wrote, in this format or the first; FileFormatError for anything else."""
+        """Read back what `save` wrote, in this format or the first; FileFormatError for
+        anything else.
+        """
         return load(path, Run)
 
 
@@ -207,7 +234,8 @@ def judged_run(
         of the vibration [1/s], where a longer run than this one measured it.
     """
     rows = {
-        name: signals[name][None, :] for name in ("motor_reference", "voltage", "flags", "mode", "reason")
+        name: signals[name][None, :]
+        for name in ("motor_reference", "voltage", "flags", "mode", "reason")
     }
     block = Signals(
         reference=signals["reference"][None, :],
@@ -217,9 +245,11 @@ def judged_run(
         ended=np.array([ended]),
         vibration_period=np.array([vibration_period]),
     )
-    # A campaign follows a growing vibration for twice as long; its replay must have its verdict, and not that
-    # of four seconds.
-    metrics = measure(block) if growth is None else replace(measure(block), growth=growth)
+    # A campaign follows a growing vibration for twice as long; its replay must have its
+    # verdict, and not that of four seconds.
+    metrics = (
+        measure(block) if growth is None else replace(measure(block), growth=growth)
+    )
     return Run(
         time=period * np.arange(len(signals["reference"]), dtype=np.float64),
         **signals,
@@ -234,7 +264,9 @@ def judged_run(
 
 
 def payload_rejected(flags: NDArray[Any]) -> tuple[Finding, ...]:
-    """Return W603 where the law was given a payload that it cannot use: it ran as if none were given."""
+    """Return W603 where the law was given a payload that it cannot use: it ran as if
+    none were given.
+    """
     # A flag and no error: the law is a controller, it goes on with what it can use.
     periods = int(np.count_nonzero(flags & _kernels.LAW_FLAG_PAYLOAD))
     if not periods:

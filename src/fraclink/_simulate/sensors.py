@@ -1,4 +1,6 @@
-"""What the sensors make of the truth, what happens to the arm while it moves, and both as a run's inputs."""
+"""What the sensors make of the truth, what happens to the arm while it moves, and both
+as a run's inputs.
+"""
 
 from __future__ import annotations
 
@@ -36,19 +38,24 @@ Vector = NDArray[np.float64]
 
 # Columns of the twin's inputs (csrc/kernels/twin.h); the model reads those of a fault.
 REFERENCE, VELOCITY, ACCELERATION, GAUGE_ERROR, TIP_FORCE, FAULT_BITS = range(6)
-ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(6, 12)
+ENCODER_GAIN, ENCODER_ERROR, ENCODER_VALUE, GAUGE_GAIN, GAUGE_VALUE, PAYLOAD = range(
+    6, 12
+)
 
 _OFF = "0 switches it off"
 Size = Annotated[float, Between(0.0, 1e6, "N·m", remedy=_OFF)]
 Error = Annotated[float, Between(-1e6, 1e6, "N·m", remedy=_OFF)]
-LONGEST_DELAY = 100  # periods or steps of the gauge's delay: what the kernels' queues hold
+LONGEST_DELAY = (
+    100  # periods or steps of the gauge's delay: what the kernels' queues hold
+)
 
 
 def delay_line(delay: float) -> tuple[int, Vector]:
-    """Return the queue of a delayed signal: age of its oldest entry [steps], weights of its four oldest.
+    """Return the queue of a delayed signal: age of its oldest entry [steps], weights of
+    its four oldest.
 
-    A whole delay is one entry; between two steps it is the cubic through the four around it, as in the
-    kernels.
+    A whole delay is one entry; between two steps it is the cubic through the four
+    around it, as in the kernels.
 
     delay: steps, >= 0
 
@@ -56,12 +63,12 @@ def delay_line(delay: float) -> tuple[int, Vector]:
     ((2, array([1., 0., 0., 0.])), 3)
     """
     whole = round(delay)
-    # A millionth of a step is the rounding of a delay in seconds over a period: interpolated, it would take
-    # four entries for one.
+    # A millionth of a step is the rounding of a delay in seconds over a period:
+    # interpolated, it would take four entries for one.
     if abs(delay - whole) < 1e-6:
         return whole, np.array([1.0, 0.0, 0.0, 0.0])
-    # In the middle of its four points the cubic errs least; a delay below one step has no younger entry, and
-    # is read off one side.
+    # In the middle of its four points the cubic errs least; a delay below one step has
+    # no younger entry, and is read off one side.
     youngest = max(math.floor(delay) - 1, 0)
     at, nodes = delay - youngest, range(4)
     lagrange = [math.prod((at - j) / (i - j) for j in nodes if j != i) for i in nodes]
@@ -76,8 +83,8 @@ class Sensors:
     Parameters
     ----------
     counts_per_revolution
-        encoder counts per turn of the hub, None for a continuous angle; an encoder's lines count fourfold,
-        and the gear multiplies them.
+        encoder counts per turn of the hub, None for a continuous angle; an encoder's
+        lines count fourfold, and the gear multiplies them.
     gauge_noise
         standard deviation of white noise [N·m].
     gauge_offset
@@ -110,27 +117,37 @@ class Sensors:
     @property
     def angle_quantum(self) -> float:
         """Angle of one encoder count [rad], 0 for a continuous angle."""
-        return 2.0 * math.pi / self.counts_per_revolution if self.counts_per_revolution else 0.0
+        return (
+            2.0 * math.pi / self.counts_per_revolution
+            if self.counts_per_revolution
+            else 0.0
+        )
 
     def encoder(self, angle: Vector) -> Vector:
         """Return the angle as the encoder counts it [rad]: the last count passed."""
         if not self.counts_per_revolution:
             return angle.copy()
-        # A count changes at the edge of a line, so the reading is a floor; the offset of half a count that a
-        # floor has on average goes with the zeroing of the encoder.
+        # A count changes at the edge of a line, so the reading is a floor; the offset
+        # of half a count that a floor has on average goes with the zeroing of the
+        # encoder.
         quantum = self.angle_quantum
         return np.asarray(np.floor(angle / quantum + 0.5) * quantum)
 
     def delayed(self, torque: Vector, step: float) -> Vector:
-        """Return the torque [N·m], sampled every `step` [s], as late as the strain amplifier passes it on."""
+        """Return the torque [N·m], sampled every `step` [s], as late as the strain
+        amplifier passes it on.
+        """
         oldest, weights = delay_line(self.gauge_delay / step)
         if oldest == 0:
             return torque
-        # Before the log the torque was what it was at first: zeros would be a step that never was.
+        # Before the log the torque was what it was at first: zeros would be a step that
+        # never was.
         late = np.concatenate([np.full(oldest, torque[0]), torque])
         if weights[0] == 1.0:
             return late[: torque.size]
-        return np.asarray(sum(w * late[i : i + torque.size] for i, w in enumerate(weights)))
+        return np.asarray(
+            sum(w * late[i : i + torque.size] for i, w in enumerate(weights))
+        )
 
     def gauge(
         self,
@@ -146,26 +163,36 @@ class Sensors:
         if self.gauge_noise > 0.0:
             if generator is None:
                 raise FieldError(
-                    "generator", None, "missing", allowed="a numpy Generator", remedy="give a seed"
+                    "generator",
+                    None,
+                    "missing",
+                    allowed="a numpy Generator",
+                    remedy="give a seed",
                 )
-            reading = reading + self.gauge_noise * generator.standard_normal(torque.size)
+            reading = reading + self.gauge_noise * generator.standard_normal(
+                torque.size
+            )
         if self.gauge_limit is not None:
-            # The amplifier's range first, then the converter's steps: noise is clipped with the rest.
+            # The amplifier's range first, then the converter's steps: noise is clipped
+            # with the rest.
             reading = np.clip(reading, -self.gauge_limit, self.gauge_limit)
         if self.gauge_quantum > 0.0:
             reading = np.round(reading / self.gauge_quantum) * self.gauge_quantum
         return np.asarray(reading)
 
 
-# ── events ──────────────────────────────────────────────────────────────────────────────────────────────────
+# ── events
+# ──────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @checked
 @dataclass(frozen=True)
 class PayloadChange:
-    """From `time` [s] on the tip carries `payload` [kg]; a new part moves with the tip when it is taken.
+    """From `time` [s] on the tip carries `payload` [kg]; a new part moves with the tip
+    when it is taken.
 
-    Shape and speed of the link and what its material remembers stay; only the modes are new.
+    Shape and speed of the link and what its material remembers stay; only the modes are
+    new.
 
     >>> PayloadChange(time=0.5, payload=0.008).payload
     0.008
@@ -178,7 +205,8 @@ class PayloadChange:
 @checked
 @dataclass(frozen=True)
 class TipPulse:
-    """A force on the tip, at right angles to the link, from `time` for `duration` [s]; `force` [N].
+    """A force on the tip, at right angles to the link, from `time` for `duration` [s];
+    `force` [N].
 
     >>> TipPulse(time=1.0, force=0.5, duration=0.02).force
     0.5
@@ -194,10 +222,11 @@ class TipPulse:
 class Obstacle:
     """A stop in the way of the tip between `time` and `until` [s].
 
-    angle [rad]: where it stands. side: +1, the tip cannot pass above the angle; −1, not below. The stop is a
-    spring of `stiffness` [N/m] that pushes and never pulls, with a loss of `damping` [N·s/m] while pressed.
-    The default, 500 N/m, bends by 2 mm under a newton and makes a contact of about 20 ms with 30 g. Above
-    1e4 N/m a 1 ms step no longer resolves the contact of a payload of 10 g.
+    angle [rad]: where it stands. side: +1, the tip cannot pass above the angle; −1, not
+    below. The stop is a spring of `stiffness` [N/m] that pushes and never pulls, with a
+    loss of `damping` [N·s/m] while pressed. The default, 500 N/m, bends by 2 mm under a
+    newton and makes a contact of about 20 ms with 30 g. Above 1e4 N/m a 1 ms step no
+    longer resolves the contact of a payload of 10 g.
 
     >>> Obstacle(time=0.0, until=1.0, angle=0.4).side
     1
@@ -209,9 +238,17 @@ class Obstacle:
     side: Literal[1, -1] = 1
     stiffness: Annotated[
         float,
-        Between(0.0, 1e4, "N/m", low_open=True, remedy="a stop of foam has 500 N/m, one of wood 1e4"),
+        Between(
+            0.0,
+            1e4,
+            "N/m",
+            low_open=True,
+            remedy="a stop of foam has 500 N/m, one of wood 1e4",
+        ),
     ] = 500.0
-    damping: Annotated[float, Between(0.0, 20.0, "N·s/m", remedy="2 is a dull contact")] = 2.0
+    damping: Annotated[
+        float, Between(0.0, 20.0, "N·s/m", remedy="2 is a dull contact")
+    ] = 2.0
 
     def __post_init__(self) -> None:
         _check_span(self.time, self.until)
@@ -220,7 +257,8 @@ class Obstacle:
 @checked
 @dataclass(frozen=True)
 class Restart:
-    """At `time` [s] the controller loses its memory and starts anew while the arm goes on moving.
+    """At `time` [s] the controller loses its memory and starts anew while the arm goes
+    on moving.
 
     >>> Restart(time=0.7).time
     0.7
@@ -251,10 +289,12 @@ _VALUED = tuple(kind for kind, (_, column) in FAULTS.items() if column is not No
 class SensorFault:
     """From `time` to `until` [s] a sensor or the control task fails.
 
-    kind: "encoder value" and "gauge value" replace the reading by `value` (NaN and infinity are allowed: that
-    is what broken interfaces give); "encoder gain", "gauge gain" multiply the true value, "encoder offset",
-    "gauge offset" add to it [rad, N·m]; "encoder frozen", "gauge frozen" repeat the last reading; "channels
-    swapped" exchanges the two; "tick missed" does not run the law, "tick repeated" runs it twice.
+    kind: "encoder value" and "gauge value" replace the reading by `value` (NaN and
+    infinity are allowed: that is what broken interfaces give); "encoder gain", "gauge
+    gain" multiply the true value, "encoder offset", "gauge offset" add to it [rad,
+    N·m]; "encoder frozen", "gauge frozen" repeat the last reading; "channels swapped"
+    exchanges the two; "tick missed" does not run the law, "tick repeated" runs it
+    twice.
 
     >>> SensorFault(time=0.5, until=0.52, kind="gauge value", value=float("nan")).kind
     'gauge value'
@@ -269,7 +309,11 @@ class SensorFault:
         _check_span(self.time, self.until)
         if self.kind not in FAULTS:
             raise FieldError(
-                "kind", self.kind, "unknown", allowed=", ".join(FAULTS), remedy="choose one of these"
+                "kind",
+                self.kind,
+                "unknown",
+                allowed=", ".join(FAULTS),
+                remedy="choose one of these",
             )
         if (self.value is not None) != (self.kind in _VALUED):
             raise FieldError(
@@ -286,14 +330,25 @@ Event = PayloadChange | TipPulse | Obstacle | Restart | SensorFault
 
 def _check_span(time: float, until: float) -> None:
     if until <= time:
-        raise FieldError("until", until, "not after time", allowed=f"> {time:g} s", remedy="exchange the two")
+        raise FieldError(
+            "until",
+            until,
+            "not after time",
+            allowed=f"> {time:g} s",
+            remedy="exchange the two",
+        )
 
 
-# ── what comes from outside in every period ─────────────────────────────────────────────────────────────────
+# ── what comes from outside in every period
+# ─────────────────────────────────────────────────────────────────
 
 
 def healthy_inputs(
-    sensors: Sensors, reference: Reference, period: float, count: int, generator: np.random.Generator
+    sensors: Sensors,
+    reference: Reference,
+    period: float,
+    count: int,
+    generator: np.random.Generator,
 ) -> Vector:
     """Return the kernel's inputs of a run without events or faults, shape (count, 12)."""
     time = period * np.arange(count)
@@ -302,7 +357,8 @@ def healthy_inputs(
     inputs[:, VELOCITY] = reference.velocity(time)
     inputs[:, ACCELERATION] = reference.acceleration(time)
     inputs[:, GAUGE_ERROR] = sensors.gauge_offset + sensors.gauge_drift * time
-    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its size.
+    # Drawn even where the noise is 0, so that a seed gives the same noise whatever its
+    # size.
     inputs[:, GAUGE_ERROR] += sensors.gauge_noise * generator.standard_normal(count)
     return inputs
 
@@ -325,7 +381,9 @@ def segments(
         # To the nearest period: the arm is changed between two, never within one.
         at = round(event.time / period)
         if isinstance(event, TipPulse):
-            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += event.force
+            inputs[at : at + max(1, round(event.duration / period)), TIP_FORCE] += (
+                event.force
+            )
             continue
         if isinstance(event, SensorFault):
             # One period at least: a fault that was asked for must happen.
@@ -350,14 +408,16 @@ def _inject(fault: SensorFault, rows: Vector) -> None:
     if column is None or fault.value is None:
         return
     if column in (ENCODER_ERROR, GAUGE_ERROR):
-        # An error adds to what is there, the noise and the offset of the gauge; a gain or a value takes its
-        # place.
+        # An error adds to what is there, the noise and the offset of the gauge; a gain
+        # or a value takes its place.
         rows[:, column] += fault.value
     else:
         rows[:, column] = fault.value
 
 
-def given_payload(told: bool | float | str | PayloadEstimator, payload: float | None) -> float:
+def given_payload(
+    told: bool | float | str | PayloadEstimator, payload: float | None
+) -> float:
     """What the law is given [kg], 0 for nothing, or for what is estimated."""
     if isinstance(told, str | PayloadEstimator):
         return 0.0
@@ -365,5 +425,11 @@ def given_payload(told: bool | float | str | PayloadEstimator, payload: float | 
         return float(told)
     if payload is None:
         remedy = "give payload=, or a model that knows its own"
-        raise FieldError("told", True, "without a payload to tell", allowed="a payload in kg", remedy=remedy)
+        raise FieldError(
+            "told",
+            True,
+            "without a payload to tell",
+            allowed="a payload in kg",
+            remedy=remedy,
+        )
     return payload

@@ -1,15 +1,19 @@
-"""The closed loop as a linear system of its reference, and the programme that bends a spline for it.
+"""The closed loop as a linear system of its reference, and the programme that bends a
+spline for it.
 
-As long as no limit acts, the law, its motor loop and the arm are linear and the same in every period. Two
-runs of law.c on the arm without friction and noise, one for an impulse of the reference's angle and one for
-an impulse of its acceleration, therefore say what every reference does, exact at the samples.
+As long as no limit acts, the law, its motor loop and the arm are linear and the same in
+every period. Two runs of law.c on the arm without friction and noise, one for an
+impulse of the reference's angle and one for an impulse of its acceleration, therefore
+say what every reference does, exact at the samples.
 
-The reference's velocity is a quadratic B-spline with a knot every few periods, so that angle, velocity and
-acceleration are continuous and each coefficient c_j is a smooth step of c_j rad in three knots. The loop is
-linear: tip, voltage and motor answer with the sum of c_j times their answer to one such step, later by j
-knots, for every payload at once.
+The reference's velocity is a quadratic B-spline with a knot every few periods, so that
+angle, velocity and acceleration are continuous and each coefficient c_j is a smooth
+step of c_j rad in three knots. The loop is linear: tip, voltage and motor answer with
+the sum of c_j times their answer to one such step, later by j knots, for every payload
+at once.
 
-    minimise e  subject to  |Σ c_j y_p(t − jh) − target(t)| <= e  and  |Σ c_j V_p(t − jh)| <= V  for all p, t
+    minimise e  subject to  |Σ c_j y_p(t − jh) − target(t)| <= e  and  |Σ c_j V_p(t −
+    jh)| <= V  for all p, t
 """
 
 from __future__ import annotations
@@ -54,7 +58,9 @@ UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
 
 @dataclass(frozen=True)
 class ShapedArm:
-    """A twin; or, without one, the model of the link behind the rig's motor, gauge and encoder."""
+    """A twin; or, without one, the model of the link behind the rig's motor, gauge and
+    encoder.
+    """
 
     rig: Rig
     model: LinkModel
@@ -77,7 +83,13 @@ class ShapedArm:
         else:
             own = {"rig": self.rig, "model": self.model, "payload": payload}
         return simulate(
-            law, reference, **own, duration=duration, told=told, gauge_offset=gauge_offset, seed=seed
+            law,
+            reference,
+            **own,
+            duration=duration,
+            told=told,
+            gauge_offset=gauge_offset,
+            seed=seed,
         )
 
     def equipped(self, law: Law) -> Law:
@@ -89,7 +101,11 @@ class ShapedArm:
     @property
     def voltage_limit(self) -> float:
         """Of the amplifier [V]."""
-        return self.rig.motor.voltage_limit if self.twin is None else self.twin.motor.voltage_limit
+        return (
+            self.rig.motor.voltage_limit
+            if self.twin is None
+            else self.twin.motor.voltage_limit
+        )
 
     @property
     def gauge_limit(self) -> float:
@@ -101,20 +117,32 @@ class ShapedArm:
 
     def without_friction(self) -> ShapedArm:
         """Return the arm without friction and with an amplifier that has no limit."""
-        rig = replace(self.rig, motor=replace(self.rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED))
+        rig = replace(
+            self.rig,
+            motor=replace(self.rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED),
+        )
         if self.twin is None:
             return ShapedArm(rig, self.model, None)
         motor = replace(self.twin.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
         return ShapedArm(rig, self.model, replace(self.twin, motor=motor, stiction=0.0))
 
     def with_exact_sensors(self) -> ShapedArm:
-        """Return the arm with sensors that neither round, limit nor add anything; a late gauge stays late."""
-        gauge = replace(self.rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
+        """Return the arm with sensors that neither round, limit nor add anything; a
+        late gauge stays late.
+        """
+        gauge = replace(
+            self.rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf
+        )
         encoder = replace(self.rig.encoder, counts_per_revolution=None)
         rig = replace(self.rig, gauge=gauge, encoder=encoder)
         if self.twin is None:
             return ShapedArm(rig, self.model, None)
-        exact = replace(self.twin.sensors, counts_per_revolution=None, gauge_noise=0.0, gauge_offset=0.0)
+        exact = replace(
+            self.twin.sensors,
+            counts_per_revolution=None,
+            gauge_noise=0.0,
+            gauge_offset=0.0,
+        )
         exact = replace(exact, gauge_quantum=0.0, gauge_limit=None, gauge_drift=0.0)
         return ShapedArm(rig, self.model, replace(self.twin, sensors=exact))
 
@@ -124,7 +152,8 @@ Real = NDArray[np.float64]
 # Tip angle, voltage, step of the motor reference in a period, motor speed, torque.
 SIGNALS = ("tip", "voltage", "motor_step", "motor_speed", "torque")
 UNITS = ("rad", "V", "rad", "rad/s", "N·m")
-# Far below every guard of the law, and so far above the rounding of its doubles that nothing is lost.
+# Far below every guard of the law, and so far above the rounding of its doubles that
+# nothing is lost.
 _ANGLE, _ACCELERATION = 1e-4, 1e-2
 _NOISE_TIME = 8.0  # [s]: a standard deviation from 2000 samples is known to 2 %
 _DIVERGED = 1e3  # of a response that a stable loop lets die away
@@ -132,10 +161,11 @@ _DIVERGED = 1e3  # of a response that a stable loop lets die away
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """The loops around arms with P payloads [kg]: impulse responses in the rows of SIGNALS, (P, 2, 5, N).
+    """The loops around arms with P payloads [kg]: impulse responses in the rows of
+    SIGNALS, (P, 2, 5, N).
 
-    The first of the two is the response to an angle of 1 rad in one period, the second to an acceleration of
-    1 rad/s² in one period; `period` [s].
+    The first of the two is the response to an angle of 1 rad in one period, the second
+    to an acceleration of 1 rad/s² in one period; `period` [s].
     """
 
     payloads: tuple[float, ...]
@@ -155,18 +185,27 @@ class Responses:
         """Return the signals of these names along a reference, shape (P, names, N)."""
         inputs = sampled(reference, self.period, self.length)[[0, 2]]
         found = self._spectra[:, :, [SIGNALS.index(name) for name in names]]
-        # Twice the length, so that the product of spectra is the sum over the past and does not come around.
-        spectrum = np.einsum("if,pisf->psf", np.fft.rfft(inputs, 2 * self.length), found)
+        # Twice the length, so that the product of spectra is the sum over the past and
+        # does not come around.
+        spectrum = np.einsum(
+            "if,pisf->psf", np.fft.rfft(inputs, 2 * self.length), found
+        )
         return np.asarray(np.fft.irfft(spectrum, 2 * self.length)[..., : self.length])
 
 
 def without_friction(law: Law, arm: ShapedArm) -> tuple[Law, ShapedArm]:
-    """Return the law without its compensation of friction, the arm without friction, neither with a limit."""
+    """Return the law without its compensation of friction, the arm without friction,
+    neither with a limit.
+    """
     drive = law.drive
     if drive is None:
         allowed, remedy = "a law with a motor loop", "shape moves for design.law()"
-        raise FieldError("law", "no motor loop", "without a voltage", allowed=allowed, remedy=remedy)
-    free = replace(law, drive=replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED))
+        raise FieldError(
+            "law", "no motor loop", "without a voltage", allowed=allowed, remedy=remedy
+        )
+    free = replace(
+        law, drive=replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
+    )
     return free.in_precision("double"), arm.without_friction()
 
 
@@ -180,21 +219,34 @@ def responses_of(
     free, plain = without_friction(law, arm.with_exact_sensors())
     found = []
     for payload in payloads:
-        found.append(np.stack([_impulse(free, plain, row, payload, duration, told) for row in (0, 2)]))
-        # A loop that is not stable leaves every bound and is cut, or grows: there is no response to
-        # superpose.
-        if found[-1].shape != found[0].shape or not np.all(np.abs(found[-1][0, 0]) < _DIVERGED):
-            problem, allowed = "one with which the loop is not stable", "a payload that the law holds"
+        found.append(
+            np.stack(
+                [_impulse(free, plain, row, payload, duration, told) for row in (0, 2)]
+            )
+        )
+        # A loop that is not stable leaves every bound and is cut, or grows: there is no
+        # response to superpose.
+        if found[-1].shape != found[0].shape or not np.all(
+            np.abs(found[-1][0, 0]) < _DIVERGED
+        ):
+            problem, allowed = (
+                "one with which the loop is not stable",
+                "a payload that the law holds",
+            )
             remedy = "narrow the range, or design for it"
-            raise FieldError("payloads", payload, problem, allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "payloads", payload, problem, allowed=allowed, remedy=remedy
+            )
     return Responses(tuple(payloads), law.period, np.stack(found))
 
 
-def _impulse(law: Law, arm: ShapedArm, row: int, payload: float, duration: float, told: bool) -> Real:
+def _impulse(
+    law: Law, arm: ShapedArm, row: int, payload: float, duration: float, told: bool
+) -> Real:
     size = _ACCELERATION if row else _ANGLE
     values = np.zeros((3, 4))
-    # One period of the angle, or of the acceleration, alone: the law reads both, and takes them for
-    # independent.
+    # One period of the angle, or of the acceleration, alone: the law reads both, and
+    # takes them for independent.
     values[row, 1] = size  # in the second period: the first one starts the law
     reference = SampledReference(law.period, values)
     # One period longer, for the one in which the law starts.
@@ -210,14 +262,19 @@ def _signals(run: Run) -> Real:
     return np.array([run.tip_angle, run.voltage, steps, speed, run.torque])
 
 
-def noise_of(law: Law, arm: ShapedArm, payload: float, *, told: bool) -> dict[str, float]:
-    """Return what the sensors' noise makes of each signal where nothing moves, as a standard deviation."""
+def noise_of(
+    law: Law, arm: ShapedArm, payload: float, *, told: bool
+) -> dict[str, float]:
+    """Return what the sensors' noise makes of each signal where nothing moves, as a
+    standard deviation.
+    """
     free, quiet = without_friction(law, arm)
     run = quiet.run(free, hold(0.0), payload, _NOISE_TIME, told=told, gauge_offset=0.0)
     return dict(zip(SIGNALS, np.std(_signals(run), axis=1).tolist(), strict=True))
 
 
-# Pieces of the unit step in powers of x = t/h: angle over the three knots in which it rises, then rest.
+# Pieces of the unit step in powers of x = t/h: angle over the three knots in which it
+# rises, then rest.
 _STEP = np.array(
     [
         [0.0, 0.0, 0.0, 1 / 6],
@@ -229,13 +286,16 @@ _STEP = np.array(
 _AFTER = 25  # periods after the reference's end in which a limit may still be reached
 _TIP = SIGNALS.index("tip")
 _FIRST = 9  # every ninth row is in the programme from the beginning
-# Of a row's side, or of a thousandth of the largest one: 0.1 mrad of a move of 1 rad, 1 mV of 8 V.
+# Of a row's side, or of a thousandth of the largest one: 0.1 mrad of a move of 1 rad, 1
+# mV of 8 V.
 _BROKEN, _PART = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)
 class MoveBounds:
-    """Largest magnitude of each signal but the tip, and of the reference's velocity and acceleration."""
+    """Largest magnitude of each signal but the tip, and of the reference's velocity and
+    acceleration.
+    """
 
     signals: dict[str, float]
     velocity: float
@@ -274,13 +334,20 @@ class Programme:
         return self.loops.to(spline_path(np.ones(1), self.knot * self.period))
 
     def solve(
-        self, count: int, target: Real, first: int, last: int, *, within: float | None = None
+        self,
+        count: int,
+        target: Real,
+        first: int,
+        last: int,
+        *,
+        within: float | None = None,
     ) -> MoveSolution | None:
-        """Return the spline of `count` coefficients whose tip is nearest to `target` from row first to last.
+        """Return the spline of `count` coefficients whose tip is nearest to `target`
+        from row first to last.
 
-        The reference ends where the target ends. With `within` [rad] the tip keeps that distance and the
-        acceleration varies as little as it can: of all such references the gentlest. None where no
-        reference keeps the bounds.
+        The reference ends where the target ends. With `within` [rad] the tip keeps that
+        distance and the acceleration varies as little as it can: of all such references
+        the gentlest. None where no reference keeps the bounds.
         """
         rows, sides = self._kept(count, target, first, last)
         ends = np.append(np.ones(count), 0.0)
@@ -290,22 +357,34 @@ class Programme:
         # The last unknown is e, the distance; nothing else costs.
         cost = np.append(np.zeros(count), 1.0)
         if within is not None:
-            # Σ |differences of the acceleration| as a linear programme: each bounded by an unknown of its
-            # own.
+            # Σ |differences of the acceleration| as a linear programme: each bounded by
+            # an unknown of its own.
             jerk = self._jerk(count)
             extra = len(jerk)
             rows = np.block(
-                [[rows, np.zeros((len(rows), extra))], [jerk, -np.eye(extra)], [-jerk, -np.eye(extra)]]
+                [
+                    [rows, np.zeros((len(rows), extra))],
+                    [jerk, -np.eye(extra)],
+                    [-jerk, -np.eye(extra)],
+                ]
             )
             sides = np.append(sides, np.zeros(2 * extra))
-            cost, ends = np.append(np.zeros(count + 1), np.ones(extra)), np.append(ends, np.zeros(extra))
+            cost, ends = (
+                np.append(np.zeros(count + 1), np.ones(extra)),
+                np.append(ends, np.zeros(extra)),
+            )
             most += [(0.0, None)] * extra
         found = _least(cost, rows, sides, ends[None, :], end, free + most)
-        return None if found is None else MoveSolution(found[:count], float(found[count]))
+        return (
+            None if found is None else MoveSolution(found[:count], float(found[count]))
+        )
 
-    def _kept(self, count: int, target: Real, first: int, last: int) -> tuple[Real, Real]:
+    def _kept(
+        self, count: int, target: Real, first: int, last: int
+    ) -> tuple[Real, Real]:
         """Every inequality as rows @ (c, e) <= sides."""
-        # Once the reference rests the loop only decays: its peaks lie before, or within a tenth of a second.
+        # Once the reference rests the loop only decays: its peaks lie before, or within
+        # a tenth of a second.
         until = min(count * self.knot + _AFTER, self.length)
         rows, sides = [], []
         for answer in self._answers:
@@ -338,10 +417,15 @@ class Programme:
 
     @staticmethod
     def _difference(count: int) -> Real:
-        return np.diff(np.vstack([np.zeros((1, count)), np.eye(count), np.zeros((1, count))]), axis=0)
+        return np.diff(
+            np.vstack([np.zeros((1, count)), np.eye(count), np.zeros((1, count))]),
+            axis=0,
+        )
 
     def _jerk(self, count: int) -> Real:
-        """Differences of the acceleration between knots over the most that it may be; a column for e."""
+        """Differences of the acceleration between knots over the most that it may be; a
+        column for e.
+        """
         second = np.pad(self._difference(count), ((1, 1), (0, 0)))
         scale = (self.knot * self.period) ** 2 * self.bounds.acceleration
         return np.pad(np.diff(second, axis=0) / scale, ((0, 0), (0, 1)))
@@ -363,19 +447,28 @@ def _least(
     end: list[float],
     bounds: list[tuple[float | None, float | None]],
 ) -> Real | None:
-    """Minimise cost @ x with rows @ x <= sides and ends @ x = end; None where nothing fulfils them.
+    """Minimise cost @ x with rows @ x <= sides and ends @ x = end; None where nothing
+    fulfils them.
 
-    Of thousands of rows some dozens bind: the programme is solved with a few of them and again with all
-    that its solution breaks, until it breaks none. That is exact, and takes a third of the time of all rows
-    at once.
+    Of thousands of rows some dozens bind: the programme is solved with a few of them
+    and again with all that its solution breaks, until it breaks none. That is exact,
+    and takes a third of the time of all rows at once.
     """
     scale = np.maximum(np.abs(sides), _PART * np.max(np.abs(sides)))
     chosen = np.zeros(len(rows), dtype=bool)
     chosen[::_FIRST] = True
     while True:
-        # presolve removes nothing from a dense programme, and costs more than the solution
+        # presolve removes nothing from a dense programme, and costs more than the
+        # solution
         found = linprog(
-            cost, rows[chosen], sides[chosen], ends, end, bounds, method="highs", options={"presolve": False}
+            cost,
+            rows[chosen],
+            sides[chosen],
+            ends,
+            end,
+            bounds,
+            method="highs",
+            options={"presolve": False},
         )
         if found.x is None:
             return None

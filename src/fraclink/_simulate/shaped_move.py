@@ -1,8 +1,10 @@
-"""A shaped move beside the quintic and the shapers, each at its best, and what all of them are shaped for.
+"""A shaped move beside the quintic and the shapers, each at its best, and what all of
+them are shaped for.
 
-All are given the same loop, payloads and limits as the linear programme. The quintic is tried at every
-duration, a shaper at every duration of the quintic that it shapes and around the link's frequency, since
-feedback moves the vibration away from there. The one that settles first within the limits is kept.
+All are given the same loop, payloads and limits as the linear programme. The quintic is
+tried at every duration, a shaper at every duration of the quintic that it shapes and
+around the link's frequency, since feedback moves the vibration away from there. The one
+that settles first within the limits is kept.
 """
 
 from __future__ import annotations
@@ -41,7 +43,14 @@ from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 
-__all__ = ["Candidate", "Measured", "MoveSetting", "ShapedMove", "candidates", "settling"]
+__all__ = [
+    "Candidate",
+    "Measured",
+    "MoveSetting",
+    "ShapedMove",
+    "candidates",
+    "settling",
+]
 
 Real = NDArray[np.float64]
 
@@ -57,10 +66,11 @@ class Measured:
     duration
         when it comes to rest [s].
     predicted
-        what the linear loop says: when the tip stays within 2 % of the move [s]; along a path its largest
-        distance to the path [rad].
+        what the linear loop says: when the tip stays within 2 % of the move [s]; along
+        a path its largest distance to the path [rad].
     settling_time
-        from which the tip stays within 2 % of the move [s], counted from the start of the move.
+        from which the tip stays within 2 % of the move [s], counted from the start of
+        the move.
     largest_error
         between the tip and where it shall be [rad]; along a path, else NaN.
     residual_vibration
@@ -68,7 +78,8 @@ class Measured:
     peak_voltage
         largest |voltage| [V].
     limited
-        part of the runs in which a guard of the law acted on the reference, the motor or the voltage [1].
+        part of the runs in which a guard of the law acted on the reference, the motor
+        or the voltage [1].
     computing_time
         in which the reference was found [s]; not saved.
     """
@@ -81,7 +92,9 @@ class Measured:
     residual_vibration: float
     peak_voltage: float
     limited: float
-    computing_time: float = field(default=math.nan, compare=False, metadata={"stored": False})
+    computing_time: float = field(
+        default=math.nan, compare=False, metadata={"stored": False}
+    )
 
 
 @displayed
@@ -95,7 +108,8 @@ class Measured:
 @compared
 @dataclass(frozen=True, eq=False)
 class ShapedMove:
-    """A reference for the loop that runs, with what was promised of it and what was measured.
+    """A reference for the loop that runs, with what was promised of it and what was
+    measured.
 
     Parameters
     ----------
@@ -104,7 +118,8 @@ class ShapedMove:
     period
         of the law [s].
     target
-        where the tip shall be: None for a move from rest to rest, else the path that is followed.
+        where the tip shall be: None for a move from rest to rest, else the path that is
+        followed.
     payloads
         lightest and heaviest payload [kg] that it was made for.
     told
@@ -120,9 +135,11 @@ class ShapedMove:
     seeds
         noises of each payload that were run.
     shown
-        payloads [kg] of the runs that are kept to be drawn, shape (P,): lightest, middle, heaviest.
+        payloads [kg] of the runs that are kept to be drawn, shape (P,): lightest,
+        middle, heaviest.
     tip_angle, motor_voltage
-        of these runs with the shaped reference, one value a period, shape (P, N) [rad], [V].
+        of these runs with the shaped reference, one value a period, shape (P, N) [rad],
+        [V].
     law_sha256
         digest of the law that it was made for.
     findings
@@ -162,7 +179,9 @@ class ShapedMove:
     @property
     def amplitude(self) -> float:
         """The move from the reference's first angle to its last [rad]."""
-        return float(self.reference.angle(self.reference.duration) - self.reference.angle(0.0))
+        return float(
+            self.reference.angle(self.reference.duration) - self.reference.angle(0.0)
+        )
 
     @property
     def shaped(self) -> Measured:
@@ -189,15 +208,19 @@ class ShapedMove:
         return load(path, ShapedMove)
 
 
-_DURATIONS = np.geomspace(0.15, 4.0, 40)  # of the quintic, over the link's vibration period
+_DURATIONS = np.geomspace(
+    0.15, 4.0, 40
+)  # of the quintic, over the link's vibration period
 _FREQUENCIES = np.linspace(0.7, 1.6, 10)  # of the shaper's mode, over the link's
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A reference, how it was made, what the linear loop promises, and the time that it took to find [s].
+    """A reference, how it was made, what the linear loop promises, and the time that it
+    took to find [s].
 
-    Promised is when the tip of the worst payload has settled [s], along a path its largest distance [rad].
+    Promised is when the tip of the worst payload has settled [s], along a path its
+    largest distance [rad].
     """
 
     name: str
@@ -207,12 +230,18 @@ class Candidate:
 
 
 def settling(tip: Real, move: float, band: float, period: float) -> float:
-    """Return when every row of `tip`, (payloads, N), stays within `band` of `move` [rad]; inf for never."""
+    """Return when every row of `tip`, (payloads, N), stays within `band` of `move`
+    [rad]; inf for never.
+    """
     # Of any payload: one reference has to serve them all.
     outside = np.any(np.abs(tip - move) > band, axis=0)
     if outside[-1]:
         return math.inf
-    return period * (len(outside) - int(np.argmax(outside[::-1]))) if outside.any() else 0.0
+    return (
+        period * (len(outside) - int(np.argmax(outside[::-1])))
+        if outside.any()
+        else 0.0
+    )
 
 
 def _kept(loops: Responses, bounds: MoveBounds, reference: Reference) -> bool:
@@ -225,7 +254,9 @@ def _kept(loops: Responses, bounds: MoveBounds, reference: Reference) -> bool:
     return bool(np.all(peaks <= list(bounds.signals.values())))
 
 
-def _tried(kind: Shaper | None, move: float, link: LinkModel) -> Iterator[tuple[str, Reference]]:
+def _tried(
+    kind: Shaper | None, move: float, link: LinkModel
+) -> Iterator[tuple[str, Reference]]:
     pole = link.pole
     frequency, ratio = abs(pole), -pole.real / abs(pole)
     vibration = 2 * math.pi / abs(pole.imag)
@@ -243,28 +274,40 @@ def _tried(kind: Shaper | None, move: float, link: LinkModel) -> Iterator[tuple[
 def candidates(
     loops: Responses, move: float, band: float, bounds: MoveBounds, link: LinkModel
 ) -> tuple[Candidate, ...]:
-    """Return the best quintic, ZV, ZVD and EI for a move [rad]; none of a kind that keeps no bound."""
+    """Return the best quintic, ZV, ZVD and EI for a move [rad]; none of a kind that
+    keeps no bound.
+    """
     found = []
     for kind in (None, *SHAPERS):
         best: Candidate | None = None
         began = perf_counter()
         for name, reference in _tried(kind, move, link):
-            time = settling(loops.to(reference, ("tip",))[:, 0], move, band, loops.period)
-            # The bounds are asked last: they cost four convolutions, and most tries settle too late anyway.
-            if (best is None or time < best.predicted) and _kept(loops, bounds, reference):
+            time = settling(
+                loops.to(reference, ("tip",))[:, 0], move, band, loops.period
+            )
+            # The bounds are asked last: they cost four convolutions, and most tries
+            # settle too late anyway.
+            if (best is None or time < best.predicted) and _kept(
+                loops, bounds, reference
+            ):
                 best = Candidate(name, reference, time)
-        found += [] if best is None else [replace(best, computing_time=perf_counter() - began)]
+        found += (
+            []
+            if best is None
+            else [replace(best, computing_time=perf_counter() - began)]
+        )
     return tuple(found)
 
 
-# Between two payloads of the programme: ω₀ changes by a tenth. The arm is measured in between, too;
-# with five payloads from 8 to 80 g it settles there after 1.05 s where 0.88 s were promised.
+# Between two payloads of the programme: ω₀ changes by a tenth. The arm is measured in
+# between, too; with five payloads from 8 to 80 g it settles there after 1.05 s where
+# 0.88 s were promised.
 _PAYLOAD_STEP = 0.2
 _KNOTS = 30  # in a vibration period: more do not settle sooner, and cost the square
 _GUARDED = 0.95  # of the law's guards: where they begin to act, the loop is not linear
-_NOISES = (
-    4.5  # standard deviations that are left to noise: of 180 runs with another noise each none goes beyond
-)
+# standard deviations that are left to noise: of 180 runs with another noise each none
+# goes beyond
+_NOISES = 4.5
 _KNOWN = 8.0  # vibration periods of every response that are known at first
 _REST = 4.0  # vibration periods that the arm is measured for after the reference's end
 
@@ -290,12 +333,25 @@ class MoveSetting:
     ) -> MoveSetting:
         low, high = payloads or design.payloads
         if low <= 0.0:
-            raise FieldError("payloads", low, "no payload", allowed="> 0 kg", remedy="give kg: 0.030 is 30 g")
+            raise FieldError(
+                "payloads",
+                low,
+                "no payload",
+                allowed="> 0 kg",
+                remedy="give kg: 0.030 is 30 g",
+            )
         own = ShapedArm(design.rig, design.model, twin)
-        # Geometric, as ω₀ goes with the root of the payload: the middle of the frequencies.
+        # Geometric, as ω₀ goes with the root of the payload: the middle of the
+        # frequencies.
         middle = math.sqrt(low * high)
-        link = design.model.at_payload(middle) if design.model.payload is not None else design.model
-        return MoveSetting(own.equipped(design.law()), own, link, (low, high), told, gauge_offset)
+        link = (
+            design.model.at_payload(middle)
+            if design.model.payload is not None
+            else design.model
+        )
+        return MoveSetting(
+            own.equipped(design.law()), own, link, (low, high), told, gauge_offset
+        )
 
     @property
     def vibration(self) -> float:
@@ -309,17 +365,34 @@ class MoveSetting:
         return max(2, math.ceil(math.log(high / low) / _PAYLOAD_STEP))
 
     def between(self, steps: int) -> tuple[float, ...]:
-        """Payloads of the range [kg], this many steps from the lightest to the heaviest."""
+        """Payloads of the range [kg], this many steps from the lightest to the
+        heaviest.
+        """
         low, high = self.payloads
-        return (low,) if low == high else tuple(np.geomspace(low, high, steps + 1).tolist())
+        return (
+            (low,)
+            if low == high
+            else tuple(np.geomspace(low, high, steps + 1).tolist())
+        )
 
-    def programme(self, voltage: float, speed: float | None, torque: float | None) -> tuple[Programme, float]:
-        """Return the programme within the limits, and the voltage that is left to noise and friction [V]."""
+    def programme(
+        self, voltage: float, speed: float | None, torque: float | None
+    ) -> tuple[Programme, float]:
+        """Return the programme within the limits, and the voltage that is left to noise
+        and friction [V].
+        """
         law, limits, drive = self.law, self.law.limits, self.law.drive
-        loops = responses_of(law, self.arm, self.between(self.steps), _KNOWN * self.vibration, told=self.told)
+        loops = responses_of(
+            law,
+            self.arm,
+            self.between(self.steps),
+            _KNOWN * self.vibration,
+            told=self.told,
+        )
         noise = noise_of(law, self.arm, self.payloads[1], told=self.told)
         left = {name: _NOISES * noise[name] for name in noise}
-        # The compensation of friction is added to what the linear loop asks for, with the sign of the speed.
+        # The compensation of friction is added to what the linear loop asks for, with
+        # the sign of the speed.
         left["voltage"] += drive.coulomb_voltage if drive else 0.0
         torques = (torque, self.arm.gauge_limit, _GUARDED * limits.torque_limit)
         most = {
@@ -329,14 +402,22 @@ class MoveSetting:
             "motor_step": _GUARDED * limits.motor_step,
         }
         for name, value in most.items():
-            # Nothing is left for the move: the programme would be infeasible, and say nothing of why.
+            # Nothing is left for the move: the programme would be infeasible, and say
+            # nothing of why.
             if left[name] >= value:
                 field, unit = name.removeprefix("motor_"), UNITS[SIGNALS.index(name)]
-                problem, allowed = "less than noise and friction take", f"> {left[name]:.3g} {unit}"
+                problem, allowed = (
+                    "less than noise and friction take",
+                    f"> {left[name]:.3g} {unit}",
+                )
                 remedy = "allow more, or design with a longer filter"
                 raise FieldError(field, value, problem, allowed=allowed, remedy=remedy)
         bounds = MoveBounds(
-            {name: value - left[name] for name, value in most.items() if math.isfinite(value)},
+            {
+                name: value - left[name]
+                for name, value in most.items()
+                if math.isfinite(value)
+            },
             velocity=_GUARDED * limits.reference_step / law.period,
             acceleration=_GUARDED * limits.acceleration_limit,
         )
@@ -346,21 +427,27 @@ class MoveSetting:
     def longer(self, programme: Programme, factor: int) -> Programme:
         """Return the same programme with responses that are known for longer."""
         duration = factor * _KNOWN * self.vibration
-        loops = responses_of(self.law, self.arm, self.between(self.steps), duration, told=self.told)
+        loops = responses_of(
+            self.law, self.arm, self.between(self.steps), duration, told=self.told
+        )
         return replace(programme, loops=loops)
 
     def run(self, reference: Reference, payload: float, seed: int) -> Run:
         """Run a reference on the arm as it is."""
         length = reference.duration + _REST * self.vibration
         noisy: dict[str, Any] = {"gauge_offset": self.gauge_offset, "seed": seed}
-        return self.arm.run(self.law, reference, payload, length, told=self.told, **noisy)
+        return self.arm.run(
+            self.law, reference, payload, length, told=self.told, **noisy
+        )
 
     def measured(self, tried: Candidate, target: Path | None, seeds: int) -> Measured:
-        """Run a reference on the arm with every payload and noise, and return the worst."""
+        """Run a reference on the arm with every payload and noise, and return the
+        worst.
+        """
         runs = [
             self.run(tried.reference, payload, seed)
-            # Twice as dense as the programme's payloads: those in between were promised nothing, and are
-            # asked.
+            # Twice as dense as the programme's payloads: those in between were promised
+            # nothing, and are asked.
             for payload in self.between(2 * self.steps)
             for seed in range(seeds)
         ]
@@ -369,7 +456,9 @@ class MoveSetting:
             duration=tried.reference.duration,
             predicted=tried.predicted,
             settling_time=max(run.metrics.settling_time for run in runs),
-            largest_error=math.nan if target is None else max(_error(run, target) for run in runs),
+            largest_error=math.nan
+            if target is None
+            else max(_error(run, target) for run in runs),
             residual_vibration=max(run.metrics.residual_vibration for run in runs),
             peak_voltage=max(run.metrics.peak_voltage for run in runs),
             limited=sum(map(_limited, runs)) / len(runs),
@@ -378,7 +467,10 @@ class MoveSetting:
 
 
 def _limited(run: Run) -> bool:
-    return bool(np.any(run.flags & ~np.uint32(_kernels.LAW_FLAG_STARTED))) or not run.finished
+    return (
+        bool(np.any(run.flags & ~np.uint32(_kernels.LAW_FLAG_STARTED)))
+        or not run.finished
+    )
 
 
 def _error(run: Run, target: Path) -> float:

@@ -1,4 +1,6 @@
-"""Simulate the arm under its law: the law's own C code around the model of the link, or around the twin."""
+"""Simulate the arm under its law: the law's own C code around the model of the link, or
+around the twin.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ Real = NDArray[np.float64]
 MotorLoop = Literal["ideal", "sampled"]
 Torque = Annotated[float, Between(-1e6, 1e6, "N·m")]
 
-SETTLE = 5.0  # [s] simulated after the reference has come to rest: 30 periods of the paper's slowest link
+# [s] simulated after the reference has come to rest: 30 periods of the paper's slowest
+# link
+SETTLE = 5.0
 
 
 @checked
@@ -66,7 +70,10 @@ def simulate(
     model: LinkModel | None = None,
     arm: Twin | None = None,
     payload: Annotated[float, Between(1e-9, 1e9, "kg")] | None = None,
-    told: Annotated[float, Between(0.0, 1e9, "kg")] | bool | Literal["estimated"] | PayloadEstimator = False,
+    told: Annotated[float, Between(0.0, 1e9, "kg")]
+    | bool
+    | Literal["estimated"]
+    | PayloadEstimator = False,
     duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
     motor_loop: MotorLoop | None = None,
     events: Iterable[Event] = (),
@@ -79,18 +86,22 @@ def simulate(
     substeps: Annotated[int, Between(1, 1000)] = SUBSTEPS,
     compensation: Literal["ideal", "measured"] = "ideal",
 ) -> Run:
-    """Run the law that is shipped on an arm and return its signals, metrics and verdict.
+    """Run the law that is shipped on an arm and return its signals, metrics and
+    verdict.
 
-    The law is law.c itself, compiled in. The arm is the model, whose link is exact and massless
-    (see `fraclink._simulate.kernel`), or with `arm` the twin, whose link has mass and several modes. What
-    identification found, the gauge's delay and gain and a second mode, is in the simulation.
+    The law is law.c itself, compiled in. The arm is the model, whose link is exact and
+    massless (see `fraclink._simulate.kernel`), or with `arm` the twin, whose link has
+    mass and several modes. What identification found, the gauge's delay and gain and a
+    second mode, is in the simulation.
 
     Parameters
     ----------
     design
-        a design, which brings its rig, its model and its law, or a law, with `rig` and `model` or with `arm`.
+        a design, which brings its rig, its model and its law, or a law, with `rig` and
+        `model` or with `arm`.
     reference
-        of the tip, e.g. `smooth_step`, or two arrays (time [s], angle [rad]) for the spline through them.
+        of the tip, e.g. `smooth_step`, or two arrays (time [s], angle [rad]) for the
+        spline through them.
     rig
         motor, encoder and gauge; its period must be the law's.
     model
@@ -98,27 +109,32 @@ def simulate(
     arm
         the arm with distributed mass that is simulated in place of the model.
     payload
-        mass at the tip [kg]; the model's, or the twin's, where it is left out. ω₀ scales as sqrt(1/payload)
-        (5).
+        mass at the tip [kg]; the model's, or the twin's, where it is left out. ω₀
+        scales as sqrt(1/payload) (5).
     told
-        payload that the law is given as its input: True for the arm's own, also where an event changes it, a
-        number [kg] for one that may be wrong, False or 0 for none. The law then scales its feed-forward and
-        compares the tip with where its motor loop can have brought it by now. "estimated" gives it what the
-        payload estimator of the design finds while the arm moves; a `PayloadEstimator` is one of your own.
+        payload that the law is given as its input: True for the arm's own, also where
+        an event changes it, a number [kg] for one that may be wrong, False or 0 for
+        none. The law then scales its feed-forward and compares the tip with where its
+        motor loop can have brought it by now. "estimated" gives it what the payload
+        estimator of the design finds while the arm moves; a `PayloadEstimator` is one
+        of your own.
     duration
-        time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end where it is left out,
-        long enough to see a vibration grow.
+        time to simulate [s], at most 2 000 000 periods; 5 s after the reference's end
+        where it is left out, long enough to see a vibration grow.
     motor_loop
-        "sampled": the law's PID drives the motor through its voltage, with friction, stiction and saturation;
-        the coupling torque is taken as compensated without error, as the paper assumes. "ideal": the motor
-        follows M(s) = 1/(1 + s/p)² (21). Default "sampled" where the law has a motor loop, or `arm` is given.
+        "sampled": the law's PID drives the motor through its voltage, with friction,
+        stiction and saturation; the coupling torque is taken as compensated without
+        error, as the paper assumes. "ideal": the motor follows M(s) = 1/(1 + s/p)²
+        (21). Default "sampled" where the law has a motor loop, or `arm` is given.
     events
-        what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`, `Obstacle`, `Restart`.
+        what happens: `SensorFault`, and to the twin also `PayloadChange`, `TipPulse`,
+        `Obstacle`, `Restart`.
     gauge_delay, gauge_gain
-        of the strain amplifier, 0 to 100 periods [s] and [1]; what was identified where they are left out.
+        of the strain amplifier, 0 to 100 periods [s] and [1]; what was identified where
+        they are left out.
     gauge_offset, noise
-        of the gauge [N·m]; the rig's where they are left out. The model's offset appears in the second
-        period: a law that starts with it would not see it at all.
+        of the gauge [N·m]; the rig's where they are left out. The model's offset
+        appears in the second period: a law that starts with it would not see it at all.
     seed
         of the noise. A seed gives the same noise on every machine.
     delay_samples
@@ -126,14 +142,15 @@ def simulate(
     substeps
         of the model's friction in a period.
     compensation
-        of the model: "ideal" compensates the coupling torque without error. With "measured" it acts on the
-        motor and the law compensates the gauge's reading, late; a gauge offset then turns the motor too.
+        of the model: "ideal" compensates the coupling torque without error. With
+        "measured" it acts on the motor and the law compensates the gauge's reading,
+        late; a gauge offset then turns the motor too.
 
     Raises
     ------
     FieldError
-        a value out of its range, periods that differ, an option that this arm does not have. SizeError for
-        more than 2 000 000 samples.
+        a value out of its range, periods that differ, an option that this arm does not
+        have. SizeError for more than 2 000 000 samples.
 
     References
     ----------
@@ -157,46 +174,70 @@ def simulate(
         (gauge_delay, gauge_gain, gauge_offset, noise),
         strict=True,
     )
-    gauge: dict[str, Any] = {name: value for name, value in options if value is not None}
+    gauge: dict[str, Any] = {
+        name: value for name, value in options if value is not None
+    }
     if arm is not None:
-        _refuse(motor_loop=motor_loop == "ideal", compensation=compensation == "measured")
+        _refuse(
+            motor_loop=motor_loop == "ideal", compensation=compensation == "measured"
+        )
         twin = arm if payload is None else arm.with_payload(payload)
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
-        twin = twin if delay_samples is None else replace(twin, voltage_delay=delay_samples)
+        twin = (
+            twin
+            if delay_samples is None
+            else replace(twin, voltage_delay=delay_samples)
+        )
         return on_twin(twin, law, reference, length, events, seed, told, estimator)
-    # A massless model has no modes to be exchanged and no tip to be pushed; its sensors can fail.
+    # A massless model has no modes to be exchanged and no tip to be pushed; its sensors
+    # can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
     _refuse(events=len(faults) < len(events))
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
     own, link = _rig_and_link(law, rig, model, payload)
-    # A law without a motor loop asks for a motor angle: it is run behind the M(s) for which it was designed.
+    # A law without a motor loop asks for a motor angle: it is run behind the M(s) for
+    # which it was designed.
     kind = motor_loop or ("ideal" if law.drive is None else "sampled")
     _refuse(measured=compensation == "measured" and kind == "ideal")
-    law, findings = with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
+    law, findings = (
+        with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
+    )
     about = {
         "arm": "model",
         "rig": own.name,
         "law_sha256": law.digest,
         "motor_loop": kind,
-        "gauge_delay": max(link.gauge_delay, 0.0),  # one that leads: the motor angle is late, as for the twin
+        "gauge_delay": max(
+            link.gauge_delay, 0.0
+        ),  # one that leads: the motor angle is late, as for the twin
         "gauge_gain": link.gauge_gain,
         "gauge_offset": own.gauge.offset,
         "gauge_noise": own.gauge.noise,
         "seed": seed,
-        "delay_samples": own.motor_loop.delay_samples if delay_samples is None else delay_samples,
+        "delay_samples": own.motor_loop.delay_samples
+        if delay_samples is None
+        else delay_samples,
         "substeps": substeps,
         "compensation": compensation,
         "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
     about |= gauge | ({"events": "; ".join(map(repr, faults))} if faults else {})
-    return _on_model(law, link, own, reference, length, about, findings, faults, estimator)
+    return _on_model(
+        law, link, own, reference, length, about, findings, faults, estimator
+    )
 
 
 def _length(reference: Reference, duration: float | None, period: float) -> float:
     length = reference.duration + SETTLE if duration is None else duration
     if length > MOST_SAMPLES * period:
-        raise SizeError("duration", length, "too long", allowed=f"{MOST_SAMPLES} periods", remedy="split it")
+        raise SizeError(
+            "duration",
+            length,
+            "too long",
+            allowed=f"{MOST_SAMPLES} periods",
+            remedy="split it",
+        )
     return Between(period, math.inf, "s").check("duration", length)
 
 
@@ -204,7 +245,10 @@ _NOT_HERE = {  # option: what is allowed, and why
     "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
     "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
     "measured": ("ideal", "an ideal motor loop has no coupling torque to compensate"),
-    "events": ("SensorFault", "give arm=Twin.from_rig(rig): only the twin has other events"),
+    "events": (
+        "SensorFault",
+        "give arm=Twin.from_rig(rig): only the twin has other events",
+    ),
 }
 
 
@@ -213,10 +257,13 @@ def _refuse(**given: bool) -> None:
     for option in (name for name, is_given in given.items() if is_given):
         allowed, remedy = _NOT_HERE[option]
         field = "compensation" if option == "measured" else option
-        raise FieldError(field, "given", "not an option of this arm", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            field, "given", "not an option of this arm", allowed=allowed, remedy=remedy
+        )
 
 
-# ── the model ───────────────────────────────────────────────────────────────────────────────────────────────
+# ── the model
+# ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
 def _rig_and_link(
@@ -224,22 +271,30 @@ def _rig_and_link(
 ) -> tuple[Rig, LinkModel]:
     if rig is None:
         remedy = "give rig= (and model=), arm=, or a design in place of the law"
-        raise FieldError("rig", None, "missing", allowed="the rig of the arm", remedy=remedy)
+        raise FieldError(
+            "rig", None, "missing", allowed="the rig of the arm", remedy=remedy
+        )
     link = model or rig.model
     if link is None:
         remedy = "give model=fit.model, or a rig with a model"
-        raise FieldError("model", None, "missing", allowed="the model of the link", remedy=remedy)
+        raise FieldError(
+            "model", None, "missing", allowed="the model of the link", remedy=remedy
+        )
     check_rigs_period(law, rig)
     return rig, link if payload is None else link_at(link, rig, payload)
 
 
 def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the link at a payload [kg]; where its own is not known, with ω₀ of the rig, eq. (5)."""
+    """Return the link at a payload [kg]; where its own is not known, with ω₀ of the
+    rig, eq. (5).
+    """
     if link.payload is not None:
         return link if payload == link.payload else link.at_payload(payload)
-    # Without the payload of its log ω₀ cannot be carried over by (5); the rig's stiffness and length make
-    # one.
-    return replace(link, natural_frequency=rig.natural_frequency(payload), payload=payload)
+    # Without the payload of its log ω₀ cannot be carried over by (5); the rig's
+    # stiffness and length make one.
+    return replace(
+        link, natural_frequency=rig.natural_frequency(payload), payload=payload
+    )
 
 
 def _on_model(
@@ -257,9 +312,21 @@ def _on_model(
     count = math.floor(length / law.period * (1 + 1e-12)) + 1
     path = sampled(reference, law.period, count)
     if not np.all(np.isfinite(path)):
-        raise FieldError("reference", "NaN", "not finite", allowed="finite", remedy="check the reference")
-    delay = Between(0.0, 100.0, "periods").check("gauge_delay", about["gauge_delay"] / law.period)
-    values = {"stiffness": link.stiffness, "noise": about["gauge_noise"], "gauge_delay": delay}
+        raise FieldError(
+            "reference",
+            "NaN",
+            "not finite",
+            allowed="finite",
+            remedy="check the reference",
+        )
+    delay = Between(0.0, 100.0, "periods").check(
+        "gauge_delay", about["gauge_delay"] / law.period
+    )
+    values = {
+        "stiffness": link.stiffness,
+        "noise": about["gauge_noise"],
+        "gauge_delay": delay,
+    }
     values["payload_given"] = 0.0 if estimator else about["payload_given"]
     same = ("gauge_offset", "gauge_gain", "delay_samples")
     as_is = ("motor_gain", "viscous_friction", "coulomb_torque", "amplitude")
@@ -272,34 +339,68 @@ def _on_model(
     )
     # it acts on the motor only where it is compensated from the gauge's reading
     measured = about["compensation"] == "measured"
-    coupling = link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia) if measured else 0.0
-    own = {"substeps": about["substeps"], "coupling": coupling, "start": float(path[0, 0])}
+    coupling = (
+        link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia)
+        if measured
+        else 0.0
+    )
+    own = {
+        "substeps": about["substeps"],
+        "coupling": coupling,
+        "start": float(path[0, 0]),
+    }
     shared = shared_rig(rig, law, about["motor_loop"], **own)
     path_of_arm = path[None, [0, 2]], np.zeros(1, dtype=np.int32)
     broken = fault_rows(faults, law.period, count) if faults else None
     signals, marks = run_lumped(
-        law, shared, arm, *path_of_arm, everything=True, faults=broken, estimator=estimator
+        law,
+        shared,
+        arm,
+        *path_of_arm,
+        everything=True,
+        faults=broken,
+        estimator=estimator,
     )
     # A run that is cut before its reference rests is judged by its last tenth.
     ended = min(reference.duration, (count - 1) * law.period)
     seen = signals[:, 0], marks[:, 0]
-    estimates = None if estimator is None else (estimator, estimates_of_model(estimator, seen[0], broken))
+    estimates = (
+        None
+        if estimator is None
+        else (estimator, estimates_of_model(estimator, seen[0], broken))
+    )
     return model_run(
-        law, link, path[0], *seen, ended=ended, about=about, findings=findings, estimates=estimates
+        law,
+        link,
+        path[0],
+        *seen,
+        ended=ended,
+        about=about,
+        findings=findings,
+        estimates=estimates,
     )
 
 
-def estimates_of_model(estimator: PayloadEstimator, signals: Real, faults: Real | None = None) -> Estimates:
-    """Return what the estimator said in a run of the model: its signals (8, N), and rows of faults."""
+def estimates_of_model(
+    estimator: PayloadEstimator, signals: Real, faults: Real | None = None
+) -> Estimates:
+    """Return what the estimator said in a run of the model: its signals (8, N), and
+    rows of faults.
+    """
     names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
-    angle, torque = (signals[names.index(name)] for name in ("motor_angle_measured", "torque_measured"))
+    angle, torque = (
+        signals[names.index(name)]
+        for name in ("motor_angle_measured", "torque_measured")
+    )
     ticks = np.arange(angle.size)
     missed = (
         np.zeros(angle.size)
         if faults is None
         else faults[:, FAULT_BITS].astype(int) & FAULTS["tick missed"][0]
     )
-    return estimated_over(estimator, estimator.initial_state(), angle, torque, ticks, missed == 0)[1]
+    return estimated_over(
+        estimator, estimator.initial_state(), angle, torque, ticks, missed == 0
+    )[1]
 
 
 def model_run(
@@ -315,19 +416,24 @@ def model_run(
     growth: float | None = None,
     estimates: tuple[PayloadEstimator, Estimates] | None = None,
 ) -> Run:
-    """Return the run of what `run_lumped` gave for one arm: signals (8, N) and marks (3, N)."""
+    """Return the run of what `run_lumped` gave for one arm: signals (8, N) and marks
+    (3, N).
+    """
     names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
-    rows = dict(zip(names, signals, strict=True)) | dict(zip(("flags", "mode", "reason"), marks, strict=True))
+    rows = dict(zip(names, signals, strict=True)) | dict(
+        zip(("flags", "mode", "reason"), marks, strict=True)
+    )
     return judged_run(
         rows | {"reference": reference},
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
-        # A link without stiffness, or overdamped, does not swing: its windows are then longer than any run,
-        # and nothing grows in them.
+        # A link without stiffness, or overdamped, does not swing: its windows are then
+        # longer than any run, and nothing grows in them.
         vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
         about=about,
-        findings=findings + (estimate_findings(*estimates, law.period) if estimates else ()),
+        findings=findings
+        + (estimate_findings(*estimates, law.period) if estimates else ()),
         extras=estimate_signals(estimates[1]) if estimates else None,
         growth=growth,
     )

@@ -1,4 +1,6 @@
-"""One page's socket: requests in, answers out; of what is dragged only the newest is answered."""
+"""One page's socket: requests in, answers out; of what is dragged only the newest is
+answered.
+"""
 
 from __future__ import annotations
 
@@ -25,22 +27,33 @@ __all__ = ["Conversation"]
 
 # Answered in order, in a thread: session and what the page gave -> answer.
 Verb = Callable[[Session, Mapping[str, Any]], Reply]
-_WAITING = 64  # requests of a page that are not done; a page that sends more is no page of ours
+# requests of a page that are not done; a page that sends more is no page of ours
+_WAITING = 64
 
 
 def _note(session: Session, given: Mapping[str, Any]) -> Reply:
     from_page = given.get("state")
     if not isinstance(from_page, dict):
-        raise FieldError("state", from_page, "not an object", allowed="a state", remedy="send the state")
+        raise FieldError(
+            "state",
+            from_page,
+            "not an object",
+            allowed="a state",
+            remedy="send the state",
+        )
     checked_request(parted(from_page)[0])
     session.history.add(from_page)
-    return Reply({"ok": True, "at": session.history.at, "states": len(session.history.states)})
+    return Reply(
+        {"ok": True, "at": session.history.at, "states": len(session.history.states)}
+    )
 
 
 def _go(session: Session, given: Mapping[str, Any]) -> Reply:
     at = given.get("at")
     if type(at) is not int:
-        raise FieldError("at", at, "not a number", allowed="a whole number", remedy="send the place")
+        raise FieldError(
+            "at", at, "not a number", allowed="a whole number", remedy="send the place"
+        )
     return Reply({"ok": True, "state": session.history.go(at), "at": at})
 
 
@@ -73,12 +86,16 @@ def _subject(session: Session) -> Subject:
 
 
 def _map(session: Session, given: Mapping[str, Any]) -> Reply:
-    return Reply({"ok": True, **map_of(_subject(session), parted(given.get("state"))[0])})
+    return Reply(
+        {"ok": True, **map_of(_subject(session), parted(given.get("state"))[0])}
+    )
 
 
 def _around(session: Session, given: Mapping[str, Any]) -> Reply:
     state, regions = parted(given.get("state"))
-    return Reply({"ok": True, "state": round_regions(_subject(session), state, regions)})
+    return Reply(
+        {"ok": True, "state": round_regions(_subject(session), state, regions)}
+    )
 
 
 _VERBS: dict[str, Verb] = {
@@ -110,8 +127,8 @@ class Conversation:
 
     async def run(self) -> None:
         """Answer until the page goes; what it left under way is stopped."""
-        # One task for each kind that is dragged and one for all that must keep its order: a slow exact design
-        # must not hold up the previews of the next drag.
+        # One task for each kind that is dragged and one for all that must keep its
+        # order: a slow exact design must not hold up the previews of the next drag.
         tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]
         tasks.append(asyncio.create_task(self._in_order()))
         try:
@@ -135,8 +152,8 @@ class Conversation:
             await self._sent(refusal(error).packed(0, "message"))
             return
         if message.verb in self._awake:
-            # The older one is forgotten here: a hand asks sixty times a second, and only where it is now is
-            # worth an answer.
+            # The older one is forgotten here: a hand asks sixty times a second, and
+            # only where it is now is worth an answer.
             self._newest[message.verb] = message
             self._awake[message.verb].set()
         # Past the queue: it is meant for what runs there, and would wait for its end.
@@ -146,26 +163,32 @@ class Conversation:
             await self._answered(message, Reply({"ok": True}))
         elif message.verb in _VERBS or message.verb in JOBS:
             if self._orderly.full():
-                # 1008: policy violation. Without a bound a page gone wild fills the memory of a machine that
-                # may be running an arm.
+                # 1008: policy violation. Without a bound a page gone wild fills the
+                # memory of a machine that may be running an arm.
                 await self.socket.close(1008)
             else:
                 self._orderly.put_nowait(message)
         else:
             known = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
-            unknown = FieldError("verb", message.verb, "unknown", allowed=known, remedy="reload the page")
+            unknown = FieldError(
+                "verb", message.verb, "unknown", allowed=known, remedy="reload the page"
+            )
             await self._answered(message, refusal(unknown))
 
     async def _dragged(self, verb: str) -> None:
-        """Answer the newest request of this kind; those that it overtook are never computed."""
+        """Answer the newest request of this kind; those that it overtook are never
+        computed.
+        """
         while True:
             await self._awake[verb].wait()
             self._awake[verb].clear()
-            # Read behind the clearing of the event: a request that comes between the two wakes it again, and
-            # none is lost.
+            # Read behind the clearing of the event: a request that comes between the
+            # two wakes it again, and none is lost.
             message = self._newest[verb]
             work = self._preview if verb == "preview" else self._exact
-            await self._answered(message, await asyncio.to_thread(_guarded, work, message))
+            await self._answered(
+                message, await asyncio.to_thread(_guarded, work, message)
+            )
 
     def _preview(self, message: Message) -> Reply:
         fan = message.given.get("fan") is True
@@ -173,11 +196,13 @@ class Conversation:
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
-            # Asked by the thread that designs, between its stages: half a second of work is given up for a
-            # newer request.
+            # Asked by the thread that designs, between its stages: half a second of
+            # work is given up for a newer request.
             return self._newest["exact"] is not message
 
-        return self.session.exact(message.given.get("state"), message.given.get("arm", ""), newer)
+        return self.session.exact(
+            message.given.get("state"), message.given.get("arm", ""), newer
+        )
 
     async def _in_order(self) -> None:
         while True:
@@ -185,7 +210,9 @@ class Conversation:
             if message.verb in JOBS:
                 await self._worked(message)
                 continue
-            await self._answered(message, await asyncio.to_thread(_guarded, self._orderly_done, message))
+            await self._answered(
+                message, await asyncio.to_thread(_guarded, self._orderly_done, message)
+            )
 
     def _orderly_done(self, message: Message) -> Reply:
         return _VERBS[message.verb](self.session, message.given)
@@ -209,29 +236,42 @@ class Conversation:
     async def _answered(self, message: Message, answer: Reply) -> None:
         try:
             data = answer.packed(message.seq, message.verb)
-        except Exception:  # noqa: BLE001  # a NaN, say: it must not end the task that answers all of this kind
+        # A NaN, say: it must not end the task that answers all of this kind.
+        except Exception:  # noqa: BLE001
             data = _defect().packed(message.seq, message.verb)
         await self._sent(data)
 
     async def _sent(self, data: bytes) -> None:
         # Answers of three tasks: two sends at once would mix their frames.
         async with self._sending:
-            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # the page has gone
+            with contextlib.suppress(
+                RuntimeError, WebSocketDisconnect
+            ):  # the page has gone
                 await self.socket.send_bytes(data)
 
 
 def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
-    """The answer of `work`; a refusal is an answer, and a defect of ours does not end the page."""
+    """The answer of `work`; a refusal is an answer, and a defect of ours does not end
+    the page.
+    """
     try:
         return work(message)
     except SupersededError:
-        return Reply({"ok": False, "superseded": True, "error": "a newer request took its place"})
+        return Reply(
+            {"ok": False, "superseded": True, "error": "a newer request took its place"}
+        )
     except FraclinkError as error:
         return refusal(error)
-    except Exception:  # noqa: BLE001  # whatever it is, the study in memory must survive it
+    except Exception:  # whatever it is, the study in memory must survive it  # noqa: BLE001
         return _defect()
 
 
 def _defect() -> Reply:
     sys.stderr.write(traceback.format_exc())
-    return Reply({"ok": False, "defect": True, "error": "a defect of fraclink; the terminal shows where"})
+    return Reply(
+        {
+            "ok": False,
+            "defect": True,
+            "error": "a defect of fraclink; the terminal shows where",
+        }
+    )

@@ -1,4 +1,6 @@
-"""Undo that survives a crash: one line of JSON for every state that a hand let go of, beside the study."""
+"""Undo that survives a crash: one line of JSON for every state that a hand let go of,
+beside the study.
+"""
 
 from __future__ import annotations
 
@@ -14,8 +16,9 @@ from fraclink.errors import FieldError
 __all__ = ["History"]
 
 _NAME = "studio.jsonl"
-# At a state for every second that a hand lets go, nearly three hours.
-_MOST = 10_000  # lines that are read back; nobody takes back more, and a file from elsewhere may be long
+# At a state for every second that a hand lets go, nearly three hours. lines that are
+# read back; nobody takes back more, and a file from elsewhere may be long
+_MOST = 10_000
 
 
 @dataclass
@@ -36,11 +39,15 @@ class History:
     path: Path
     states: list[dict[str, Any]]
     at: int = -1
-    kept: set[int] = field(default_factory=set)  # those that Keep wrote to the study's files
+    kept: set[int] = field(
+        default_factory=set
+    )  # those that Keep wrote to the study's files
 
     @staticmethod
     def of(folder: Path) -> History:
-        """Return the history that `folder` holds; a line that is none of it, such as a torn one, ends it."""
+        """Return the history that `folder` holds; a line that is none of it, such as a
+        torn one, ends it.
+        """
         found = History(folder / _NAME, [])
         if not found.path.is_file():
             return found
@@ -66,7 +73,10 @@ class History:
     def go(self, at: int) -> dict[str, Any]:
         """Make the state number `at` the one that stands, and return it."""
         if not 0 <= at < len(self.states):
-            allowed, remedy = f"0 to {len(self.states) - 1}", "undo ends at the first state"
+            allowed, remedy = (
+                f"0 to {len(self.states) - 1}",
+                "undo ends at the first state",
+            )
             raise FieldError("at", at, "out of range", allowed=allowed, remedy=remedy)
         if at != self.at:
             self._write({"at": at})
@@ -79,19 +89,22 @@ class History:
 
     def _write(self, entry: dict[str, Any]) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        # Appended and closed at once: a kill loses the line that was being written, and no other.
+        # Appended and closed at once: a kill loses the line that was being written, and
+        # no other.
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry, allow_nan=False) + "\n")
         self._apply(entry)
 
-    # The same for a line that is read and for one that is written: a history read back is the one that was
-    # left.
+    # The same for a line that is read and for one that is written: a history read back
+    # is the one that was left.
     def _apply(self, entry: Mapping[str, Any]) -> None:
-        # A file edited by hand may name a state far behind the last: it becomes the next one.
+        # A file edited by hand may name a state far behind the last: it becomes the
+        # next one.
         at = min(int(entry["at"]), len(self.states))
         if "state" in entry:
             self.states = [*self.states[:at], dict(entry["state"])]
-            # What is undone and then replaced is gone with its mark: another state has its number now.
+            # What is undone and then replaced is gone with its mark: another state has
+            # its number now.
             self.kept = {k for k in self.kept if k < at}
         self.at = min(at, len(self.states) - 1)
         if entry.get("kept") is True:
@@ -100,13 +113,18 @@ class History:
 
 def _entry(line: bytes) -> dict[str, Any] | None:
     """The entry of a line; None where it is not one."""
-    # No request that long is taken from a page either; a file of one endless line is not parsed.
+    # No request that long is taken from a page either; a file of one endless line is
+    # not parsed.
     if len(line) > LONGEST:
         return None
     try:
         found = json.loads(line)
     except ValueError:
         return None
-    if not isinstance(found, dict) or type(found.get("at")) is not int or found["at"] < 0:
+    if (
+        not isinstance(found, dict)
+        or type(found.get("at")) is not int
+        or found["at"] < 0
+    ):
         return None
     return found if isinstance(found.get("state", {}), dict) else None

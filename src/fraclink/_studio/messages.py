@@ -1,6 +1,8 @@
-"""What goes over the socket: requests as small JSON objects, answers as a JSON head with curves behind it.
+"""What goes over the socket: requests as small JSON objects, answers as a JSON head
+with curves behind it.
 
-A request for a design has the options of `fraclink design`, under their names and with their ranges.
+A request for a design has the options of `fraclink design`, under their names and with
+their ranges.
 """
 
 from __future__ import annotations
@@ -54,22 +56,32 @@ class Reply:
     curves: Mapping[str, ArrayLike] = field(default_factory=dict)
 
     def packed(self, seq: int, verb: str) -> bytes:
-        """The length of the head in four bytes, little-endian; the head, padded to 4; the curves.
+        """The length of the head in four bytes, little-endian; the head, padded to 4;
+        the curves.
 
-        Numbers that are not finite become null in the head; a curve that holds one is a defect.
+        Numbers that are not finite become null in the head; a curve that holds one is a
+        defect.
         """
-        arrays = {name: np.atleast_2d(np.asarray(curve, dtype="<f4")) for name, curve in self.curves.items()}
+        arrays = {
+            name: np.atleast_2d(np.asarray(curve, dtype="<f4"))
+            for name, curve in self.curves.items()
+        }
         for name, array in arrays.items():
-            # The page draws what it gets without looking: a NaN would end its line somewhere and nobody would
-            # know why.
+            # The page draws what it gets without looking: a NaN would end its line
+            # somewhere and nobody would know why.
             if not np.isfinite(array).all():
                 raise AssertionError(f"curve {name} is not finite")
         shapes = {name: list(array.shape) for name, array in arrays.items()}
         head = plain({**self.head, "seq": seq, "verb": verb, "curves": shapes})
         text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
-        # A Float32Array of the page must begin at a multiple of four bytes; the spaces are still JSON.
+        # A Float32Array of the page must begin at a multiple of four bytes; the spaces
+        # are still JSON.
         text += b" " * (-len(text) % 4)
-        return struct.pack("<I", len(text)) + text + b"".join(array.tobytes() for array in arrays.values())
+        return (
+            struct.pack("<I", len(text))
+            + text
+            + b"".join(array.tobytes() for array in arrays.values())
+        )
 
 
 def _no_constant(name: str) -> float:
@@ -79,7 +91,9 @@ def _no_constant(name: str) -> float:
 def parsed(text: object) -> Message:
     """Return the request in `text`; FieldError for anything that is not one."""
     if not isinstance(text, str) or len(text) > LONGEST:
-        raise _refused("bytes" if not isinstance(text, str) else f"{len(text)} characters")
+        raise _refused(
+            "bytes" if not isinstance(text, str) else f"{len(text)} characters"
+        )
     try:
         found = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
@@ -96,23 +110,40 @@ def parsed(text: object) -> Message:
 
 def _refused(value: object) -> FieldError:
     allowed = f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters'
-    return FieldError("message", value, "not a request", allowed=allowed, remedy="send one JSON object")
+    return FieldError(
+        "message",
+        value,
+        "not a request",
+        allowed=allowed,
+        remedy="send one JSON object",
+    )
 
 
 def refusal(error: FraclinkError) -> Reply:
-    """Return an error as an answer: its sentence, and the parts that a page can put beside a field."""
+    """Return an error as an answer: its sentence, and the parts that a page can put
+    beside a field.
+    """
     head: dict[str, Any] = {"ok": False, "error": str(error)}
     if isinstance(error, FieldError):
-        parts = {"field": error.field, "problem": error.problem, "allowed": error.allowed}
+        parts = {
+            "field": error.field,
+            "problem": error.problem,
+            "allowed": error.allowed,
+        }
         head |= parts | {"remedy": error.remedy}
     if isinstance(error, InfeasibleError):
-        head |= {"condition": error.condition, "explanation": error.explanation, "nearest": error.nearest}
+        head |= {
+            "condition": error.condition,
+            "explanation": error.explanation,
+            "nearest": error.nearest,
+        }
     return Reply(head)
 
 
 # --- what a page asks of a design -----------------------------------------------------------------------
 
-# Every option has the range that the library states for it; the command line gives the margin in degrees.
+# Every option has the range that the library states for it; the command line gives the
+# margin in degrees.
 _HINTS: dict[str, Any] = {
     name: hint
     for name, hint in get_type_hints(Specification, include_extras=True).items()
@@ -123,32 +154,54 @@ USUAL = {"margins": "loop", "inner": "ideal", "placement": "tustin", "box": Fals
 
 
 def checked_request(given: object) -> dict[str, Any]:
-    """Return what a page asked for, every option present; None leaves one to the rig or to its rule.
+    """Return what a page asked for, every option present; None leaves one to the rig or
+    to its rule.
 
-    Raises FieldError for a name that `fraclink design` does not have, and for a value out of its range.
+    Raises FieldError for a name that `fraclink design` does not have, and for a value
+    out of its range.
 
     >>> checked_request({"gain_crossover": 12, "payloads": [0.02, 0.04]})["payloads"]
     (0.02, 0.04)
     """
     if not isinstance(given, Mapping):
         allowed, remedy = "an object of options", "send the options by name"
-        raise FieldError("state", type(given).__name__, "not an object", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "state",
+            type(given).__name__,
+            "not an object",
+            allowed=allowed,
+            remedy=remedy,
+        )
     for name in given:
         if name not in _HINTS:
             allowed, remedy = ", ".join(NAMES), "leave it out"
-            raise FieldError("state", str(name), "unknown option", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "state", str(name), "unknown option", allowed=allowed, remedy=remedy
+            )
     found = {}
     for name, hint in _HINTS.items():
-        # JSON has no tuples, and a range is one; None stands for whatever the rule or the rig chooses.
+        # JSON has no tuples, and a range is one; None stands for whatever the rule or
+        # the rig chooses.
         value = given.get(name)
         if isinstance(value, list):
             value = tuple(value)
-        found[name] = USUAL.get(name) if value is None else rule(hint).check(name, value)
+        found[name] = (
+            USUAL.get(name) if value is None else rule(hint).check(name, value)
+        )
     return found
 
 
 def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the request as `design_for` takes it: the margin in radians, the box only where it is wanted."""
+    """Return the request as `design_for` takes it: the margin in radians, the box only
+    where it is wanted.
+    """
     margin = request["phase_margin_deg"]
-    rest = {name: value for name, value in request.items() if name not in ("phase_margin_deg", "box")}
-    return rest | {"phase_margin": None if margin is None else math.radians(margin), "box": request["box"]}
+    rest = {
+        name: value
+        for name, value in request.items()
+        if name not in ("phase_margin_deg", "box")
+    }
+    return rest | {
+        "phase_margin": None if margin is None else math.radians(margin),
+        "box": request["box"],
+    }

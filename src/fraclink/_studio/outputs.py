@@ -1,4 +1,6 @@
-"""Step 7: the files for a board, and the pages to hand on, written where the command line writes them."""
+"""Step 7: the files for a board, and the pages to hand on, written where the command
+line writes them.
+"""
 
 from __future__ import annotations
 
@@ -24,43 +26,66 @@ from fraclink.errors import FieldError
 __all__ = ["OUTPUT_VERBS"]
 
 _PRECISIONS = ("single", "double")
-# Counted by benchmarks/bench_instructions.py on a Cortex-M4F, gcc -O2, a law of 6 + 2 modes in single
-# precision: built for this design alone, and with room for every design; and what a mode more costs.
+# Counted by benchmarks/bench_instructions.py on a Cortex-M4F, gcc -O2, a law of 6 + 2
+# modes in single precision: built for this design alone, and with room for every
+# design; and what a mode more costs.
 _COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8
 
 
-def _c(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+def _c(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
     folder = session.folder / "firmware"
     paths = list(export_c(law.in_precision(precision), folder, force=force))
-    return paths, f"fraclink export c design.json --precision {precision} --out {folder}"
+    return (
+        paths,
+        f"fraclink export c design.json --precision {precision} --out {folder}",
+    )
 
 
-def _matlab(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+def _matlab(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
     path = session.folder / "arm_law.m"
-    # Without the motor loop, as the command writes it: MATLAB simulates the robot's own servo.
-    # The same function as the command's, so that the file is the same to the byte.
+    # Without the motor loop, as the command writes it: MATLAB simulates the robot's own
+    # servo. The same function as the command's, so that the file is the same to the
+    # byte.
     own = discretize(made.controller, made.rig.period)
-    return [export_matlab(own, path, force=force)], f"fraclink export matlab design.json --out {path}"
+    return [
+        export_matlab(own, path, force=force)
+    ], f"fraclink export matlab design.json --out {path}"
 
 
-def _fmu(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+def _fmu(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
     path = session.folder / "arm_law.fmu"
     made_path = export_fmu(law, path, precision=precision, compilers=(), force=force)
-    return [made_path], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
+    return [
+        made_path
+    ], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
 
 
-def _share(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+def _share(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
     path = output_path(session.folder / "arm.html", force=force)
-    return [write_arm_page(session.study, path)], f"fraclink share {session.folder} --out {path}"
+    return [
+        write_arm_page(session.study, path)
+    ], f"fraclink share {session.folder} --out {path}"
 
 
-def _report(session: Session, made: Design, law: Law, precision: Any, force: bool) -> tuple[list[Path], str]:
+def _report(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
     path = output_path(session.folder / "report.html", force=force)
     write_report(session.study, path)
     return [path], f"fraclink report {session.folder} --out {path}"
 
 
-_TARGETS: dict[str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]] = {
+_TARGETS: dict[
+    str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]
+] = {
     "c": _c,
     "matlab": _matlab,
     "fmu": _fmu,
@@ -75,29 +100,43 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
     if target not in _TARGETS or precision not in _PRECISIONS:
         allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
         shown = f"{target[:40]}, {str(precision)[:40]}"
-        raise FieldError("target", shown, "unknown", allowed=allowed, remedy="choose one of these")
+        raise FieldError(
+            "target", shown, "unknown", allowed=allowed, remedy="choose one of these"
+        )
     made, law = session.study.design, session.study.law
     if made is None or law is None:
         allowed, remedy = "a study with a design", "make one in step 4"
         raise FieldError("design", None, "missing", allowed=allowed, remedy=remedy)
     session.folder.mkdir(parents=True, exist_ok=True)
-    paths, command = _TARGETS[target](session, made, law, precision, given.get("force") is True)
-    names = {path.relative_to(session.folder).as_posix(): path.stat().st_size for path in paths}
+    paths, command = _TARGETS[target](
+        session, made, law, precision, given.get("force") is True
+    )
+    names = {
+        path.relative_to(session.folder).as_posix(): path.stat().st_size
+        for path in paths
+    }
     session.written |= names
     head = {"ok": True, "target": target, "written": names, "export_command": command}
     return Reply(head | session.overview())
 
 
 def _board(session: Session, given: Mapping[str, Any]) -> Reply:
-    """What a board needs for the law: memory, instructions, the self-test's hash; and the first power-on."""
-    precision, made, law = given.get("precision", "single"), session.study.design, session.study.law
+    """What a board needs for the law: memory, instructions, the self-test's hash; and
+    the first power-on.
+    """
+    precision, made, law = (
+        given.get("precision", "single"),
+        session.study.design,
+        session.study.law,
+    )
     if made is None or law is None or precision not in _PRECISIONS:
         return Reply({"ok": True, "board": [], "power_on": []})
     law = law.in_precision(precision)
     flash, state = exact_sizes(law)
     room = _kernels.law_sizes(precision == "single")
     modes = law.order + len(law.feedforward.poles)
-    # Counted for 6 + 2 modes, and carried over: every further one is eight instructions a period.
+    # Counted for 6 + 2 modes, and carried over: every further one is eight instructions
+    # a period.
     counts = [f"about {count + _A_MODE * (modes - _OF_MODES)}" for count in _COUNTED]
     rows = [
         ["memory of each arm (RAM)", f"{state} bytes", f"{room[1]} bytes"],
@@ -110,9 +149,17 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
 
 
 def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
-    """Pack what was written into one archive in the draft folder, for the page to fetch."""
+    """Pack what was written into one archive in the draft folder, for the page to
+    fetch.
+    """
     if not session.written:
-        raise FieldError("files", None, "missing", allowed="exported files", remedy="export something first")
+        raise FieldError(
+            "files",
+            None,
+            "missing",
+            allowed="exported files",
+            remedy="export something first",
+        )
     place = session.draft / "studio.zip"
     # In the draft folder: an archive in the results would be packed into the next one.
     with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:

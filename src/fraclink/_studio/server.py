@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LONGEST", "Studio", "application"]
 
-# No inline script or style, no other host, no frame: what a hostile name in a log could smuggle into the page
-# does not run. WebAssembly must be compiled, hence 'wasm-unsafe-eval'.
+# No inline script or style, no other host, no frame: what a hostile name in a log could
+# smuggle into the page does not run. WebAssembly must be compiled, hence
+# 'wasm-unsafe-eval'.
 POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -43,12 +44,18 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 _PAGE = files("fraclink._studio") / "page"
-_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+_KINDS = {
+    ".html": "text/html",
+    ".js": "text/javascript",
+    ".css": "text/css",
+    ".svg": "image/svg+xml",
+}
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-LONGEST = 16_384  # bytes of a request: a state takes 400, the statements of twelve columns 2000
+# bytes of a request: a state takes 400, the statements of twelve columns 2000
+LONGEST = 16_384
 UPLOAD_LIMIT = 200_000_000  # bytes: as much as the readers of logs take
-# A plain file name with an ending: no folder, no leading dot, nothing that a file system or a shell takes for
-# something else.
+# A plain file name with an ending: no folder, no leading dot, nothing that a file
+# system or a shell takes for something else.
 _NAME = re.compile(r"[\w][\w .()+-]{0,100}\.\w{1,10}")
 _PATIENCE = 10.0  # [s] for the token, which the page sends at once
 
@@ -58,13 +65,16 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 
 
 class Studio:
-    """What all pages of one server share: the session, the token, and since when nobody has looked.
+    """What all pages of one server share: the session, the token, and since when nobody
+    has looked.
 
-    `opening` makes the session. It runs beside the server: arrays, optimisation and the study
-    take a second to load, and a browser has the page by then.
+    `opening` makes the session. It runs beside the server: arrays, optimisation and the
+    study take a second to load, and a browser has the page by then.
     """
 
-    def __init__(self, opening: Callable[[], Session], *, hosts: Iterable[str] = ()) -> None:
+    def __init__(
+        self, opening: Callable[[], Session], *, hosts: Iterable[str] = ()
+    ) -> None:
         self._session: Future[Session] = Future()
         # A daemon: Ctrl-C while numpy is still loading ends the studio.
         Thread(target=self._open, args=(opening,), daemon=True).start()
@@ -76,8 +86,8 @@ class Studio:
     def _open(self, opening: Callable[[], Session]) -> None:
         try:
             session = opening()
-            import fraclink._studio.conversation  # noqa: F401  # what answers: before it is asked
-        except BaseException as error:  # noqa: BLE001  # handed to whoever waits for the session
+            import fraclink._studio.conversation  # what answers: before it is asked  # noqa: F401
+        except BaseException as error:  # handed to whoever waits for the session  # noqa: BLE001
             self._session.set_exception(error)
         else:
             self._session.set_result(session)
@@ -94,11 +104,15 @@ class Studio:
 
     def knows(self, token: object) -> bool:
         """Whether `token` is the one; compared in a time that does not depend on it."""
-        return isinstance(token, str) and hmac.compare_digest(token.encode(), self.token.encode())
+        return isinstance(token, str) and hmac.compare_digest(
+            token.encode(), self.token.encode()
+        )
 
 
 class _Guard:
-    """Refuses another Host than this server's (DNS rebinding: 421) and sockets of other origins (403)."""
+    """Refuses another Host than this server's (DNS rebinding: 421) and sockets of other
+    origins (403).
+    """
 
     def __init__(self, app: Any, studio: Studio) -> None:
         self.app, self.studio = app, studio
@@ -107,13 +121,19 @@ class _Guard:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        headers = {key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]}
+        headers = {
+            key.decode("latin-1"): value.decode("latin-1")
+            for key, value in scope["headers"]
+        }
         origin = headers.get("origin")
-        # A browser names the origin of every socket and of every POST, and no script of another page can
-        # forge it; a GET of one's own has none.
-        foreign = origin is not None and origin.removeprefix("http://") not in self.studio.hosts
-        # Another page may resolve its own name to 127.0.0.1 (DNS rebinding) and is then of one origin with
-        # it: the Host header still has its name.
+        # A browser names the origin of every socket and of every POST, and no script of
+        # another page can forge it; a GET of one's own has none.
+        foreign = (
+            origin is not None
+            and origin.removeprefix("http://") not in self.studio.hosts
+        )
+        # Another page may resolve its own name to 127.0.0.1 (DNS rebinding) and is then
+        # of one origin with it: the Host header still has its name.
         if headers.get("host") not in self.studio.hosts:
             await _refuse(scope, receive, send, 421, "wrong host")
         elif foreign or (origin is None and scope["type"] == "websocket"):
@@ -122,7 +142,9 @@ class _Guard:
             await self.app(scope, receive, send)
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, why: str) -> None:
+async def _refuse(
+    scope: Scope, receive: Receive, send: Send, status: int, why: str
+) -> None:
     response = PlainTextResponse(why, status, headers=_HEADERS)
     if scope["type"] == "websocket":
         await WebSocket(scope, receive, send).send_denial_response(response)
@@ -131,14 +153,21 @@ async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, why: 
 
 
 def _contents() -> dict[str, tuple[bytes, str]]:
-    """Every file that is served: path -> (content, kind). Nothing else can be asked for."""
+    """Every file that is served: path -> (content, kind). Nothing else can be asked
+    for.
+    """
     found = {
-        f"/{path.name}": (_served(path.name, path.read_bytes()), _KINDS[Path(path.name).suffix])
+        f"/{path.name}": (
+            _served(path.name, path.read_bytes()),
+            _KINDS[Path(path.name).suffix],
+        )
         for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
     }
     fragment = re.sub(r"{#.*?#}\s*", "", template_text("arm_box.html"), flags=re.DOTALL)
-    page = found.pop("/index.html")[0].decode().replace("<!-- arm_box.html -->", fragment)
+    page = (
+        found.pop("/index.html")[0].decode().replace("<!-- arm_box.html -->", fragment)
+    )
     found["/"] = (page.encode(), "text/html")
     style = squeezed("palette.css") + squeezed("arm_box.css")
     found["/arm_box.css"] = (style.encode(), "text/css")
@@ -147,14 +176,18 @@ def _contents() -> dict[str, tuple[bytes, str]]:
 
 
 def _served(name: str, content: bytes) -> bytes:
-    """A script without what only its readers need, a fifth of it; anything else as it is."""
+    """A script without what only its readers need, a fifth of it; anything else as it
+    is.
+    """
     return tightened(content.decode()).encode() if name.endswith(".js") else content
 
 
 def _arm_module() -> str:
-    """The scripts of the arm's page as one module: the same lines, with a door for another law.
+    """The scripts of the arm's page as one module: the same lines, with a door for
+    another law.
 
-    They write their settings to the page's address, and hear the whole document; both are the studio's here.
+    They write their settings to the page's address, and hear the whole document; both
+    are the studio's here.
     """
     before, after = (_PAGE / name for name in ("arm_before.txt", "arm_after.txt"))
     body = "".join(squeezed(name) for name in _SCRIPTS)
@@ -192,7 +225,9 @@ def application(studio: Studio) -> Any:
 
 
 async def _nothing(request: Request, error: Exception) -> Response:
-    return PlainTextResponse("nothing here", getattr(error, "status_code", 404), headers=_HEADERS)
+    return PlainTextResponse(
+        "nothing here", getattr(error, "status_code", 404), headers=_HEADERS
+    )
 
 
 async def _uploaded(studio: Studio, request: Request) -> Response:
@@ -225,7 +260,9 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
 
 
 def _downloaded(studio: Studio, request: Request) -> Response:
-    """The archive that the verb `zip` packed; with the token only, as it holds the user's files."""
+    """The archive that the verb `zip` packed; with the token only, as it holds the
+    user's files.
+    """
     place = studio.session.draft / "studio.zip"
     if not studio.knows(request.headers.get("x-studio-token")):
         return PlainTextResponse("wrong token", 403, headers=_HEADERS)
@@ -237,9 +274,14 @@ def _downloaded(studio: Studio, request: Request) -> Response:
 async def _talked(studio: Studio, socket: WebSocket) -> None:
     await socket.accept()
     try:
-        # The token comes as the first message and not in the address, which logs and histories keep.
+        # The token comes as the first message and not in the address, which logs and
+        # histories keep.
         token = await asyncio.wait_for(socket.receive_text(), _PATIENCE)
-    except (TimeoutError, WebSocketDisconnect, KeyError):  # KeyError: bytes instead of text
+    except (
+        TimeoutError,
+        WebSocketDisconnect,
+        KeyError,
+    ):  # KeyError: bytes instead of text
         token = ""
     if not studio.knows(token):
         with contextlib.suppress(RuntimeError):  # gone already
@@ -248,7 +290,7 @@ async def _talked(studio: Studio, socket: WebSocket) -> None:
     async with _counted(studio):
         try:
             session = await asyncio.to_thread(lambda: studio.session)
-        except Exception:  # noqa: BLE001  # said in the terminal by `serve`, which ends now
+        except Exception:  # said in the terminal by `serve`, which ends now  # noqa: BLE001
             await socket.close(1011)
             return
         from fraclink._studio.conversation import (

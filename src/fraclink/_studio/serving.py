@@ -36,15 +36,18 @@ def serve(
     open_page: bool = True,
     say: Callable[[str], None] = print,
 ) -> Session:
-    """Serve a session until Ctrl-C, or until no page has been open for ten minutes, and return it.
+    """Serve a session until Ctrl-C, or until no page has been open for ten minutes, and
+    return it.
 
     Parameters
     ----------
     opening
-        makes the session; it runs while the browser loads the page, and what it raises ends the studio.
+        makes the session; it runs while the browser loads the page, and what it raises
+        ends the studio.
     host, port
-        where to listen; port 0 takes one that is free. An address that others can reach needs
-        `unsafe_remote`: everybody who learns the token can then read and change the study.
+        where to listen; port 0 takes one that is free. An address that others can reach
+        needs `unsafe_remote`: everybody who learns the token can then read and change
+        the study.
     open_page
         whether to open the browser.
     say
@@ -69,7 +72,8 @@ def serve(
         access_log=False,
         server_header=False,
         ws=_sockets(),
-        # Four bytes a letter at most (UTF-8): longer than any request that `parsed` would take.
+        # Four bytes a letter at most (UTF-8): longer than any request that `parsed`
+        # would take.
         ws_max_size=4 * LONGEST,
         ws_ping_interval=_PING,
         ws_per_message_deflate=False,  # 14 kB a drag that never leave the machine
@@ -78,7 +82,8 @@ def serve(
     )
     server = uvicorn.Server(settings)
     say(address)
-    # Said before the browser is opened: on a machine without one the line is all there is.
+    # Said before the browser is opened: on a machine without one the line is all there
+    # is.
     if open_page:
         webbrowser.open(address)
     with contextlib.suppress(KeyboardInterrupt):
@@ -89,7 +94,9 @@ def serve(
 
 
 def _sockets() -> Literal["wsproto", "websockets-sansio"]:
-    """What speaks the protocol of the socket: wsproto, a tenth of the size, or what is there anyway."""
+    """What speaks the protocol of the socket: wsproto, a tenth of the size, or what is
+    there anyway.
+    """
     if find_spec("wsproto") is not None:
         return "wsproto"
     if find_spec("websockets") is not None:
@@ -97,7 +104,9 @@ def _sockets() -> Literal["wsproto", "websockets-sansio"]:
     raise MissingExtraError("wsproto", "studio")
 
 
-async def _served(server: uvicorn.Server, listener: socket.socket, studio: Studio) -> None:
+async def _served(
+    server: uvicorn.Server, listener: socket.socket, studio: Studio
+) -> None:
     watching = asyncio.create_task(_watch(server, studio))
     try:
         await server.serve(sockets=[listener])
@@ -108,8 +117,11 @@ async def _served(server: uvicorn.Server, listener: socket.socket, studio: Studi
 async def _watch(server: uvicorn.Server, studio: Studio) -> None:
     while True:
         await asyncio.sleep(_LOOK)
-        # A page that is reloaded is away for a second, a laptop that sleeps for longer: ten minutes are both.
-        if studio.failed or (not studio.pages and time.monotonic() - studio.alone_since > _ALONE):
+        # A page that is reloaded is away for a second, a laptop that sleeps for longer:
+        # ten minutes are both.
+        if studio.failed or (
+            not studio.pages and time.monotonic() - studio.alone_since > _ALONE
+        ):
             server.should_exit = True
 
 
@@ -124,19 +136,29 @@ def _is_loopback(host: str) -> bool:
 
 def _listening(host: str, port: int, unsafe_remote: bool) -> socket.socket:
     if not unsafe_remote and not _is_loopback(host):
-        problem, allowed = "an address that others can reach", "127.0.0.1, localhost or ::1"
+        problem, allowed = (
+            "an address that others can reach",
+            "127.0.0.1, localhost or ::1",
+        )
         remedy = "leave it out, or give --unsafe-remote on a network of your own"
         raise FieldError("host", host, problem, allowed=allowed, remedy=remedy)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
-    # Or a studio that is started again on its port waits a minute for the last one's sockets.
+    # Or a studio that is started again on its port waits a minute for the last one's
+    # sockets.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((host, port))
-        listener.listen()  # before the address is said: whoever opens it at once waits and is not refused
+        # before the address is said: whoever opens it at once waits and is not refused
+        listener.listen()
     except OSError as error:
         listener.close()
-        allowed, remedy = "a free port of this machine", "leave --port out: a free one is taken"
+        allowed, remedy = (
+            "a free port of this machine",
+            "leave --port out: a free one is taken",
+        )
         why = error.strerror or str(error)
-        raise FieldError("port", f"{host}:{port}", why, allowed=allowed, remedy=remedy) from error
+        raise FieldError(
+            "port", f"{host}:{port}", why, allowed=allowed, remedy=remedy
+        ) from error
     return listener

@@ -52,24 +52,37 @@ class SupersededError(Exception):
 
 
 class Session:
-    """A study in memory, the folder that Keep writes it to, and the states that led to it.
+    """A study in memory, the folder that Keep writes it to, and the states that led to
+    it.
 
-    `draft` is a folder for what is not kept, which `close` removes; `source` is the log's
-    file, `upload` the last file that the page sent.
+    `draft` is a folder for what is not kept, which `close` removes; `source` is the
+    log's file, `upload` the last file that the page sent.
     """
 
-    def __init__(self, study: Study, folder: Path, *, kept: bool = False, source: Path | None = None) -> None:
+    def __init__(
+        self,
+        study: Study,
+        folder: Path,
+        *,
+        kept: bool = False,
+        source: Path | None = None,
+    ) -> None:
         self.draft = Path(tempfile.mkdtemp(prefix="fraclink-studio-"))
-        # Also at the end of the interpreter and for a session that nobody closed: the draft holds a user's
-        # log.
-        self.close = weakref.finalize(self, shutil.rmtree, self.draft, ignore_errors=True)
+        # Also at the end of the interpreter and for a session that nobody closed: the
+        # draft holds a user's log.
+        self.close = weakref.finalize(
+            self, shutil.rmtree, self.draft, ignore_errors=True
+        )
         self.study, self.folder, self.source = study, folder, source
         self.upload: Path | None = None
-        # What a copied command repeats: statements of columns, payload [kg], stretch [s], share held out.
+        # What a copied command repeats: statements of columns, payload [kg], stretch
+        # [s], share held out.
         self.columns: tuple[str, ...] = ()
         self.payload: float | None = None
         self.stretch: tuple[float, float] | None = None
-        self.whole: Experiment | None = None  # the log of which `stretch` was read: the page shows all of it
+        self.whole: Experiment | None = (
+            None  # the log of which `stretch` was read: the page shows all of it
+        )
         self.heldout: float | None = None
         self.written: dict[str, int] = {}
         self.lock = Lock()
@@ -79,7 +92,9 @@ class Session:
         self.state = self._first_state()
 
     def _first_state(self) -> dict[str, Any]:
-        """The state that a crash left behind, what the study's design was asked for, or what the rig asks."""
+        """The state that a crash left behind, what the study's design was asked for, or
+        what the rig asks.
+        """
         try:
             if self.history.state is not None:
                 return checked_request(parted(self.history.state)[0])
@@ -88,7 +103,11 @@ class Session:
         made, rig = self.study.design, self.study.rig
         asked: dict[str, Any] = {}
         if made is not None:
-            asked = {"payloads": made.payloads, "margins": made.margins_kind, "box": made.box is not None}
+            asked = {
+                "payloads": made.payloads,
+                "margins": made.margins_kind,
+                "box": made.box is not None,
+            }
             asked["gain_crossover"] = made.gain_crossover
             asked["phase_margin_deg"] = round(math.degrees(made.phase_margin), 9)
         elif rig is not None:
@@ -103,16 +122,25 @@ class Session:
         self.study, self.subject = study, _subject_of(study)
 
     def renew(self) -> None:
-        """Begin a history of its own for another rig: a state of the old one may ask what this has not."""
+        """Begin a history of its own for another rig: a state of the old one may ask
+        what this has not.
+        """
         self.history.states, self.history.at = [], -1
         self.state = self._first_state()
 
     # ---- the exact design ---------------------------------------------------------------------------------
 
-    def exact(self, state: object, arm_key: object = "", newer: Callable[[], bool] = lambda: False) -> Reply:
-        """Make the design of `state` as `fraclink design` does, its law and its moves; the study has them.
+    def exact(
+        self,
+        state: object,
+        arm_key: object = "",
+        newer: Callable[[], bool] = lambda: False,
+    ) -> Reply:
+        """Make the design of `state` as `fraclink design` does, its law and its moves;
+        the study has them.
 
-        `newer` tells whether somebody has asked for something else meanwhile: SupersededError is raised then.
+        `newer` tells whether somebody has asked for something else meanwhile:
+        SupersededError is raised then.
         """
         request, before = checked_request(parted(state)[0]), self.study
         made = designed(bare(before), **wanted_of(request))
@@ -121,28 +149,45 @@ class Session:
         # Only then the moves: a request that is already outdated does without.
         made = moved(made)
         with self.lock:
-            # By identity: an equal log read again is another one, whose findings may differ.
-            inputs = ("rig", "experiment", "fit")  # another log may have been read meanwhile
-            if newer() or any(getattr(self.study, name) is not getattr(before, name) for name in inputs):
+            # By identity: an equal log read again is another one, whose findings may
+            # differ.
+            inputs = (
+                "rig",
+                "experiment",
+                "fit",
+            )  # another log may have been read meanwhile
+            if newer() or any(
+                getattr(self.study, name) is not getattr(before, name)
+                for name in inputs
+            ):
                 raise SupersededError
-            # A hand that comes back to the same place has lost nothing: proof and campaign still hold.
+            # A hand that comes back to the same place has lost nothing: proof and
+            # campaign still hold.
             same = before.design == made.design
             if same:  # proof, arms and faults are of this very design
                 made = replace(
-                    made, **{name: getattr(before, name) for name in ("certificate", "uncertified")}
+                    made,
+                    **{
+                        name: getattr(before, name)
+                        for name in ("certificate", "uncertified")
+                    },
                 )
                 made = replace(made, arms=before.arms, faults=before.faults)
             self.state = request
             self.become(made)
-        return Reply({"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)})
+        return Reply(
+            {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
+        )
 
     def arm(self, known: object = "") -> dict[str, Any]:
-        """What the engine in the page runs; the key of the arm alone, and its law, where the page has it."""
+        """What the engine in the page runs; the key of the arm alone, and its law,
+        where the page has it.
+        """
         made, law = self.study.design, self.study.law
         if made is None or law is None:
             return {"arm_key": "", "arm": None}
-        # What the page's engine is built of: 100 kB that are sent only when one of these has changed. The
-        # law, which a drag changes, is sent by itself.
+        # What the page's engine is built of: 100 kB that are sent only when one of
+        # these has changed. The law, which a drag changes, is sent by itself.
         whole = repr((made.model, made.rig, made.payloads)).encode()
         key = hashlib.sha256(whole).hexdigest()[:16]
         if known == key:
@@ -195,9 +240,19 @@ class Session:
         study = self.study
         verdict = study.verdict
         log: tuple[Finding, ...] = study.findings
-        proof = "passed" if study.certificate else "failed" if study.uncertified else "not run"
+        proof = (
+            "passed"
+            if study.certificate
+            else "failed"
+            if study.uncertified
+            else "not run"
+        )
         return {
-            "log": "not run" if study.experiment is None else "failed" if errors_of(log) else "passed",
+            "log": "not run"
+            if study.experiment is None
+            else "failed"
+            if errors_of(log)
+            else "passed",
             "channels": "not run" if study.experiment is None else "passed",
             "model": "not run" if study.fit is None else tables.state_of(study.fit),
             "design": verdict.promise.state,
@@ -211,32 +266,56 @@ class Session:
     def keep(self, *, force: bool = False) -> Reply:
         """Write the study to its folder by the functions of the command line.
 
-        Raises FieldError where a file there is not the one that was read or kept, unless `force` is given.
+        Raises FieldError where a file there is not the one that was read or kept,
+        unless `force` is given.
         """
-        # Written to the draft first: only then is it known which files Keep would write.
+        # Written to the draft first: only then is it known which files Keep would
+        # write.
         trial = self.draft / "keep"
         shutil.rmtree(trial, ignore_errors=True)
         save_study(self.study, trial)
         names = {path.name for path in trial.iterdir()}
         there = _digests(self.folder)
-        # A file counts as ours when its digest is that of what was read or kept: times and sizes lie.
-        changed = sorted(n for n in names | set(self._kept) if n in there and there[n] != self._kept.get(n))
+        # A file counts as ours when its digest is that of what was read or kept: times
+        # and sizes lie.
+        changed = sorted(
+            n
+            for n in names | set(self._kept)
+            if n in there and there[n] != self._kept.get(n)
+        )
         if changed and not force:
             problem = "already there, or changed since it was read"
-            allowed, remedy = "files that this studio wrote or read", "replace them, or open the folder again"
-            raise FieldError("folder", ", ".join(changed), problem, allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                "files that this studio wrote or read",
+                "replace them, or open the folder again",
+            )
+            raise FieldError(
+                "folder", ", ".join(changed), problem, allowed=allowed, remedy=remedy
+            )
         self.folder.mkdir(parents=True, exist_ok=True)
         save_study(self.study, self.folder)
         removed = self._remove_outdated(names)
         if self.study.arms is not None and (self.draft / "arms").is_dir():
-            shutil.copytree(self.draft / "arms", self.folder / "arms", dirs_exist_ok=True)
+            shutil.copytree(
+                self.draft / "arms", self.folder / "arms", dirs_exist_ok=True
+            )
         self._kept = _digests(self.folder)
-        return Reply({"ok": True, "kept": sorted(names), "removed": removed, **self.overview()})
+        return Reply(
+            {"ok": True, "kept": sorted(names), "removed": removed, **self.overview()}
+        )
 
     def _remove_outdated(self, names: set[str]) -> list[str]:
-        """Remove what belonged to the design that was kept before, and would speak for this one."""
-        # Only files that this session read or kept: what a user laid beside them is not ours to remove.
-        old = [p for pattern in _OUTDATED for p in self.folder.glob(pattern) if p.name not in names]
+        """Remove what belonged to the design that was kept before, and would speak for
+        this one.
+        """
+        # Only files that this session read or kept: what a user laid beside them is not
+        # ours to remove.
+        old = [
+            p
+            for pattern in _OUTDATED
+            for p in self.folder.glob(pattern)
+            if p.name not in names
+        ]
         gone = [path for path in old if path.name in self._kept]
         for path in gone:
             path.unlink()
@@ -245,7 +324,9 @@ class Session:
         return [path.name for path in gone]
 
 
-def opened(place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")) -> Session:
+def opened(
+    place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")
+) -> Session:
     """Return the session of a folder of results, a design, a log, or of the rig alone.
 
     Raises what reading the file raises.
@@ -254,7 +335,9 @@ def opened(place: Path | None, *, rig: Rig | None = None, out: Path = Path("resu
         return Session(Study(rig=rig or Rig.named("paper-2023")), out)
     if place.is_dir():
         study = load_study(place)
-        return Session(study if rig is None else replace(study, rig=rig), place, kept=True)
+        return Session(
+            study if rig is None else replace(study, rig=rig), place, kept=True
+        )
     if place.suffix == ".json" and kind_of(place) == "design":
         made = Design.load(place)
         return Session(Study(rig=rig or made.rig, design=made, law=made.law()), out)
@@ -263,7 +346,9 @@ def opened(place: Path | None, *, rig: Rig | None = None, out: Path = Path("resu
 
 def bare(study: Study) -> Study:
     """Return the study without its design, and without all that was made of it."""
-    return replace(study, **_BARE, assumptions=study.rig.assumptions if study.rig else ())
+    return replace(
+        study, **_BARE, assumptions=study.rig.assumptions if study.rig else ()
+    )
 
 
 def _subject_of(study: Study) -> Subject | None:
@@ -273,8 +358,14 @@ def _subject_of(study: Study) -> Subject | None:
         return None
     made = study.design
     # W406: the filter was made longer for the bound at the second mode.
-    longer = made is not None and any(finding.code == "W406" for finding in made.findings)
-    own = (made.controller.filter_time, made.controller.filter_order) if made and longer else None
+    longer = made is not None and any(
+        finding.code == "W406" for finding in made.findings
+    )
+    own = (
+        (made.controller.filter_time, made.controller.filter_order)
+        if made and longer
+        else None
+    )
     return Subject(rig, model, study.law, own)
 
 
@@ -283,7 +374,11 @@ def _digests(folder: Path) -> dict[str, str]:
     if not folder.is_dir():
         return {}
     kinds = (".json", ".npz", ".toml")
-    return {path.name: sha256_of(path) for path in sorted(folder.iterdir()) if path.suffix in kinds}
+    return {
+        path.name: sha256_of(path)
+        for path in sorted(folder.iterdir())
+        if path.suffix in kinds
+    }
 
 
 def _rows(table: Any, columns: tuple[int, ...] | None = None) -> Mapping[str, Any]:

@@ -1,9 +1,10 @@
-"""The process in which a job of the studio runs: a folder in, the same folder with the result out.
+"""The process in which a job of the studio runs: a folder in, the same folder with the
+result out.
 
     python -m fraclink._studio.worker FOLDER VERB OPTIONS
 
-Progress goes to standard output, one JSON object a line. A refusal is the last line of standard error and the
-exit code 2.
+Progress goes to standard output, one JSON object a line. A refusal is the last line of
+standard error and the exit code 2.
 """
 
 from __future__ import annotations
@@ -52,10 +53,13 @@ def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) ->
 
 
 def _with_faults(study: Study) -> Study:
-    """Every fault at three severities and three payloads, in every phase of a move, with one seed."""
+    """Every fault at three severities and three payloads, in every phase of a move,
+    with one seed.
+    """
     assert study.design is not None  # noqa: S101
     bench = Bench.of(study.design, study.design.rig)
-    # A third of the command's campaign, which takes three seeds: somebody sits before the page and waits.
+    # A third of the command's campaign, which takes three seeds: somebody sits before
+    # the page and waits.
     planned = cases(bench, seeds=(1,))
     done = 0
 

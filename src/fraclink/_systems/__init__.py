@@ -1,1 +1,3 @@
-"""Mathematics that knows no robot: fractional functions, roots, responses, stability, rational fits."""
+"""Mathematics that knows no robot: fractional functions, roots, responses, stability,
+rational fits.
+"""

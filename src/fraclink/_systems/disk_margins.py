@@ -1,4 +1,6 @@
-"""Disk margins: how much gain and phase may vary together, at every frequency, before a loop is unstable."""
+"""Disk margins: how much gain and phase may vary together, at every frequency, before a
+loop is unstable.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,17 @@ from fraclink._systems.terms import Complexes, Reals
 from fraclink._validate import Between, checked
 from fraclink.errors import UnstableError
 
-# Between neighbours of the sweep 1 + L changes by a factor of 2 at most and L by e^1.5: a grid point with
-# more than their product times the smallest value is beside no minimum below it.
+# Between neighbours of the sweep 1 + L changes by a factor of 2 at most and L by e^1.5:
+# a grid point with more than their product times the smallest value is beside no
+# minimum below it.
 _SPARE = 10.0
 _LARGEST = 1e150  # its square is still a double: stands for an infinite disk
 
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """The largest disk of perturbations f(δ) = (1 + (1−σ)/2 δ)/(1 − (1+σ)/2 δ), |δ| < α, that fL tolerates.
+    """The largest disk of perturbations f(δ) = (1 + (1−σ)/2 δ)/(1 − (1+σ)/2 δ), |δ| <
+    α, that fL tolerates.
 
     Attributes
     ----------
@@ -34,17 +38,18 @@ class DiskMargin:
     alpha
         α [1], the disk margin.
     frequency
-        Where the smallest destabilising perturbation acts [rad/s]; 0 or inf where α is only approached there.
+        Where the smallest destabilising perturbation acts [rad/s]; 0 or inf where α is
+        only approached there.
     perturbation
         That perturbation, −1/L(jω): 1 + fL = 0.
     gain_margin
-        Gains (γ_min, γ_max) [1] between which any constant is tolerated; γ_max is inf where the disk is a
-        half plane or more.
+        Gains (γ_min, γ_max) [1] between which any constant is tolerated; γ_max is inf
+        where the disk is a half plane or more.
     phase_margin
         Phase [rad] that is tolerated in either direction; inf where every phase is.
     stable
-        Whether the closed loop 1/(1 + L) is stable; None where that was not decided: α is then a distance
-        and no margin.
+        Whether the closed loop 1/(1 + L) is stable; None where that was not decided: α
+        is then a distance and no margin.
     """
 
     skew: float
@@ -56,9 +61,15 @@ class DiskMargin:
     stable: bool | None
 
     def __str__(self) -> str:
-        """The size of the disk, what it guarantees and where it is touched, in three lines."""
+        """The size of the disk, what it guarantees and where it is touched, in three
+        lines.
+        """
         low, high = self.gain_margin
-        known = {True: "stable", False: "not stable", None: "not decided: give unstable_poles"}
+        known = {
+            True: "stable",
+            False: "not stable",
+            None: "not decided: give unstable_poles",
+        }
         return (
             f"disk margin     {self.alpha:12.6g} (skew {self.skew:g}) at {self.frequency:.6g} rad/s\n"
             f"tolerated       gain {low:.4g} … {high:.4g}, phase ±{math.degrees(self.phase_margin):.3f}°\n"
@@ -74,13 +85,15 @@ def disk_margin(
     limit: Annotated[float, Between(0.0, unit="rad/s", low_open=True)] | None = None,
     unstable_poles: Annotated[int, Between(0, 1000)] | None = None,
 ) -> DiskMargin:
-    """Return the disk margin of an open loop L: the largest α such that fL is stable for every f in D(α, σ).
+    """Return the disk margin of an open loop L: the largest α such that fL is stable
+    for every f in D(α, σ).
 
     α = 1/‖S + (σ − 1)/2‖∞ = inf_ω 2|1 + L(jω)|/|(1 + σ) − (1 − σ)L(jω)|,      S = 1/(1 + L)
 
-    σ = 0 is balanced (S − T), σ = 1 the modulus margin, σ = −1 its counterpart 1/‖T‖∞. Gain and phase may
-    vary together and with frequency inside the disk, which a gain margin and a phase margin do not allow.
-    No grid is chosen: L is followed as by `margins`, and every minimum is polished to rounding.
+    σ = 0 is balanced (S − T), σ = 1 the modulus margin, σ = −1 its counterpart 1/‖T‖∞.
+    Gain and phase may vary together and with frequency inside the disk, which a gain
+    margin and a phase margin do not allow. No grid is chosen: L is followed as by
+    `margins`, and every minimum is polished to rounding.
 
     Parameters
     ----------
@@ -98,8 +111,8 @@ def disk_margin(
 
     References
     ----------
-    Seiler, Packard and Gahinet, IEEE Control Systems 40(5) (2020) 78: D(α, σ), theorem 1 for α, and the
-    section on guaranteed gain and phase margins.
+    Seiler, Packard and Gahinet, IEEE Control Systems 40(5) (2020) 78: D(α, σ), theorem
+    1 for α, and the section on guaranteed gain and phase margins.
 
     Examples
     --------
@@ -110,15 +123,23 @@ def disk_margin(
     """
     stable = margins(loop, limit=limit, unstable_poles=unstable_poles).stable
     if stable is False:
-        allowed, remedy = "a loop that is stable when closed", "lower the gain, or see margins(loop)"
-        raise UnstableError("loop", repr(loop), "not stable when closed", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "a loop that is stable when closed",
+            "lower the gain, or see margins(loop)",
+        )
+        raise UnstableError(
+            "loop", repr(loop), "not stable when closed", allowed=allowed, remedy=remedy
+        )
     known = as_loop(loop, limit)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         x, values, _ = sweep(known)
         alpha, frequency, worst = _nearest(known, x, values, skew, whole=limit is None)
-    # A loop of no gain tolerates every disk: finite numbers keep the formulas below from 0/0.
+    # A loop of no gain tolerates every disk: finite numbers keep the formulas below
+    # from 0/0.
     size = min(alpha, _LARGEST)
-    return DiskMargin(skew, alpha, frequency, worst, _gains(size, skew), _phase(size, skew), stable)
+    return DiskMargin(
+        skew, alpha, frequency, worst, _gains(size, skew), _phase(size, skew), stable
+    )
 
 
 def _nearest(
@@ -126,14 +147,21 @@ def _nearest(
 ) -> tuple[float, float, complex]:
     """inf of the distance over frequency, where it is [rad/s], and −1/L there."""
     distance = np.asarray(_distance(values, skew))
-    # Where numerator and denominator are both infinite or zero nothing is known; a neighbour of the grid is.
+    # Where numerator and denominator are both infinite or zero nothing is known; a
+    # neighbour of the grid is.
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
-    smallest, frequency, at = float(distance[best]), math.exp(float(x[best])), complex(values[best])
+    smallest, frequency, at = (
+        float(distance[best]),
+        math.exp(float(x[best])),
+        complex(values[best]),
+    )
 
     def slope(value: complex, rate: complex) -> float:
         moved = value * rate
-        return (moved / (1 + value) + (1 - skew) * moved / ((1 + skew) - (1 - skew) * value)).real
+        return (
+            moved / (1 + value) + (1 - skew) * moved / ((1 + skew) - (1 - skew) * value)
+        ).real
 
     for i in valleys(distance, spare=_SPARE):
         place, value = zero_of(loop, slope, float(x[i - 1]), float(x[i + 1]))
@@ -144,7 +172,11 @@ def _nearest(
         here = float(_distance(np.array([value]), skew)[0])
         if here < smallest:
             smallest, frequency, at = here, place, value
-    return smallest, frequency, -1 / at if at and abs(at) < math.inf else complex(0.0 if at else math.inf)
+    return (
+        smallest,
+        frequency,
+        -1 / at if at and abs(at) < math.inf else complex(0.0 if at else math.inf),
+    )
 
 
 def _distance(values: Complexes, skew: float) -> Reals:
@@ -155,7 +187,9 @@ def _distance(values: Complexes, skew: float) -> Reals:
 
 
 def _ends(loop: SampledLoop, *, whole: bool) -> tuple[complex, complex]:
-    """L at ω → 0 and, unless a limit hides it, ω → ∞: as the loop knows it, and infinite where it grows."""
+    """L at ω → 0 and, unless a limit hides it, ω → ∞: as the loop knows it, and
+    infinite where it grows.
+    """
     start, end = loop.ends
     if isinstance(loop, FractionalLoop):
         top, bottom = loop.orders[: loop.top], loop.orders[loop.top :]
@@ -173,8 +207,12 @@ def _gains(alpha: float, skew: float) -> tuple[float, float]:
 
 
 def _phase(alpha: float, skew: float) -> float:
-    """Where the disk's edge meets the unit circle: |δ(e^jφ)| = α grows up to 2/|σ| at φ = π."""
+    """Where the disk's edge meets the unit circle: |δ(e^jφ)| = α grows up to 2/|σ| at φ
+    = π.
+    """
     if alpha * abs(skew) >= 2.0:
         return math.inf
     square = alpha * alpha
-    return math.acos((4 - square * (1 + skew * skew)) / (4 + square * (1 - skew * skew)))
+    return math.acos(
+        (4 - square * (1 + skew * skew)) / (4 + square * (1 - skew * skew))
+    )

@@ -2,8 +2,9 @@
 
     G(s) = Σ c_i s^(a_i) e^(-τ_i s)  /  Σ d_k s^(b_k) e^(-σ_k s)
 
-Orders are real and need no common base. The power is the principal one, s^a = exp(a ln s) with
--π < arg s ≤ π, so a function is real for s > 0 and conjugate-symmetric elsewhere.
+Orders are real and need no common base. The power is the principal one, s^a = exp(a ln
+s) with -π < arg s ≤ π, so a function is real for s > 0 and conjugate-symmetric
+elsewhere.
 
 >>> from fraclink._systems.fractional import s
 >>> G = 1.56 * s**1.92 / (s**1.92 + 100.4004)
@@ -48,15 +49,16 @@ from fraclink.errors import FieldError
 class FractionalTransferFunction:
     """A quotient of two sums of terms c·s^a·e^(-τs), always in the same normal form.
 
-    Equal orders are merged, zeros dropped, powers and delays common to numerator and denominator divided
-    out, terms sorted by falling order, and the denominator's leading coefficient scaled to 1. Equality and
-    hash compare this form, and a constant equals its number. A numerator that is a multiple of the
-    denominator is cancelled: the response from rest is the same. `repr` is Python that makes an equal
-    function, `str` is for reading, and a notebook shows a formula.
+    Equal orders are merged, zeros dropped, powers and delays common to numerator and
+    denominator divided out, terms sorted by falling order, and the denominator's
+    leading coefficient scaled to 1. Equality and hash compare this form, and a constant
+    equals its number. A numerator that is a multiple of the denominator is cancelled:
+    the response from rest is the same. `repr` is Python that makes an equal function,
+    `str` is for reading, and a notebook shows a formula.
 
-    `numerator`, `denominator`: terms, a single term, or a number. Raises `FieldError` for an empty or zero
-    denominator, for NaN or infinite entries, for a negative order in a
-    denominator and for a function that would answer before its input.
+    `numerator`, `denominator`: terms, a single term, or a number. Raises `FieldError`
+    for an empty or zero denominator, for NaN or infinite entries, for a negative order
+    in a denominator and for a function that would answer before its input.
 
     >>> FractionalTransferFunction((Term(2, 0.5),), (Term(4, 1.5), Term(2, 0.5)))
     0.5/(s + 0.5)
@@ -69,7 +71,8 @@ class FractionalTransferFunction:
 
     __made_by__ = "fraclink.s, such as 100 / (s**1.92 + 100)"
 
-    # numpy must hand `array * G` to us: an array of functions comes of it in both orders.
+    # numpy must hand `array * G` to us: an array of functions comes of it in both
+    # orders.
     __array_ufunc__ = None
 
     def __post_init__(self) -> None:
@@ -77,15 +80,27 @@ class FractionalTransferFunction:
         bottom = collect(as_terms("denominator", self.denominator))
         if not bottom:
             allowed, remedy = "at least one nonzero term", "check the signs"
-            raise FieldError("denominator", self.denominator, "zero", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "denominator", self.denominator, "zero", allowed=allowed, remedy=remedy
+            )
         if bottom[-1].order < 0.0:
-            remedy, lowest = "multiply numerator and denominator by a power of s", bottom[-1].order
-            raise FieldError("denominator", lowest, "a negative order", allowed="orders >= 0", remedy=remedy)
+            remedy, lowest = (
+                "multiply numerator and denominator by a power of s",
+                bottom[-1].order,
+            )
+            raise FieldError(
+                "denominator",
+                lowest,
+                "a negative order",
+                allowed="orders >= 0",
+                remedy=remedy,
+            )
         numerator, denominator = normal(top, bottom)
         object.__setattr__(self, "numerator", numerator)
         object.__setattr__(self, "denominator", denominator)
 
-    # -- evaluation -------------------------------------------------------------------------------
+    # -- evaluation
+    # -------------------------------------------------------------------------------
 
     @overload
     def __call__(self, s: complex) -> complex: ...
@@ -93,9 +108,11 @@ class FractionalTransferFunction:
     def __call__(self, s: NDArray[Any]) -> NDArray[np.complex128]: ...
 
     def __call__(self, s: complex | NDArray[Any]) -> complex | NDArray[np.complex128]:
-        """Return G(s) on the principal sheet; `s` [rad/s] is a complex number or an array of any shape.
+        """Return G(s) on the principal sheet; `s` [rad/s] is a complex number or an
+        array of any shape.
 
-        On the negative real axis the value is the one of arg s = +π. At a pole the value is infinite.
+        On the negative real axis the value is the one of arg s = +π. At a pole the
+        value is infinite.
 
         >>> G = 1 / (FractionalTransferFunction.power(0.5) + 1)
         >>> G(4.0)
@@ -105,7 +122,8 @@ class FractionalTransferFunction:
         """
         return evaluate(self.numerator, self.denominator, s)
 
-    # -- algebra ----------------------------------------------------------------------------------
+    # -- algebra
+    # ----------------------------------------------------------------------------------
 
     def __add__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
@@ -115,7 +133,10 @@ class FractionalTransferFunction:
         if self.denominator == right.denominator:
             return _build((*self.numerator, *right.numerator), self.denominator)
         return _build(
-            (*product(self.numerator, right.denominator), *product(right.numerator, self.denominator)),
+            (
+                *product(self.numerator, right.denominator),
+                *product(right.numerator, self.denominator),
+            ),
             product(self.denominator, right.denominator),
         )
 
@@ -123,7 +144,9 @@ class FractionalTransferFunction:
         right = _operand(other)
         if right is NotImplemented:
             return _each(other, lambda one: self * one)
-        return _quotient(self.numerator, self.denominator, right.numerator, right.denominator)
+        return _quotient(
+            self.numerator, self.denominator, right.numerator, right.denominator
+        )
 
     def __truediv__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
@@ -131,12 +154,20 @@ class FractionalTransferFunction:
             return _each(other, lambda one: self / one)
         if not right.numerator:
             remedy = "do not divide by zero"
-            raise FieldError("denominator", 0.0, "zero", allowed="a nonzero function", remedy=remedy)
-        return _quotient(self.numerator, self.denominator, right.denominator, right.numerator)
+            raise FieldError(
+                "denominator", 0.0, "zero", allowed="a nonzero function", remedy=remedy
+            )
+        return _quotient(
+            self.numerator, self.denominator, right.denominator, right.numerator
+        )
 
     def __sub__(self, other: object) -> FractionalTransferFunction:
         right = _operand(other)
-        return _each(other, lambda one: self - one) if right is NotImplemented else self + (-right)
+        return (
+            _each(other, lambda one: self - one)
+            if right is NotImplemented
+            else self + (-right)
+        )
 
     def __neg__(self) -> FractionalTransferFunction:
         return _build(scaled(self.numerator, -1.0), self.denominator)
@@ -155,10 +186,16 @@ class FractionalTransferFunction:
 
     def __rtruediv__(self, other: object) -> FractionalTransferFunction:
         left = _operand(other)
-        return _each(other, lambda one: one / self) if left is NotImplemented else left / self
+        return (
+            _each(other, lambda one: one / self)
+            if left is NotImplemented
+            else left / self
+        )
 
     def __pow__(self, exponent: object) -> FractionalTransferFunction:
-        """Integer power of any function, real power of a single term c·s^a with c > 0 (s**1.92)."""
+        """Integer power of any function, real power of a single term c·s^a with c > 0
+        (s**1.92).
+        """
         if isinstance(exponent, FractionalTransferFunction):
             return NotImplemented
         power = finite("exponent", exponent)
@@ -166,9 +203,17 @@ class FractionalTransferFunction:
             return self._integer_power(int(power))
         single = len(self.numerator) == len(self.denominator) == 1
         if not single or self.numerator[0].coefficient <= 0.0:
-            allowed = "integers to 64, or any real power of a single term c·s^a with c > 0"
+            allowed = (
+                "integers to 64, or any real power of a single term c·s^a with c > 0"
+            )
             remedy = "a real power of a sum is not a quotient of sums of powers of s"
-            raise FieldError("exponent", exponent, "a real power of a sum", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "exponent",
+                exponent,
+                "a real power of a sum",
+                allowed=allowed,
+                remedy=remedy,
+            )
         top, bottom = self.numerator[0], self.denominator[0]
         order = (top.order - bottom.order) * power
         return _build(
@@ -197,7 +242,8 @@ class FractionalTransferFunction:
     def feedback(
         self, other: FractionalTransferFunction | float = 1.0, sign: int = -1
     ) -> FractionalTransferFunction:
-        """Return the closed loop G/(1 - sign·G·H) with H = `other`; `sign` is -1 (negative feedback) or +1.
+        """Return the closed loop G/(1 - sign·G·H) with H = `other`; `sign` is -1
+        (negative feedback) or +1.
 
         As in python-control, whose `control.feedback(G, H)` calls this.
 
@@ -205,28 +251,53 @@ class FractionalTransferFunction:
         10/(s**0.5 + 10)
         """
         if sign not in (-1, 1):
-            raise FieldError("sign", sign, "not a sign", allowed="-1 or +1", remedy="-1 is negative feedback")
+            raise FieldError(
+                "sign",
+                sign,
+                "not a sign",
+                allowed="-1 or +1",
+                remedy="-1 is negative feedback",
+            )
         right = _operand(other)
         if right is NotImplemented:
             allowed, remedy = "a function or a number", "build it from s"
-            raise FieldError("other", other, "not a transfer function", allowed=allowed, remedy=remedy)
-        # From the four sums and not as G/(1 + GH), which would carry the denominator of G above and below.
+            raise FieldError(
+                "other",
+                other,
+                "not a transfer function",
+                allowed=allowed,
+                remedy=remedy,
+            )
+        # From the four sums and not as G/(1 + GH), which would carry the denominator of
+        # G above and below.
         loop = product(self.numerator, right.numerator)
         return _build(
             product(self.numerator, right.denominator),
-            (*product(self.denominator, right.denominator), *scaled(loop, -float(sign))),
+            (
+                *product(self.denominator, right.denominator),
+                *scaled(loop, -float(sign)),
+            ),
         )
 
-    # -- properties -------------------------------------------------------------------------------
+    # -- properties
+    # -------------------------------------------------------------------------------
 
     @property
     def relative_degree(self) -> float:
-        """Highest order of the denominator minus highest order of the numerator (infinite for G = 0)."""
-        return self.denominator[0].order - self.numerator[0].order if self.numerator else math.inf
+        """Highest order of the denominator minus highest order of the numerator
+        (infinite for G = 0).
+        """
+        return (
+            self.denominator[0].order - self.numerator[0].order
+            if self.numerator
+            else math.inf
+        )
 
     @property
     def is_proper(self) -> bool:
-        """True where |G| stays bounded at high frequency: the relative degree is not negative."""
+        """True where |G| stays bounded at high frequency: the relative degree is not
+        negative.
+        """
         return self.relative_degree >= 0.0
 
     @property
@@ -244,7 +315,10 @@ class FractionalTransferFunction:
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles on the principal sheet [rad/s], as `fraclink.poles` does."""
-        return cast("NDArray[np.complex128]", import_module("fraclink._systems.stability").poles(self))
+        return cast(
+            "NDArray[np.complex128]",
+            import_module("fraclink._systems.stability").poles(self),
+        )
 
     def zeros(self) -> NDArray[np.complex128]:
         """Return the zeros on the principal sheet [rad/s]: the poles of 1/G.
@@ -255,7 +329,9 @@ class FractionalTransferFunction:
         return (1.0 / self).poles()
 
     def to_control(self, *, name: str | None = None) -> Any:
-        """Return the function as a python-control system (see `fraclink._systems.interop.to_control`)."""
+        """Return the function as a python-control system (see
+        `fraclink._systems.interop.to_control`).
+        """
         # By name and at call time: this module knows nothing of the floors above it.
         return import_module("fraclink._systems.interop").to_control(self, name=name)
 
@@ -269,13 +345,17 @@ class FractionalTransferFunction:
         value = finite("order", order)
         return _build((Term(1.0, max(value, 0.0)),), (Term(1.0, max(-value, 0.0)),))
 
-    # -- comparison and text ----------------------------------------------------------------------
+    # -- comparison and text
+    # ----------------------------------------------------------------------
 
     def __eq__(self, other: object) -> bool:
         right = _operand(other)
         if right is NotImplemented:
             return NotImplemented
-        return (self.numerator, self.denominator) == (right.numerator, right.denominator)
+        return (self.numerator, self.denominator) == (
+            right.numerator,
+            right.denominator,
+        )
 
     def __hash__(self) -> int:
         if self.denominator != _ONE or len(self.numerator) > 1:
@@ -283,14 +363,18 @@ class FractionalTransferFunction:
         # s/s equals 1, and what is equal has to have one hash.
         only = self.numerator[0] if self.numerator else Term(0.0, 0.0)
         constant = not only.order and not only.delay
-        return hash(only.coefficient if constant else (self.numerator, self.denominator))
+        return hash(
+            only.coefficient if constant else (self.numerator, self.denominator)
+        )
 
     if not TYPE_CHECKING:  # for people; a type checker shall know every attribute
 
         def __getattr__(self, name: str) -> NoReturn:
             told = f": {_ELSEWHERE[name]}" if name in _ELSEWHERE else ""
             kind = type(self).__name__
-            raise AttributeError(f"{kind!r} object has no attribute {name!r}{told}", name=name, obj=self)
+            raise AttributeError(
+                f"{kind!r} object has no attribute {name!r}{told}", name=name, obj=self
+            )
 
     def __bool__(self) -> bool:
         """False for 0."""
@@ -312,10 +396,16 @@ class FractionalTransferFunction:
             return top
         bottom = text(self.denominator)
         top = f"({top})" if len(self.numerator) > 1 else top
-        return f"{top} / ({bottom})" if len(self.denominator) > 1 else f"{top} / {bottom}"
+        return (
+            f"{top} / ({bottom})" if len(self.denominator) > 1 else f"{top} / {bottom}"
+        )
 
     def _repr_latex_(self) -> str:
-        return f"${self.latex()}$" if self.denominator == _ONE else rf"$\displaystyle{self.latex()}$"
+        return (
+            f"${self.latex()}$"
+            if self.denominator == _ONE
+            else rf"$\displaystyle{self.latex()}$"
+        )
 
     def latex(self) -> str:
         """Return the function as LaTeX, without dollar signs.
@@ -332,9 +422,14 @@ def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFun
 
 
 def _quotient(
-    top: Sequence[Term], bottom: Sequence[Term], other_top: Sequence[Term], other_bottom: Sequence[Term]
+    top: Sequence[Term],
+    bottom: Sequence[Term],
+    other_top: Sequence[Term],
+    other_bottom: Sequence[Term],
 ) -> FractionalTransferFunction:
-    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is 1, not D/D."""
+    """(top/bottom)·(other_top/other_bottom), whole sums cancelled crosswise: (1/D)·D is
+    1, not D/D.
+    """
     top, other_bottom = cancelled(top, other_bottom)
     other_top, bottom = cancelled(other_top, bottom)
     return _build(product(top, other_top), product(bottom, other_bottom))
@@ -363,13 +458,20 @@ _ELSEWHERE = {
     "minreal": "whole factors cancel by themselves",
     "sample": "fraclink.discrete_modes(G, period, span=10.0)",
     "c2d": "fraclink.discrete_modes(G, period, span=10.0)",
-    **dict.fromkeys(("isdtime", "isctime", "issiso", "update_names", "dt", "ninputs", "noutputs"), _CONTROL),
-    **dict.fromkeys(("damp", "nstates", "A", "to_ss"), "fraclink.approximate makes an integer-order model"),
+    **dict.fromkeys(
+        ("isdtime", "isctime", "issiso", "update_names", "dt", "ninputs", "noutputs"),
+        _CONTROL,
+    ),
+    **dict.fromkeys(
+        ("damp", "nstates", "A", "to_ss"),
+        "fraclink.approximate makes an integer-order model",
+    ),
 }
 
 
 def _each(array: object, operation: Callable[[Any], Any]) -> FractionalTransferFunction:
-    """The operation on every element of an array, as an array of functions; NotImplemented for no array.
+    """The operation on every element of an array, as an array of functions;
+    NotImplemented for no array.
 
     An operator's type is that of its usual operands: for an array it is an array.
     """

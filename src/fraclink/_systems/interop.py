@@ -1,4 +1,5 @@
-"""Between fraclink and python-control: exact systems there, integer-order systems here, sampled ones too.
+"""Between fraclink and python-control: exact systems there, integer-order systems here,
+sampled ones too.
 
 python-control is imported at the first call and not before (it costs seconds).
 """
@@ -23,11 +24,13 @@ Reals = NDArray[np.float64]
 def to_control(system: FractionalTransferFunction, *, name: str | None = None) -> Any:
     """Return a fractional system as an exact python-control frequency response.
 
-    The object is a `control.FrequencyResponseData` that evaluates G(jω) itself at any frequency, not an
-    interpolation, so that `bode_plot`, `nyquist_plot`, `nichols_plot`, `margin`, `stability_margins`,
-    `frequency_response` work on it. Products, sums, quotients and `feedback` with numbers and SISO
-    continuous-time systems give exact systems again. What needs states (`step_response`, `ss`, `root_locus`)
-    cannot work: use `fraclink.step_response`, or `approximate(...)` and its `state_space()`.
+    The object is a `control.FrequencyResponseData` that evaluates G(jω) itself at any
+    frequency, not an interpolation, so that `bode_plot`, `nyquist_plot`,
+    `nichols_plot`, `margin`, `stability_margins`, `frequency_response` work on it.
+    Products, sums, quotients and `feedback` with numbers and SISO continuous-time
+    systems give exact systems again. What needs states (`step_response`, `ss`,
+    `root_locus`) cannot work: use `fraclink.step_response`, or `approximate(...)` and
+    its `state_space()`.
 
     The result is a subclass with the attribute `fractional`, the system itself.
 
@@ -69,19 +72,22 @@ def to_control(system: FractionalTransferFunction, *, name: str | None = None) -
 
 
 def from_control(system: Any) -> FractionalTransferFunction:
-    """Return a python-control system as a fractional transfer function with integer orders.
+    """Return a python-control system as a fractional transfer function with integer
+    orders.
 
     Parameters
     ----------
     system
-        One input, one output. Of a sampled one the result is the continuous system whose answer to an input
-        that is held over each period is the same at every sample; poles at z = 0 become a delay.
+        One input, one output. Of a sampled one the result is the continuous system
+        whose answer to an input that is held over each period is the same at every
+        sample; poles at z = 0 become a delay.
 
     Raises
     ------
     FieldError
-        More than one input or output, data without a model; a sampled system without a period, or one that
-        no continuous system is (a pole on the negative real axis, a filter of finite length).
+        More than one input or output, data without a model; a sampled system without a
+        period, or one that no continuous system is (a pole on the negative real axis, a
+        filter of finite length).
 
     Examples
     --------
@@ -95,7 +101,8 @@ def from_control(system: Any) -> FractionalTransferFunction:
         return system
     if isinstance(system, (int, float)):
         return FractionalTransferFunction((Term(system, 0.0),), (Term(1.0, 0.0),))
-    # What `to_control` made holds the exact system: reading its samples back would make a stand-in of it.
+    # What `to_control` made holds the exact system: reading its samples back would make
+    # a stand-in of it.
     known = getattr(system, "fractional", None)
     if isinstance(known, FractionalTransferFunction):
         return known
@@ -106,12 +113,16 @@ def from_control(system: Any) -> FractionalTransferFunction:
         system = control.tf(system)
     top, bottom = system.num[0][0], system.den[0][0]
     if period := _sampling_period(system):
-        return _continued(np.asarray(top, dtype=float), np.asarray(bottom, dtype=float), period)
+        return _continued(
+            np.asarray(top, dtype=float), np.asarray(bottom, dtype=float), period
+        )
     return FractionalTransferFunction(_polynomial(top), _polynomial(bottom))
 
 
 def continuous(system: Any) -> FractionalTransferFunction:
-    """`from_control` without sampled systems: an operator does not guess what holds their input."""
+    """`from_control` without sampled systems: an operator does not guess what holds
+    their input.
+    """
     period = getattr(system, "dt", None)
     if period is True or (period is not None and period > 0):
         raise FieldError(
@@ -144,42 +155,70 @@ def _check(system: Any) -> None:
 
 
 def _sampling_period(system: Any) -> float:
-    """The period [s], 0 for continuous time; None is a time base that nobody stated: continuous, too."""
+    """The period [s], 0 for continuous time; None is a time base that nobody stated:
+    continuous, too.
+    """
     period = system.dt
     if period is True:
         remedy = "give it one: control.tf(num, den, 0.01); margins takes it as it is"
-        raise FieldError("system.dt", period, "sampled, without a period", allowed="> 0 s", remedy=remedy)
+        raise FieldError(
+            "system.dt",
+            period,
+            "sampled, without a period",
+            allowed="> 0 s",
+            remedy=remedy,
+        )
     return float(period or 0.0)
 
 
 # --- sampled systems ------------------------------------------------------------------------------------
 
-_AT_ZERO = 1e-12  # of a polynomial's largest coefficient: a pole at z = 0 that rounding has moved
+# of a polynomial's largest coefficient: a pole at z = 0 that rounding has moved
+_AT_ZERO = 1e-12
 _ON_AXIS = 1e-9
-_ROUNDING = 1e-11  # of a numerator's largest term: what the logarithm's rounding leaves of none
+_ROUNDING = (
+    1e-11  # of a numerator's largest term: what the logarithm's rounding leaves of none
+)
 
 
 def _continued(top: Reals, bottom: Reals, period: float) -> FractionalTransferFunction:
-    """The continuous system behind a zero-order hold: [[A, B], [0, 1]] = exp([[A_c, B_c], [0, 0]] T)."""
+    """The continuous system behind a zero-order hold: [[A, B], [0, 1]] = exp([[A_c,
+    B_c], [0, 0]] T).
+    """
     top, bottom = np.trim_zeros(top, "f"), np.trim_zeros(bottom, "f")
     # A pole at z = 0 is a sample of delay; it has no logarithm, and goes first.
     steps = int(np.argmax(np.abs(bottom[::-1]) > _AT_ZERO * np.abs(bottom).max()))
     bottom = bottom[: bottom.size - steps]
     if top.size > bottom.size:
-        _refuse("a filter of finite length", period, "pass it to margins, which takes it as it is")
+        _refuse(
+            "a filter of finite length",
+            period,
+            "pass it to margins, which takes it as it is",
+        )
     found = np.roots(bottom)
     if (turning := found[(found.real < 0.0) & (np.abs(found.imag) < _ON_AXIS)]).size:
         problem = f"a pole at z = {turning[0].real:.6g}, which alternates from sample to sample"
-        _refuse(problem, period, "sample faster, or pass it to margins, which takes it as it is")
+        _refuse(
+            problem,
+            period,
+            "sample faster, or pass it to margins, which takes it as it is",
+        )
     if bottom.size == 1:
-        return FractionalTransferFunction(_polynomial(top), _polynomial(bottom)).delayed(steps * period)
+        return FractionalTransferFunction(
+            _polynomial(top), _polynomial(bottom)
+        ).delayed(steps * period)
     a, b, c, d = tf2ss(top, bottom)
     order = len(a)
-    # With the held input as one more state: dividing B by (A − I) fails for every integrator, this does not.
-    whole = logm(np.block([[a, b], [np.zeros((1, order)), np.ones((1, 1))]])).real / period
+    # With the held input as one more state: dividing B by (A − I) fails for every
+    # integrator, this does not.
+    whole = (
+        logm(np.block([[a, b], [np.zeros((1, order)), np.ones((1, 1))]])).real / period
+    )
     numerator, denominator = ss2tf(whole[:order, :order], whole[:order, order:], c, d)
     # Terms are compared where they count: at the size of the poles.
-    size = max(float(np.abs(np.log(found)).max()) / period, 1e-300) ** np.arange(order, -1, -1)
+    size = max(float(np.abs(np.log(found)).max()) / period, 1e-300) ** np.arange(
+        order, -1, -1
+    )
     kept = np.abs(numerator[0] * size) > _ROUNDING * np.abs(numerator[0] * size).max()
     made = FractionalTransferFunction(
         _polynomial(np.where(kept, numerator[0], 0.0)), _polynomial(denominator)
@@ -189,11 +228,15 @@ def _continued(top: Reals, bottom: Reals, period: float) -> FractionalTransferFu
 
 def _refuse(problem: str, period: float, remedy: str) -> None:
     allowed = "what a continuous system gives behind a hold"
-    raise FieldError("system", f"dt = {period:g} s", problem, allowed=allowed, remedy=remedy)
+    raise FieldError(
+        "system", f"dt = {period:g} s", problem, allowed=allowed, remedy=remedy
+    )
 
 
 def _polynomial(coefficients: Any) -> tuple[Term, ...]:
     degree = len(coefficients) - 1
     return tuple(
-        Term(float(c), float(degree - k)) for k, c in enumerate(coefficients) if c and math.isfinite(c)
+        Term(float(c), float(degree - k))
+        for k, c in enumerate(coefficients)
+        if c and math.isfinite(c)
     )

@@ -1,4 +1,6 @@
-"""Every gain and phase crossing of a loop, its modulus margin, and the Nyquist criterion."""
+"""Every gain and phase crossing of a loop, its modulus margin, and the Nyquist
+criterion.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ class GainCrossing:
 
 @dataclass(frozen=True)
 class PhaseCrossing:
-    """Where L(jω) is real and negative: frequency [rad/s] and gain margin 1/|L(jω)| [1]."""
+    """Where L(jω) is real and negative: frequency [rad/s] and gain margin 1/|L(jω)|
+    [1].
+    """
 
     frequency: float
     gain_margin: float
@@ -66,12 +70,13 @@ class PhaseCrossing:
 
 @dataclass(frozen=True)
 class Margins:
-    """All crossings of a loop, sorted by frequency, and its modulus margin min |1 + L(jω)|.
+    """All crossings of a loop, sorted by frequency, and its modulus margin min |1 +
+    L(jω)|.
 
-    The modulus margin is an infimum: where |1 + L| only approaches it, its frequency is 0 or inf.
-    `stable` says whether the closed loop 1/(1 + L) is stable; it is None where that was not decided.
-    Margins other than the modulus margin say little about a closed loop that is not stable. Printed, it is
-    a table.
+    The modulus margin is an infimum: where |1 + L| only approaches it, its frequency is
+    0 or inf. `stable` says whether the closed loop 1/(1 + L) is stable; it is None
+    where that was not decided. Margins other than the modulus margin say little about a
+    closed loop that is not stable. Printed, it is a table.
     """
 
     gain_crossings: tuple[GainCrossing, ...]
@@ -81,7 +86,9 @@ class Margins:
     stable: bool | None = None
 
     def __str__(self) -> str:
-        """A line for each crossing (the first eight of a kind), the modulus margin and the verdict."""
+        """A line for each crossing (the first eight of a kind), the modulus margin and
+        the verdict.
+        """
         lines = [
             f"gain crossing   {c.frequency:12.6g} rad/s  phase margin {math.degrees(c.phase_margin):8.3f}°"
             f"  delay margin {c.delay_margin:.4g} s"
@@ -92,12 +99,18 @@ class Margins:
             f"  ({20 * math.log10(c.gain_margin):.2f} dB)"
             for c in self.phase_crossings[:_SHOWN]
         ]
-        hidden = sum(max(0, len(c) - _SHOWN) for c in (self.gain_crossings, self.phase_crossings))
+        hidden = sum(
+            max(0, len(c) - _SHOWN) for c in (self.gain_crossings, self.phase_crossings)
+        )
         lines += [f"… and {hidden} crossings more"] if hidden else []
         lines.append(
             f"nearest to −1   {self.modulus_frequency:12.6g} rad/s  distance     {self.modulus_margin:9.4g}"
         )
-        known = {True: "stable", False: "not stable", None: "not decided: give unstable_poles"}
+        known = {
+            True: "stable",
+            False: "not stable",
+            None: "not decided: give unstable_poles",
+        }
         return "\n".join([*lines, f"closed loop     {known[self.stable]}"])
 
     @property
@@ -122,9 +135,14 @@ class Margins:
 
     @property
     def gain_margin(self) -> float:
-        """The gain margin nearest to 1 on a logarithmic scale; inf if there is no phase crossing."""
-        # Nearest to 1 and not least: a conditionally stable loop is as close to its end when its gain falls.
-        values = [c.gain_margin for c in self.phase_crossings if 0 < c.gain_margin < math.inf]
+        """The gain margin nearest to 1 on a logarithmic scale; inf if there is no phase
+        crossing.
+        """
+        # Nearest to 1 and not least: a conditionally stable loop is as close to its end
+        # when its gain falls.
+        values = [
+            c.gain_margin for c in self.phase_crossings if 0 < c.gain_margin < math.inf
+        ]
         return min(values, key=lambda g: abs(math.log(g)), default=math.inf)
 
     @property
@@ -145,7 +163,8 @@ def margins(
     limit: Annotated[float, Between(0.0, unit="rad/s", low_open=True)] | None = None,
     unstable_poles: Annotated[int, Between(0, 1000)] | None = None,
 ) -> Margins:
-    """Return every gain crossing, phase crossing and the modulus margin of an open loop L.
+    """Return every gain crossing, phase crossing and the modulus margin of an open loop
+    L.
 
     |L(jω)| = 1 gives the gain crossings, arg L(jω) = −π the phase crossings, min |1 + L(jω)| the modulus
     margin. There is no grid to choose: the response is followed until neither ln L nor 1 + L moves far
@@ -156,26 +175,30 @@ def margins(
     Parameters
     ----------
     loop
-        L under unity negative feedback. A callable takes s = jω (complex, shape (n,)) and returns L(s) of
-        the same shape; it is looked at from 1e-6 to 1e6 rad/s. A python-control system is a callable; if it
-        is sampled it is evaluated on the unit circle up to its Nyquist frequency. Frequency response data
-        are used in their own range, straight in a Bode plot from point to point.
+        L under unity negative feedback. A callable takes s = jω (complex, shape (n,))
+        and returns L(s) of the same shape; it is looked at from 1e-6 to 1e6 rad/s. A
+        python-control system is a callable; if it is sampled it is evaluated on the
+        unit circle up to its Nyquist frequency. Frequency response data are used in
+        their own range, straight in a Bode plot from point to point.
     limit
         Highest frequency [rad/s], > 0; the Nyquist frequency of a sampled loop.
     unstable_poles
-        Number of poles of L with Re s > 0, conjugates counted, which a callable cannot tell. With it (or for
-        a transfer function, which knows) the encirclements of −1 decide `stable`.
+        Number of poles of L with Re s > 0, conjugates counted, which a callable cannot
+        tell. With it (or for a transfer function, which knows) the encirclements of −1
+        decide `stable`.
 
 
     Raises
     ------
     FieldError
-        `limit` ≤ 0, a response that is not a number, a callable of another shape, a response that turns more
-        often than can be followed (a delay without roll-off: give `limit`).
+        `limit` ≤ 0, a response that is not a number, a callable of another shape, a
+        response that turns more often than can be followed (a delay without roll-off:
+        give `limit`).
 
     References
     ----------
-    Nyquist (1932); modulus margin as in Åström and Hägglund, Advanced PID Control, section 4.6.
+    Nyquist (1932); modulus margin as in Åström and Hägglund, Advanced PID Control,
+    section 4.6.
 
     Examples
     --------
@@ -197,7 +220,9 @@ def margins(
         # The swept part of the curve shows no encirclement beyond the limit: the
         # verdict is that of the whole loop.
         elif limit is not None and isinstance(known, FractionalLoop):
-            stable = _beyond_limit(cast(FractionalTransferFunction, getattr(loop, "fractional", loop)))
+            stable = _beyond_limit(
+                cast(FractionalTransferFunction, getattr(loop, "fractional", loop))
+            )
         elif unstable_poles is not None:
             left = unstable_closed_loop_poles(
                 known, x, values, open_loop=unstable_poles, ends_real=limit is not None
@@ -207,7 +232,9 @@ def margins(
 
 
 def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
-    """The verdict where `limit` hides a part of the Nyquist curve, which may encircle −1 there."""
+    """The verdict where `limit` hides a part of the Nyquist curve, which may encircle
+    −1 there.
+    """
     try:
         return is_stable(system.feedback()).stable
     except FieldError:
@@ -218,7 +245,8 @@ def _beyond_limit(system: FractionalTransferFunction) -> bool | None:
 
 Bracket = tuple[float, float]  # ln ω at both ends
 
-_FLAT = 1e-12  # rad: a phase of −180° at every frequency (1/s²) crosses nothing; this is its rounding
+# rad: a phase of −180° at every frequency (1/s²) crosses nothing; this is its rounding
+_FLAT = 1e-12
 
 
 def crossings(
@@ -233,15 +261,21 @@ def crossings(
         frequency, margin = math.exp(root), cmath.phase(-value)
         # A delay turns L clockwise only. Where the margin is negative it has to
         # go on to −1 the long way round.
-        gain.append(GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency))
+        gain.append(
+            GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency)
+        )
     phase = []
-    for bracket in _brackets(loop, phase_level, x, turn, _followed(loop, x, values, turn, quiet)):
+    for bracket in _brackets(
+        loop, phase_level, x, turn, _followed(loop, x, values, turn, quiet)
+    ):
         root, value = zero_of(loop, phase_level, *bracket)
         phase.append(PhaseCrossing(math.exp(root), 1 / abs(value)))
     return tuple(gain), tuple(phase)
 
 
-def _followed(loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float) -> NDArray[np.bool_]:
+def _followed(
+    loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet: float
+) -> NDArray[np.bool_]:
     """Points near the negative real axis whose phase was followed there."""
     # The phase of −L jumps by 2π on the positive real axis: a change of sign there
     # is no crossing of the negative.
@@ -251,13 +285,18 @@ def _followed(loop: SampledLoop, x: Reals, values: Complexes, turn: Reals, quiet
     return near
 
 
-def _brackets(loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Mask) -> list[Bracket]:
-    """Changes of sign, and the pairs of them that hide around an extreme that almost touches zero."""
+def _brackets(
+    loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Mask
+) -> list[Bracket]:
+    """Changes of sign, and the pairs of them that hide around an extreme that almost
+    touches zero.
+    """
     place = np.flatnonzero(usable & (y != 0))
     here = y[place]
     if here.size < 2:
         return []
-    # One zero between two signs is a root that a point of the grid hit; a run of them is a flat response.
+    # One zero between two signs is a root that a point of the grid hit; a run of them
+    # is a flat response.
     gap = np.diff(place)
     whole = (gap == 1) | ((gap == 2) & usable[np.minimum(place[:-1] + 1, len(x) - 1)])
     change = np.flatnonzero(((here[1:] > 0) != (here[:-1] > 0)) & whole)
@@ -269,36 +308,51 @@ def _brackets(loop: SampledLoop, level: Tendency, x: Reals, y: Reals, usable: Ma
 
 def _hidden(loop: SampledLoop, level: Tendency, a: float, b: float) -> list[Bracket]:
     """The two brackets that an extreme between a and b makes where it passes zero."""
-    # The extreme itself decides: two crossings 1e-5 apart lie between two points of any grid.
+    # The extreme itself decides: two crossings 1e-5 apart lie between two points of any
+    # grid.
     x, value = zero_of(loop, gain_slope if level is gain_level else phase_slope, a, b)
     passed = level(value, 0j) * level(*loop.point(a)) < 0
     return [(a, x), (x, b)] if passed else []
 
 
 def _near_touches(place: Index, y: Reals) -> list[int]:
-    """Indices of extremes nearer to zero than the steps beside them, with neighbours of the same sign."""
+    """Indices of extremes nearer to zero than the steps beside them, with neighbours of
+    the same sign.
+    """
     size, step = np.abs(y), np.abs(np.diff(y))
     inner = size[1:-1]
-    close = (inner <= size[:-2]) & (inner <= size[2:]) & (inner < np.maximum(step[:-1], step[1:]))
+    close = (
+        (inner <= size[:-2])
+        & (inner <= size[2:])
+        & (inner < np.maximum(step[:-1], step[1:]))
+    )
     if not close.any():
         return []
-    same = (y[:-2] * y[1:-1] > 0) & (y[1:-1] * y[2:] > 0) & (place[2:] - place[:-2] == 2)
+    same = (
+        (y[:-2] * y[1:-1] > 0) & (y[1:-1] * y[2:] > 0) & (place[2:] - place[:-2] == 2)
+    )
     return (np.flatnonzero(same & close) + 1).tolist()
 
 
-def modulus_margin(loop: SampledLoop, x: Reals, values: Complexes) -> tuple[float, float]:
-    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not reached."""
+def modulus_margin(
+    loop: SampledLoop, x: Reals, values: Complexes
+) -> tuple[float, float]:
+    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not
+    reached.
+    """
     distance = np.abs(1 + values)
     distance[np.isnan(distance)] = math.inf
     best = int(np.argmin(distance))
     smallest, at = float(distance[best]), float(x[best])
-    # The sweep lets 1 + L move by its own size from point to point: part of that may still be lost.
+    # The sweep lets 1 + L move by its own size from point to point: part of that may
+    # still be lost.
     for i in valleys(distance, spare=3.0):
         place, value = zero_of(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
         if abs(1 + value) <= smallest:
             smallest, at = abs(1 + value), place
     frequency = math.exp(at)
-    # A distance that falls towards an end of the axis has its infimum there and nowhere on the way.
+    # A distance that falls towards an end of the axis has its infimum there and nowhere
+    # on the way.
     for limit, place in zip(loop.ends, (0.0, math.inf), strict=True):
         if abs(1 + limit) < smallest:
             smallest, frequency = abs(1 + limit), place
@@ -307,44 +361,56 @@ def modulus_margin(loop: SampledLoop, x: Reals, values: Complexes) -> tuple[floa
 
 # --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
 
-# |L| on both sides of an interval that turned by more than half a radian: a pole lies between them.
+# |L| on both sides of an interval that turned by more than half a radian: a pole lies
+# between them.
 _BESIDE_POLE = 1e3
 
 
 def unstable_closed_loop_poles(
     loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
 ) -> int | None:
-    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is not a whole number.
+    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is
+    not a whole number.
 
-    Half the contour suffices, L being real on the positive real axis: from there along a small arc to jω_low,
-    up the axis (passing its poles on the right), and along a large arc back. Up the axis the right half plane
-    lies to the right, so that the change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist
-    frequency and needs no second arc.
+    Half the contour suffices, L being real on the positive real axis: from there along
+    a small arc to jω_low, up the axis (passing its poles on the right), and along a
+    large arc back. Up the axis the right half plane lies to the right, so that the
+    change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist frequency
+    and needs no second arc.
     """
     ahead = 1 + values
     steps = np.angle(ahead[1:] / ahead[:-1])
     modulus = np.abs(values)
-    jumps = (np.abs(steps) > 0.5) & (np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE)
-    # Passing a simple pole of the axis on its right turns L by −π along an arc of infinite radius.
+    jumps = (np.abs(steps) > 0.5) & (
+        np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE
+    )
+    # Passing a simple pole of the axis on its right turns L by −π along an arc of
+    # infinite radius.
     steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)
-    change = float(steps.sum()) + _arc(complex(values[0]), loop.point(float(x[0]))[1].real)
+    change = float(steps.sum()) + _arc(
+        complex(values[0]), loop.point(float(x[0]))[1].real
+    )
     if not ends_real or abs(values[-1]) < 1:
         change -= _arc(complex(values[-1]), loop.point(float(x[-1]))[1].real)
     turns = -change / math.pi
-    # The arcs at both ends are those of the leading power alone. Where they do not close to a whole number it
-    # is not yet the leading one there, and any count would be a guess.
+    # The arcs at both ends are those of the leading power alone. Where they do not
+    # close to a whole number it is not yet the leading one there, and any count would
+    # be a guess.
     if not math.isfinite(turns) or abs(turns - round(turns)) > 0.2:
         return None
     return open_loop + round(turns)
 
 
 def _arc(value: complex, slope: float) -> float:
-    """Change of arg(1 + L) from the positive real axis to jω along |s| = ω, where L ≈ c s^slope."""
+    """Change of arg(1 + L) from the positive real axis to jω along |s| = ω, where L ≈ c
+    s^slope.
+    """
     phase = cmath.phase(value)
     # Beside the origin 1 + L stays in the right half plane: the principal
     # argument is the change along the arc.
     if abs(value) < 1:
         return cmath.phase(1 + value)
-    # L starts at a multiple of π and turns by slope π/2, which the phase itself says more exactly.
+    # L starts at a multiple of π and turns by slope π/2, which the phase itself says
+    # more exactly.
     turned = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
     return turned + cmath.phase(1 + 1 / value)

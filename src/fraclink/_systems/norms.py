@@ -22,11 +22,15 @@ from fraclink._validate import Between, Where, checked
 from fraclink.errors import FieldError, NotConvergedError, UnstableError
 
 NORMS = Where(
-    lambda p: p in (2.0, math.inf), "2 or inf", problem="not a norm offered here", remedy="use 2 or inf"
+    lambda p: p in (2.0, math.inf),
+    "2 or inf",
+    problem="not a norm offered here",
+    remedy="use 2 or inf",
 )
 _FILTER = "multiply by a low-pass filter, as the real input would"
 _TOLERANCE = 1e-13
-# In ln ω: where terms a gap of orders apart differ by e^(−37) ≈ 1e-16 the response is its own asymptote.
+# In ln ω: where terms a gap of orders apart differ by e^(−37) ≈ 1e-16 the response is
+# its own asymptote.
 _NEGLIGIBLE = 37.0
 
 
@@ -35,34 +39,39 @@ def norm(
     system: FractionalTransferFunction | Callable[[Complexes], Complexes],
     p: Annotated[float, Between(finite=False), NORMS],
 ) -> float:
-    """Return the H2 norm (p = 2) or the H∞ norm (p = inf) of a stable system, continuous or sampled.
+    """Return the H2 norm (p = 2) or the H∞ norm (p = inf) of a stable system,
+    continuous or sampled.
 
     ‖G‖₂² = (1/π) ∫₀^∞ |G(jω)|² dω,            ‖G‖∞ = sup |G(jω)|
     ‖G‖₂² = (1/2π) ∫₋π^π |G(e^jθ)|² dθ,         ‖G‖∞ = max |G(e^jθ)|        where G is sampled
 
-    For p = 2 by adaptive quadrature over ln ω to 1e-13, with the tails beyond it by their known powers; for
-    p = inf the highest peak polished to rounding, or a limit at ω → 0 or ∞. A rational model has its H2 norm
-    from the Lyapunov equation of a realisation.
+    For p = 2 by adaptive quadrature over ln ω to 1e-13, with the tails beyond it by
+    their known powers; for p = inf the highest peak polished to rounding, or a limit at
+    ω → 0 or ∞. A rational model has its H2 norm from the Lyapunov equation of a
+    realisation.
 
     Parameters
     ----------
     system
-        Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are allowed. Also a
-        `RationalApproximation` or a python-control system of one input and output, continuous or sampled.
+        Stable; for p = 2 with a relative degree > 1/2, for p = inf proper. Delays are
+        allowed. Also a `RationalApproximation` or a python-control system of one input
+        and output, continuous or sampled.
     p
         2 or `math.inf` [1].
 
     Raises
     ------
     UnstableError
-        A pole in Re s > 0 or on the imaginary axis (an undamped resonance), an integrator.
+        A pole in Re s > 0 or on the imaginary axis (an undamped resonance), an
+        integrator.
     FieldError
-        Another p; a system that decays too slowly for p = 2; an improper system for p = inf; a function of s
-        of which nothing else is known.
+        Another p; a system that decays too slowly for p = 2; an improper system for p =
+        inf; a function of s of which nothing else is known.
 
     References
     ----------
-    Malti et al., Automatica 47 (2011) 2425, for the H2 norm's condition on the relative degree.
+    Malti et al., Automatica 47 (2011) 2425, for the H2 norm's condition on the relative
+    degree.
 
     Examples
     --------
@@ -89,14 +98,24 @@ def norm(
             f"not stable: {verdict.reason}",
             "close a loop around it, add damping, or use margins",
         )
-        raise UnstableError("system", repr(system), problem, allowed="stable systems", remedy=remedy)
+        raise UnstableError(
+            "system", repr(system), problem, allowed="stable systems", remedy=remedy
+        )
     degree = system.relative_degree
     if p == 2 and degree <= 0.5:
         problem = f"of relative degree {degree:g}: its H2 norm is infinite"
-        raise FieldError("system", repr(system), problem, allowed="relative degree > 1/2", remedy=_FILTER)
+        raise FieldError(
+            "system",
+            repr(system),
+            problem,
+            allowed="relative degree > 1/2",
+            remedy=_FILTER,
+        )
     if degree < 0:
         problem = "improper: its gain grows without bound"
-        raise FieldError("system", repr(system), problem, allowed="proper systems", remedy=_FILTER)
+        raise FieldError(
+            "system", repr(system), problem, allowed="proper systems", remedy=_FILTER
+        )
     loop = FractionalLoop.of(system, None)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _h2(system, loop) if p == 2 else _peak(loop)
@@ -104,15 +123,16 @@ def norm(
 
 def _h2(system: FractionalTransferFunction, loop: FractionalLoop) -> float:
     gap = min((b - a for a, b in _neighbours(system)), default=1.0)
-    # Beyond the last corner G approaches a power of ω like ω^−gap: orders close to each other need more
-    # decades.
+    # Beyond the last corner G approaches a power of ω like ω^−gap: orders close to each
+    # other need more decades.
     spare = _NEGLIGIBLE / max(gap, 0.02)
     low, high = loop.low - spare, loop.high + spare
 
     def density(x: Reals) -> Reals:
         return np.asarray(np.exp(2 * loop.log_modulus(x.ravel()).reshape(x.shape) + x))
 
-    # The panels halve themselves where they must: a quarter of the points around each resonance starts them.
+    # The panels halve themselves where they must: a quarter of the points around each
+    # resonance starts them.
     seeds = loop.seeds[::4]
     edges = np.unique(np.concatenate([np.arange(low, high, 2.0), [high], seeds]))
     # A pole at the distance d from the axis: 16 Gauss points on d/4 are exact to 1e-16.
@@ -143,12 +163,13 @@ def _peak(loop: SampledLoop) -> float:
     x, values, _ = sweep(loop)
     size = np.abs(values)
     largest = float(size.max())
-    # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is too small at every
-    # resonance.
+    # A supremum is where the slope of ln|L| vanishes; the grid's own largest value is
+    # too small at every resonance.
     for i in valleys(-size, spare=0.5):
         _, value = zero_of(loop, gain_slope, float(x[i - 1]), float(x[i + 1]))
         largest = max(largest, abs(value))
-    # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two coefficients.
+    # A response that approaches its supremum at ω → 0 or ∞ has it as the ratio of two
+    # coefficients.
     return max(largest, *(abs(limit) for limit in loop.ends if not cmath.isnan(limit)))
 
 
@@ -169,47 +190,90 @@ class _Model:
 def _model(system: Any) -> _Model:
     if isinstance(system, RationalApproximation):
         sampled = system.period is not None
-        return _Model(system.state_space(), system.poles, system, sampled, f"{system.method} approximation")
-    if not (hasattr(system, "num") or hasattr(system, "A")) or not hasattr(system, "dt"):
+        return _Model(
+            system.state_space(),
+            system.poles,
+            system,
+            sampled,
+            f"{system.method} approximation",
+        )
+    if not (hasattr(system, "num") or hasattr(system, "A")) or not hasattr(
+        system, "dt"
+    ):
         allowed = "a fractional transfer function, a RationalApproximation or a python-control system"
         remedy = "a function of s has no poles to judge: give the model itself"
         problem = "not a model"
-        raise FieldError("system", type(system).__name__, problem, allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "system", type(system).__name__, problem, allowed=allowed, remedy=remedy
+        )
     if (system.ninputs, system.noutputs) != (1, 1):
-        problem, remedy = "of several inputs or outputs", "select one channel, such as system[0, 0]"
+        problem, remedy = (
+            "of several inputs or outputs",
+            "select one channel, such as system[0, 0]",
+        )
         shape, allowed = (system.noutputs, system.ninputs), "one input and one output"
         raise FieldError("system", shape, problem, allowed=allowed, remedy=remedy)
     import control
 
     matrices = control.ssdata(control.ss(system))
-    sampled = bool(system.dt)  # True is a sampled system of unstated period, on which no norm depends
-    return _Model(matrices, np.asarray(system.poles(), complex), system, sampled, repr(type(system).__name__))
+    sampled = bool(
+        system.dt
+    )  # True is a sampled system of unstated period, on which no norm depends
+    return _Model(
+        matrices,
+        np.asarray(system.poles(), complex),
+        system,
+        sampled,
+        repr(type(system).__name__),
+    )
 
 
 def _of_model(model: _Model, p: float) -> float:
     bad = np.abs(model.poles) >= 1.0 if model.sampled else model.poles.real >= 0.0
     if np.any(bad):
         place = "|z| ≥ 1" if model.sampled else "Re s ≥ 0"
-        problem = f"not stable: a pole at {complex(model.poles[bad][0]):.6g} has {place}"
+        problem = (
+            f"not stable: a pole at {complex(model.poles[bad][0]):.6g} has {place}"
+        )
         remedy = "close a loop around it or add damping"
-        raise UnstableError("system", model.name, problem, allowed="stable systems", remedy=remedy)
+        raise UnstableError(
+            "system", model.name, problem, allowed="stable systems", remedy=remedy
+        )
     a, b, c, d = model.matrices
     if p == math.inf:
-        return _peak(_around_the_circle(model) if model.sampled else _up_the_axis(model))
+        return _peak(
+            _around_the_circle(model) if model.sampled else _up_the_axis(model)
+        )
     if not model.sampled and np.any(d):
         problem = "with a direct feedthrough: its H2 norm is infinite"
-        raise FieldError("system", model.name, problem, allowed="relative degree > 1/2", remedy=_FILTER)
-    # The Gramian gives the H2 norm of a rational system in closed form: no integral, and no end of the band.
+        raise FieldError(
+            "system",
+            model.name,
+            problem,
+            allowed="relative degree > 1/2",
+            remedy=_FILTER,
+        )
+    # The Gramian gives the H2 norm of a rational system in closed form: no integral,
+    # and no end of the band.
     solve = solve_discrete_lyapunov if model.sampled else solve_continuous_lyapunov
-    states = solve(a, b @ b.T if model.sampled else -b @ b.T) if len(a) else np.zeros((0, 0))
+    states = (
+        solve(a, b @ b.T if model.sampled else -b @ b.T) if len(a) else np.zeros((0, 0))
+    )
     return math.sqrt(float((c @ states @ c.T + d @ d.T)[0, 0]))
 
 
 def _around_the_circle(model: _Model) -> CallableLoop:
-    """|G(e^jθ)| over ln θ, with θ in place of a frequency, and its values at θ = 0 and π as limits."""
+    """|G(e^jθ)| over ln θ, with θ in place of a frequency, and its values at θ = 0 and
+    π as limits.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        near = np.log(np.log(model.poles))  # ln of the pole that a continuous system with this one would have
-    low = min(math.log(math.pi) - 14.0, float(np.min(near.real, initial=0.0, where=np.isfinite(near))) - 3.0)
+        near = np.log(
+            np.log(model.poles)
+        )  # ln of the pole that a continuous system with this one would have
+    low = min(
+        math.log(math.pi) - 14.0,
+        float(np.min(near.real, initial=0.0, where=np.isfinite(near))) - 3.0,
+    )
     ends = model.response(np.array([1.0 + 0j, -1.0 + 0j]))
     return CallableLoop(
         lambda s: model.response(np.exp(s)),
@@ -223,10 +287,19 @@ def _around_the_circle(model: _Model) -> CallableLoop:
 
 def _up_the_axis(model: _Model) -> CallableLoop:
     near = np.log(model.poles)
-    # e^14: six decades beyond its outermost poles a rational response is at the limits that `ends` has.
-    low, high = float(np.min(near.real, initial=0.0)) - 14.0, float(np.max(near.real, initial=0.0)) + 14.0
-    ends = complex(model.response(np.zeros(1, complex))[0]), complex(model.matrices[3][0, 0])
-    return CallableLoop(model.response, low, high, seeds=_beside(near), delayed=False, ends=ends)
+    # e^14: six decades beyond its outermost poles a rational response is at the limits
+    # that `ends` has.
+    low, high = (
+        float(np.min(near.real, initial=0.0)) - 14.0,
+        float(np.max(near.real, initial=0.0)) + 14.0,
+    )
+    ends = (
+        complex(model.response(np.zeros(1, complex))[0]),
+        complex(model.matrices[3][0, 0]),
+    )
+    return CallableLoop(
+        model.response, low, high, seeds=_beside(near), delayed=False, ends=ends
+    )
 
 
 def _beside(logs: Complexes) -> Reals:
@@ -241,11 +314,15 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _PANELS = 20_000
 
 
-def integrate(f: Callable[[Reals], Reals], edges: Reals, tolerance: float, *, smooth: float) -> float:
-    """∫ f over the panels between `edges`; a panel is halved until its halves agree with the whole.
+def integrate(
+    f: Callable[[Reals], Reals], edges: Reals, tolerance: float, *, smooth: float
+) -> float:
+    """∫ f over the panels between `edges`; a panel is halved until its halves agree
+    with the whole.
 
-    `tolerance` is relative to the integral; f takes an array of any shape. On panels shorter than `smooth`
-    the rule is exact to rounding: what they still disagree by is rounding, and no reason to go on.
+    `tolerance` is relative to the integral; f takes an array of any shape. On panels
+    shorter than `smooth` the rule is exact to rounding: what they still disagree by is
+    rounding, and no reason to go on.
     """
     a, b = edges[:-1], edges[1:]
     coarse = _panels(f, a, b)
@@ -259,16 +336,22 @@ def integrate(f: Callable[[Reals], Reals], edges: Reals, tolerance: float, *, sm
                 remedy="a pole lies extremely close to the imaginary axis",
             )
         middle = 0.5 * (a + b)
-        halves = _panels(f, np.concatenate([a, middle]), np.concatenate([middle, b])).reshape(2, -1)
+        halves = _panels(
+            f, np.concatenate([a, middle]), np.concatenate([middle, b])
+        ).reshape(2, -1)
         fine = halves.sum(0)
-        # The halves are 2^32 times better than the whole where f is smooth: their difference is the error
-        # of the whole, and the error of the halves is far below it.
+        # The halves are 2^32 times better than the whole where f is smooth: their
+        # difference is the error of the whole, and the error of the halves is far below
+        # it.
         scale = max(scale, abs(total) + float(np.abs(fine).sum()))
         done = (np.abs(fine - coarse) <= tolerance * scale / 16) | (b - a < smooth)
         total += float(fine[done].sum())
         left = ~done
         coarse = np.concatenate([halves[0, left], halves[1, left]])
-        a, b = np.concatenate([a[left], middle[left]]), np.concatenate([middle[left], b[left]])
+        a, b = (
+            np.concatenate([a[left], middle[left]]),
+            np.concatenate([middle[left], b[left]]),
+        )
     return total
 
 

@@ -1,8 +1,9 @@
 """A delay-free quotient N(s)/D(s) on the log-plane z = ln s, and its poles.
 
-There every term is c·exp(a z), entire; the cut of the principal sheet is the line Im z = π and what lies
-above it is the next sheet. Poles are simple, or clusters: zeros of D so close to each other that their
-residues cancel (a double pole, merging resonances). A cluster is kept whole.
+There every term is c·exp(a z), entire; the cut of the principal sheet is the line Im z
+= π and what lies above it is the next sheet. Poles are simple, or clusters: zeros of D
+so close to each other that their residues cancel (a double pole, merging resonances). A
+cluster is kept whole.
 """
 
 from __future__ import annotations
@@ -20,16 +21,24 @@ from fraclink._systems.roots import log_zeros, two_term_zeros
 from fraclink._systems.terms import Complexes, Reals, Term, collect, same
 from fraclink.errors import FieldError
 
-SHEET = 1.5 * math.pi  # poles up to a quarter turn beyond the cut bend the integrand on it
+SHEET = (
+    1.5 * math.pi
+)  # poles up to a quarter turn beyond the cut bend the integrand on it
 _RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
-_CIRCLE = 96  # points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
-_SYMMETRIC = 1e-7  # a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
-_NEAR = 0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
+# points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
+_CIRCLE = 96
+# a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
+_SYMMETRIC = 1e-7
+_NEAR = (
+    0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
+)
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """Zeros of D near `centre` (in ln s), `count` of them with multiplicity, within `radius`."""
+    """Zeros of D near `centre` (in ln s), `count` of them with multiplicity, within
+    `radius`.
+    """
 
     centre: complex
     count: int
@@ -46,12 +55,18 @@ class Quotient:
 
     @classmethod
     def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
-        if len(bottom) == 2:  # as most links are: by hand it saves a sixth of a short response
+        if (
+            len(bottom) == 2
+        ):  # as most links are: by hand it saves a sixth of a short response
             high, low = bottom
-            by_hand = two_term_zeros(low.coefficient / high.coefficient, high.order - low.order, SHEET)
+            by_hand = two_term_zeros(
+                low.coefficient / high.coefficient, high.order - low.order, SHEET
+            )
             zeros = np.array(by_hand, np.complex128)
         else:
-            zeros = log_zeros([t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET)
+            zeros = log_zeros(
+                [t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET
+            )
         if len(zeros) and np.abs(zeros.real).max() > _RANGE:
             worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
             raise FieldError(
@@ -77,7 +92,9 @@ class Quotient:
         return _slope(self.top, z) - _slope(self.bottom, z)
 
     def condition(self, z: Complexes) -> Reals:
-        """Relative error of `value` in units of rounding: that of each power, raised by what cancels."""
+        """Relative error of `value` in units of rounding: that of each power, raised by
+        what cancels.
+        """
         return _condition(self.top, z) + _condition(self.bottom, z)
 
     def place_error(self, z: Complexes) -> Reals:
@@ -85,12 +102,16 @@ class Quotient:
         return np.asarray(_moduli(self.bottom, z) / np.abs(_rise(self.bottom, z)))
 
     def pole_error(self, z: complex) -> tuple[float, float]:
-        """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in units of rounding."""
+        """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in
+        units of rounding.
+        """
         point, slope = np.array([z]), _derivative(self.bottom)
         rate = float(np.abs(_sum(slope, point))[0])
         place = float(_moduli(self.bottom, point)[0]) / rate
         # The residue moves with the pole as its numerator and its slope do.
-        moved = float(np.abs(_sum(_derivative(self.top), point) / _sum(self.top, point))[0])
+        moved = float(
+            np.abs(_sum(_derivative(self.top), point) / _sum(self.top, point))[0]
+        )
         moved += float(np.abs(_sum(_derivative(slope), point))[0]) / rate
         own = float((_condition(self.top, point) + _condition(slope, point))[0])
         return place, own + place * moved
@@ -98,11 +119,16 @@ class Quotient:
     def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Im G(r e^{iπ}) at x = ln r.
 
-        The angle of every term is πa reduced modulo 2π beforehand, so that integer orders are exactly real.
+        The angle of every term is πa reduced modulo 2π beforehand, so that integer
+        orders are exactly real.
         """
-        lowest = self.bottom[-1].order  # divided out, so that r^a does not underflow to 0/0 far down
+        lowest = self.bottom[
+            -1
+        ].order  # divided out, so that r^a does not underflow to 0/0 far down
         with np.errstate(under="ignore"):
-            quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(self.bottom, x, lowest)
+            quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(
+                self.bottom, x, lowest
+            )
         return quotient.imag
 
     def residue(self, z: complex) -> complex:
@@ -113,23 +139,31 @@ class Quotient:
     @cached_property
     def is_sparse(self) -> bool:
         """True where no two zeros are close: every pole is simple at any resolution."""
-        # Pair by pair: a thirtieth of what an array of gaps costs for the two or three zeros of a link, and
-        # as much at ten.
-        return all(abs(z - w) >= _NEAR for z, w in itertools.combinations(self.zeros.tolist(), 2))
+        # Pair by pair: a thirtieth of what an array of gaps costs for the two or three
+        # zeros of a link, and as much at ten.
+        return all(
+            abs(z - w) >= _NEAR
+            for z, w in itertools.combinations(self.zeros.tolist(), 2)
+        )
 
-    def grouped(self, reach: Callable[[complex], float]) -> tuple[list[complex], list[Cluster]]:
+    def grouped(
+        self, reach: Callable[[complex], float]
+    ) -> tuple[list[complex], list[Cluster]]:
         """Split the zeros of D into simple ones and clusters.
 
-        Two zeros belong together where they are closer than `reach` (in ln s): what is told apart over the
-        times in question is simple, and its residues are as large as the response.
+        Two zeros belong together where they are closer than `reach` (in ln s): what is
+        told apart over the times in question is simple, and its residues are as large
+        as the response.
         """
         if self.is_sparse:
             return self.zeros.tolist(), []
         groups: list[list[complex]] = []
         for z in self.zeros.tolist():
-            # A chain is one cluster though its ends be farther apart than `reach`: a circle around a part of
-            # it would pass between two zeros.
-            near = [g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))]
+            # A chain is one cluster though its ends be farther apart than `reach`: a
+            # circle around a part of it would pass between two zeros.
+            near = [
+                g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))
+            ]
             groups = [g for g in groups if g not in near]
             groups.append([z, *(w for g in near for w in g)])
         packed = []
@@ -137,22 +171,36 @@ class Quotient:
             centre = sum(group) / len(group)
             if abs(centre.imag - math.pi) < _SYMMETRIC:
                 centre = complex(centre.real, math.pi)  # so that its modes are real
-            packed.append(Cluster(centre, len(group), max(abs(z - centre) for z in group)))
+            packed.append(
+                Cluster(centre, len(group), max(abs(z - centre) for z in group))
+            )
         return [g[0] for g in groups if len(g) == 1], packed
 
     def circle(
-        self, cluster: Cluster, radius: float, clearance: float, kernel: Callable[[Complexes], Complexes]
+        self,
+        cluster: Cluster,
+        radius: float,
+        clearance: float,
+        kernel: Callable[[Complexes], Complexes],
     ) -> tuple[Complexes, Complexes]:
-        """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the cluster's zeros.
+        """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the
+        cluster's zeros.
 
-        `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance from the centre to the
-        next singularity of `kernel`. Other poles are respected here. Trapezoid rule on the circle, which
-        converges geometrically.
+        `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance
+        from the centre to the next singularity of `kernel`. Other poles are respected
+        here. Trapezoid rule on the circle, which converges geometrically.
         """
-        others = [abs(z - cluster.centre) for z in self.zeros if abs(z - cluster.centre) > cluster.radius]
-        # Never smaller than 1.5 radii of the cluster: the points have to enclose every zero, and at 1.5^-96
-        # the rule still ends at rounding.
-        size = max(min(radius, 0.5 * clearance, *(0.5 * o for o in others)), 1.5 * cluster.radius)
+        others = [
+            abs(z - cluster.centre)
+            for z in self.zeros
+            if abs(z - cluster.centre) > cluster.radius
+        ]
+        # Never smaller than 1.5 radii of the cluster: the points have to enclose every
+        # zero, and at 1.5^-96 the rule still ends at rounding.
+        size = max(
+            min(radius, 0.5 * clearance, *(0.5 * o for o in others)),
+            1.5 * cluster.radius,
+        )
         turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
         points = cluster.centre + size * turn
         return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
@@ -161,7 +209,8 @@ class Quotient:
 def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
     total = np.zeros(z.shape, np.complex128)
     for t in terms:
-        # Exactly what the exponential gives for a constant, and half of the terms of a link are constants.
+        # Exactly what the exponential gives for a constant, and half of the terms of a
+        # link are constants.
         total += t.coefficient * np.exp(t.order * z) if t.order else t.coefficient
     return total
 
@@ -193,18 +242,28 @@ def _derivative(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
-    """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a product by two."""
+    """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a
+    product by two.
+    """
     total = np.zeros(z.shape)
     for t in terms:
-        total += abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
+        total += (
+            abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
+        )
     return total
 
 
 def _condition(terms: Sequence[Term], z: Complexes) -> Reals:
-    return np.asarray(_moduli(terms, z) / np.abs(_sum(terms, z))) if terms else np.zeros(z.shape)
+    return (
+        np.asarray(_moduli(terms, z) / np.abs(_sum(terms, z)))
+        if terms
+        else np.zeros(z.shape)
+    )
 
 
-def _sum_on_cut(terms: Sequence[Term], x: NDArray[np.float64], lowest: float) -> Complexes:
+def _sum_on_cut(
+    terms: Sequence[Term], x: NDArray[np.float64], lowest: float
+) -> Complexes:
     total = np.zeros(x.shape, np.complex128)
     for t in terms:
         total += t.coefficient * np.exp((t.order - lowest) * x) * _turn(t.order)
@@ -224,21 +283,26 @@ def _turn(order: float) -> complex:
 #
 #     G(s) = c/s + Σ c_i s^(-a_i) + rest,   a_i ≥ 0.94
 #
-# The integrator is a mode of its own (a decay of exactly 1). Higher singular powers have no modes whose
-# sum stays accurate from one period to the whole span; their responses t^a/Γ(1+a) are known and are
-# convolved. Weaker ones (a_i < 0.94) stay in the rest: the branch cut carries them.
+# The integrator is a mode of its own (a decay of exactly 1). Higher singular powers
+# have no modes whose sum stays accurate from one period to the whole span; their
+# responses t^a/Γ(1+a) are known and are convolved. Weaker ones (a_i < 0.94) stay in the
+# rest: the branch cut carries them.
 
-# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds. At 0.94 these are 700,
-# and the exponent range of a double ends near.
+# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds.
+# At 0.94 these are 700, and the exponent range of a double ends near.
 STRONG = 0.94
-_MOST = 20  # singular powers: such a series in closely spaced orders is useless where it is not exact
+# singular powers: such a series in closely spaced orders is useless where it is not
+# exact
+_MOST = 20
 
 
 @dataclass(frozen=True)
 class LowFrequency:
-    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator and denominator.
+    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator
+    and denominator.
 
-    `is_split` is False where the powers are too many to be told apart; then the rest is all of G.
+    `is_split` is False where the powers are too many to be told apart; then the rest is
+    all of G.
     """
 
     integrator: float
@@ -249,21 +313,27 @@ class LowFrequency:
 
 
 def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
-    """Divide in rising powers of s until what is left is weaker than s^(-0.94); both in falling orders."""
+    """Divide in rising powers of s until what is left is weaker than s^(-0.94); both in
+    falling orders.
+    """
     lowest = bottom[-1]
     if top and lowest.order - top[-1].order < STRONG:  # most links: nothing to divide
         return LowFrequency(0.0, (), tuple(top), tuple(bottom))
     rest = collect(top)
     integrator, powers = 0.0, []
     while rest and lowest.order - rest[-1].order >= STRONG:
-        factor, order = rest[-1].coefficient / lowest.coefficient, lowest.order - rest[-1].order
+        factor, order = (
+            rest[-1].coefficient / lowest.coefficient,
+            lowest.order - rest[-1].order,
+        )
         if same(order, 1.0):
             integrator += factor
         else:
             powers.append((factor, order))
         if len(powers) > _MOST:
             return LowFrequency(0.0, (), tuple(top), tuple(bottom), is_split=False)
-        # The lowest term cancels by construction, exactly; leaving it to rounding would leave a pole at 0.
+        # The lowest term cancels by construction, exactly; leaving it to rounding would
+        # leave a pole at 0.
         product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
         rest = collect([*rest[:-1], *product])
     return LowFrequency(integrator, tuple(powers), tuple(rest), tuple(bottom))
@@ -275,19 +345,27 @@ Powers = Sequence[tuple[float, float]]
 
 
 def power_response(powers: Powers, times: Reals, degree: int) -> Reals:
-    """Sum of c t^(a+n-1)/Γ(a+n), n = `degree`: impulse (0), step (1) or ramp (2) response at times ≥ 0."""
+    """Sum of c t^(a+n-1)/Γ(a+n), n = `degree`: impulse (0), step (1) or ramp (2)
+    response at times ≥ 0.
+    """
     total = np.zeros(len(times))
     for factor, order in powers:
         exponent = order + degree - 1
         with np.errstate(divide="ignore"):
-            total += factor * np.exp(exponent * np.log(times) - math.lgamma(exponent + 1.0))
+            total += factor * np.exp(
+                exponent * np.log(times) - math.lgamma(exponent + 1.0)
+            )
     return total
 
 
-def power_weights(powers: Powers, period: float, ahead: float, count: int, hold: str) -> Reals:
-    """Weights of the held response at lags 0 … count-1, sampled `ahead` [s] after the input's samples.
+def power_weights(
+    powers: Powers, period: float, ahead: float, count: int, hold: str
+) -> Reals:
+    """Weights of the held response at lags 0 … count-1, sampled `ahead` [s] after the
+    input's samples.
 
-    Differences of t^b are taken without cancellation: by expm1 (step) or by the binomial series (ramp).
+    Differences of t^b are taken without cancellation: by expm1 (step) or by the
+    binomial series (ramp).
     """
     total = np.zeros(count)
     steps = np.arange(count, dtype=np.float64) + ahead / period  # time in periods
@@ -301,11 +379,15 @@ def power_weights(powers: Powers, period: float, ahead: float, count: int, hold:
 
 
 def jump_response(powers: Powers, period: float, times: Reals) -> Reals:
-    """Response to a unit jump at 0 minus that to a straight rise from -T to 0, at `times` ≥ 0."""
+    """Response to a unit jump at 0 minus that to a straight rise from -T to 0, at
+    `times` ≥ 0.
+    """
     total, steps = np.zeros(len(times)), times / period
     for factor, order in powers:
         scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 2.0))
-        total += scale * ((order + 1.0) * steps**order - _first_difference(steps + 1.0, order + 1.0))
+        total += scale * (
+            (order + 1.0) * steps**order - _first_difference(steps + 1.0, order + 1.0)
+        )
     return total
 
 
@@ -319,12 +401,22 @@ def _first_difference(t: Reals, power: float) -> Reals:
 
 def _second_difference(t: Reals, power: float) -> Reals:
     """(t+1)^b - 2 t^b + (t-1)^b, the last term only for t ≥ 1."""
-    result = (t + 1.0) ** power - 2.0 * t**power + np.where(t > 1.0, np.abs(t - 1.0) ** power, 0.0)
+    result = (
+        (t + 1.0) ** power
+        - 2.0 * t**power
+        + np.where(t > 1.0, np.abs(t - 1.0) ** power, 0.0)
+    )
     far = t > 20.0  # 10 terms of 1/400^k: 1e-26
     inverse = 1.0 / t[far] ** 2
     term, total = np.ones(inverse.shape), np.zeros(inverse.shape)
     for k in range(1, 11):
-        term = term * inverse * (power - 2 * k + 2) * (power - 2 * k + 1) / ((2 * k - 1) * (2 * k))
+        term = (
+            term
+            * inverse
+            * (power - 2 * k + 2)
+            * (power - 2 * k + 1)
+            / ((2 * k - 1) * (2 * k))
+        )
         total += 2.0 * term
     result[far] = t[far] ** power * total
     return result

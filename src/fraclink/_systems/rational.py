@@ -1,4 +1,6 @@
-"""Integer-order stand-ins for fractional systems: the filters with a name, and the minimax rational."""
+"""Integer-order stand-ins for fractional systems: the filters with a name, and the
+minimax rational.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ from fraclink.errors import FieldError
 @compared
 @dataclass(frozen=True, eq=False)
 class RationalApproximation:
-    """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is given.
+    """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is
+    given.
 
     Attributes
     ----------
@@ -103,10 +106,13 @@ def approximate(
     band: Band,
     order: Annotated[int, Between(1, 40)],
     *,
-    method: Literal["oustaloup", "refined", "carlson", "charef", "matched-z", "minimax"] = "oustaloup",
+    method: Literal[
+        "oustaloup", "refined", "carlson", "charef", "matched-z", "minimax"
+    ] = "oustaloup",
     period: Positive | None = None,
 ) -> RationalApproximation:
-    """Return an integer-order approximation of a fractional system in a band, with its achieved error.
+    """Return an integer-order approximation of a fractional system in a band, with its
+    achieved error.
 
     Parameters
     ----------
@@ -115,32 +121,35 @@ def approximate(
     band
         Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
     order
-        "minimax": number of poles of the whole, 1 … 12. The others replace each fractional power s^(a − ⌊a⌋)
-        by a filter, with 1 … 40 pole-zero pairs ("oustaloup", "matched-z"; "refined" has two pairs more),
-        poles ("charef") or at most as many pairs as Newton's steps give ("carlson": 1, 4, 13, 40 for 1/2).
+        "minimax": number of poles of the whole, 1 … 12. The others replace each
+        fractional power s^(a − ⌊a⌋) by a filter, with 1 … 40 pole-zero pairs
+        ("oustaloup", "matched-z"; "refined" has two pairs more), poles ("charef") or at
+        most as many pairs as Newton's steps give ("carlson": 1, 4, 13, 40 for 1/2).
     method
-        "minimax" has the smallest worst relative error over the band for its number of poles. The others are
-        known by name: "oustaloup" is the recursive filter that FOMCON and others use, known to be poor at the
-        band's ends; "refined" is Xue's modification of it; "carlson" is Newton's process for the q-th root
-        around the middle of the band, for fractional parts 1/q and 1 − 1/q; "charef" is the singularity
-        function from a decade below the band to a decade above; "matched-z" maps Oustaloup's poles and zeros
-        by z = e^(sT).
+        "minimax" has the smallest worst relative error over the band for its number of
+        poles. The others are known by name: "oustaloup" is the recursive filter that
+        FOMCON and others use, known to be poor at the band's ends; "refined" is Xue's
+        modification of it; "carlson" is Newton's process for the q-th root around the
+        middle of the band, for fractional parts 1/q and 1 − 1/q; "charef" is the
+        singularity function from a decade below the band to a decade above; "matched-z"
+        maps Oustaloup's poles and zeros by z = e^(sT).
     period
-        Sampling period [s] for a discrete result: the filters by the bilinear map ("matched-z" by its own),
-        or the minimax fit on the unit circle.
+        Sampling period [s] for a discrete result: the filters by the bilinear map
+        ("matched-z" by its own), or the minimax fit on the unit circle.
 
 
     Raises
     ------
     FieldError
-        Bad band, order or method, a delay, a system improper by one order or more, unstable poles (minimax),
-        another fractional part (carlson), no period (matched-z).
+        Bad band, order or method, a delay, a system improper by one order or more,
+        unstable poles (minimax), another fractional part (carlson), no period
+        (matched-z).
 
     References
     ----------
-    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25; Xue, Zhao and Chen, Proc. IEEE ICMA (2006)
-    1043; Carlson and Halijak, IEEE Trans. Circuit Theory 11 (1964) 210; Charef et al., IEEE Trans. Autom.
-    Control 37 (1992) 1465.
+    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25; Xue, Zhao and Chen,
+    Proc. IEEE ICMA (2006) 1043; Carlson and Halijak, IEEE Trans. Circuit Theory 11
+    (1964) 210; Charef et al., IEEE Trans. Autom. Control 37 (1992) 1465.
 
     Examples
     --------
@@ -157,16 +166,21 @@ def approximate(
     elif period is None:
         zeros, found, gain = _continuous(system, band, order)
     else:
-        fit = fit_discrete(lambda w: system(1j * w), period=period, band=band, order=order)
+        fit = fit_discrete(
+            lambda w: system(1j * w), period=period, band=band, order=order
+        )
         half = 0.5 * fit.pole_gains
         parts = np.concatenate([fit.gains, half, half.conj()])
-        # The fit's pairs are ½(c/(z − q) + c̄/(z − q̄)): as plain fractions each of both has half.
+        # The fit's pairs are ½(c/(z − q) + c̄/(z − q̄)): as plain fractions each of
+        # both has half.
         found = fit.poles
         zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
     made = RationalApproximation(zeros, found, gain, period, band, method)
-    # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant ones the lower end.
+    # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant
+    # ones the lower end.
     w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
-    # One logarithm gives both errors: its real part in nepers, its imaginary part in radians without turns.
+    # One logarithm gives both errors: its real part in nepers, its imaginary part in
+    # radians without turns.
     ratio = np.log(made.frequency_response(w) / system(1j * w))
     return replace(
         made,
@@ -185,12 +199,25 @@ def _filtered(
     """Zeros, poles and gain with a filter in place of each fractional power."""
     if method == "matched-z" and period is None:
         remedy = "give period=, or use method='oustaloup' for a continuous filter"
-        raise FieldError("period", None, "missing", allowed="> 0 s for method='matched-z'", remedy=remedy)
+        raise FieldError(
+            "period",
+            None,
+            "missing",
+            allowed="> 0 s for method='matched-z'",
+            remedy=remedy,
+        )
     kind = FILTERS["oustaloup" if method == "matched-z" else method]
-    zeros, found, gain = substituted(system.numerator, system.denominator, lambda f: kind(f, band, order))
+    zeros, found, gain = substituted(
+        system.numerator, system.denominator, lambda f: kind(f, band, order)
+    )
     if len(zeros) > len(found):
-        problem, remedy = "a filter with more zeros than poles here", "use method='oustaloup' or 'minimax'"
-        raise FieldError("method", method, problem, allowed="a proper result", remedy=remedy)
+        problem, remedy = (
+            "a filter with more zeros than poles here",
+            "use method='oustaloup' or 'minimax'",
+        )
+        raise FieldError(
+            "method", method, problem, allowed="a proper result", remedy=remedy
+        )
     if period is None:
         return zeros, found, gain
     if method == "matched-z":
@@ -198,43 +225,75 @@ def _filtered(
     return bilinear(zeros, found, gain, period)
 
 
-def _check(system: FractionalTransferFunction, band: tuple[float, float], period: float | None) -> None:
+def _check(
+    system: FractionalTransferFunction, band: tuple[float, float], period: float | None
+) -> None:
     """What involves several arguments, or the system's own structure."""
     checked_band(band, period)
     if any(t.delay for t in (*system.numerator, *system.denominator)):
-        remedy = "approximate the system without its delay and keep the delay as samples"
+        remedy = (
+            "approximate the system without its delay and keep the delay as samples"
+        )
         allowed = "systems without delay"
-        raise FieldError("system", repr(system), "delayed", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "system", repr(system), "delayed", allowed=allowed, remedy=remedy
+        )
     if not system.numerator:
-        problem, remedy = "zero at every frequency", "approximate what is not zero: every error is relative"
-        raise FieldError("system", repr(system), problem, allowed="functions other than 0", remedy=remedy)
+        problem, remedy = (
+            "zero at every frequency",
+            "approximate what is not zero: every error is relative",
+        )
+        raise FieldError(
+            "system",
+            repr(system),
+            problem,
+            allowed="functions other than 0",
+            remedy=remedy,
+        )
     if system.relative_degree <= -1:
-        problem, remedy = "improper by one order or more", "divide by a power of s: s^1.65 is s times s^0.65"
+        problem, remedy = (
+            "improper by one order or more",
+            "divide by a power of s: s^1.65 is s times s^0.65",
+        )
         allowed = "relative degree > -1"
-        raise FieldError("system", repr(system), problem, allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "system", repr(system), problem, allowed=allowed, remedy=remedy
+        )
 
 
 def _continuous(
     system: FractionalTransferFunction, band: tuple[float, float], order: int
 ) -> tuple[Complexes, Complexes, float]:
     known = poles(system)
-    # The fit places its poles in the open left half plane only; of an unstable system it would find the
-    # stable function that is nearest on the axis, and say nothing.
+    # The fit places its poles in the open left half plane only; of an unstable system
+    # it would find the stable function that is nearest on the axis, and say nothing.
     if np.any(known.real >= 0):
         allowed, remedy = "stable poles for method='minimax'", "use method='oustaloup'"
-        raise FieldError("system", repr(system), "not stable", allowed=allowed, remedy=remedy)
-    # Few enough that a Newton step costs microseconds, more than ten a pole at the highest order.
+        raise FieldError(
+            "system", repr(system), "not stable", allowed=allowed, remedy=remedy
+        )
+    # Few enough that a Newton step costs microseconds, more than ten a pole at the
+    # highest order.
     w = np.geomspace(*band, 160)
-    near = known[(np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)]
+    near = known[
+        (np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)
+    ]
     for p in near:  # a resonance needs points of its own
-        # ±4 in sinh are 27 half widths: there the resonance is its own skirt, which the even points show.
+        # ±4 in sinh are 27 half widths: there the resonance is its own skirt, which the
+        # even points show.
         width = max(abs(p.real) / abs(p), 1e-6)
         w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
     w = np.unique(w[(w >= band[0]) & (w <= band[1])])
     wanted = system(1j * w)
-    # 0.1 dB weighs as much as 0.5°: the balance of a law's fit, the absolute size does not matter here.
-    nepers, radians = np.full(w.size, 20 / math.log(10) / 0.1), np.full(w.size, 180 / math.pi / 0.5)
-    target = Target(w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians)
+    # 0.1 dB weighs as much as 0.5°: the balance of a law's fit, the absolute size does
+    # not matter here.
+    nepers, radians = (
+        np.full(w.size, 20 / math.log(10) / 0.1),
+        np.full(w.size, 180 / math.pi / 0.5),
+    )
+    target = Target(
+        w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians
+    )
     grown = list(grow(target, band, order, resonances=[-p for p in near]))
     fit = finish(grown[-1], target)
     sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()

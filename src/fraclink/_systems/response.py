@@ -1,4 +1,6 @@
-"""Time responses from rest: `time_response`, `step_response`, `impulse_response`, `discrete_modes`."""
+"""Time responses from rest: `time_response`, `step_response`, `impulse_response`,
+`discrete_modes`.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,14 @@ SamplePeriod = Annotated[float, Between(1e-12, 1e12, "s")]
 Hold = Literal["zero", "first"]
 
 TOLERANCE = 1e-12
-FFT_BYTES = 2000  # per sample of the numerical inversion: four spans, eight times oversampled
-_METHODS = ("modes", "modes+convolution", "contour")  # from the most to the least direct
+FFT_BYTES = (
+    2000  # per sample of the numerical inversion: four spans, eight times oversampled
+)
+_METHODS = (
+    "modes",
+    "modes+convolution",
+    "contour",
+)  # from the most to the least direct
 
 
 @compared
@@ -36,11 +44,13 @@ _METHODS = ("modes", "modes+convolution", "contour")  # from the most to the lea
 class TimeResponse:
     """A response from rest at equally spaced samples (or at the times asked for).
 
-    `time` [s] and `output` are read-only arrays of one length. `method` is "modes" (exact sum of
-    exponentials), "modes+convolution" (a singular power of 1/s was convolved exactly besides), "contour" (one
-    contour integral per lag, where modes would cancel) or "fft" (numerical inversion). `error_estimate` is an
-    estimate of the largest error of `output`, from an independent evaluation at a few times. `modes` counts
-    the exponentials, a pair as two; `period` [s] and `hold` are those of the request.
+    `time` [s] and `output` are read-only arrays of one length. `method` is "modes"
+    (exact sum of exponentials), "modes+convolution" (a singular power of 1/s was
+    convolved exactly besides), "contour" (one contour integral per lag, where modes
+    would cancel) or "fft" (numerical inversion). `error_estimate` is an estimate of the
+    largest error of `output`, from an independent evaluation at a few times. `modes`
+    counts the exponentials, a pair as two; `period` [s] and `hold` are those of the
+    request.
     """
 
     time: Reals
@@ -63,19 +73,26 @@ class TimeResponse:
 
 @checked
 def time_response(
-    G: FractionalTransferFunction, u: Signal, period: SamplePeriod, *, hold: Hold = "zero"
+    G: FractionalTransferFunction,
+    u: Signal,
+    period: SamplePeriod,
+    *,
+    hold: Hold = "zero",
 ) -> TimeResponse:
-    """Return the output of G for the sampled input u, from rest, exact at the samples for a held input.
+    """Return the output of G for the sampled input u, from rest, exact at the samples
+    for a held input.
 
-    y(t) = ∫₀ᵗ g(t-τ) u(τ) dτ with u held between samples: constant (`hold="zero"`, a D/A converter) or
-    straight (`"first"`, starting with a jump from 0 to u[0]). Before the first sample everything is at rest.
+    y(t) = ∫₀ᵗ g(t-τ) u(τ) dτ with u held between samples: constant (`hold="zero"`, a
+    D/A converter) or straight (`"first"`, starting with a jump from 0 to u[0]). Before
+    the first sample everything is at rest.
 
     Parameters
     ----------
     G
         Proper; integrators, unstable poles and delays are allowed.
     u
-        Input at k·period, k = 0 … N-1, shape (N,). y[k] contains the jump of a direct feedthrough at k.
+        Input at k·period, k = 0 … N-1, shape (N,). y[k] contains the jump of a direct
+        feedthrough at k.
     period
         Sampling period, 1e-12 … 1e12 s.
     hold
@@ -84,14 +101,15 @@ def time_response(
     Raises
     ------
     FieldError
-        Improper G, input that is not a finite vector, period or hold out of range, an unstable pole whose
-        response leaves the range of doubles within the span.
+        Improper G, input that is not a finite vector, period or hold out of range, an
+        unstable pole whose response leaves the range of doubles within the span.
     SizeError
         N beyond the machine's memory, refused before anything is allocated.
 
     Notes
     -----
-    Method and error estimate: docs/explanation/numerics.md. Cost O(N · modes), state O(modes).
+    Method and error estimate: docs/explanation/numerics.md. Cost O(N · modes), state
+    O(modes).
 
     Examples
     --------
@@ -111,14 +129,18 @@ def time_response(
             )
             for delay, top in delay_groups(G).items()
         ]
-    except NotConvergedError:  # the poles cannot be certified: zeros of high multiplicity
+    except (
+        NotConvergedError
+    ):  # the poles cannot be certified: zeros of high multiplicity
         return _by_inversion(G, feedthrough(G), values, period, hold)
     return _assembled(grid(len(values), period), parts, period, hold)
 
 
 @checked
 def step_response(
-    G: FractionalTransferFunction, time: Positive | Times, period: Positive | None = None
+    G: FractionalTransferFunction,
+    time: Positive | Times,
+    period: Positive | None = None,
 ) -> TimeResponse:
     """Return the response of G to a unit step at t = 0, from rest.
 
@@ -127,8 +149,8 @@ def step_response(
     G
         As for `time_response`.
     time
-        Duration [s], with `period`; or times ≥ 0 [s] in any spacing, shape (N,). At t = 0 the value is the
-        one after the jump.
+        Duration [s], with `period`; or times ≥ 0 [s] in any spacing, shape (N,). At t =
+        0 the value is the one after the jump.
     period
         Distance of the samples [s] where `time` is a duration.
 
@@ -143,12 +165,16 @@ def step_response(
 
 @checked
 def impulse_response(
-    G: FractionalTransferFunction, time: Positive | Times, period: Positive | None = None
+    G: FractionalTransferFunction,
+    time: Positive | Times,
+    period: Positive | None = None,
 ) -> TimeResponse:
-    """Return the response of G to a unit impulse at t = 0, from rest; arguments as for `step_response`.
+    """Return the response of G to a unit impulse at t = 0, from rest; arguments as for
+    `step_response`.
 
-    A direct feedthrough D gives an impulse D·δ(t) besides, which no sample shows. At t = 0 the value is the
-    limit from the right; it is infinite where the relative degree is below 1.
+    A direct feedthrough D gives an impulse D·δ(t) besides, which no sample shows. At t
+    = 0 the value is the limit from the right; it is infinite where the relative degree
+    is below 1.
 
     Examples
     --------
@@ -173,7 +199,8 @@ def discrete_modes(
     Parameters
     ----------
     G
-        Proper, without delays in the denominator; the numerator's terms share one delay.
+        Proper, without delays in the denominator; the numerator's terms share one
+        delay.
     period
         Sampling period T, 1e-12 … 1e12 s.
     hold
@@ -181,18 +208,21 @@ def discrete_modes(
     span
         Longest time [s] over which the response is remembered, T … 1e15 s.
     tolerance
-        Error of the step response relative to its peak, 1e-14 … 1e-2, kept at nine times of the span; between
-        them it may be up to six times as large. Fewer modes for a larger one.
+        Error of the step response relative to its peak, 1e-14 … 1e-2, kept at nine
+        times of the span; between them it may be up to six times as large. Fewer modes
+        for a larger one.
 
     Raises
     ------
     FieldError
-        Improper G, several delays, a denominator with delays, singular powers s^-a with a ≥ 0.94 other than
-        the integrator 1/s (use `time_response`, which convolves them), values out of range.
+        Improper G, several delays, a denominator with delays, singular powers s^-a with
+        a ≥ 0.94 other than the integrator 1/s (use `time_response`, which convolves
+        them), values out of range.
 
     Notes
     -----
-    Branch-cut integral by a pole-corrected trapezoid rule; see docs/explanation/numerics.md.
+    Branch-cut integral by a pole-corrected trapezoid rule; see
+    docs/explanation/numerics.md.
 
     Examples
     --------
@@ -201,20 +231,31 @@ def discrete_modes(
     >>> modes.decays, modes.gains
     (array([0.90483742]), array([0.09516258]))
     """
-    Between(period, 1e15, "s", remedy="the response is remembered for one period at least").check(
-        "span", span
-    )
+    Between(
+        period, 1e15, "s", remedy="the response is remembered for one period at least"
+    ).check("span", span)
     groups = delay_groups(G)
     if len(groups) > 1:
-        allowed, remedy = "one delay common to all terms", "take the parts one by one, or use time_response"
-        raise FieldError("delay", sorted(groups), "several in the numerator", allowed=allowed, remedy=remedy)
+        allowed, remedy = (
+            "one delay common to all terms",
+            "take the parts one by one, or use time_response",
+        )
+        raise FieldError(
+            "delay",
+            sorted(groups),
+            "several in the numerator",
+            allowed=allowed,
+            remedy=remedy,
+        )
     delay, top = next(iter(groups.items()), (0.0, ()))
     held = held_quotient(top, G.denominator)
     if held.low.powers or not held.low.is_split:
         order = held.low.powers[0][1] if held.low.powers else G.denominator[-1].order
         allowed = "singular powers s^-a with a < 0.94, and the integrator 1/s"
         problem = "a power of 1/s without a sum of modes"
-        raise FieldError("order", order, problem, allowed=allowed, remedy="use time_response")
+        raise FieldError(
+            "order", order, problem, allowed=allowed, remedy="use time_response"
+        )
     return held.modes(period, hold=hold, span=span, tolerance=tolerance, delay=delay)
 
 
@@ -230,11 +271,15 @@ def _instants(time: object, period: float | None) -> Reals:
     if period is not None:
         allowed = "a duration and a period, or times alone"
         problem = "given beside an array of times"
-        raise FieldError("period", period, problem, allowed=allowed, remedy="leave the period out")
+        raise FieldError(
+            "period", period, problem, allowed=allowed, remedy="leave the period out"
+        )
     return np.array(time, np.float64)
 
 
-def _fixed(G: FractionalTransferFunction, time: object, period: float | None, degree: int) -> TimeResponse:
+def _fixed(
+    G: FractionalTransferFunction, time: object, period: float | None, degree: int
+) -> TimeResponse:
     """The response to an impulse (degree 0) or a step (1)."""
     times = _instants(time, period)
     if any(t.delay for t in G.denominator):
@@ -249,7 +294,8 @@ def _fixed(G: FractionalTransferFunction, time: object, period: float | None, de
     try:
         for delay, top in delay_groups(G).items():
             late = times - delay
-            # A sample on the jump itself counts as after it, also where k·period - delay rounds below 0.
+            # A sample on the jump itself counts as after it, also where k·period -
+            # delay rounds below 0.
             late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
             parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
     except NotConvergedError:
@@ -261,7 +307,9 @@ def _fixed(G: FractionalTransferFunction, time: object, period: float | None, de
     return _assembled(times, parts, period, "impulse" if degree == 0 else "zero")
 
 
-def _assembled(time: Reals, parts: list[Part], period: float | None, hold: str) -> TimeResponse:
+def _assembled(
+    time: Reals, parts: list[Part], period: float | None, hold: str
+) -> TimeResponse:
     """The sum over the delays; the least direct method of all parts names the result."""
     output = parts[0].output if parts else np.zeros(len(time))
     for part in parts[1:]:
@@ -272,7 +320,11 @@ def _assembled(time: Reals, parts: list[Part], period: float | None, hold: str) 
 
 
 def _by_inversion(
-    G: FractionalTransferFunction, exact: FractionalTransferFunction, u: Reals, period: float, hold: Hold
+    G: FractionalTransferFunction,
+    exact: FractionalTransferFunction,
+    u: Reals,
+    period: float,
+    hold: Hold,
 ) -> TimeResponse:
     """The response of `exact`, which has one, plus the numerically inverted rest."""
     refuse_beyond_memory("u", len(u), FFT_BYTES)
@@ -280,10 +332,13 @@ def _by_inversion(
     if not len(u):
         return base
     degree = 1 if hold == "zero" else 2
-    # One sample more than asked for: the weights of a first-order hold look one period ahead.
+    # One sample more than asked for: the weights of a first-order hold look one period
+    # ahead.
     rest, error = invert(G, exact, len(u) + 1, period, degree)
     output = base.output + convolve(_weights(rest, period, degree), u)
-    error = error / period if degree == 2 else error  # the weights of a first-order hold are slopes of it
+    error = (
+        error / period if degree == 2 else error
+    )  # the weights of a first-order hold are slopes of it
     if degree == 2 and u[0] != 0.0:
         jump, jump_error = invert(G, exact, len(u), period, 1)
         output += u[0] * (jump - np.diff(rest) / period)
@@ -301,20 +356,35 @@ def _weights(rest: Reals, period: float, degree: int) -> Reals:
 
 @lru_cache(maxsize=64)
 def held_quotient(top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotient:
-    """The poles and the low-frequency part of N/D, kept for the next period, hold or input."""
+    """The poles and the low-frequency part of N/D, kept for the next period, hold or
+    input.
+    """
     return HeldQuotient.of(top, bottom)
 
 
 def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]:
-    """The numerator's terms by delay [s]; raises for an improper G or delays in the denominator."""
+    """The numerator's terms by delay [s]; raises for an improper G or delays in the
+    denominator.
+    """
     if not G.is_proper:
-        remedy = "add a filter: a time response of a derivative of a step does not exist"
+        remedy = (
+            "add a filter: a time response of a derivative of a step does not exist"
+        )
         problem = "negative: the system is improper"
-        raise FieldError("relative_degree", G.relative_degree, problem, allowed=">= 0", remedy=remedy)
-    if any(t.delay for t in G.denominator):
-        longest, remedy = max(t.delay for t in G.denominator), "use time_response, which inverts numerically"
         raise FieldError(
-            "delay", longest, "in the denominator", allowed="delays in the numerator", remedy=remedy
+            "relative_degree", G.relative_degree, problem, allowed=">= 0", remedy=remedy
+        )
+    if any(t.delay for t in G.denominator):
+        longest, remedy = (
+            max(t.delay for t in G.denominator),
+            "use time_response, which inverts numerically",
+        )
+        raise FieldError(
+            "delay",
+            longest,
+            "in the denominator",
+            allowed="delays in the numerator",
+            remedy=remedy,
         )
     groups: dict[float, tuple[Term, ...]] = {}
     for t in G.numerator:
@@ -324,7 +394,9 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
 
 # --- The Grünwald–Letnikov simulation, for comparison only --------------------------------------------
 
-_LONGEST = 300_000  # samples: N²/2 products of each of two sums, half a minute of one core
+_LONGEST = (
+    300_000  # samples: N²/2 products of each of two sums, half a minute of one core
+)
 
 
 def grunwald_letnikov_weights(order: float, count: int) -> Reals:
@@ -336,7 +408,9 @@ def grunwald_letnikov_weights(order: float, count: int) -> Reals:
     array([ 1.    , -0.5   , -0.125 , -0.0625])
     """
     k = np.arange(1.0, count)
-    weights: Reals = np.concatenate(([1.0], np.cumprod(1.0 - (order + 1.0) / k)))[:count]
+    weights: Reals = np.concatenate(([1.0], np.cumprod(1.0 - (order + 1.0) / k)))[
+        :count
+    ]
     return weights
 
 
@@ -346,12 +420,14 @@ def grunwald_letnikov(
     u: Annotated[ArrayLike, Array(1, flags=True)],
     period: Annotated[float, Between(1e-12, 1e12, "s")],
 ) -> Reals:
-    """Return the response of G to samples u by the Grünwald–Letnikov difference with full memory.
+    """Return the response of G to samples u by the Grünwald–Letnikov difference with
+    full memory.
 
-    s^a becomes T^(-a) Σ_k (-1)^k binom(a, k) z^(-k) in numerator and denominator. This is the method of
-    FOMCON's `fode_sol` and of the source paper, offered for comparison: its error is of first order in the
-    period, 6 % (step) to 16 % (random binary input) of full scale on a lightly damped link at 4 ms, and its
-    cost is O(N²). Never use it for a plant.
+    s^a becomes T^(-a) Σ_k (-1)^k binom(a, k) z^(-k) in numerator and denominator. This
+    is the method of FOMCON's `fode_sol` and of the source paper, offered for
+    comparison: its error is of first order in the period, 6 % (step) to 16 % (random
+    binary input) of full scale on a lightly damped link at 4 ms, and its cost is O(N²).
+    Never use it for a plant.
 
     Parameters
     ----------
@@ -376,20 +452,30 @@ def grunwald_letnikov(
     array([0.5  , 0.75 , 0.875])
     """
     if any(t.delay for t in (*G.numerator, *G.denominator)):
-        raise FieldError("delay", G.delay, "present", allowed="no delays", remedy="use time_response")
+        raise FieldError(
+            "delay", G.delay, "present", allowed="no delays", remedy="use time_response"
+        )
     values = np.ascontiguousarray(u, np.float64)
     count = len(values)
     if count > _LONGEST:
-        problem = f"too many samples for a memory of all of them: {count**2:.2g} products"
+        problem = (
+            f"too many samples for a memory of all of them: {count**2:.2g} products"
+        )
         remedy = "use time_response, whose cost is linear in N"
         raise SizeError("u", count, problem, allowed=f"<= {_LONGEST}", remedy=remedy)
-    driven = np.asarray(_kernels.memory_sum(_combined(G.numerator, count, period), values))
-    output: Reals = np.asarray(_kernels.memory_solve(_combined(G.denominator, count, period), driven))
+    driven = np.asarray(
+        _kernels.memory_sum(_combined(G.numerator, count, period), values)
+    )
+    output: Reals = np.asarray(
+        _kernels.memory_solve(_combined(G.denominator, count, period), driven)
+    )
     return output
 
 
 def _combined(terms: Sequence[Term], count: int, period: float) -> Reals:
     total = np.zeros(count)
     for t in terms:
-        total += t.coefficient * period**-t.order * grunwald_letnikov_weights(t.order, count)
+        total += (
+            t.coefficient * period**-t.order * grunwald_letnikov_weights(t.order, count)
+        )
     return total

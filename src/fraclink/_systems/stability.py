@@ -15,7 +15,9 @@ from fraclink._systems.terms import Complexes, Term
 from fraclink._validate import checked
 from fraclink.errors import FieldError
 
-_SAME = 1e-10  # relative distance at which a zero cancels a pole: what twelve-digit coefficients can tell
+# relative distance at which a zero cancels a pole: what twelve-digit coefficients can
+# tell
+_SAME = 1e-10
 _ON_AXIS = 1e-12  # rad between a pole and the imaginary axis below which it lies on it
 
 
@@ -26,17 +28,19 @@ class StabilityVerdict:
     Attributes
     ----------
     stable
-        No pole of the principal sheet in Re s ≥ 0 and no integrator: bounded inputs give bounded outputs
-        (of an improper system: inputs with bounded derivatives).
+        No pole of the principal sheet in Re s ≥ 0 and no integrator: bounded inputs
+        give bounded outputs (of an improper system: inputs with bounded derivatives).
     reason
         One sentence.
     unstable_poles
-        Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator (only counted).
+        Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator
+        (only counted).
     integrators
         a where s^a divides the denominator, 0 for none.
     winding
-        Certified number of poles with Re s > 0 (argument principle), multiplicities counted; −1 where they
-        are infinitely many or come as near to the axis as one likes.
+        Certified number of poles with Re s > 0 (argument principle), multiplicities
+        counted; −1 where they are infinitely many or come as near to the axis as one
+        likes.
     """
 
     stable: bool
@@ -54,11 +58,13 @@ class StabilityVerdict:
 
 @checked
 def poles(system: FractionalTransferFunction) -> Complexes:
-    """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and multiplicities.
+    """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and
+    multiplicities.
 
-    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. A factor s^n with an integer
-    n of a system of integer orders gives n poles 0; a factor s^a of a fractional system is a branch point
-    and no pole: `is_stable` names it. Poles on other sheets shape the response but have no mode.
+    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. A factor
+    s^n with an integer n of a system of integer orders gives n poles 0; a factor s^a of
+    a fractional system is a branch point and no pole: `is_stable` names it. Poles on
+    other sheets shape the response but have no mode.
 
     They are sorted by argument [rad/s], each pair together; 1/(s^0.5 + 1) has none.
 
@@ -74,7 +80,8 @@ def poles(system: FractionalTransferFunction) -> Complexes:
 
     References
     ----------
-    Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without one.
+    Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without
+    one.
 
     Examples
     --------
@@ -87,12 +94,14 @@ def poles(system: FractionalTransferFunction) -> Complexes:
 
 @checked
 def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
-    """Return the verdict on stability: every pole of the principal sheet in Re s < 0 and no integrator.
+    """Return the verdict on stability: every pole of the principal sheet in Re s < 0
+    and no integrator.
 
-    The number of poles is certified by the argument principle on the log-plane. With a delay in the
-    denominator the poles in Re s > 0 are counted along the imaginary axis. A loop of neutral type (its direct
-    path is delayed) is stable only if that path's gain is below 1: otherwise every harmonic of the delay
-    grows, or decays as slowly as one likes.
+    The number of poles is certified by the argument principle on the log-plane. With a
+    delay in the denominator the poles in Re s > 0 are counted along the imaginary axis.
+    A loop of neutral type (its direct path is delayed) is stable only if that path's
+    gain is below 1: otherwise every harmonic of the delay grows, or decays as slowly as
+    one likes.
 
     The verdict is usable as a bool.
 
@@ -103,7 +112,8 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     Raises
     ------
     FieldError
-        A delay in the denominator, and a pole on the imaginary axis or too close to it to tell.
+        A delay in the denominator, and a pole on the imaginary axis or too close to it
+        to tell.
 
     Examples
     --------
@@ -117,16 +127,19 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     if any(t.delay for t in system.denominator):
         count = right_half_plane_zeros(system.denominator)
         return _verdict(system, (), integrators, count, delayed=True)
-    # The poles are found, not only counted: `log_zeros` returns as many as the argument principle certifies,
-    # so that counting those with Re s > 0 is counting certified ones.
+    # The poles are found, not only counted: `log_zeros` returns as many as the argument
+    # principle certifies, so that counting those with Re s > 0 is counting certified
+    # ones.
     logs, cancelled = _pole_logs(system)
     bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
     inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
-    # The upper half plane was searched: each pole off the real axis stands for itself and its conjugate.
+    # The upper half plane was searched: each pole off the real axis stands for itself
+    # and its conjugate.
     winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
     found = tuple(complex(p) for p in _both_halves(bad, 0))
     verdict = _verdict(system, found, integrators, winding, delayed=False)
-    # A cancelled pole is no part of the transfer function, but the plant behind it still grows: it is told.
+    # A cancelled pole is no part of the transfer function, but the plant behind it
+    # still grows: it is told.
     hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
     if not hidden.size:
         return verdict
@@ -158,7 +171,9 @@ def _verdict(
     else:
         reason = "no pole has Re s ≥ 0"
         if not system.is_proper:
-            reason += "; the system is improper: its output is bounded for smooth inputs only"
+            reason += (
+                "; the system is improper: its output is bounded for smooth inputs only"
+            )
     stable = not bad and not winding and not integrators
     return StabilityVerdict(stable, reason, bad, integrators, winding)
 
@@ -172,8 +187,14 @@ def _shown(p: complex) -> str:
 
 
 def _integrators(system: FractionalTransferFunction) -> float:
-    """a > 0 where G ~ s^(−a) at s = 0; numerator and denominator may both have terms that cancel there."""
-    return max(0.0, _lowest(system.denominator) - _lowest(system.numerator)) if system.numerator else 0.0
+    """a > 0 where G ~ s^(−a) at s = 0; numerator and denominator may both have terms
+    that cancel there.
+    """
+    return (
+        max(0.0, _lowest(system.denominator) - _lowest(system.numerator))
+        if system.numerator
+        else 0.0
+    )
 
 
 def _lowest(terms: Sequence[Term]) -> float:
@@ -182,22 +203,34 @@ def _lowest(terms: Sequence[Term]) -> float:
 
 def _poles_at_origin(system: FractionalTransferFunction) -> int:
     orders = [t.order for t in (*system.numerator, *system.denominator)]
-    # s^2.5 is no pole of any multiplicity but a branch point: only a system of integer orders has poles at 0.
-    return int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
+    # s^2.5 is no pole of any multiplicity but a branch point: only a system of integer
+    # orders has poles at 0.
+    return (
+        int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
+    )
 
 
 def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
-    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the numerator cancels."""
+    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the
+    numerator cancels.
+    """
     if any(t.delay for t in system.denominator):
-        allowed, problem = "delays in the numerator only", "delayed: it has infinitely many poles"
+        allowed, problem = (
+            "delays in the numerator only",
+            "delayed: it has infinitely many poles",
+        )
         remedy = "use is_stable or margins"
-        raise FieldError("denominator", repr(system), problem, allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "denominator", repr(system), problem, allowed=allowed, remedy=remedy
+        )
     left, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator
-    # A common delay moves no zero; several delays make infinitely many, none of which cancels a pole exactly.
+    # A common delay moves no zero; several delays make infinitely many, none of which
+    # cancels a pole exactly.
     if len(top) > 1 and all(t.delay == top[0].delay for t in top):
         for zero in _logs(top).tolist():
-            # One at a time: a double pole with one zero on it is a simple pole, not none.
+            # One at a time: a double pole with one zero on it is a simple pole, not
+            # none.
             near = [p for p in left if abs(p - zero) < _SAME][:1]
             if near:
                 left.remove(near[0])
@@ -206,7 +239,9 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
 
 
 def _logs(terms: Sequence[Term]) -> Complexes:
-    return log_zeros([t.coefficient for t in terms], [t.order for t in terms], angle=math.pi)
+    return log_zeros(
+        [t.coefficient for t in terms], [t.order for t in terms], angle=math.pi
+    )
 
 
 def _both_halves(z: Complexes, at_origin: int) -> Complexes:
@@ -214,8 +249,8 @@ def _both_halves(z: Complexes, at_origin: int) -> Complexes:
     found: list[complex] = [0j] * at_origin
     for log in z:
         size, angle = math.exp(log.real), float(log.imag)
-        # `log_zeros` puts zeros on the edges exactly there; e^z would leave an imaginary part of 1e-16, and a
-        # real pole would count as a pair.
+        # `log_zeros` puts zeros on the edges exactly there; e^z would leave an
+        # imaginary part of 1e-16, and a real pole would count as a pair.
         if angle in (0.0, math.pi):
             found.append(complex(math.copysign(size, math.cos(angle))))
         elif abs(angle - 0.5 * math.pi) < _ON_AXIS:

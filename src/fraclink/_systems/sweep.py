@@ -1,4 +1,6 @@
-"""Following a response: a grid that it refines itself, roots in known brackets, extremes."""
+"""Following a response: a grid that it refines itself, roots in known brackets,
+extremes.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +18,21 @@ from fraclink._systems.loops import FractionalLoop, SampledLoop, as_loop
 from fraclink._systems.terms import Complexes, Reals
 from fraclink.errors import FieldError
 
-TURN = 0.5  # largest change of phase between neighbours [rad]: a crossing is then bracketed surely
+# largest change of phase between neighbours [rad]: a crossing is then bracketed surely
+TURN = 0.5
 RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
-CLOSEST = 1e-9  # neighbours closer than this in ln ω have a pole or zero of the axis between them
+# neighbours closer than this in ln ω have a pole or zero of the axis between them
+CLOSEST = 1e-9
 POINT_LIMIT = 50_000
-# |L| below which a delay's turning is no longer followed, and the points that may be spent on it: a loop that
-# rolls off like ω^(−1/2) would need millions for crossings at −60 dB that say nothing.
+# |L| below which a delay's turning is no longer followed, and the points that may be
+# spent on it: a loop that rolls off like ω^(−1/2) would need millions for crossings at
+# −60 dB that say nothing.
 _PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
 
 
 def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
-    """Return (ln ω, L, quiet): neither ln L nor 1 + L moves far between neighbours where |L| > quiet.
+    """Return (ln ω, L, quiet): neither ln L nor 1 + L moves far between neighbours
+    where |L| > quiet.
 
     `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
     """
@@ -62,16 +68,22 @@ def _refined(
     return x, values
 
 
-def _too_wide(loop: SampledLoop, x: Reals, values: Complexes, quiet: float) -> NDArray[np.intp]:
-    """Intervals to halve: ln L moves too far, or 1 + L more than its distance from zero."""
+def _too_wide(
+    loop: SampledLoop, x: Reals, values: Complexes, quiet: float
+) -> NDArray[np.intp]:
+    """Intervals to halve: ln L moves too far, or 1 + L more than its distance from
+    zero.
+    """
     change = np.log(values[1:] / values[:-1])
     fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
-    # A chord shorter than the distance of its ends from −1 cannot hide a turn around −1.
+    # A chord shorter than the distance of its ends from −1 cannot hide a turn around
+    # −1.
     away = np.abs(1 + values)
     fine &= np.abs(np.diff(values)) <= np.minimum(away[1:], away[:-1])
     width = np.diff(x)
     if quiet:
-        # A delay turns a wide interval by 2π and it looks still: but then its neighbour was refined.
+        # A delay turns a wide interval by 2π and it looks still: but then its neighbour
+        # was refined.
         fine[1:] &= width[1:] < 2.1 * width[:-1]
         fine[:-1] &= width[:-1] < 2.1 * width[1:]
         loud = np.abs(values) > quiet
@@ -91,11 +103,13 @@ def frequency_grid(
     points: int = 300,
     limit: float | None = None,
 ) -> Reals:
-    """Return frequencies [rad/s] that show a loop: `points` even ones and those where it moves fast.
+    """Return frequencies [rad/s] that show a loop: `points` even ones and those where
+    it moves fast.
 
-    The range is two decades beyond the corners of a transfer function; for a callable it is what is left of
-    1e-6 … 1e6 rad/s when both ends, as far as they are straight lines in a Bode plot, are cut to one decade.
-    `limit` [rad/s] is the highest frequency.
+    The range is two decades beyond the corners of a transfer function; for a callable
+    it is what is left of 1e-6 … 1e6 rad/s when both ends, as far as they are straight
+    lines in a Bode plot, are cut to one decade. `limit` [rad/s] is the highest
+    frequency.
 
     >>> from fraclink._systems.fractional import s
     >>> w = frequency_grid(100 / (s**2 + 0.02 * s + 100))
@@ -113,7 +127,8 @@ def frequency_grid(
         if not isinstance(known, FractionalLoop):
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
-    # Where the response turns slowly the even points draw it; the others are where it moves.
+    # Where the response turns slowly the even points draw it; the others are where it
+    # moves.
     grid = np.union1d(even, x[np.isfinite(values)])
     frequencies: Reals = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
     return frequencies
@@ -127,9 +142,13 @@ def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Comple
     still = (turn < 0.02) & np.isfinite(slope)
     first = _leading(still & (np.abs(slope - slope[0]) < 0.02))
     last = len(x) - 1 - _leading((still & (np.abs(slope - slope[-1]) < 0.02))[::-1])
-    loud = np.flatnonzero(np.abs(values) > _FAINT)  # above, a delay turns the phase without end
+    loud = np.flatnonzero(
+        np.abs(values) > _FAINT
+    )  # above, a delay turns the phase without end
     last = min(last, int(loud[-1])) if loud.size else last
-    if first >= last:  # a straight line from end to end: four decades around 1 rad/s show it
+    if (
+        first >= last
+    ):  # a straight line from end to end: four decades around 1 rad/s show it
         inside = np.abs(x) < _DECADES
     else:
         margin = 0.5 * _DECADES
@@ -143,16 +162,25 @@ def _leading(flags: NDArray[np.bool_]) -> int:
 
 
 def refined(
-    curve: Callable[[Reals], tuple[Reals, Reals]], x: Reals, *, bend: float = 0.03, limit: int = 4000
+    curve: Callable[[Reals], tuple[Reals, Reals]],
+    x: Reals,
+    *,
+    bend: float = 0.03,
+    limit: int = 4000,
 ) -> Reals:
     """Return a grid on which the drawn curve looks smooth.
 
-    `curve` maps x to the two coordinates as they are drawn, in units of the axes' sizes. Intervals are
-    halved while the chords beside a point meet at more than `bend` [rad] and are longer than a line's width.
+    `curve` maps x to the two coordinates as they are drawn, in units of the axes'
+    sizes. Intervals are halved while the chords beside a point meet at more than `bend`
+    [rad] and are longer than a line's width.
     """
     if len(x) < 3:
         raise FieldError(
-            "x", len(x), "too short a grid", allowed="3 points or more", remedy="give a longer grid"
+            "x",
+            len(x),
+            "too short a grid",
+            allowed="3 points or more",
+            remedy="give a longer grid",
         )
     for _ in range(12):
         across, up = curve(x)
@@ -163,8 +191,11 @@ def refined(
         # 0.002 of the axes is a line's width: shorter chords cannot be seen.
         sharp = (turn > bend) & (np.minimum(length[1:], length[:-1]) > 0.002)
         long = length > 0.1
-        halve = np.flatnonzero(np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long)
-        # A jump, as of a phase at a pole on the axis, stays sharp however short its interval is.
+        halve = np.flatnonzero(
+            np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long
+        )
+        # A jump, as of a phase at a pole on the axis, stays sharp however short its
+        # interval is.
         halve = halve[np.diff(x)[halve] > 1e-9 * np.abs(x[halve]) + 1e-12]
         if not halve.size or x.size + halve.size > limit:
             break
@@ -176,8 +207,9 @@ def refined(
 
 
 _ROUNDS = 100  # bisection alone needs 53; Newton 4 to 6, the secant 6 to 10
-# A Newton step this small, relative, leaves an error of its square. Where the function's own rounding is then
-# more than that of x, its sign is chance: without this bound Newton wandered about in it for fifty rounds.
+# A Newton step this small, relative, leaves an error of its square. Where the
+# function's own rounding is then more than that of x, its sign is chance: without this
+# bound Newton wandered about in it for fifty rounds.
 _NEAR = 1e-8
 
 
@@ -188,15 +220,18 @@ def bracketed_roots(
     *,
     slope: Callable[[Reals], Reals] | None = None,
 ) -> Reals:
-    """Return the root of a continuous function in each bracket [low, high], to rounding.
+    """Return the root of a continuous function in each bracket [low, high], to
+    rounding.
 
-    A step that would leave its bracket halves it instead. Without `slope` the secant keeps the value of the
-    end that stays, halved (Illinois), which is superlinear and cannot stall at one end.
+    A step that would leave its bracket halves it instead. Without `slope` the secant
+    keeps the value of the end that stays, halved (Illinois), which is superlinear and
+    cannot stall at one end.
 
     Parameters
     ----------
     function
-        elementwise over an array of the shape of `low`; of opposite sign (or zero) at the two ends.
+        elementwise over an array of the shape of `low`; of opposite sign (or zero) at
+        the two ends.
     low, high
         ends of the brackets, of one shape.
     slope
@@ -209,7 +244,8 @@ def bracketed_roots(
     """
     a, b = np.array(low, dtype=float), np.array(high, dtype=float)
     at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
-    # A bracket of four units in the last place: nothing lies between its ends that a double could name.
+    # A bracket of four units in the last place: nothing lies between its ends that a
+    # double could name.
     size = np.abs(a) + np.abs(b)
     done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -237,13 +273,16 @@ def bracketed_roots(
 
 
 def valleys(values: Reals, *, spare: float) -> list[int]:
-    """Indices of the inner points that neither neighbour undercuts, if below `spare` times the least value.
+    """Indices of the inner points that neither neighbour undercuts, if below `spare`
+    times the least value.
 
-    Every valley that could hold the infimum and not the lowest point alone: between two points of a sweep a
-    narrow resonance comes closer than either shows.
+    Every valley that could hold the infimum and not the lowest point alone: between two
+    points of a sweep a narrow resonance comes closer than either shows.
     """
     inner = values[1:-1]
-    low = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < spare * values.min())
+    low = (
+        (inner <= values[:-2]) & (inner <= values[2:]) & (inner < spare * values.min())
+    )
     return (np.flatnonzero(low) + 1).tolist()
 
 
@@ -254,7 +293,9 @@ _RTOL = 4 * np.finfo(float).eps
 
 
 def gain_level(value: complex, slope: complex) -> float:
-    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to stay a number."""
+    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to
+    stay a number.
+    """
     size = abs(value)
     return math.log(size) if 0 < size < math.inf else math.copysign(745.0, size - 1)
 
@@ -279,15 +320,20 @@ def modulus_slope(value: complex, slope: complex) -> float:
     return ((1 + value).conjugate() * value * slope).real
 
 
-def zero_of(loop: SampledLoop, tendency: Tendency, a: float, b: float) -> tuple[float, complex]:
-    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the better end.
+def zero_of(
+    loop: SampledLoop, tendency: Tendency, a: float, b: float
+) -> tuple[float, complex]:
+    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the
+    better end.
 
     A crossing is a zero of its level, an extreme one of its slope.
     """
     at_a, at_b = (tendency(*loop.point(x)) for x in (a, b))
     # An end is the extreme itself, or the slope beside a pole of the axis is no number.
     if at_a * at_b < 0:
-        x = float(brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL))
+        x = float(
+            brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL)
+        )
     else:
         x = a if abs(at_a) < abs(at_b) else b
     return x, loop.point(x)[0]

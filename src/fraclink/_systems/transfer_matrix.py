@@ -13,16 +13,18 @@ from fraclink._systems.fractional import FractionalTransferFunction
 from fraclink._systems.terms import Complexes
 from fraclink.errors import FieldError
 
-_LARGEST_SIZE = 6  # of the expansion of a determinant in functions, whose terms grow like the factorial
+# of the expansion of a determinant in functions, whose terms grow like the factorial
+_LARGEST_SIZE = 6
 Entries = Sequence[Sequence[FractionalTransferFunction | float]]
 
 
 @dataclass(frozen=True, repr=False)
 class TransferMatrix:
-    """A matrix of fractional transfer functions: row i, column k leads from input k to output i.
+    """A matrix of fractional transfer functions: row i, column k leads from input k to
+    output i.
 
-    `@` multiplies matrices, `+` and `−` add them, `*` scales by a function or a number. Numbers count as
-    functions: `TransferMatrix([[1 / s, 0], [2, 1 / (s + 1)]])`.
+    `@` multiplies matrices, `+` and `−` add them, `*` scales by a function or a number.
+    Numbers count as functions: `TransferMatrix([[1 / s, 0], [2, 1 / (s + 1)]])`.
 
     Attributes
     ----------
@@ -32,7 +34,8 @@ class TransferMatrix:
     Raises
     ------
     FieldError
-        No entries, rows of different lengths, an entry that is no function and no number.
+        No entries, rows of different lengths, an entry that is no function and no
+        number.
 
     Examples
     --------
@@ -55,13 +58,19 @@ class TransferMatrix:
             raise _refused(entries, "not rows of transfer functions")
         if len({len(row) for row in rows}) > 1:
             raise _refused([len(row) for row in rows], "rows of different lengths")
-        object.__setattr__(self, "entries", tuple(tuple(_entry(g) for g in row) for row in rows))
+        object.__setattr__(
+            self, "entries", tuple(tuple(_entry(g) for g in row) for row in rows)
+        )
 
     @staticmethod
     def diagonal(*functions: FractionalTransferFunction | float) -> TransferMatrix:
-        """Return the square matrix with these functions on its diagonal: one controller for each joint."""
+        """Return the square matrix with these functions on its diagonal: one controller
+        for each joint.
+        """
         size = range(len(functions))
-        return TransferMatrix([[functions[i] if i == k else 0.0 for k in size] for i in size])
+        return TransferMatrix(
+            [[functions[i] if i == k else 0.0 for k in size] for i in size]
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -69,9 +78,12 @@ class TransferMatrix:
         return len(self.entries), len(self.entries[0])
 
     def __call__(self, s: complex | NDArray[Any]) -> Complexes:
-        """Return G(s); `s` [rad/s] of shape (…) gives an array of shape (…, outputs, inputs)."""
+        """Return G(s); `s` [rad/s] of shape (…) gives an array of shape (…, outputs,
+        inputs).
+        """
         rows = [
-            np.stack([np.asarray(g(np.asarray(s, complex))) for g in row], axis=-1) for row in self.entries
+            np.stack([np.asarray(g(np.asarray(s, complex))) for g in row], axis=-1)
+            for row in self.entries
         ]
         return np.stack(rows, axis=-2)
 
@@ -81,19 +93,29 @@ class TransferMatrix:
         if self.shape[1] != other.shape[0]:
             problem = f"{self.shape[1]} inputs that {other.shape[0]} outputs lead to"
             raise FieldError(
-                "shape", other.shape, problem, allowed=f"{self.shape[1]} rows", remedy="transpose"
+                "shape",
+                other.shape,
+                problem,
+                allowed=f"{self.shape[1]} rows",
+                remedy="transpose",
             )
         columns = list(zip(*other.entries, strict=True))
-        return TransferMatrix([[_dot(row, column) for column in columns] for row in self.entries])
+        return TransferMatrix(
+            [[_dot(row, column) for column in columns] for row in self.entries]
+        )
 
     def __add__(self, other: TransferMatrix) -> TransferMatrix:
         if not isinstance(other, TransferMatrix):
             return NotImplemented
         if self.shape != other.shape:
             allowed, remedy = f"shape {self.shape}", "add matrices of one shape"
-            raise FieldError("shape", other.shape, "another shape", allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "shape", other.shape, "another shape", allowed=allowed, remedy=remedy
+            )
         pairs = zip(self.entries, other.entries, strict=True)
-        return TransferMatrix([[a + b for a, b in zip(*rows, strict=True)] for rows in pairs])
+        return TransferMatrix(
+            [[a + b for a, b in zip(*rows, strict=True)] for rows in pairs]
+        )
 
     def __mul__(self, factor: FractionalTransferFunction | float) -> TransferMatrix:
         if isinstance(factor, TransferMatrix):
@@ -111,11 +133,17 @@ class TransferMatrix:
     def determinant(self) -> FractionalTransferFunction:
         """Return det G as one function, by expansion along rows; square, at most 6 × 6.
 
-        Factors that cancel in exact arithmetic may remain above and below: margins do not use it.
+        Factors that cancel in exact arithmetic may remain above and below: margins do
+        not use it.
         """
         if self.shape[0] != self.shape[1] or self.shape[0] > _LARGEST_SIZE:
-            allowed, remedy = f"square, at most {_LARGEST_SIZE} × {_LARGEST_SIZE}", "evaluate it: det(G(s))"
-            raise FieldError("shape", self.shape, "no determinant", allowed=allowed, remedy=remedy)
+            allowed, remedy = (
+                f"square, at most {_LARGEST_SIZE} × {_LARGEST_SIZE}",
+                "evaluate it: det(G(s))",
+            )
+            raise FieldError(
+                "shape", self.shape, "no determinant", allowed=allowed, remedy=remedy
+            )
         determinant: FractionalTransferFunction = _expanded(self.entries)
         return determinant
 
@@ -124,23 +152,32 @@ class TransferMatrix:
         return f"TransferMatrix([{', '.join(f'[{row}]' for row in rows)}])"
 
     def __str__(self) -> str:
-        return "\n".join("[" + ",  ".join(str(g) if g else "0" for g in row) + "]" for row in self.entries)
+        return "\n".join(
+            "[" + ",  ".join(str(g) if g else "0" for g in row) + "]"
+            for row in self.entries
+        )
 
     def _repr_latex_(self) -> str:
-        rows = (" & ".join(g.latex() if g else "0" for g in row) for row in self.entries)
+        rows = (
+            " & ".join(g.latex() if g else "0" for g in row) for row in self.entries
+        )
         return r"$\displaystyle\begin{bmatrix}" + r" \\ ".join(rows) + r"\end{bmatrix}$"
 
 
 def _refused(value: object, problem: str) -> FieldError:
     remedy = "write TransferMatrix([[g11, g12], [g21, g22]])"
-    return FieldError("entries", value, problem, allowed="rows of equal lengths", remedy=remedy)
+    return FieldError(
+        "entries", value, problem, allowed="rows of equal lengths", remedy=remedy
+    )
 
 
 def _entry(given: object) -> FractionalTransferFunction:
     if isinstance(given, FractionalTransferFunction):
         return given
     # True is a number to Python; in a matrix of gains it is a slip.
-    if isinstance(given, bool) or not isinstance(given, (int, float, np.integer, np.floating)):
+    if isinstance(given, bool) or not isinstance(
+        given, (int, float, np.integer, np.floating)
+    ):
         raise _refused(given, "neither a transfer function nor a number")
     return FractionalTransferFunction.power(0.0) * float(given)
 
@@ -156,7 +193,8 @@ def _expanded(rows: Sequence[Sequence[Any]]) -> Any:
     """Laplace's expansion along the first row."""
     if len(rows) == 1:
         return rows[0][0]
-    # Not by elimination, which divides by functions whose factors would stay above and below.
+    # Not by elimination, which divides by functions whose factors would stay above and
+    # below.
     total = _entry(0.0)
     for k, g in enumerate(rows[0]):
         # A zero entry has a minor that nobody needs: the determinant of a

@@ -1,8 +1,10 @@
-"""Rational functions as zeros, poles and gain, and those with a name that stand for s^f.
+"""Rational functions as zeros, poles and gain, and those with a name that stand for
+s^f.
 
-Multiplied out, polynomials with roots over eight decades have coefficients that double precision cannot hold:
-everything here stays a product of its roots. A system with a filter in place of every fractional power is a
-quotient of sums of such products; its poles and zeros are found by Aberth's iteration.
+Multiplied out, polynomials with roots over eight decades have coefficients that double
+precision cannot hold: everything here stays a product of its roots. A system with a
+filter in place of every fractional power is a quotient of sums of such products; its
+poles and zeros are found by Aberth's iteration.
 """
 
 from __future__ import annotations
@@ -19,12 +21,20 @@ from fraclink.errors import FieldError, NotConvergedError
 Band = tuple[float, float]
 
 
-def evaluate(s: Complexes, zeros: Complexes, poles: Complexes, gain: float) -> Complexes:
-    """gain Π(s − z)/Π(s − p) at any shape of s, factor by factor so that nothing overflows."""
+def evaluate(
+    s: Complexes, zeros: Complexes, poles: Complexes, gain: float
+) -> Complexes:
+    """gain Π(s − z)/Π(s − p) at any shape of s, factor by factor so that nothing
+    overflows.
+    """
     flat = s.reshape(-1, 1)
     shared = min(len(zeros), len(poles))
     value = np.prod((flat - zeros[:shared]) / (flat - poles[:shared]), axis=1)
-    value = value * np.prod(flat - zeros[shared:], axis=1) / np.prod(flat - poles[shared:], axis=1)
+    value = (
+        value
+        * np.prod(flat - zeros[shared:], axis=1)
+        / np.prod(flat - poles[shared:], axis=1)
+    )
     return np.asarray((gain * value).reshape(s.shape))
 
 
@@ -33,19 +43,23 @@ def residues(zeros: Complexes, poles: Complexes, gain: float) -> Complexes:
     found = np.empty(len(poles), dtype=complex)
     with np.errstate(divide="ignore", invalid="ignore"):
         for i, p in enumerate(poles):
-            # The product without that pole, and not a derivative: it keeps its digits where other poles are
-            # near.
+            # The product without that pole, and not a derivative: it keeps its digits
+            # where other poles are near.
             found[i] = evaluate(np.array([p]), zeros, np.delete(poles, i), gain)[0]
     return found
 
 
-def zeros_of_fractions(poles: Complexes, parts: Complexes, direct: float) -> tuple[Complexes, float]:
-    """Zeros and gain of direct + Σ parts/(s − poles) with direct ≠ 0: eigenvalues, then Aberth's iteration.
+def zeros_of_fractions(
+    poles: Complexes, parts: Complexes, direct: float
+) -> tuple[Complexes, float]:
+    """Zeros and gain of direct + Σ parts/(s − poles) with direct ≠ 0: eigenvalues, then
+    Aberth's iteration.
 
-    The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it need the polish.
+    The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it
+    need the polish.
     """
-    # The realisation's own inverse: its poles are the zeros. Multiplying the fractions out first would give a
-    # polynomial whose coefficients span forty decades.
+    # The realisation's own inverse: its poles are the zeros. Multiplying the fractions
+    # out first would give a polynomial whose coefficients span forty decades.
     matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
     start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
 
@@ -58,7 +72,9 @@ def zeros_of_fractions(poles: Complexes, parts: Complexes, direct: float) -> tup
 
 
 def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexes:
-    """All zeros of a real polynomial P of degree len(start) from P′/P = `rate`; exactly real or conjugate."""
+    """All zeros of a real polynomial P of degree len(start) from P′/P = `rate`; exactly
+    real or conjugate.
+    """
     # Exact conjugates and reals cannot leave their symmetry: turn the starts a little.
     s = start * np.exp(1e-3j) + 0j
     step = np.zeros_like(s)
@@ -67,13 +83,15 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
         distance[distance == 0] = np.inf
         with np.errstate(all="ignore"):
             step = 1 / (rate(s) - (1 / distance).sum(1))
-        # Where the quotient is not a number, a zero has met a pole of the form that P is written in.
+        # Where the quotient is not a number, a zero has met a pole of the form that P
+        # is written in.
         step = np.where(np.isfinite(step), step, 0)
         s = s - step
         if np.all(np.abs(step) <= 1e-14 * np.abs(s)):
             break
     left = float(np.max(np.abs(step) / np.maximum(np.abs(s), 1e-300), initial=0.0))
-    # Double zeros are known to 1e-8 only, and a double real one may lie on either side of the axis.
+    # Double zeros are known to 1e-8 only, and a double real one may lie on either side
+    # of the axis.
     real = np.abs(s.imag) < 1e-6 * np.abs(s)
     upper = s[~real & (s.imag > 0)]
     if left > 1e-6 or len(s) != np.count_nonzero(real) + 2 * len(upper):
@@ -86,8 +104,12 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
     return np.concatenate([s[real].real.astype(complex), upper, upper.conj()])
 
 
-def cascade(zeros: Complexes, poles: Complexes, gain: float) -> tuple[Reals, Reals, Reals, Reals]:
-    """Real A, B, C, D: sections of second order in series, slow ones first; needs as many poles as zeros."""
+def cascade(
+    zeros: Complexes, poles: Complexes, gain: float
+) -> tuple[Reals, Reals, Reals, Reals]:
+    """Real A, B, C, D: sections of second order in series, slow ones first; needs as
+    many poles as zeros.
+    """
     a, b = np.zeros((0, 0)), np.zeros((0, 1))
     c, d = np.zeros((1, 0)), np.array([[gain]])
     tops, bottoms = _quadratics(zeros), _quadratics(poles)
@@ -102,12 +124,17 @@ def cascade(zeros: Complexes, poles: Complexes, gain: float) -> tuple[Reals, Rea
 
 
 def _quadratics(roots: Complexes) -> list[Reals]:
-    """Monic real polynomials of degree 2 (one may have 1) with these roots, ordered by modulus."""
+    """Monic real polynomials of degree 2 (one may have 1) with these roots, ordered by
+    modulus.
+    """
     real = sorted(roots[roots.imag == 0].real, key=abs)
     factors = [np.array([1.0, -2 * z.real, abs(z) ** 2]) for z in roots if z.imag > 0]
-    factors += [np.array([1.0, -(x + y), x * y]) for x, y in zip(real[::2], real[1::2], strict=False)]
-    # By modulus, in zeros and poles alike: a section then has a zero and a pole of like size, and no state is
-    # large where the output is not.
+    factors += [
+        np.array([1.0, -(x + y), x * y])
+        for x, y in zip(real[::2], real[1::2], strict=False)
+    ]
+    # By modulus, in zeros and poles alike: a section then has a zero and a pole of like
+    # size, and no state is large where the output is not.
     factors.sort(key=lambda p: float(p[2]))
     if len(real) % 2:
         factors.append(np.array([1.0, -real[-1]]))
@@ -130,25 +157,35 @@ def _section(top: Reals, bottom: Reals) -> tuple[Reals, Reals, Reals, float]:
 def bilinear(
     zeros: Complexes, found: Complexes, gain: float, period: float
 ) -> tuple[Complexes, Complexes, float]:
-    """s = (2/T)(z − 1)/(z + 1): a root r goes to (1 + rT/2)/(1 − rT/2), missing zeros to −1."""
+    """s = (2/T)(z − 1)/(z + 1): a root r goes to (1 + rT/2)/(1 − rT/2), missing zeros
+    to −1.
+    """
     half = 0.5 * period
     missing = len(found) - len(zeros)
     scale = np.prod(1 - half * zeros) / np.prod(1 - half * found) * half**missing
-    moved = np.concatenate([(1 + half * zeros) / (1 - half * zeros), np.full(missing, -1.0)])
+    moved = np.concatenate(
+        [(1 + half * zeros) / (1 - half * zeros), np.full(missing, -1.0)]
+    )
     return moved, (1 + half * found) / (1 - half * found), float(gain * scale.real)
 
 
 def matched(
     zeros: Complexes, found: Complexes, gain: float, period: float, frequency: float
 ) -> tuple[Complexes, Complexes, float]:
-    """z = e^(sT) for every root, all but one of the zeros at infinity at −1, |R| kept at `frequency`."""
-    # One zero stays at infinity: it is the delay of a sample that a strictly proper system has.
+    """z = e^(sT) for every root, all but one of the zeros at infinity at −1, |R| kept
+    at `frequency`.
+    """
+    # One zero stays at infinity: it is the delay of a sample that a strictly proper
+    # system has.
     absent = max(len(found) - len(zeros) - 1, 0)
     at_zeros = np.concatenate([np.exp(zeros * period), np.full(absent, -1.0)])
     at_poles = np.exp(found * period)
     wanted = evaluate(np.array([1j * frequency]), zeros, found, gain)[0]
-    here = evaluate(np.array([np.exp(1j * frequency * period)]), at_zeros, at_poles, 1.0)[0]
-    # A zero at infinity is a factor with a positive value in the band, and so is what stands for it.
+    here = evaluate(
+        np.array([np.exp(1j * frequency * period)]), at_zeros, at_poles, 1.0
+    )[0]
+    # A zero at infinity is a factor with a positive value in the band, and so is what
+    # stands for it.
     return at_zeros, at_poles, float(np.copysign(abs(wanted / here), gain))
 
 
@@ -157,7 +194,9 @@ def matched(
 
 @dataclass(frozen=True)
 class PowerFilter:
-    """s^f ≈ gain · s^shift · Π(s − z)/Π(s − p); shift is 0, or 1 where s^(f−1) is what is approximated."""
+    """s^f ≈ gain · s^shift · Π(s − z)/Π(s − p); shift is 0, or 1 where s^(f−1) is what
+    is approximated.
+    """
 
     zeros: Complexes
     poles: Complexes
@@ -186,16 +225,21 @@ def oustaloup(fraction: float, band: Band, order: int) -> PowerFilter:
 
 
 def refined(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Xue, Zhao and Chen, Proc. IEEE ICMA (2006) 1043, with b = 10, d = 9 and the gain as printed there.
+    """Xue, Zhao and Chen, Proc. IEEE ICMA (2006) 1043, with b = 10, d = 9 and the gain
+    as printed there.
 
-    (d/b)^f · (d s² + b ω_h s)/(d(1 − f)s² + b ω_h s + d f) times Oustaloup's filter: the fraction lifts the
-    ends of the band, and (d/b)^f lowers all of it, by 0.46 dB for f = 1/2.
+    (d/b)^f · (d s² + b ω_h s)/(d(1 − f)s² + b ω_h s + d f) times Oustaloup's filter:
+    the fraction lifts the ends of the band, and (d/b)^f lowers all of it, by 0.46 dB
+    for f = 1/2.
     """
     b, d, high = 10.0, 9.0, band[1]
     plain = oustaloup(fraction, band, order)
-    # Both roots are real and far apart: the smaller one from the product, which does not cancel.
+    # Both roots are real and far apart: the smaller one from the product, which does
+    # not cancel.
     half = 0.5 * b * high
-    root = -(half + math.sqrt(half**2 - d * d * fraction * (1 - fraction))) / (d * (1 - fraction))
+    root = -(half + math.sqrt(half**2 - d * d * fraction * (1 - fraction))) / (
+        d * (1 - fraction)
+    )
     added = np.array([root, fraction / (1 - fraction) / root], dtype=complex)
     return PowerFilter(
         np.append(plain.zeros, -b * high / d),
@@ -206,11 +250,13 @@ def refined(fraction: float, band: Band, order: int) -> PowerFilter:
 
 
 def charef(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Charef et al., IEEE Trans. Autom. Control 37 (1992) 1465: s^f = s · s^(−m), m = 1 − f.
+    """Charef et al., IEEE Trans. Autom. Control 37 (1992) 1465: s^f = s · s^(−m), m = 1
+    − f.
 
-    s^(−m) ≈ p_T^(−m) Π(1 + s/z_i)/Π(1 + s/p_i) with p_0 = p_T 10^(y/20m), z_i = p_i 10^(y/10(1−m)),
-    p_(i+1) = z_i 10^(y/10m). `order` poles reach from a decade below the band to a decade above, which fixes
-    the error y [dB] between the straight lines and the steps.
+    s^(−m) ≈ p_T^(−m) Π(1 + s/z_i)/Π(1 + s/p_i) with p_0 = p_T 10^(y/20m), z_i = p_i
+    10^(y/10(1−m)), p_(i+1) = z_i 10^(y/10m). `order` poles reach from a decade below
+    the band to a decade above, which fixes the error y [dB] between the straight lines
+    and the steps.
     """
     m = 1.0 - fraction
     low, decades = 0.1 * band[0], math.log10(band[1] / band[0]) + 2.0
@@ -224,10 +270,11 @@ def charef(fraction: float, band: Band, order: int) -> PowerFilter:
 
 
 def carlson(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Carlson and Halijak, IEEE Trans. Circuit Theory 11 (1964) 210, around the middle ω₀ of the band.
+    """Carlson and Halijak, IEEE Trans. Circuit Theory 11 (1964) 210, around the middle
+    ω₀ of the band.
 
-    H ← H ((q − 1)H^q + (q + 1)x)/((q + 1)H^q + (q − 1)x) from H = 1 tends to x^(1/q), x = s/ω₀; as many steps
-    as `order` pole-zero pairs allow. s^(1 − 1/q) is s over it.
+    H ← H ((q − 1)H^q + (q + 1)x)/((q + 1)H^q + (q − 1)x) from H = 1 tends to x^(1/q), x
+    = s/ω₀; as many steps as `order` pole-zero pairs allow. s^(1 − 1/q) is s over it.
     """
     inverse = fraction > 0.5
     root = 1.0 - fraction if inverse else fraction
@@ -235,8 +282,12 @@ def carlson(fraction: float, band: Band, order: int) -> PowerFilter:
     if abs(root * q - 1.0) > 1e-9:
         problem = "not 1/q or 1 − 1/q with a whole number q"
         remedy = "use method='oustaloup' or 'minimax'"
-        allowed = "powers with fractional parts such as 1/2, 1/3, 2/3 for method='carlson'"
-        raise FieldError("system", f"s^{fraction:.10g}", problem, allowed=allowed, remedy=remedy)
+        allowed = (
+            "powers with fractional parts such as 1/2, 1/3, 2/3 for method='carlson'"
+        )
+        raise FieldError(
+            "system", f"s^{fraction:.10g}", problem, allowed=allowed, remedy=remedy
+        )
     zeros: Complexes = np.empty(0, complex)
     poles, gain = zeros, 1.0
     while (q + 1) * len(zeros) + 1 <= order:
@@ -253,7 +304,13 @@ def carlson(fraction: float, band: Band, order: int) -> PowerFilter:
 
 
 def _newton(
-    zeros: Complexes, poles: Complexes, gain: float, q: int, *, inner: float, outer: float
+    zeros: Complexes,
+    poles: Complexes,
+    gain: float,
+    q: int,
+    *,
+    inner: float,
+    outer: float,
 ) -> Complexes:
     """All zeros of (inner H^q + outer x) Π(x − p)^q."""
     count = q * len(zeros) + 1
@@ -265,9 +322,11 @@ def _newton(
         slope = power * q * (at_zeros - at_poles) + outer
         return np.asarray(slope / (power + outer * x) + q * at_poles)
 
-    places = np.tan(np.linspace(0.0, 0.5 * math.pi, count + 2)[1:-1]) ** 2  # where they lie for q = 2
-    # Off the axis, to alternating sides: real starts of a real polynomial stay real, and its pairs are never
-    # found.
+    places = (
+        np.tan(np.linspace(0.0, 0.5 * math.pi, count + 2)[1:-1]) ** 2
+    )  # where they lie for q = 2
+    # Off the axis, to alternating sides: real starts of a real polynomial stay real,
+    # and its pairs are never found.
     turned = np.exp(0.3j * np.where(np.arange(count) % 2, 1, -1))
     return aberth(np.asarray(-places * turned, dtype=complex), rate)
 
@@ -281,21 +340,34 @@ FILTERS: dict[str, Callable[[float, Band, int], PowerFilter]] = {
 
 
 def substituted(
-    numerator: Sequence[Term], denominator: Sequence[Term], power: Callable[[float], PowerFilter]
+    numerator: Sequence[Term],
+    denominator: Sequence[Term],
+    power: Callable[[float], PowerFilter],
 ) -> tuple[Complexes, Complexes, float]:
     """Zeros, poles and gain of a system with `power(f)` for each s^f, 0 < f < 1."""
-    filters = {f: power(f) for f in sorted({_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0})}
+    filters = {
+        f: power(f)
+        for f in sorted(
+            {_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0}
+        )
+    }
     top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
     zeros, poles = [top.zeros()], [bottom.zeros()]
-    # A filter that only one side has leaves its poles to the quotient: as poles, or as zeros.
+    # A filter that only one side has leaves its poles to the quotient: as poles, or as
+    # zeros.
     poles += [filters[f].poles for f in sorted(top.fractions - bottom.fractions)]
     zeros += [filters[f].poles for f in sorted(bottom.fractions - top.fractions)]
-    return np.concatenate(zeros), np.concatenate(poles), top.leading() / bottom.leading()
+    return (
+        np.concatenate(zeros),
+        np.concatenate(poles),
+        top.leading() / bottom.leading(),
+    )
 
 
 def _split(order: float) -> tuple[int, float]:
     whole = math.floor(order)
-    # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would get two filters.
+    # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would
+    # get two filters.
     return whole, round(order - whole, 12)
 
 
@@ -305,7 +377,9 @@ _NONE = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
 class _Sum:
     """Σ c_k s^(n_k) F_k(s) with 0 ≤ a_k − n_k < 1 and F_k the filter of that fraction."""
 
-    def __init__(self, terms: Sequence[Term], filters: dict[float, PowerFilter]) -> None:
+    def __init__(
+        self, terms: Sequence[Term], filters: dict[float, PowerFilter]
+    ) -> None:
         split = [(t.coefficient, *_split(t.order)) for t in terms]
         self.fractions = {f for _, _, f in split if f}
         used = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
@@ -319,7 +393,9 @@ class _Sum:
         value, slope = np.zeros_like(s), np.zeros_like(s)
         for c, n, part in self.terms:
             term = c * s**n * evaluate(s, part.zeros, part.poles, 1.0)
-            rate = (1 / (s[:, None] - part.zeros)).sum(1) - (1 / (s[:, None] - part.poles)).sum(1)
+            rate = (1 / (s[:, None] - part.zeros)).sum(1) - (
+                1 / (s[:, None] - part.poles)
+            ).sum(1)
             value, slope = value + term, slope + term * (n / s + rate)
         return value, slope
 
@@ -335,10 +411,14 @@ class _Sum:
         if len(self.terms) == 1:
             return np.concatenate([at_origin, self.terms[0][2].zeros])
         count = self.degree + len(self.down) - len(at_origin)
-        # Alternating sides of the real axis at 34°, across the corners: pairs and real zeros are both near.
+        # Alternating sides of the real axis at 34°, across the corners: pairs and real
+        # zeros are both near.
         sizes = np.abs(self.down) if self.down.size else np.ones(1)
         spread = np.geomspace(0.5 * sizes.min(), 2.0 * sizes.max(), 2 * count + 1)[1::2]
-        start = np.asarray(-spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1)), dtype=complex)
+        start = np.asarray(
+            -spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1)),
+            dtype=complex,
+        )
 
         def rate(s: Complexes) -> Complexes:
             value, slope = self.value_and_slope(s)

@@ -1,7 +1,8 @@
-"""Values from outside: a range is written once, in the annotation, and checked where the value enters.
+"""Values from outside: a range is written once, in the annotation, and checked where
+the value enters.
 
-    @checked
-    def design(model: LinkModel, *, gain_crossover: Frequency, hold: Literal["zero", "first"] = "zero"): ...
+    @checked def design(model: LinkModel, *, gain_crossover: Frequency, hold:
+    Literal["zero", "first"] = "zero"): ...
 
     @checked
     @dataclass(frozen=True)
@@ -9,9 +10,10 @@
         period: Period
         noise: Annotated[float, Between(0.0, 1e6, "N·m")] = 0.0
 
-`checked` reads the annotations at the first call, refuses what they do not admit with a FieldError, and
-hands on plain values: float and int (never a bool or a numpy scalar), tuples, paths, float64 arrays. The
-same annotation gives the command line's help (`describe`) and the rule of a file's field (`rules`).
+`checked` reads the annotations at the first call, refuses what they do not admit with a
+FieldError, and hands on plain values: float and int (never a bool or a numpy scalar),
+tuples, paths, float64 arrays. The same annotation gives the command line's help
+(`describe`) and the rule of a file's field (`rules`).
 """
 
 from __future__ import annotations
@@ -38,7 +40,13 @@ from fraclink._validate.ranges import Length as Length
 from fraclink._validate.ranges import Ordered as Ordered
 from fraclink._validate.ranges import Rule as Rule
 from fraclink._validate.ranges import Where as Where
-from fraclink._validate.rules import array_rule, conditional_rule, instance_rule, listed, rule
+from fraclink._validate.rules import (
+    array_rule,
+    conditional_rule,
+    instance_rule,
+    listed,
+    rule,
+)
 from fraclink.errors import FieldError
 
 Target = TypeVar("Target", bound=Callable[..., Any])
@@ -50,21 +58,40 @@ Positive = Annotated[float, Between(0.0, low_open=True)]
 NonNegative = Annotated[float, Between(0.0)]
 Fraction = Annotated[float, Between(0.0, 1.0)]
 Period = Annotated[
-    float, Between(0.0, 10.0, "s", low_open=True, remedy="give the sampling period in seconds")
+    float,
+    Between(
+        0.0, 10.0, "s", low_open=True, remedy="give the sampling period in seconds"
+    ),
 ]
 Time = Annotated[float, Between(0.0, 1e6, "s", remedy="give seconds")]
-Duration = Annotated[float, Between(0.0, 1e6, "s", low_open=True, remedy="give seconds")]
-Payload = Annotated[float, Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg")]
+Duration = Annotated[
+    float, Between(0.0, 1e6, "s", low_open=True, remedy="give seconds")
+]
+Payload = Annotated[
+    float,
+    Between(0.0, 1e4, "kg", low_open=True, remedy="give the mass at the tip in kg"),
+]
 Frequency = Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)]
 # Its unit depends on λ: ω₀² is added to s^λ.
 NaturalFrequency = Annotated[float, Between(0.0, 1e6, "s^(-λ/2)", low_open=True)]
-Angle = Annotated[float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")]
+Angle = Annotated[
+    float, Between(-1e6, 1e6, "rad", remedy="give radians; deg(50) converts degrees")
+]
 _HALF_TURN = Between(
-    0.0, math.pi, "rad", low_open=True, high_open=True, remedy="give radians; deg(50) converts degrees"
+    0.0,
+    math.pi,
+    "rad",
+    low_open=True,
+    high_open=True,
+    remedy="give radians; deg(50) converts degrees",
 )
 PhaseMargin = Annotated[float, _HALF_TURN]
-PhaseMarginDeg = Annotated[float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")]
-LinkOrder = Annotated[float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")]
+PhaseMarginDeg = Annotated[
+    float, Between(0.0, 179.0, "°", low_open=True, remedy="50° is a usual margin")
+]
+LinkOrder = Annotated[
+    float, Between(1.0, 2.0, "(λ)", remedy="λ is 2 for a classical link")
+]
 # A billion: more than any count in a file that fits into memory, and exact as a double.
 Count = Annotated[int, Between(1, 10**9)]
 # What NumPy's generators take.
@@ -76,7 +103,8 @@ FilePath = str | os.PathLike[str]
 
 
 def describe(annotation: Any) -> str:
-    """Return what `annotation` admits in words, as errors and the command line's help print it.
+    """Return what `annotation` admits in words, as errors and the command line's help
+    print it.
 
     >>> from typing import Literal
     >>> describe(Period), describe(Annotated[int, Between(1, 8, "samples")] | None)
@@ -89,20 +117,28 @@ def describe(annotation: Any) -> str:
 
 # --- the decorator ------------------------------------------------------------------------------------
 
-_TARGETS: list[Callable[..., Any]] = []  # every checked function and class, for the test of their annotations
+_TARGETS: list[
+    Callable[..., Any]
+] = []  # every checked function and class, for the test of their annotations
 
 
 @overload
 def checked(target: Target, /) -> Target: ...
 @overload
-def checked(*, error: type[FieldError] = ..., prefix: str = ...) -> Callable[[Target], Target]: ...
-def checked(target: Any = None, /, *, error: type[FieldError] = FieldError, prefix: str = "") -> Any:
-    """Check the arguments of a function, or the fields of a frozen dataclass, by their annotations.
+def checked(
+    *, error: type[FieldError] = ..., prefix: str = ...
+) -> Callable[[Target], Target]: ...
+def checked(
+    target: Any = None, /, *, error: type[FieldError] = FieldError, prefix: str = ""
+) -> Any:
+    """Check the arguments of a function, or the fields of a frozen dataclass, by their
+    annotations.
 
-    Defaults are trusted and not checked. `error` is the class that is raised; `prefix` stands before the
-    field's name ("lead."). Put it above `@dataclass(frozen=True)`; the class's own ``__post_init__`` then
-    sees normalised fields and checks only what involves several of them. A dataclass that inherits from
-    a checked one needs its own `@checked`, because `dataclass` writes it a new ``__init__``.
+    Defaults are trusted and not checked. `error` is the class that is raised; `prefix`
+    stands before the field's name ("lead."). Put it above `@dataclass(frozen=True)`;
+    the class's own ``__post_init__`` then sees normalised fields and checks only what
+    involves several of them. A dataclass that inherits from a checked one needs its own
+    `@checked`, because `dataclass` writes it a new ``__init__``.
 
     >>> from typing import Literal
     >>> @checked
@@ -120,22 +156,26 @@ def checked(target: Any = None, /, *, error: type[FieldError] = FieldError, pref
 
 
 def _checked(target: Any, *, error: type[FieldError], prefix: str) -> Any:
-    # Annotations are resolved at the first call: a test goes through this list, so that none fails for a user
-    # first.
+    # Annotations are resolved at the first call: a test goes through this list, so that
+    # none fails for a user first.
     _TARGETS.append(target)
     if not isinstance(target, type):
         return _guarded(target, target, error, prefix, own=False)
     if not is_dataclass(target):
-        raise TypeError(f"checked: {target.__name__} is not a dataclass; put checked above dataclass")
-    # The class's own `__init__` and not a wrapper class: `replace`, `fields` and pickles see the dataclass as
-    # it is written.
+        raise TypeError(
+            f"checked: {target.__name__} is not a dataclass; put checked above dataclass"
+        )
+    # The class's own `__init__` and not a wrapper class: `replace`, `fields` and
+    # pickles see the dataclass as it is written.
     target.__init__ = _guarded(target.__init__, target, error, prefix, own=True)  # type: ignore[method-assign]
     return target
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """How to check one call: by position (name, check), by name, and what *args and **kwargs hold."""
+    """How to check one call: by position (name, check), by name, and what *args and
+    **kwargs hold.
+    """
 
     ordered: list[tuple[str, Check | None]]
     named: dict[str, Check | None]
@@ -144,15 +184,23 @@ class _Plan:
 
 
 def _plan(function: Callable[..., Any], target: Any, own: bool) -> _Plan:
-    checks = {name: rule(hint, own=own).convert for name, hint in _hints(target).items()}
+    checks = {
+        name: rule(hint, own=own).convert for name, hint in _hints(target).items()
+    }
     kinds: dict[Any, list[str]] = {}
     for name, parameter in inspect.signature(function).parameters.items():
         kinds.setdefault(parameter.kind, []).append(name)
     one = inspect.Parameter
-    # A parameter that takes both is in both tables: the call decides which of them is asked.
-    ordered = kinds.get(one.POSITIONAL_ONLY, []) + kinds.get(one.POSITIONAL_OR_KEYWORD, [])
+    # A parameter that takes both is in both tables: the call decides which of them is
+    # asked.
+    ordered = kinds.get(one.POSITIONAL_ONLY, []) + kinds.get(
+        one.POSITIONAL_OR_KEYWORD, []
+    )
     named = kinds.get(one.POSITIONAL_OR_KEYWORD, []) + kinds.get(one.KEYWORD_ONLY, [])
-    rest, others = (checks.get(kinds.get(kind, [""])[0]) for kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD))
+    rest, others = (
+        checks.get(kinds.get(kind, [""])[0])
+        for kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+    )
     return _Plan(
         [(name, checks.get(name)) for name in ordered],
         {name: checks.get(name) for name in named},
@@ -162,9 +210,16 @@ def _plan(function: Callable[..., Any], target: Any, own: bool) -> _Plan:
 
 
 def _guarded(
-    function: Callable[..., Any], target: Any, error: type[FieldError], prefix: str, *, own: bool
+    function: Callable[..., Any],
+    target: Any,
+    error: type[FieldError],
+    prefix: str,
+    *,
+    own: bool,
 ) -> Callable[..., Any]:
-    plan: _Plan | None = None  # made at the first call, when every name of the module exists
+    plan: _Plan | None = (
+        None  # made at the first call, when every name of the module exists
+    )
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
@@ -176,8 +231,11 @@ def _guarded(
             if args:
                 values = list(args)
                 for index, value in enumerate(args):
-                    # Behind the last one comes *args, whose entries have no name of their own.
-                    name, check = ordered[index] if index < len(ordered) else ("", plan.rest)
+                    # Behind the last one comes *args, whose entries have no name of
+                    # their own.
+                    name, check = (
+                        ordered[index] if index < len(ordered) else ("", plan.rest)
+                    )
                     if check is not None:
                         values[index] = check(value)
                 args = tuple(values)
@@ -186,8 +244,8 @@ def _guarded(
                 if check is not None:
                     kwargs[name] = check(value)
         except Refused as refused:
-            # Without the inner frames: the user's mistake is at the call, and the rule that saw it is no part
-            # of the message.
+            # Without the inner frames: the user's mistake is at the call, and the rule
+            # that saw it is no part of the message.
             raise refused.error(prefix + name, error) from None
         return function(*args, **kwargs)
 
@@ -195,7 +253,8 @@ def _guarded(
 
 
 def rules(target: Callable[..., Any]) -> dict[str, Rule]:
-    """Return the rule of each annotated argument of a function, or field of a dataclass.
+    """Return the rule of each annotated argument of a function, or field of a
+    dataclass.
 
     >>> rules(Between.check)["field"].expected
     'a text'
@@ -206,8 +265,8 @@ def rules(target: Callable[..., Any]) -> dict[str, Rule]:
 def _hints(target: Any, *, strict: bool = False) -> dict[str, Any]:
     """The annotations of `target`, without what cannot be resolved unless `strict`.
 
-    A name imported under TYPE_CHECKING only does not exist when the program runs. That is a mistake in
-    fraclink, found by its tests; a user's call must not fail for it.
+    A name imported under TYPE_CHECKING only does not exist when the program runs. That
+    is a mistake in fraclink, found by its tests; a user's call must not fail for it.
     """
     try:
         hints = get_type_hints(target, include_extras=True)
@@ -226,7 +285,8 @@ def _resolvable(target: Any) -> dict[str, Any]:
     hints: dict[str, Any] = {}
     scope = vars(sys.modules[target.__module__])
     for name, hint in inspect.get_annotations(target).items():
-        # One name at a time: get_type_hints resolves all annotations of a target or none.
+        # One name at a time: get_type_hints resolves all annotations of a target or
+        # none.
         lone = types.SimpleNamespace(__annotations__={name: hint})
         with contextlib.suppress(NameError):
             hints |= get_type_hints(lone, globalns=scope, include_extras=True)
@@ -266,22 +326,36 @@ def checked_between(
     remedy: str = CHECK_UNIT,
 ) -> float:
     """Return `value` as a float in [low, high], or in (low, high] with `open_low`."""
-    return Between(low, high, unit, low_open=open_low, remedy=remedy).check(field, value)
+    return Between(low, high, unit, low_open=open_low, remedy=remedy).check(
+        field, value
+    )
 
 
-def checked_whole(field: str, value: object, low: int, high: int, unit: str = "") -> int:
+def checked_whole(
+    field: str, value: object, low: int, high: int, unit: str = ""
+) -> int:
     """Return `value` as an int from `low` to `high`, both included."""
     return cast(int, whole_rule(Between(low, high, unit)).check(field, value))
 
 
 def is_whole(value: object, low: int, high: int) -> bool:
-    """Whether `value` is an integer from `low` to `high`, and neither a bool nor a float."""
+    """Whether `value` is an integer from `low` to `high`, and neither a bool nor a
+    float.
+    """
     # A bool is an int in Python, and True no count of anything.
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(low <= value <= high)
+    return (
+        isinstance(value, int | np.integer)
+        and not isinstance(value, bool)
+        and bool(low <= value <= high)
+    )
 
 
 def checked_choice(
-    field: str, value: object, choices: Iterable[str], *, remedy: str = "choose one of these"
+    field: str,
+    value: object,
+    choices: Iterable[str],
+    *,
+    remedy: str = "choose one of these",
 ) -> str:
     """Return `value` where it is one of the words in `choices`."""
     words = tuple(choices)
@@ -290,8 +364,12 @@ def checked_choice(
     return value
 
 
-def checked_noun(field: str, value: object, kind: type[Instance], *, remedy: str | None = None) -> Instance:
-    """Return `value` where it is a `kind`; `remedy` says where to get one, else the class itself does."""
+def checked_noun(
+    field: str, value: object, kind: type[Instance], *, remedy: str | None = None
+) -> Instance:
+    """Return `value` where it is a `kind`; `remedy` says where to get one, else the
+    class itself does.
+    """
     try:
         return cast(Instance, instance_rule(kind).convert(value))
     except Refused as refused:
@@ -308,8 +386,13 @@ def checked_series(
 ) -> NDArray[np.float64]:
     """Return `value` as an array of shape (N,), which may hold NaN."""
     try:
-        # A copy: what is fitted must not change while its caller goes on recording into the array.
-        return np.array(array_rule(NDArray[np.float64], Array(1, finite=False), None, False).convert(value))
+        # A copy: what is fitted must not change while its caller goes on recording into
+        # the array.
+        return np.array(
+            array_rule(
+                NDArray[np.float64], Array(1, finite=False), None, False
+            ).convert(value)
+        )
     except Refused as refused:
         refused.remedy = remedy
         raise refused.error(field, error) from None

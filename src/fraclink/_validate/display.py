@@ -1,7 +1,9 @@
-"""Results in a prompt and in a notebook: the classes name nothing, `fraclink._show` knows how each looks.
+"""Results in a prompt and in a notebook: the classes name nothing, `fraclink._show`
+knows how each looks.
 
-A class of results lies floors below what draws it. Its methods therefore look their template up when they
-are called, so that neither a table nor matplotlib is loaded with the class.
+A class of results lies floors below what draws it. Its methods therefore look their
+template up when they are called, so that neither a table nor matplotlib is loaded with
+the class.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ Kind = TypeVar("Kind", bound=type)
 
 
 def _template(name: str) -> Any:
-    # By name and not imported above: this module lies floors below `_show`, which loads matplotlib.
+    # By name and not imported above: this module lies floors below `_show`, which loads
+    # matplotlib.
     return getattr(import_module("fraclink._show.notebook"), name)
 
 
@@ -35,15 +38,18 @@ def _repr_svg(result: Any) -> str | None:
 
 
 def displayed(kind: Kind) -> Kind:
-    """Give a class of results a short repr, and to notebooks its table and, where there is one, its drawing.
+    """Give a class of results a short repr, and to notebooks its table and, where there
+    is one, its drawing.
 
-    A repr of the class's own is kept; the one that `dataclass` generates prints every sample of an array.
+    A repr of the class's own is kept; the one that `dataclass` generates prints every
+    sample of an array.
 
     >>> import fraclink as fl
     >>> fl.Rig.named("paper-2023")
     Rig(paper-2023)
     """
-    # A repr of the class's own is what its author wants in a prompt; only dataclass's is replaced.
+    # A repr of the class's own is what its author wants in a prompt; only dataclass's
+    # is replaced.
     if kind.__dataclass_params__.repr:  # type: ignore[attr-defined]
         kind.__repr__ = _repr  # type: ignore[assignment]
     kind._repr_html_ = _repr_html  # type: ignore[attr-defined]

@@ -1,4 +1,6 @@
-"""What may stand beside a type in an annotation, and the rules of numbers: Annotated[float, Between(0, 1)]"""
+"""What may stand beside a type in an annotation, and the rules of numbers:
+Annotated[float, Between(0, 1)]
+"""
 
 from __future__ import annotations
 
@@ -16,23 +18,43 @@ Check = Callable[[Any], Any]
 CHECK_UNIT = "check the value and its unit"
 
 
-class Refused(Exception):  # never leaves this module: the border makes a FieldError of it
+class Refused(
+    Exception
+):  # never leaves this module: the border makes a FieldError of it
     """A check that failed, before the name of its field is known."""
 
-    def __init__(self, value: object, problem: str, expected: str, remedy: str, *, is_type: bool = False):
+    def __init__(
+        self,
+        value: object,
+        problem: str,
+        expected: str,
+        remedy: str,
+        *,
+        is_type: bool = False,
+    ):
         super().__init__(problem)
-        self.value, self.problem, self.expected, self.remedy = value, problem, expected, remedy
-        self.is_type = is_type  # the value is of another kind, so another member of a union may take it
+        self.value, self.problem, self.expected, self.remedy = (
+            value,
+            problem,
+            expected,
+            remedy,
+        )
+        # the value is of another kind, so another member of a union may take it
+        self.is_type = is_type
         self.place = ""  # "[0]" inside a sequence
 
     def error(self, field: str, kind: type[FieldError]) -> FieldError:
         value, place = self.value, field + self.place
-        return kind(place, value, self.problem, allowed=self.expected, remedy=self.remedy)
+        return kind(
+            place, value, self.problem, allowed=self.expected, remedy=self.remedy
+        )
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What an annotation admits: its words, its check and, for numbers and words, its bounds and choices."""
+    """What an annotation admits: its words, its check and, for numbers and words, its
+    bounds and choices.
+    """
 
     expected: str
     convert: Check
@@ -41,8 +63,12 @@ class Rule:
     high: float = math.inf
     choices: tuple[Any, ...] = ()
 
-    def check(self, field: str, value: object, *, error: type[FieldError] = FieldError) -> Any:
-        """Return `value` normalised; raises `error` (a FieldError) that names `field` otherwise."""
+    def check(
+        self, field: str, value: object, *, error: type[FieldError] = FieldError
+    ) -> Any:
+        """Return `value` normalised; raises `error` (a FieldError) that names `field`
+        otherwise.
+        """
         try:
             return self.convert(value)
         except Refused as refused:
@@ -72,18 +98,29 @@ class Between:
     _: KW_ONLY
     low_open: bool = False
     high_open: bool = False
-    finite: bool = True  # False admits infinities inside the bounds, and NaN where there are no bounds
+    # False admits infinities inside the bounds, and NaN where there are no bounds
+    finite: bool = True
     remedy: str = CHECK_UNIT
 
     @property
     def expected(self) -> str:
         """The range in words, with its unit."""
         low, high = _figure(self.low), _figure(self.high)
-        bounds = [f"{'>' if self.low_open else '>='} {low}"] if self.low > -math.inf else []
-        bounds += [f"{'<' if self.high_open else '<='} {high}"] if self.high < math.inf else []
+        bounds = (
+            [f"{'>' if self.low_open else '>='} {low}"] if self.low > -math.inf else []
+        )
+        bounds += (
+            [f"{'<' if self.high_open else '<='} {high}"]
+            if self.high < math.inf
+            else []
+        )
         closed = len(bounds) == 2 and not (self.low_open or self.high_open)
         text = f"{low} to {high}" if closed else " and ".join(bounds)
-        text = f"{text} {self.unit}".strip() if bounds else f"a finite number {self.unit}".rstrip()
+        text = (
+            f"{text} {self.unit}".strip()
+            if bounds
+            else f"a finite number {self.unit}".rstrip()
+        )
         if self.finite:
             return text
         return f"{text} or infinite" if bounds else f"a number {self.unit}".rstrip()
@@ -94,7 +131,9 @@ class Between:
         return above & (number < self.high if self.high_open else number <= self.high)
 
     def check(self, field: str, value: object) -> float:
-        """Return `value` as a float of this range; for bounds that are known at run time only."""
+        """Return `value` as a float of this range; for bounds that are known at run
+        time only.
+        """
         return cast(float, number_rule(self).check(field, value))
 
 
@@ -105,7 +144,8 @@ class Array:
     ndim: int | None = 1
     finite: bool = True
     min_size: int = 0
-    flags: bool = False  # whether True and False count as 1 and 0: a condition such as t > 1 is a step
+    # whether True and False count as 1 and 0: a condition such as t > 1 is a step
+    flags: bool = False
 
     @property
     def expected(self) -> str:
@@ -133,7 +173,9 @@ class Length:
 
 @dataclass(frozen=True)
 class Where:
-    """A condition of its own, in words: ``Where(str.isidentifier, "a Python identifier")``."""
+    """A condition of its own, in words: ``Where(str.isidentifier, "a Python
+    identifier")``.
+    """
 
     condition: Callable[[Any], bool]
     expected: str
@@ -142,9 +184,15 @@ class Where:
 
 
 def _figure(number: float) -> str:
-    """A bound as people write it: 1e6 for 1000000.0, every digit of a whole number that is an int."""
+    """A bound as people write it: 1e6 for 1000000.0, every digit of a whole number that
+    is an int.
+    """
     # A range of samples is read by its digits, 300000; one of a unit by its size, 1e6.
-    text = str(number) if isinstance(number, int) and abs(number) < 10**6 else f"{number:g}"
+    text = (
+        str(number)
+        if isinstance(number, int) and abs(number) < 10**6
+        else f"{number:g}"
+    )
     mantissa, mark, exponent = text.partition("e")
     # 1e+06 is what Python writes and nobody else.
     return f"{mantissa}e{int(exponent)}" if mark else text
@@ -153,7 +201,11 @@ def _figure(number: float) -> str:
 def number_rule(bounds: Between | None = None) -> Rule:
     limits = bounds or Between()
     expected, remedy, finite = limits.expected, limits.remedy, limits.finite
-    low, high, simple = limits.low, limits.high, not (limits.low_open or limits.high_open)
+    low, high, simple = (
+        limits.low,
+        limits.high,
+        not (limits.low_open or limits.high_open),
+    )
 
     def convert(value: Any) -> float:
         # The common case first: this runs at every call of every public function.
@@ -166,32 +218,53 @@ def number_rule(bounds: Between | None = None) -> Rule:
             return cast(float, value)
         if not finite and math.isnan(value) and low == -math.inf and high == math.inf:
             return cast(float, value)
-        raise Refused(value, "out of range" if math.isfinite(value) else "not finite", expected, remedy)
+        raise Refused(
+            value,
+            "out of range" if math.isfinite(value) else "not finite",
+            expected,
+            remedy,
+        )
 
     return Rule(expected, convert, limits.unit, low, high)
 
 
 def _as_float(value: Any, expected: str, remedy: str) -> float:
-    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.floating | np.integer):
+    if isinstance(value, bool | np.bool_) or not isinstance(
+        value, int | float | np.floating | np.integer
+    ):
         raise Refused(brief(value), "not a number", expected, remedy, is_type=True)
     try:
         return float(value)
     except OverflowError:  # a whole number of more than 308 digits
-        # As infinity it meets the range's own refusal, "not finite", which names the bounds.
+        # As infinity it meets the range's own refusal, "not finite", which names the
+        # bounds.
         return math.inf if value > 0 else -math.inf
 
 
 def whole_rule(bounds: Between | None = None) -> Rule:
     limits = bounds or Between()
     low, high, unit = limits.low, limits.high, limits.unit
-    text = f"{_figure(low)} to {_figure(high)}" if math.isfinite(high) else f">= {_figure(low)}"
-    expected = f"whole number {text if math.isfinite(low) else ''} {unit}".strip().replace("  ", " ")
+    text = (
+        f"{_figure(low)} to {_figure(high)}"
+        if math.isfinite(high)
+        else f">= {_figure(low)}"
+    )
+    expected = (
+        f"whole number {text if math.isfinite(low) else ''} {unit}".strip().replace(
+            "  ", " "
+        )
+    )
     remedy = "give a whole number" if limits.remedy == CHECK_UNIT else limits.remedy
 
     def convert(value: Any) -> int:
-        if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-            raise Refused(brief(value), "not a whole number", expected, remedy, is_type=True)
-        # Python's int: bounds of 64 bits are compared exactly, which a numpy integer would wrap around.
+        if isinstance(value, bool | np.bool_) or not isinstance(
+            value, int | np.integer
+        ):
+            raise Refused(
+                brief(value), "not a whole number", expected, remedy, is_type=True
+            )
+        # Python's int: bounds of 64 bits are compared exactly, which a numpy integer
+        # would wrap around.
         number = int(value)
         if not low <= number <= high:
             raise Refused(number, "out of range", expected, remedy)
@@ -207,8 +280,12 @@ def complex_rule() -> Rule:
         kinds = int | float | complex | np.number
         if isinstance(value, bool | np.bool_) or not isinstance(value, kinds):
             raise Refused(brief(value), "not a number", expected, remedy, is_type=True)
-        number = complex(value) if isinstance(value, complex | np.complexfloating) else None
-        number = complex(_as_float(value, expected, remedy)) if number is None else number
+        number = (
+            complex(value) if isinstance(value, complex | np.complexfloating) else None
+        )
+        number = (
+            complex(_as_float(value, expected, remedy)) if number is None else number
+        )
         if not (math.isfinite(number.real) and math.isfinite(number.imag)):
             raise Refused(number, "not finite", expected, remedy)
         return number
