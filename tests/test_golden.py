@@ -24,7 +24,6 @@ SLOW = {
     "optimised noise",
     "optimised crossover",
 }
-SLOW |= {"drawing of a shaped move"}
 ENTRIES = [
     pytest.param(
         topic,

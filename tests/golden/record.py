@@ -72,7 +72,6 @@ from reproduce.values import computed  # noqa: E402
 HERE = Path(__file__).resolve().parent
 from golden.commands import record_commands  # type: ignore[attr-defined]  # noqa: E402
 from golden.formats import formats  # type: ignore[attr-defined]  # noqa: E402
-from golden.rooms import rooms  # type: ignore[attr-defined]  # noqa: E402
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
@@ -951,7 +950,6 @@ TOPICS: dict[
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
     "formats": (formats, 1e-12),
-    "rooms": (rooms, 1e-6),
 }
 
 
