@@ -1,16 +1,15 @@
 """Every error fraclink raises on purpose.
 
-    FraclinkError ├── FieldError(ValueError)              a value is out of its range:
-    field, value, allowed, remedy │   ├── LogError                        a recorded log
-    cannot be used as it is │   ├── FileFormatError                 a file is damaged,
-    hostile, of another kind or version │   ├── SizeError                       refused
-    by estimate, before memory is taken │   └── UnstableError                   the
-    quantity asked for exists for stable systems only ├── InfeasibleError(ValueError)
-    a design cannot be met: binding condition, nearest request ├──
-    NotCertifiedError(ValueError)       a proof failed: payload and frequency where it
-    fails ├── NotConvergedError(RuntimeError)     an iteration stopped short: what was
-    reached └── MissingExtraError(ImportError)      an optional dependency is not
-    installed
+    FraclinkError
+    ├── FieldError(ValueError)          a value is out of its range
+    │   ├── LogError                    a recorded log cannot be used as it is
+    │   ├── FileFormatError             a file is damaged, or of another kind
+    │   ├── SizeError                   refused before memory is taken
+    │   └── UnstableError               the quantity exists for stable systems only
+    ├── InfeasibleError(ValueError)     a design cannot be met
+    ├── NotCertifiedError(ValueError)   a proof failed
+    ├── NotConvergedError(RuntimeError) an iteration stopped short
+    └── MissingExtraError(ImportError)  an optional dependency is not installed
 
 The command line turns ``FieldError`` and ``MissingExtraError`` into exit code 2 (bad
 input) and ``InfeasibleError``, ``NotCertifiedError`` and ``NotConvergedError`` into

@@ -53,9 +53,12 @@ class DiscretePid:
     """The PID of the motor loop at its period: two one-pole filters in parallel, as
     law.c computes them.
 
-    With ε = θm* − θm the control is u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε −
-    ρ2 θm), where H1 stands for 1/s and H2 for 1/(s + c):  H(z) = (now + before z⁻¹)/(1
-    − decay z⁻¹).
+    With ε = θm* − θm the control is
+
+        u' = a2 ε − b1 θm + H1(z) (a0/c) ε + H2(z) (ρ1 ε − ρ2 θm),
+        H(z) = (now + before z⁻¹)/(1 − decay z⁻¹),
+
+    where H1 stands for 1/s and H2 for 1/(s + c).
 
     >>> from types import SimpleNamespace
     >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0).discretize(0.004)

@@ -2,7 +2,7 @@
 file for each part:
 
 rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json
-certificate.json run-20g.npz …  arms/  faults.json  study.json
+certificate.json  run-20g.npz …  arms/  faults.json  study.json
 """
 
 from __future__ import annotations

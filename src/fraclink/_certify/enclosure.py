@@ -5,8 +5,8 @@ L = F H. F is what stands in front of the link: with x = 1/z = e^{-jωTs}, ``K =
 g/(z − p)`` (so that Ĉ = (1 − x) K) and h = ωTs/2, for the ideal and for the sampled
 motor loop,
 
-    F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2 F = 2j Ts K C (sin h)(sin
-    h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)),    y = 1 − x
+    F = 2j K (sin h)(sin h/h) e^{-jω(τ+Ts)} (1 + jω/p)^-2
+    F = 2j Ts K C (sin h)(sin h/h)² e^{-jω(τ+3Ts/2)} / ((jω + B)(y²/A + Z)), y = 1 − x
 
 with C = y Cm1 and Z = y² (Cm1 + Cm2) P_τ/A, P_τ the held motor, late by τ: 1/F is
 affine in 1/A. H is the tip angle as the law computes it, θm − κΓ, over θm: ``H = 1 − E

@@ -126,9 +126,11 @@ def _second_format(content: dict[str, Any]) -> dict[str, Any]:
 class Law:
     """A controller as it runs: every coefficient of law.c at its period.
 
-    θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c (22), (23), with Ĉ(z) = (1
-    − z⁻¹)(d + Σ g/(z − p)), so that Ĉ(1) = 0 exactly in any arithmetic (28). Made by
-    `discretize_controller` or `Controller.discretize`.
+        θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c,    (22), (23)
+        Ĉ(z) = (1 − z⁻¹)(d + Σ g/(z − p)),                          (28)
+
+    so that Ĉ(1) = 0 exactly in any arithmetic. Made by `discretize_controller` or
+    `Controller.discretize`.
 
     Parameters
     ----------

@@ -12,8 +12,8 @@ step of c_j rad in three knots. The loop is linear: tip, voltage and motor answe
 the sum of c_j times their answer to one such step, later by j knots, for every payload
 at once.
 
-    minimise e  subject to  |Σ c_j y_p(t − jh) − target(t)| <= e  and  |Σ c_j V_p(t −
-    jh)| <= V  for all p, t
+    minimise e  subject to  |Σ c_j y_p(t − jh) − target(t)| <= e
+                       and  |Σ c_j V_p(t − jh)| <= V             for all p, t
 """
 
 from __future__ import annotations

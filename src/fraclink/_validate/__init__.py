@@ -1,8 +1,8 @@
 """Values from outside: a range is written once, in the annotation, and checked where
 the value enters.
 
-    @checked def design(model: LinkModel, *, gain_crossover: Frequency, hold:
-    Literal["zero", "first"] = "zero"): ...
+    @checked
+    def design(model: LinkModel, *, gain_crossover: Frequency): ...
 
     @checked
     @dataclass(frozen=True)
