@@ -561,7 +561,7 @@ def test_rivals_are_tuned_as_asked_and_written(line: Line) -> None:
 
     result = Result()
     asked = line.hear("assessments.run_rivals", result)
-    words = "compare --rig paper-2023 --only ZVD --only PD --link-mass 0.01 --gain-crossover 11"
+    words = "compare --rig paper-2023 --only ZV --only PD --link-mass 0.01 --gain-crossover 11"
     told = line(
         f"{words} --phase-margin-deg 40 --filter-time 0.02 --seed 3 --out c --model design.json --json"
     )
@@ -569,7 +569,7 @@ def test_rivals_are_tuned_as_asked_and_written(line: Line) -> None:
     asked.last.pop("progress")
     assert asked.last == {
         "model": made_design().model, "link_mass": 0.01, "gain_crossover": 11.0, "seed": 3,
-        "phase_margin": math.radians(40.0), "filter_time": 0.02, "names": ["ZVD", "PD"],
+        "phase_margin": math.radians(40.0), "filter_time": 0.02, "names": ["ZV", "PD"],
     }  # fmt: skip
     assert result.saved == [Path("c/comparison.json"), Path("c/comparison.svg")]
     assert Path("c/comparison.md").read_text() == "a table"

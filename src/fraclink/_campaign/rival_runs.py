@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._arm.shapers import Shaped
-from fraclink._campaign.rival_controllers import Seen
 from fraclink._campaign.rivals import Rival
 from fraclink._campaign.setting import (
     Filter,
@@ -80,11 +79,15 @@ def run_rival(
     # for the gauge's zero.
     inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
     state = ArmState(twin, law.period, law.initial_state())
-    if rival.outer is None:
+    if rival.correction is None:
         record = state.run(law.block, inputs)
     else:
         record = _tick_by_tick(
-            state, rival, inputs, feed_forward(forward, inputs[:, ACCELERATION])
+            state,
+            law,
+            rival.correction,
+            inputs,
+            feed_forward(forward, inputs[:, ACCELERATION]),
         )
     wanted = reference.angle(law.period * np.arange(len(record)))
     record[:, 0] = wanted  # judged by what was asked, not by the shaped reference
@@ -100,27 +103,28 @@ def run_rival(
     )
 
 
-def _tick_by_tick(state: ArmState, rival: Rival, inputs: Real, forward: Real) -> Real:
-    assert rival.outer is not None  # the caller's case  # noqa: S101
-    outer, block = rival.outer(), rival.law.block
-    compliance = 1.0 / rival.law.stiffness
+def _tick_by_tick(
+    state: ArmState, law: Law, correction: Filter, inputs: Real, forward: Real
+) -> Real:
+    """Run the law's motor loop alone, with the correction of the tip error around it."""
+    compliance = 1.0 / law.stiffness
+    inner = np.zeros(correction.order)
     record = np.empty((len(inputs), _kernels.TWIN_COLUMNS))
     wanted = inputs[:, REFERENCE].tolist()
     for k in range(len(inputs)):
         angle, torque = state.sense(inputs[k])
-        bend = torque * compliance
-        error = wanted[k] - (angle - bend)
-        # Equation (22), corrected: reference, feed-forward, and the rival's own answer
-        # to the error.
-        command = (
-            wanted[k] + forward[k] + outer(Seen(wanted[k], error, bend, forward[k]))
-        )
+        error = wanted[k] - (angle - torque * compliance)
+        # Equation (22), corrected: reference, feed-forward, and the rival's answer to the
+        # error.
+        answer = float(correction.c @ inner) + correction.d * error
+        inner = correction.a @ inner + correction.b * error
+        command = wanted[k] + forward[k] + answer
         # A rival that diverges would hand the law infinity, which its guards answer;
         # what is compared is control.
         inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
         # The feed-forward is in the command already: the law must not add its own.
         inputs[k, ACCELERATION] = 0.0
-        record[k] = state.run(block, inputs[k : k + 1])[0]
+        record[k] = state.run(law.block, inputs[k : k + 1])[0]
         # A motor at 100 rad has turned sixteen times: it diverges, and each further
         # tick costs as much as a good one.
         if abs(record[k, 1]) > 1e2:

@@ -82,10 +82,6 @@ class Filter:
             dtype=np.complex128,
         )
 
-    def scaled(self, factor: float) -> Filter:
-        """Return the filter times a factor."""
-        return Filter(self.a, self.b, factor * self.c, factor * self.d)
-
     def after(self, first: Filter) -> Filter:
         """Return this filter behind `first`."""
         n, m = first.order, self.order
@@ -243,32 +239,6 @@ class NominalLoop:
             return math.inf
         z = np.exp(1j * self.frequencies * self.period)
         return float(np.max(1.0 / np.abs(1.0 + correction.response(z) * self.response)))
-
-    def noise(self, correction: Filter | Callable[[Real], Complex]) -> float:
-        """Return what white noise of the tip estimate becomes in the motor reference,
-        rms per rms.
-
-        `correction` is a filter, or a continuous Ĉ as a function of ω [rad/s].
-        """
-        # White noise has equal power at equal steps of ω, so this grid is linear where
-        # that of Ms is not.
-        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
-        z = np.exp(1j * frequency * self.period)
-        # Ĉ/(1 + Ĉ P): from the estimate through the loop to the motor's reference,
-        # where noise becomes voltage.
-        gain = (
-            correction.response(z)
-            if isinstance(correction, Filter)
-            else correction(frequency)
-        )
-        return float(
-            np.sqrt(np.mean(np.abs(gain / (1.0 + gain * self._noise_plant)) ** 2))
-        )
-
-    @cached_property
-    def _noise_plant(self) -> Complex:
-        frequency = np.linspace(0.05, 0.999 * math.pi / self.period, 2000)
-        return self.plant.response(np.exp(1j * frequency * self.period))
 
 
 def tune(
