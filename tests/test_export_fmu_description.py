@@ -80,10 +80,11 @@ def test_every_variable_is_described_as_the_standard_wants(
 ) -> None:
     made, wanted = (law(), OF_ARM) if of_arm else (pid(), OF_PID)
     root, _ = _written(made, tmp_path, fmi)
-    listed = [dict(item.attrib) for item in root.find("ModelVariables") or ()]
-    kinds = [item.tag for item in root.find("ModelVariables") or ()]
+    variables = root.findall("ModelVariables/*")
+    listed = [dict(item.attrib) for item in variables]
+    kinds = [item.tag for item in variables]
     if fmi == 2:  # the value's attributes are those of an element inside
-        values = [item[0] for item in root.find("ModelVariables") or ()]
+        values = [item[0] for item in variables]
         kinds = [{"Real": "Float64", "Integer": "UInt32"}[item.tag] for item in values]
         listed = [
             about | value.attrib for about, value in zip(listed, values, strict=True)

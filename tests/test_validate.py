@@ -11,6 +11,7 @@ import inspect
 import math
 import pickle
 import pkgutil
+import typing
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 import fraclink
 from fraclink import _validate
+from fraclink._files.codec import Storage, codec_of
 from fraclink._validate import (
     Angle,
     Array,
@@ -639,6 +641,21 @@ def test_nouns_and_series_by_name() -> None:
     )
 
 
+@pytest.mark.skipif(
+    not hasattr(typing, "TypeAliasType"), reason="type aliases began with Python 3.12"
+)
+def test_an_alias_is_what_it_stands_for() -> None:
+    alias = typing.TypeAliasType  # type: ignore[attr-defined]  # since Python 3.12
+    scalar: Any = typing.TypeVar("scalar", bound=np.generic)
+    matrix = alias("matrix", np.ndarray[Any, np.dtype[scalar]], type_params=(scalar,))
+    speed = alias("speed", Annotated[float, Between(0.0, unit="rad/s")])
+    assert rule(matrix[np.complex128]).convert([1j]).dtype == np.complex128
+    assert rule(Annotated[matrix[np.float64], Array(1)]).convert([1]).dtype == float
+    refusal(Annotated[matrix[np.float64], Array(1)], [[1.0]])
+    assert "rad/s" in str(refusal(alias("fast", speed), -1.0))
+    assert codec_of(matrix[np.float64]).encode([1.0], "x", Storage()) == [1.0]
+
+
 # --- results that are compared ------------------------------------------------------------------------------
 
 
@@ -661,6 +678,8 @@ def test_results_are_equal_where_all_their_fields_are() -> None:
     assert (a == "a") is False
     assert Result(np.array([math.nan])) == Result(np.array([math.nan]))
     assert Result(math.nan) == Result(math.nan) and Result(1.0) != Result(math.nan)
+    between = Between(float("nan"))
+    assert Result(between) == Result(Between(float("nan"))) != Result(Between(1.0))
     assert Result(np.array(["x"])) == Result(np.array(["x"]))
     assert Result({"k": np.ones(2)}) == Result({"k": np.ones(2)})
     assert (

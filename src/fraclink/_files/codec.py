@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files.containers import guarded, misfit
+from fraclink._validate import unaliased
 from fraclink.errors import FileFormatError
 
 __all__ = ["Storage", "codec_of", "stored_as"]
@@ -493,6 +494,7 @@ def codec_of(hint: Any) -> Codec:
     """Return the codec of a type hint; TypeError for a hint that no file can hold."""
     if hint in _HOOKS or hint in _SIMPLE:
         return _HOOKS.get(hint) or _SIMPLE[hint]
+    hint = unaliased(hint)
     origin, args = get_origin(hint), get_args(hint)
     if origin is Literal:
         return _Word(args)

@@ -206,7 +206,12 @@ def _gradients(
 
 
 def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
-    return np.asarray(np.maximum(np.diag(inverse @ meat @ inverse), 1e-300))
+    # Where parameters trade against each other the terms cancel: what is left below
+    # their rounding may be negative, and depends on the machine.
+    terms = np.diag(np.abs(inverse) @ np.abs(meat) @ np.abs(inverse))
+    float64 = np.finfo(np.float64)
+    floor = np.maximum(float64.eps * terms, float64.tiny)
+    return np.asarray(np.maximum(np.diag(inverse @ meat @ inverse), floor))
 
 
 def inverted(normal: Matrix) -> tuple[Matrix, bool]:

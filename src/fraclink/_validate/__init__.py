@@ -41,12 +41,12 @@ from fraclink._validate.ranges import Ordered as Ordered
 from fraclink._validate.ranges import Rule as Rule
 from fraclink._validate.ranges import Where as Where
 from fraclink._validate.rules import (
-    array_rule,
     conditional_rule,
     instance_rule,
     listed,
     rule,
 )
+from fraclink._validate.rules import unaliased as unaliased
 from fraclink.errors import FieldError
 
 Target = TypeVar("Target", bound=Callable[..., Any])
@@ -389,9 +389,7 @@ def checked_series(
         # A copy: what is fitted must not change while its caller goes on recording into
         # the array.
         return np.array(
-            array_rule(
-                NDArray[np.float64], Array(1, finite=False), None, False
-            ).convert(value)
+            rule(Annotated[NDArray[np.float64], Array(1, finite=False)]).convert(value)
         )
     except Refused as refused:
         refused.remedy = remedy

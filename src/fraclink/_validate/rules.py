@@ -35,6 +35,20 @@ from fraclink._validate.ranges import (
 )
 
 
+def unaliased(annotation: Any) -> Any:
+    """Return what `annotation` stands for if it is a type alias, as NDArray is from
+    numpy 2.5 on; itself otherwise.
+
+    >>> get_origin(unaliased(NDArray[np.float64]))
+    <class 'numpy.ndarray'>
+    """
+    value = getattr(get_origin(annotation) or annotation, "__value__", None)
+    if value is None:
+        return annotation
+    arguments = get_args(annotation)
+    return unaliased(value[arguments] if arguments else value)
+
+
 def rule(annotation: Any, *, own: bool = False) -> Rule:
     """Return the rule of `annotation`; with `own`, arrays become read-only copies, as a
     field keeps them.
@@ -52,6 +66,7 @@ def rule(annotation: Any, *, own: bool = False) -> Rule:
 def _rule(annotation: Any, own: bool) -> Rule:
     if isinstance(annotation, InitVar):
         annotation = annotation.type
+    annotation = unaliased(annotation)
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return _narrowed(arguments[0], arguments[1:], own)
@@ -90,6 +105,7 @@ def _container(kind: type, arguments: tuple[Any, ...], own: bool) -> Rule:
 
 def _narrowed(base: Any, metadata: tuple[Any, ...], own: bool) -> Rule:
     """The rule of Annotated[base, *metadata]."""
+    base = unaliased(base)
     bounds = next((item for item in metadata if isinstance(item, Between)), None)
     shape = next((item for item in metadata if isinstance(item, Array)), None)
     if shape is None and get_origin(base) in (
