@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test quick coverage lint bench build docs fuzz reproduce clean lock
+.PHONY: setup demo test quick coverage lint bench build docs fuzz reproduce clean lock dist-check
 
 setup: $(STAMP)
 
@@ -72,6 +72,10 @@ fuzz: setup
 docs: setup
 	$(BIN)/sphinx-build --quiet --jobs auto --fail-on-warning --keep-going -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
+
+# sdist, the wheel from it, and the README's session with the wheel alone: build/dist holds both.
+dist-check: setup
+	@$(PY) tools/check_dist.py
 
 reproduce: setup
 	$(PY) -m reproduce

@@ -136,9 +136,9 @@ def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> 
 def test_doctor_says_what_is_there(fraclink: Command) -> None:
     answer = fraclink("doctor")
     assert answer.code == 0
-    assert "✓ passed: fraclink 0.1.0 on " in answer.out
+    assert f"✓ passed: fraclink {__version__} on " in answer.out
     found = json.loads(fraclink("doctor", "--json").out)
-    assert found["extras"]["matplotlib"] and found["version"] == "0.1.0"
+    assert found["extras"]["matplotlib"] and found["version"] == __version__
 
 
 def test_the_manual_page_has_every_command_and_option(
@@ -541,7 +541,7 @@ def test_the_module_is_the_command() -> None:
         text=True,
         check=True,
     )
-    assert answer.stdout == "fraclink 0.1.0\n"
+    assert answer.stdout == f"fraclink {__version__}\n"
 
 
 def test_a_rig_without_a_model_says_what_to_do(

@@ -25,8 +25,23 @@ def test_the_version_is_one() -> None:
     citation = re.findall(
         r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE
     )
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text("utf-8")
+    recipes = re.findall(r'^  version: "(.*)"$', recipe, re.MULTILINE)
+    changes = re.findall(
+        r"^## (\d\S*)", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE
+    )
     assert PROJECT["dynamic"] == ["version"]
-    assert [prove["version"], *citation] == [fraclink.__version__] * 2
+    others = [prove["version"], *citation, *recipes, changes[0]]
+    assert others == [fraclink.__version__] * 4
+
+
+def test_the_conda_recipe_asks_for_what_the_package_asks_for() -> None:
+    recipe = (ROOT / "conda" / "recipe.yaml").read_text("utf-8")
+    rows = {
+        row.replace(" ", "") for row in re.findall(r"^    - (\S+ >=.*)$", recipe, re.M)
+    }
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]
+    assert rows == {*PROJECT["dependencies"], *build["requires"]}
 
 
 def test_the_matrix_has_every_python_that_is_classified() -> None:

@@ -27,78 +27,99 @@ static void single_step(const fit_table *t, pass_state *s, double v) {
 }
 
 /* Vectors of four, always: the compilers' own vectoriser shuffles these loops instead of broadcasting, and
- * vectors of eight spill where the machine has only AVX2. */
+ * vectors of eight spill where the machine has only AVX2. A compiler without vectors gets the loops. */
+#if defined(__GNUC__) || defined(__clang__)
+#define INLINE static inline __attribute__((always_inline))
 typedef double quad __attribute__((vector_size(32), aligned(8), may_alias));
-#define AT(array, index) (*(quad *)&(array)[index])
-#define CONST_AT(array, index) (*(const quad *)&(array)[index])
+
+INLINE void add_scaled(quad *sum, const double *a, double factor) { *sum += *(const quad *)a * factor; }
+INLINE void add_product(quad *sum, const double *a, const double *b) {
+    *sum += *(const quad *)a * *(const quad *)b;
+}
+INLINE void add(quad *sum, const quad *other) { *sum += *other; }
+INLINE void store(double *to, const quad *sum) { *(quad *)to = *sum; }
+#else
+#define INLINE static inline
+typedef struct {
+    double lane[4];
+} quad;
+
+INLINE void add_scaled(quad *sum, const double *a, double factor) {
+    for (int j = 0; j < 4; j++) sum->lane[j] += a[j] * factor;
+}
+INLINE void add_product(quad *sum, const double *a, const double *b) {
+    for (int j = 0; j < 4; j++) sum->lane[j] += a[j] * b[j];
+}
+INLINE void add(quad *sum, const quad *other) { add_scaled(sum, other->lane, 1); }
+INLINE void store(double *to, const quad *sum) { memcpy(to, sum->lane, sizeof sum->lane); }
+#endif
 
 /* Outputs of FIT_GROUP blocks at once: every coefficient is loaded once and used for each of them. */
-static inline __attribute__((always_inline)) void group_outputs(const fit_table *restrict t,
-                                                                const pass_state *restrict s,
-                                                                const double *restrict v,
-                                                                double (*restrict out)[GROUP * L]) {
+INLINE void group_outputs(const fit_table *restrict t, const pass_state *restrict s, const double *restrict v,
+                          double (*restrict out)[GROUP * L]) {
     int modes = t->modes;
     for (int c = 0; c < t->outputs; c++) {
         const double(*restrict gain)[L] = t->state_gain[c];
         const double(*restrict direct)[L] = t->input_gain[c];
         quad low[GROUP], high[GROUP];
         for (int g = 0; g < GROUP; g++) {
-            low[g] = CONST_AT(gain[modes + 4], 0) * s[g].previous;
-            high[g] = (quad){0};
+            low[g] = high[g] = (quad){0};
+            add_scaled(&low[g], gain[modes + 4], s[g].previous);
         }
         for (int i = 0; i < modes; i++)
             for (int g = 0; g < GROUP; g++) {
-                low[g] += CONST_AT(gain[i], 0) * s[g].mode[i];
-                high[g] += CONST_AT(gain[i], 4) * s[g].mode[i];
+                add_scaled(&low[g], gain[i], s[g].mode[i]);
+                add_scaled(&high[g], gain[i] + 4, s[g].mode[i]);
             }
         for (int k = 0; k < 4; k++)
             for (int g = 0; g < GROUP; g++) {
-                low[g] += CONST_AT(gain[modes + k], 0) * s[g].pole[k];
-                high[g] += CONST_AT(gain[modes + k], 4) * s[g].pole[k];
+                add_scaled(&low[g], gain[modes + k], s[g].pole[k]);
+                add_scaled(&high[g], gain[modes + k] + 4, s[g].pole[k]);
             }
         for (int l = 0; l < 4; l++) /* an input acts from its own sample on: the first half never sees the second */
             for (int g = 0; g < GROUP; g++) {
-                low[g] += CONST_AT(direct[l], 0) * v[g * L + l];
-                high[g] += CONST_AT(direct[l], 4) * v[g * L + l];
-                high[g] += CONST_AT(direct[l + 4], 4) * v[g * L + l + 4];
+                add_scaled(&low[g], direct[l], v[g * L + l]);
+                add_scaled(&high[g], direct[l] + 4, v[g * L + l]);
+                add_scaled(&high[g], direct[l + 4] + 4, v[g * L + l + 4]);
             }
         for (int g = 0; g < GROUP; g++) {
-            AT(out[c], g * L) = low[g];
-            AT(out[c], g * L + 4) = high[g];
+            store(out[c] + g * L, &low[g]);
+            store(out[c] + g * L + 4, &high[g]);
         }
     }
 }
 
-static inline __attribute__((always_inline)) void block_update(const fit_table *restrict t,
-                                                               const pass_state *restrict s,
-                                                               pass_state *restrict to,
-                                                               const double *restrict v) {
+INLINE void block_update(const fit_table *restrict t, const pass_state *restrict s, pass_state *restrict to,
+                         const double *restrict v) {
     for (int i = 0; i < t->modes; i += 4) {
-        quad x = CONST_AT(t->decay_block, i) * CONST_AT(s->mode, i), y = {0};
+        quad x = {0}, y = {0};
+        add_product(&x, t->decay_block + i, s->mode + i);
         for (int l = 0; l < L; l += 2) {
-            x += CONST_AT(t->drive_block[l], i) * v[l];
-            y += CONST_AT(t->drive_block[l + 1], i) * v[l + 1];
+            add_scaled(&x, t->drive_block[l] + i, v[l]);
+            add_scaled(&y, t->drive_block[l + 1] + i, v[l + 1]);
         }
-        AT(to->mode, i) = x + y;
+        add(&x, &y);
+        store(to->mode + i, &x);
     }
     quad next = {0};
-    for (int c = 0; c < 4; c++) next += CONST_AT(t->pole_block[c], 0) * s->pole[c];
-    for (int l = 0; l < L; l++) next += CONST_AT(t->pole_drive_block[l], 0) * v[l];
-    AT(to->pole, 0) = next;
+    for (int c = 0; c < 4; c++) add_scaled(&next, t->pole_block[c], s->pole[c]);
+    for (int l = 0; l < L; l++) add_scaled(&next, t->pole_drive_block[l], v[l]);
+    store(to->pole, &next);
     to->previous = v[L - 1];
 }
 
 /* Upper triangle of the products of all columns, summed over the group. */
-static inline __attribute__((always_inline)) void add_products(int side, double (*restrict out)[GROUP * L],
-                                                               double (*restrict sums)[4]) {
+INLINE void add_products(int side, double (*restrict out)[GROUP * L], double (*restrict sums)[4]) {
     for (int a = 0; a < side; a++)
         for (int b = 0; b <= a; b++, sums++) {
-            quad x = AT(*sums, 0), y = {0};
+            quad x = {0}, y = {0};
+            add_scaled(&x, *sums, 1);
             for (int j = 0; j < GROUP * L; j += 8) {
-                x += AT(out[a], j) * AT(out[b], j);
-                y += AT(out[a], j + 4) * AT(out[b], j + 4);
+                add_product(&x, out[a] + j, out[b] + j);
+                add_product(&y, out[a] + j + 4, out[b] + j + 4);
             }
-            AT(*sums, 0) = x + y;
+            add(&x, &y);
+            store(*sums, &x);
         }
 }
 

@@ -105,7 +105,7 @@ static void fill(const modes_system *s, tables *t) {
 // Outputs of one block, then the state at its end without the pairs' part of the old state.
 FRACLINK_CLONES
 static void block(const tables *restrict t, ptrdiff_t states, const double *restrict u, double *restrict y) {
-    double sum[SETS][BLOCK] __attribute__((aligned(64))) = {{0.0}};
+    _Alignas(64) double sum[SETS][BLOCK] = {{0.0}};
     for (int j = 0; j < BLOCK; j += SETS)
         for (int set = 0; set < SETS; set++)
 #pragma omp simd
@@ -120,7 +120,7 @@ static void block(const tables *restrict t, ptrdiff_t states, const double *rest
     for (int n = 0; n < BLOCK; n++)
         y[n] = sum[0][n] + sum[1][n];
     for (ptrdiff_t i = 0; i < states; i += LANES) {
-        double end[LANES] __attribute__((aligned(64)));
+        _Alignas(64) double end[LANES];
         const double *in = t->in + i * BLOCK;
 #pragma omp simd
         for (int l = 0; l < LANES; l++)

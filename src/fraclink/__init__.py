@@ -15,7 +15,7 @@ from typing import Any
 
 from fraclink.errors import warn_deprecated
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Public name -> module that defines it, as the stub says it to editors and type
 # checkers: the only list.

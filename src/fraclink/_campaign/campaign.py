@@ -336,13 +336,11 @@ class Campaign:
         """SHA-256 of everything a part's result depends on; the number of runs is not
         among it.
         """
-        # as release 0.1 called the table, so that its folders can be resumed
-        rig = self.rig.to_toml().replace("[motor_loop]", "[inner_loop]")
         # Sorted keys and the shortest decimals that read back: the same text on every
-        # machine.
+        # machine, and in every version.
         text = (
-            json.dumps({"rig": rig} | _about(self), sort_keys=True)
-            + self.law.former_digest
+            json.dumps({"rig": self.rig.tables()} | _about(self), sort_keys=True)
+            + self.law.digest
         )
         return hashlib.sha256(text.encode()).hexdigest()
 
