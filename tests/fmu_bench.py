@@ -131,7 +131,7 @@ def outputs_of(columns: LawOutputs) -> NDArray[np.float64]:
 
 
 class Imported:
-    """An FMU that FMPy has loaded, with one face for both versions; `messages` is what
+    """An FMU that FMPy has loaded; `messages` is what
     it told its logger.
     """
 
@@ -144,14 +144,12 @@ class Imported:
         token: str | None = None,
     ) -> None:
         fmpy = fmpy_or_skip()
-        from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
 
         self.about = fmpy.read_model_description(file)
-        self.fmi = int(self.about.fmiVersion[0])
         self.messages: list[str] = []
         fmpy.extract(file, unzipdir=folder)
-        self.slave: Any = (FMU2Slave if self.fmi == 2 else FMU3Slave)(
+        self.slave: Any = FMU3Slave(
             guid=self.about.guid if token is None else token,
             modelIdentifier=self.about.coSimulation.modelIdentifier,
             unzipDirectory=str(folder),
@@ -166,58 +164,35 @@ class Imported:
             _array("c_double", 3),
         )
         self._wholes = _array("c_uint", 3, WHOLES)
-        self._whole_values = _array("c_int" if self.fmi == 2 else "c_uint32", 3)
+        self._whole_values = _array("c_uint32", 3)
 
     def _instantiate(self, logging: bool) -> Any:
-        if self.fmi == 3:
-            self.slave.instantiate(
-                loggingOn=logging, logMessage=lambda *told: self._hear(told)
-            )
-            return self.slave.component
-        from ctypes import byref
-
-        from fmpy.fmi1 import fmi1CallbackLoggerTYPE
-        from fmpy.fmi2 import fmi2CallbackFunctions
-        from fmpy.logging import addLoggerProxy
-
-        callbacks = fmi2CallbackFunctions()
-        callbacks.logger = fmi1CallbackLoggerTYPE(lambda *told: self._hear(told))
-        addLoggerProxy(byref(callbacks))
-        self.slave.instantiate(callbacks=callbacks, loggingOn=logging)
+        self.slave.instantiate(
+            loggingOn=logging, logMessage=lambda *told: self._hear(told)
+        )
         return self.slave.component
 
     def _hear(self, told: tuple[Any, ...]) -> None:
         self.messages.append(told[-1].decode())
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Call a function of the standard by its name without "fmi2" or "fmi3"."""
-        return self.slave._call(f"fmi{self.fmi}{name}", self.instance, *arguments)
+        """Call a function of the standard by its name without "fmi3"."""
+        return self.slave._call(f"fmi3{name}", self.instance, *arguments)
 
     def initialize(self, start: float = 0.0) -> None:
         """From instantiation to the first step."""
-        if self.fmi == 2:
-            self.slave.setupExperiment(startTime=start)
-            self.slave.enterInitializationMode()
-        else:
-            self.slave.enterInitializationMode(startTime=start)
+        self.slave.enterInitializationMode(startTime=start)
         self.slave.exitInitializationMode()
 
     def write(self, values: NDArray[np.float64]) -> None:
         """Set the four inputs."""
         self._values[:] = values.tolist()
-        if self.fmi == 2:
-            self.call("SetReal", self._inputs, 4, self._values)
-        else:
-            self.call("SetFloat64", self._inputs, 4, self._values, 4)
+        self.call("SetFloat64", self._inputs, 4, self._values, 4)
 
     def read(self) -> list[float]:
         """Return the six outputs."""
-        if self.fmi == 2:
-            self.call("GetReal", self._reals, 3, self._real_values)
-            self.call("GetInteger", self._wholes, 3, self._whole_values)
-        else:
-            self.call("GetFloat64", self._reals, 3, self._real_values, 3)
-            self.call("GetUInt32", self._wholes, 3, self._whole_values, 3)
+        self.call("GetFloat64", self._reals, 3, self._real_values, 3)
+        self.call("GetUInt32", self._wholes, 3, self._whole_values, 3)
         return [*self._real_values, *self._whole_values]
 
     def step(self, now: float, size: float) -> None:
@@ -245,13 +220,11 @@ class Imported:
 
     def save(self) -> Any:
         """Take a snapshot of the simulation."""
-        return self.slave.getFMUstate() if self.fmi == 2 else self.slave.getFMUState()
+        return self.slave.getFMUState()
 
     def restore(self, state: Any) -> None:
         """Go back to a snapshot."""
-        self.slave.setFMUstate(state) if self.fmi == 2 else self.slave.setFMUState(
-            state
-        )
+        self.slave.setFMUState(state)
 
 
 def _array(kind: str, length: int, values: tuple[int, ...] = ()) -> Any:

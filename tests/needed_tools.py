@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
 from typing import NoReturn
 
 import pytest
@@ -35,20 +34,3 @@ def chromium() -> str:
     """
     shell = "chromium-headless-shell"
     return shutil.which(shell) or shutil.which("chromium") or tool(shell)
-
-
-def octave_with_control() -> str:
-    """Return the path of Octave, or skip and name what is missing: the program or its
-    control package.
-    """
-    path = tool("octave-cli", "octave")
-    loaded = subprocess.run(  # noqa: S603
-        [path, "--quiet", "--no-init-file", "--eval", "pkg load control"],
-        capture_output=True,
-        check=False,
-    )
-    if loaded.returncode != 0:
-        missing(
-            "Octave's control package is not installed (Debian package octave-control)"
-        )
-    return path

@@ -182,16 +182,11 @@ CALLS: dict[str, Call] = {
         functools.partial(export.export_io, force=True),
         lambda: {"folder": Path("io")},
     ),
-    "export_matlab": (
-        functools.partial(export.export_matlab, force=True),
-        lambda: {"law": law(), "path": Path("arm_law.mat")},
-    ),
     "export_fmu": (
         functools.partial(export.export_fmu, force=True),
         lambda: {
             "law": law(),
             "path": Path("arm_law.fmu"),
-            "fmi": 2,
             "precision": None,
             "compilers": (),
         },

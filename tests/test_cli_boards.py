@@ -89,30 +89,20 @@ def test_an_fmu_has_a_library_of_each_compiler_or_none(line: Line) -> None:
     assert line("export fmu design.json --out a.fmu") == (0, "a.fmu\n", "")
     assert written.given[0].drive is not None and written.given[1] == Path("a.fmu")
     assert written.last == {
-        "fmi": 2,
         "precision": "double",
         "compilers": ("cc",),
         "force": False,
     }
     line(
-        "export fmu design.json --fmi 3 --precision single --compiler gcc --compiler clang --force"
+        "export fmu design.json --precision single --compiler gcc --compiler clang --force"
     )
     assert written.last == {
-        "fmi": 3,
         "precision": "single",
         "compilers": ["gcc", "clang"],
         "force": True,
     }
     line("export fmu design.json --source --compiler gcc")
     assert written.last["compilers"] == ()
-    matlab = line.hear("boards.export_matlab", Path("m.m"))
-    told = line("export matlab design.json --out m.m --force --json")
-    assert json.loads(told.out) == {"out": "m.m"}
-    assert (
-        matlab.given[0].drive is None
-        and matlab.given[1] == Path("m.m")
-        and matlab.last == {"force": True}
-    )
 
 
 def test_a_replay_takes_the_arms_log_or_two_columns(line: Line) -> None:

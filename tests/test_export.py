@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._export import export_c, export_matlab
+from fraclink._export import export_c
 from fraclink._export.claims import _plain_norm, _rounding, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
@@ -428,50 +428,6 @@ def test_the_rounding_bound_holds() -> None:
     )
     distance = np.abs(exact - rounded).max()
     assert 0 < distance <= bounds.rounding + 3e-7  # the coefficients' own rounding
-
-
-@pytest.mark.slow
-def test_octave_steps_the_m_file_as_the_law(tmp_path: Path) -> None:
-    """The recursion of the .m file's numbers, in Octave, gives the motor reference of
-    the law.
-    """
-    octave = tool("octave-cli", "octave")
-    made = law("double", equipped=False)
-    export_matlab(made, tmp_path / "arm_law.m")
-    count = 300
-    rows = np.zeros((4, count))
-    rows[0] = 0.05 * np.sin(0.03 * np.arange(count))
-    rows[1] = np.cos(0.03 * np.arange(count))
-    rows[2] = 0.02 * np.sin(0.03 * np.arange(count) - 0.2)
-    rows[3] = 0.01 * np.sin(0.2 * np.arange(count))
-    (tmp_path / "rows.txt").write_text(
-        "\n".join(" ".join(map(repr, row)) for row in rows.tolist()), "utf-8"
-    )
-    (tmp_path / "drive.m").write_text(
-        """
-        rows = load('rows.txt'); law = arm_law();
-        c = law.correction; x = zeros(size(c.poles)); f = law.feedforward; y = zeros(size(f.poles));
-        before = rows(4, 1) / law.stiffness; % the law starts at rest where the motor is, without a bump
-        for k = 1:columns(rows)
-            err = rows(1, k) - (rows(3, k) - rows(4, k) / law.stiffness);
-            change = err - before; before = err;
-            correction = c.direct * change + real(c.residues.' * x);
-            forward = f.direct * rows(2, k) + real(f.residues.' * y);
-            x = c.poles .* x + change; y = f.poles .* y + rows(2, k);
-            printf('%.17g\\n', rows(1, k) + forward + correction);
-        end
-        """,
-        encoding="utf-8",
-    )
-    printed = run(octave, "--quiet", "--no-init-file", "drive.m", cwd=tmp_path).stdout
-    out = run_law(made, rows)
-    assert (out.mode == 1).all()
-    np.testing.assert_allclose(
-        np.array(printed.split(), dtype=float),
-        out.motor_reference,
-        rtol=1e-12,
-        atol=1e-13,
-    )
 
 
 def test_a_proof_without_the_provers_names_their_package(

@@ -21,7 +21,6 @@ from fraclink.errors import FieldError
 from law_bench import PERIOD, law, run, signals
 from needed_tools import tool
 
-FMIS = [2, 3]
 ROWS = signals(1000)
 
 
@@ -30,9 +29,8 @@ ROWS = signals(1000)
     ("precision", "ending", "modes"),
     [("double", "degraded", {1, 2, 4}), ("single", "held", {1, 3, 4})],
 )
-@pytest.mark.parametrize("fmi", FMIS)
 def test_50_000_periods_are_those_of_the_simulation(
-    fmi: int, precision: str, ending: str, modes: set[int], tmp_path: Path
+    precision: str, ending: str, modes: set[int], tmp_path: Path
 ) -> None:
     """Noise, friction, saturation, NaN and lost sensors; every mode, and every flag
     that inputs can raise.
@@ -40,8 +38,12 @@ def test_50_000_periods_are_those_of_the_simulation(
     tool("cc", "gcc")
     made, rows, simulated = eventful(50_000, precision, ending)
     imported = Imported(
-        export_fmu(made, tmp_path / "arm.fmu", fmi=fmi), tmp_path / "fmu"
-    )  # type: ignore[arg-type]
+        export_fmu(
+            made,
+            tmp_path / "arm.fmu",
+        ),
+        tmp_path / "fmu",
+    )
     imported.initialize()
     got = imported.run(rows, made.period)
     assert got.shape[0] > 50_000
@@ -61,17 +63,21 @@ def test_50_000_periods_are_those_of_the_simulation(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_fmpy_finds_no_problem_and_simulates_to_the_bit(
-    fmi: int, precision: str, tmp_path: Path
+    precision: str, tmp_path: Path
 ) -> None:
     fmpy = fmpy_or_skip()
     tool("cc", "gcc")
     from fmpy.validation import validate_fmu
 
     made = law(precision)
-    file = str(export_fmu(made, tmp_path / "arm.fmu", fmi=fmi))  # type: ignore[arg-type]
+    file = str(
+        export_fmu(
+            made,
+            tmp_path / "arm.fmu",
+        )
+    )
     assert validate_fmu(file) == []
     names = [variable.name for variable in VARIABLES if variable.causality == "input"]
     table = np.zeros(
@@ -96,12 +102,14 @@ def test_fmpy_finds_no_problem_and_simulates_to_the_bit(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
 def test_the_description_and_the_library_know_the_same_variables(
-    fmi: int, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     tool("cc", "gcc")
-    file = export_fmu(law(), tmp_path / "arm.fmu", fmi=fmi)  # type: ignore[arg-type]
+    file = export_fmu(
+        law(),
+        tmp_path / "arm.fmu",
+    )
     imported = Imported(file, tmp_path / "fmu")
     described = {v.valueReference: v for v in imported.about.modelVariables}
     assert [described[k].name for k in range(len(VARIABLES))] == [
@@ -109,10 +117,8 @@ def test_the_description_and_the_library_know_the_same_variables(
     ]
     for reference, variable in enumerate(VARIABLES):
         assert described[reference].unit == (variable.unit or None)
-        whole = {2: "Integer", 3: "UInt32"}[fmi]
-        assert described[reference].type == (
-            {2: "Real", 3: "Float64"}[fmi] if variable.real else whole
-        )
+        whole = "UInt32"
+        assert described[reference].type == ("Float64" if variable.real else whole)
     outputs = [v.name for v in VARIABLES if v.causality == "output"]
     assert [u.variable.name for u in imported.about.outputs] == outputs
     assert [u.variable.name for u in imported.about.initialUnknowns] == outputs
@@ -120,10 +126,9 @@ def test_the_description_and_the_library_know_the_same_variables(
     assert imported.about.defaultExperiment.stepSize == str(PERIOD)
 
 
-@pytest.mark.parametrize("fmi", FMIS)
-def test_sources_only_and_the_same_law_the_same_file(fmi: int, tmp_path: Path) -> None:
+def test_sources_only_and_the_same_law_the_same_file(tmp_path: Path) -> None:
     files = [
-        export_fmu(law(), tmp_path / folder / "arm.fmu", fmi=fmi, compilers=())  # type: ignore[arg-type]
+        export_fmu(law(), tmp_path / folder / "arm.fmu", compilers=())
         for folder in "ab"
     ]
     assert files[0].read_bytes() == files[1].read_bytes()
@@ -164,18 +169,13 @@ def test_the_page_inside_explains_every_number(equipped: bool, tmp_path: Path) -
 def test_another_law_has_another_token(tmp_path: Path) -> None:
     tokens = set()
     for precision in ("single", "double"):
-        for fmi in FMIS:
-            file = export_fmu(
-                law(),
-                tmp_path / f"{precision}{fmi}.fmu".replace("s", "a"),
-                fmi=fmi,
-                precision=precision,
-                compilers=(),  # type: ignore[arg-type]
-            )
-            with zipfile.ZipFile(file) as archive:
-                root = ET.fromstring(archive.read("modelDescription.xml"))  # noqa: S314
-            tokens.add(root.attrib["guid" if fmi == 2 else "instantiationToken"])
-    assert len(tokens) == 4
+        file = export_fmu(
+            law(), tmp_path / f"{precision}_arm.fmu", precision=precision, compilers=()
+        )
+        with zipfile.ZipFile(file) as archive:
+            root = ET.fromstring(archive.read("modelDescription.xml"))  # noqa: S314
+        tokens.add(root.attrib["instantiationToken"])
+    assert len(tokens) == 2
 
 
 @pytest.mark.parametrize("name", ["arm.zip", "2 arms.fmu", "for.fmu", "law_step.fmu"])
@@ -201,51 +201,41 @@ def test_compilers_that_cannot_are_named(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match=r"compiler: not installed"):
         export_fmu(law(), out, compilers=("no-such-cc",))
     with pytest.raises(
-        FieldError, match=r"a platform that FMI 3 has no name for .got riscv64-linux"
+        FieldError, match=r"a platform that FMI has no name for .got riscv64-linux"
     ):
-        export_fmu(
-            law(), out, fmi=3, compilers=(_compiler(tmp_path, "riscv64-linux-gnu"),)
-        )
-    with pytest.raises(
-        FieldError, match=r"a platform that FMI 2 has no name for .got aarch64-darwin"
-    ):
-        export_fmu(law(), out, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
+        export_fmu(law(), out, compilers=(_compiler(tmp_path, "riscv64-linux-gnu"),))
     with pytest.raises(
         FieldError, match=r"unable to compile the FMU \(all.c:1: error: no\)"
     ):
-        export_fmu(
-            law(), out, fmi=3, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),)
-        )
-    with pytest.raises(FieldError, match=r"fmi: unknown"):
-        export_fmu(law(), out, fmi=1, compilers=())  # type: ignore[arg-type]
+        export_fmu(law(), out, compilers=(_compiler(tmp_path, "arm64-apple-darwin23"),))
     assert not out.exists()
 
 
 @pytest.mark.parametrize(
-    ("triple", "platform", "folders"),
+    ("triple", "platform", "place"),
     [
         (
             "x86_64-linux-gnu",
             "x86_64-linux",
-            {2: "linux64/arm.so", 3: "x86_64-linux/arm.so"},
+            "x86_64-linux/arm.so",
         ),
         (
             "x86_64-w64-mingw32",
             "x86_64-windows",
-            {2: "win64/arm.dll", 3: "x86_64-windows/arm.dll"},
+            "x86_64-windows/arm.dll",
         ),
         (
             "x86_64-apple-darwin23",
             "x86_64-darwin",
-            {2: "darwin64/arm.dylib", 3: "x86_64-darwin/arm.dylib"},
+            "x86_64-darwin/arm.dylib",
         ),
-        ("arm64-apple-darwin23", "aarch64-darwin", {3: "aarch64-darwin/arm.dylib"}),
-        ("aarch64-unknown-linux-gnu", "aarch64-linux", {3: "aarch64-linux/arm.so"}),
-        ("riscv32-unknown-elf", "riscv32-unknown", {}),
+        ("arm64-apple-darwin23", "aarch64-darwin", "aarch64-darwin/arm.dylib"),
+        ("aarch64-unknown-linux-gnu", "aarch64-linux", "aarch64-linux/arm.so"),
+        ("riscv32-unknown-elf", "riscv32-unknown", ""),
     ],
 )
-def test_a_library_stands_where_the_version_looks_for_it(
-    triple: str, platform: str, folders: dict[int, str], tmp_path: Path
+def test_a_library_stands_where_importers_look_for_it(
+    triple: str, platform: str, place: str, tmp_path: Path
 ) -> None:
     """A compiler that writes down how it was called, in place of the library."""
     compiler = tmp_path / "writes-it-down"
@@ -255,25 +245,15 @@ def test_a_library_stands_where_the_version_looks_for_it(
     )
     compiler.chmod(0o755)
     assert platform_of(str(compiler)) == platform
-    for fmi, place in folders.items():
-        given = {"fmi": fmi, "compilers": (str(compiler),)}
-        with zipfile.ZipFile(
-            export_fmu(law(), tmp_path / f"fmi{fmi}" / "arm.fmu", **given)
-        ) as archive:  # type: ignore[arg-type]
-            called = archive.read(f"binaries/{place}").decode().split()
-            assert {info.date_time for info in archive.infolist()} == {
-                (1980, 1, 1, 0, 0, 0)
-            }
-        # Without -ffp-contract=off the library would not give the simulation's bits.
-        assert {
-            "-std=c99",
-            "-O2",
-            "-ffp-contract=off",
-            "-fPIC",
-            "-shared",
-            "all.c",
-        } < set(called)
-    if 3 in folders:
-        twice = (str(compiler), str(compiler))
-        with pytest.raises(FieldError, match=f"the second one for {platform}"):
-            export_fmu(law(), tmp_path / "twice.fmu", fmi=3, compilers=twice)
+    if not place:
+        return
+    compilers = (str(compiler),)
+    file = export_fmu(law(), tmp_path / "arm.fmu", compilers=compilers)
+    with zipfile.ZipFile(file) as archive:
+        called = archive.read(f"binaries/{place}").decode().split()
+        dates = {info.date_time for info in archive.infolist()}
+    assert dates == {(1980, 1, 1, 0, 0, 0)}
+    # Without -ffp-contract=off the library would not give the simulation's bits.
+    assert {"-std=c99", "-O2", "-ffp-contract=off", "-shared", "all.c"} < set(called)
+    with pytest.raises(FieldError, match=f"the second one for {platform}"):
+        export_fmu(law(), tmp_path / "twice.fmu", compilers=2 * compilers)

@@ -20,17 +20,14 @@ ERROR = 3
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     tool("cc", "gcc")
-    place = tmp_path_factory.mktemp("fmus")
-    return {fmi: export_fmu(law(), place / f"arm{fmi}.fmu", fmi=fmi) for fmi in (2, 3)}  # type: ignore[arg-type]
+    return export_fmu(law(), tmp_path_factory.mktemp("fmus") / "arm.fmu")
 
 
-@pytest.fixture(params=[2, 3])
-def arm(
-    request: pytest.FixtureRequest, files: dict[int, Path], tmp_path: Path
-) -> Imported:
-    return Imported(files[request.param], tmp_path / "fmu")
+@pytest.fixture
+def arm(file: Path, tmp_path: Path) -> Imported:
+    return Imported(file, tmp_path / "fmu")
 
 
 def _refused(arm: Imported, why: str, name: str, *arguments: object) -> None:
@@ -40,7 +37,7 @@ def _refused(arm: Imported, why: str, name: str, *arguments: object) -> None:
     arm.messages.clear()
     with pytest.raises(FMICallException) as told:
         if name == "DoStep":
-            arm.step(*arguments)  # type: ignore[arg-type]
+            arm.step(*arguments)
         elif name == "EnterInitializationMode":
             arm.slave.enterInitializationMode()
         else:
@@ -115,7 +112,7 @@ def test_calls_out_of_order(arm: Imported) -> None:
     arm.initialize()
     _refused(
         arm,
-        "before initialization only" if arm.fmi == 3 else "entered once",
+        "before initialization only",
         "EnterInitializationMode",
     )
     arm.call("Reset")
@@ -128,8 +125,6 @@ def test_calls_out_of_order(arm: Imported) -> None:
 
 def _writing(arm: Imported, reference: int, value: float) -> tuple[object, ...]:
     references, values = (ctypes.c_uint * 1)(reference), (ctypes.c_double * 1)(value)
-    if arm.fmi == 2:
-        return "SetReal", references, 1, values
     return "SetFloat64", references, 1, values, 1
 
 
@@ -148,63 +143,40 @@ def test_wrong_kinds_of_variables(arm: Imported) -> None:
         (ctypes.c_double * 1)(),
         (ctypes.c_uint32 * 1)(),
     )
-    flags = (ctypes.c_bool * 1)() if arm.fmi == 3 else (ctypes.c_int * 1)()
-    more = (1,) if arm.fmi == 3 else ()
-    real, whole = {2: ("Real", "Integer"), 3: ("Float64", "UInt32")}[arm.fmi]
-    if arm.fmi == 2:
-        wholes = (ctypes.c_int * 1)()  # type: ignore[assignment]
-    _refused(arm, "no real number", f"Get{real}", references, 1, reals, *more)
+    flags = (ctypes.c_bool * 1)()
+    _refused(arm, "no real number", "GetFloat64", references, 1, reals, 1)
     arm.call("Reset")
     references[0] = 4
-    _refused(arm, "no whole number", f"Get{whole}", references, 1, wholes, *more)
+    _refused(arm, "no whole number", "GetUInt32", references, 1, wholes, 1)
     arm.call("Reset")
-    _refused(arm, "no variable has the type", "GetBoolean", references, 1, flags, *more)
+    _refused(arm, "no variable has the type", "GetBoolean", references, 1, flags, 1)
     arm.call("Reset")
-    arm.call(
-        "GetBoolean", references, 0, flags, *(0 for _ in more)
-    )  # nothing is asked for
-    if arm.fmi == 3:
-        _refused(
-            arm, "one value for each reference", "GetFloat64", references, 1, reals, 2
-        )
+    arm.call("GetBoolean", references, 0, flags, 0)  # nothing is asked for
+    _refused(arm, "one value for each reference", "GetFloat64", references, 1, reals, 2)
 
 
 @pytest.mark.slow
 def test_what_is_not_offered_says_so(arm: Imported) -> None:
     arm.initialize()
-    _refused(
-        arm,
-        "does not offer",
-        *(("CancelStep",) if arm.fmi == 2 else ("EnterEventMode",)),
-    )
+    _refused(arm, "does not offer", "EnterEventMode")
 
 
 @pytest.mark.slow
-def test_instances_that_cannot_be(
-    arm: Imported, files: dict[int, Path], tmp_path: Path
-) -> None:
+def test_instances_that_cannot_be(arm: Imported, file: Path, tmp_path: Path) -> None:
     arm.messages.clear()
-    if arm.fmi == 2:
-        answer = arm.slave.fmi2Instantiate(
-            b"x", 0, b"", b"", ctypes.byref(arm.slave.callbacks), 0, 0
-        )
-        assert not answer and "not for model exchange" in arm.messages[0]
-    else:
-        hear = lambda *told: arm.messages.append(told[-1].decode())  # noqa: E731
-        with pytest.raises(Exception, match="instantiate"):
-            arm.slave.instantiate(eventModeUsed=True, logMessage=hear)
-        assert "neither event mode" in arm.messages[0]
+    hear = lambda *told: arm.messages.append(told[-1].decode())  # noqa: E731
     with pytest.raises(Exception, match="instantiate"):
-        Imported(files[arm.fmi], tmp_path / "other", token="{another}")  # noqa: S106
+        arm.slave.instantiate(eventModeUsed=True, logMessage=hear)
+    assert "neither event mode" in arm.messages[0]
+    with pytest.raises(Exception, match="instantiate"):
+        Imported(file, tmp_path / "other", token="{another}")  # noqa: S106
 
 
 @pytest.mark.slow
-def test_fmi_3_is_silent_where_logging_is_off(
-    files: dict[int, Path], tmp_path: Path
-) -> None:
+def test_the_fmu_is_silent_where_logging_is_off(file: Path, tmp_path: Path) -> None:
     from fmpy.fmi1 import FMICallException
 
-    arm = Imported(files[3], tmp_path / "fmu", logging=False)
+    arm = Imported(file, tmp_path / "fmu", logging=False)
     for wanted, categories in (
         (0, None),
         (1, [b"logStatusError"]),
@@ -242,18 +214,13 @@ def test_a_saved_state_comes_back_also_after_an_error(arm: Imported) -> None:
 
 @pytest.mark.slow
 def test_a_serialized_state_goes_on_in_another_instance(
-    arm: Imported, files: dict[int, Path], tmp_path: Path
+    arm: Imported, file: Path, tmp_path: Path
 ) -> None:
     arm.initialize()
     arm.run(ROWS[:, :200], PERIOD)
-    write, read = (
-        ("serializeFMUstate", "deSerializeFMUstate")
-        if arm.fmi == 2
-        else ("serializeFMUState", "deserializeFMUState")
-    )
-    stored = getattr(arm.slave, write)(arm.save())
-    other = Imported(files[arm.fmi], tmp_path / "other")
-    other.restore(getattr(other.slave, read)(stored))
+    stored = arm.slave.serializeFMUState(arm.save())
+    other = Imported(file, tmp_path / "other")
+    other.restore(other.slave.deserializeFMUState(stored))
     np.testing.assert_array_equal(
         other.run(ROWS[:, 200:], PERIOD, first=200),
         arm.run(ROWS[:, 200:], PERIOD, first=200),
@@ -265,7 +232,7 @@ def test_a_serialized_state_goes_on_in_another_instance(
         (bytes([stored[0] ^ 1]) + stored[1:], "another law"),
     ):
         with pytest.raises(FMICallException):
-            getattr(other.slave, read)(damaged)
+            other.slave.deserializeFMUState(damaged)
         assert why in other.messages[-1]
 
 

@@ -17,9 +17,7 @@ from fraclink._export import export_fmu
 from fraclink._law import Law
 from law_bench import law
 
-FMIS = [2, 3]
-
-# FMI 2.0.4, sections 2.2.7 and 2.2.8; FMI 3.0, sections 2.4.7 and 2.4.8. Name,
+# FMI 3.0, sections 2.4.7 and 2.4.8. Name,
 # causality, unit, where the value before the first step comes from; the place is the
 # value reference.
 OF_ARM = (
@@ -65,30 +63,23 @@ def pid() -> Law:
     return fl.discretize_pid(controller, 0.01, output_limit=7.5, measurement_limit=2.0)
 
 
-def _written(made: Law, folder: Path, fmi: int) -> tuple[ET.Element, dict[str, str]]:
+def _written(made: Law, folder: Path) -> tuple[ET.Element, dict[str, str]]:
     """The root of modelDescription.xml, and every text of the FMU by its name."""
-    file = export_fmu(made, folder / "arm.fmu", fmi=fmi, compilers=())
+    file = export_fmu(made, folder / "arm.fmu", compilers=())
     with zipfile.ZipFile(file) as archive:
         texts = {name: archive.read(name).decode() for name in archive.namelist()}
     return ET.fromstring(texts["modelDescription.xml"]), texts  # noqa: S314
 
 
 @pytest.mark.parametrize("of_arm", [True, False])
-@pytest.mark.parametrize("fmi", FMIS)
 def test_every_variable_is_described_as_the_standard_wants(
-    fmi: int, of_arm: bool, tmp_path: Path
+    of_arm: bool, tmp_path: Path
 ) -> None:
     made, wanted = (law(), OF_ARM) if of_arm else (pid(), OF_PID)
-    root, _ = _written(made, tmp_path, fmi)
+    root, _ = _written(made, tmp_path)
     variables = root.findall("ModelVariables/*")
     listed = [dict(item.attrib) for item in variables]
     kinds = [item.tag for item in variables]
-    if fmi == 2:  # the value's attributes are those of an element inside
-        values = [item[0] for item in variables]
-        kinds = [{"Real": "Float64", "Integer": "UInt32"}[item.tag] for item in values]
-        listed = [
-            about | value.attrib for about, value in zip(listed, values, strict=True)
-        ]
     assert len(listed) == len(wanted)
     for place, (kind, about, (name, causality, unit, _)) in enumerate(
         zip(kinds, listed, wanted, strict=True)
@@ -114,30 +105,19 @@ def test_every_variable_is_described_as_the_standard_wants(
 
 
 @pytest.mark.parametrize("of_arm", [True, False])
-@pytest.mark.parametrize("fmi", FMIS)
 def test_dependencies_units_and_times_of_the_description(
-    fmi: int, of_arm: bool, tmp_path: Path
+    of_arm: bool, tmp_path: Path
 ) -> None:
     made, wanted = (law(), OF_ARM) if of_arm else (pid(), OF_PID)
-    root, _ = _written(made, tmp_path, fmi)
-    # FMI 2 counts variables from 1, FMI 3 has their value references; no output depends
-    # on an input at once.
-    first = 1 if fmi == 2 else 0
+    root, _ = _written(made, tmp_path)
+    # No output depends on an input at once.
     outputs = [
         k for k, (_, causality, _, _) in enumerate(wanted) if causality == "output"
     ]
-    at_once = [(str(k + first), "") for k in outputs]
-    starts = [
-        (str(k + first), " ".join(str(j + first) for j in wanted[k][3]))
-        for k in outputs
-    ]
-    key = "index" if fmi == 2 else "valueReference"
-    paths = (
-        ("Outputs/Unknown", "InitialUnknowns/Unknown")
-        if fmi == 2
-        else ("Output", "InitialUnknown")
-    )
-    for path, expected in zip(paths, (at_once, starts), strict=True):
+    at_once = [(str(k), "") for k in outputs]
+    starts = [(str(k), " ".join(str(j) for j in wanted[k][3])) for k in outputs]
+    key = "valueReference"
+    for path, expected in (("Output", at_once), ("InitialUnknown", starts)):
         found = [item.attrib for item in root.findall(f"ModelStructure/{path}")]
         assert [(item[key], item["dependencies"]) for item in found] == expected
     units = {item.attrib["name"]: item for item in root.findall("UnitDefinitions/Unit")}
@@ -148,7 +128,7 @@ def test_dependencies_units_and_times_of_the_description(
             (part.attrib["name"], float(part.attrib["factor"]))
             for part in item.findall("DisplayUnit")
         ]
-        # display = factor * value, as both standards have it: 1 rad is shown as 57.3
+        # display = factor * value, as the standard has it: 1 rad is shown as 57.3
         # deg
         degrees = {"rad": "deg", "rad/s2": "deg/s2"}
         assert shown == (
@@ -163,27 +143,23 @@ def test_dependencies_units_and_times_of_the_description(
     )
 
 
-@pytest.mark.parametrize("fmi", FMIS)
-def test_what_an_importer_may_do_is_said(fmi: int, tmp_path: Path) -> None:
+def test_what_an_importer_may_do_is_said(tmp_path: Path) -> None:
     made = law("single")
-    root, texts = _written(made, tmp_path, fmi)
-    word = {2: "state", 3: "State"}[fmi]
+    root, texts = _written(made, tmp_path)
     expected = {
         "modelIdentifier": "arm",
         "needsExecutionTool": "false",
         "canHandleVariableCommunicationStepSize": "false",
         "canBeInstantiatedOnlyOncePerProcess": "false",
-        f"canGetAndSetFMU{word}": "true",
-        f"canSerializeFMU{word}": "true",
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
     }
     simulation = root.find("CoSimulation")
     assert simulation is not None
-    assert simulation.attrib == expected | (
-        {"canNotUseMemoryManagementFunctions": "true"} if fmi == 2 else {}
-    )
-    token = root.attrib["guid" if fmi == 2 else "instantiationToken"]
+    assert simulation.attrib == expected
+    token = root.attrib["instantiationToken"]
     assert re.fullmatch(r"\{[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}\}", token)
-    assert root.attrib["fmiVersion"] == {2: "2.0", 3: "3.0"}[fmi]
+    assert root.attrib["fmiVersion"] == "3.0"
     assert root.attrib["modelName"] == "arm"
     about = f"Control law of a flexible link, one step each period of 0.004 s; law {made.digest}"
     assert root.attrib["description"] == about
@@ -197,33 +173,27 @@ def test_what_an_importer_may_do_is_said(fmi: int, tmp_path: Path) -> None:
     assert re.findall(r'#include "(.+)"', unit) == [
         "law.c",
         "law_data.h",
-        f"fmi{fmi}.c",
+        "fmi3.c",
     ]
     assert f"law {made.digest}" in texts["sources/law_data.h"]
-    if fmi == 2:
-        assert [item.attrib for item in root.iter("File")] == [{"name": "all.c"}]
-    else:
-        build = ET.fromstring(texts["sources/buildDescription.xml"])  # noqa: S314
-        tree = [(item.tag, item.attrib) for item in build.iter()]
-        assert tree == [
-            ("fmiBuildDescription", {"fmiVersion": "3.0"}),
-            ("BuildConfiguration", {"modelIdentifier": "arm"}),
-            ("SourceFileSet", {"language": "C99"}),
-            ("SourceFile", {"name": "all.c"}),
-        ]
+    build = ET.fromstring(texts["sources/buildDescription.xml"])  # noqa: S314
+    tree = [(item.tag, item.attrib) for item in build.iter()]
+    assert tree == [
+        ("fmiBuildDescription", {"fmiVersion": "3.0"}),
+        ("BuildConfiguration", {"modelIdentifier": "arm"}),
+        ("SourceFileSet", {"language": "C99"}),
+        ("SourceFile", {"name": "all.c"}),
+    ]
 
 
 @pytest.mark.parametrize("of_arm", [True, False])
-@pytest.mark.parametrize("fmi", FMIS)
-def test_another_program_takes_the_description(
-    fmi: int, of_arm: bool, tmp_path: Path
-) -> None:
+def test_another_program_takes_the_description(of_arm: bool, tmp_path: Path) -> None:
     """FMPy compares it with the schema of the standard and with the rules that a schema
     cannot hold.
     """
     fmpy = fmpy_or_skip()
     made = law() if of_arm else pid()
-    file = export_fmu(made, tmp_path / "arm.fmu", fmi=fmi, compilers=())
+    file = export_fmu(made, tmp_path / "arm.fmu", compilers=())
     about = fmpy.read_model_description(str(file), validate=True)
     assert about.coSimulation.modelIdentifier == "arm"
     assert float(about.defaultExperiment.stepSize) == made.period
@@ -260,7 +230,7 @@ def test_the_page_says_what_to_connect(
     make: Callable[[], Law], told: tuple[str, str], tmp_path: Path
 ) -> None:
     made = make()
-    _, texts = _written(made, tmp_path, 2)
+    _, texts = _written(made, tmp_path)
     page = re.sub(r"<[^>]+>", "", texts["documentation/index.html"])
     for words in (
         *told,

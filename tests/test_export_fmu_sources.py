@@ -23,7 +23,6 @@ from needed_tools import tool
 from test_export import run as shell
 from test_export_gates import CLANG, GCC
 
-FMIS = [2, 3]
 ROWS = signals(1000)
 
 
@@ -35,9 +34,8 @@ def test_the_largest_flags_are_all_flags_of_the_law() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
 def test_an_importer_builds_the_same_from_the_sources(
-    fmi: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fmpy_or_skip()
     # cmake is one of the build's packages: it lies beside the interpreter
@@ -48,7 +46,7 @@ def test_an_importer_builds_the_same_from_the_sources(
     from fmpy.build import build_platform_binary
 
     made = law("single")
-    file = export_fmu(made, tmp_path / "arm.fmu", fmi=fmi, compilers=())  # type: ignore[arg-type]
+    file = export_fmu(made, tmp_path / "arm.fmu", compilers=())
     folder = tmp_path / "built"
     sources_of(file, folder)
     (tmp_path / "build").mkdir()
@@ -62,16 +60,15 @@ def test_an_importer_builds_the_same_from_the_sources(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
-def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) -> None:
+def test_the_declarations_are_those_of_the_standard(tmp_path: Path) -> None:
     """The standard's own header in front: compilers then compare; strict warnings, with
     and without it.
     """
     headers = Path(fmpy_or_skip().__file__).parent / "c-code"
     for precision in ("single", "double"):
         file = export_fmu(
-            law(precision), tmp_path / f"{precision}_law.fmu", fmi=fmi, compilers=()
-        )  # type: ignore[arg-type]
+            law(precision), tmp_path / f"{precision}_law.fmu", compilers=()
+        )
         sources = sources_of(file, tmp_path / precision)
         for compiler, flags in (
             ("gcc", GCC),
@@ -82,7 +79,7 @@ def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) ->
         "-isystem",
         str(headers),
         "-include",
-        f"fmi{fmi}Functions.h",
+        "fmi3Functions.h",
         "-fsyntax-only",
         "all.c",
     )
@@ -97,16 +94,15 @@ def test_the_declarations_are_those_of_the_standard(fmi: int, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
-def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
+def test_checkers_have_nothing_to_say(tmp_path: Path) -> None:
     sources = sources_of(
-        export_fmu(law("single"), tmp_path / "arm.fmu", fmi=fmi, compilers=()),  # type: ignore[arg-type]
+        export_fmu(law("single"), tmp_path / "arm.fmu", compilers=()),
         tmp_path / "fmu",
     )
     unset = [
         f"-U{name}" for name in ("_WIN32", "LAW_REALS", "LAW_PAIRS", "LAW_FORWARDS")
     ]
-    unset += [f"-UFMI{fmi}_{kind}FUNCTION_PREFIX" for kind in ("", "ACTUAL_")]
+    unset += [f"-UFMI3_{kind}FUNCTION_PREFIX" for kind in ("", "ACTUAL_")]
     command = [tool("cppcheck"), "-q", "--std=c99", "--inconclusive", *unset]
     command += ["--enable=warning,style,performance,portability", "all.c"]
     answer = shell(*command, cwd=sources, check=False)
@@ -123,15 +119,14 @@ def test_checkers_have_nothing_to_say(fmi: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
-def test_a_life_under_sanitizers(fmi: int, tmp_path: Path) -> None:
+def test_a_life_under_sanitizers(tmp_path: Path) -> None:
     """Right and wrong calls in C: no leak, no access outside, nothing undefined."""
     sources = sources_of(
-        export_fmu(law("single"), tmp_path / "arm.fmu", fmi=fmi, compilers=()),  # type: ignore[arg-type]
+        export_fmu(law("single"), tmp_path / "arm.fmu", compilers=()),
         tmp_path / "fmu",
     )
     driver = Path(__file__).parent / "firmware" / "fmu_life.c"
-    flags = ["-std=c99", "-g", "-O1", "-ffp-contract=off", f"-DFMI={fmi}", "-I", "."]
+    flags = ["-std=c99", "-g", "-O1", "-ffp-contract=off", "-I", "."]
     flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     command = [tool("gcc"), *flags, driver, "-o", "life"]
     shell(*command, cwd=sources)
@@ -149,28 +144,23 @@ def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
     for name, precision in zip(names, ("single", "double"), strict=True):
         file = export_fmu(law(precision), tmp_path / f"{name}.fmu", compilers=())
         sources = sources_of(file, tmp_path / name)
-        flags = ["-std=c99", "-ffp-contract=off", f"-DFMI2_FUNCTION_PREFIX={name}_"]
+        flags = ["-std=c99", "-ffp-contract=off", f"-DFMI3_FUNCTION_PREFIX={name}_"]
         shell(
             compiler, *flags, "-c", "all.c", "-o", tmp_path / f"{name}.o", cwd=sources
         )
-    calls = "".join(f"const char *{name}_fmi2GetVersion(void);\n" for name in names)
-    calls += "int main(void) { return first_fmi2GetVersion()[0] != second_fmi2GetVersion()[0]; }\n"
+    calls = "".join(f"const char *{name}_fmi3GetVersion(void);\n" for name in names)
+    calls += "int main(void) { return first_fmi3GetVersion()[0] != second_fmi3GetVersion()[0]; }\n"
     (tmp_path / "main.c").write_text(calls, encoding="utf-8")
     shell(compiler, "main.c", "first.o", "second.o", "-o", "both", cwd=tmp_path)
     shell(tmp_path / "both")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", FMIS)
-def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
+def test_a_cross_compiler_adds_windows(tmp_path: Path) -> None:
     cross = tool("x86_64-w64-mingw32-gcc", "gcc-mingw-w64-x86-64-win32")
-    file = export_fmu(
-        law(), tmp_path / "arm.fmu", fmi=fmi, compilers=(tool("gcc"), cross)
-    )  # type: ignore[arg-type]
+    file = export_fmu(law(), tmp_path / "arm.fmu", compilers=(tool("gcc"), cross))
     sources_of(file, tmp_path / "fmu")
-    linux, windows = {2: ("linux64", "win64"), 3: ("x86_64-linux", "x86_64-windows")}[
-        fmi
-    ]
+    linux, windows = ("x86_64-linux", "x86_64-windows")
     exported = []
     for path, lister in (
         (f"{linux}/arm.so", "nm -D"),
@@ -180,10 +170,8 @@ def test_a_cross_compiler_adds_windows(fmi: int, tmp_path: Path) -> None:
         told = shell(
             tool(program, "binutils"), option, tmp_path / "fmu" / "binaries" / path
         ).stdout
-        exported.append(set(re.findall(rf"\bfmi{fmi}\w+", told)))
+        exported.append(set(re.findall(r"\bfmi3\w+", told)))
     assert exported[0] == exported[1]
-    assert (
-        len(exported[0]) == {2: 34, 3: 75}[fmi]
-    )  # all that the standard wants for co-simulation
+    assert len(exported[0]) == 75  # all that the standard wants for co-simulation
     with pytest.raises(FieldError, match=r"the second one for x86_64-linux"):
-        export_fmu(law(), tmp_path / "other.fmu", fmi=fmi, compilers=("gcc", "cc"))  # type: ignore[arg-type]
+        export_fmu(law(), tmp_path / "other.fmu", compilers=("gcc", "cc"))

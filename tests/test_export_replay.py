@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from dataclasses import asdict
 from pathlib import Path
 from typing import Literal
 
@@ -11,12 +9,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._export import Replay, export_c, export_matlab, replay, replay_log
+from fraclink._export import Replay, export_c, replay, replay_log
 from fraclink._law import Law
 from fraclink.errors import FieldError
-from law_bench import PERIOD, law, signals, with_pair
-from needed_tools import octave_with_control, tool
-from test_export import run as shell
+from law_bench import PERIOD, law, signals
+from needed_tools import tool
 
 ROWS = signals(2000)
 
@@ -194,131 +191,6 @@ def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) ->
             "#error not the header of C\n", encoding="utf-8"
         )
     assert _replay(tmp_path / "firmware", law("double")).passed
-
-
-def test_the_mat_file_is_the_discrete_law(tmp_path: Path) -> None:
-    from scipy.io import loadmat
-
-    made = with_pair()
-    data = loadmat(export_matlab(made, tmp_path / "law.mat"))
-    w = np.geomspace(0.05, 500.0, 60)
-    z = np.exp(1j * w * PERIOD)[:, None]
-    inner = data["correction_direct"][0, 0] + (
-        data["correction_residues"].ravel() / (z - data["correction_poles"].ravel())
-    ).sum(axis=1)
-    np.testing.assert_allclose(
-        (1 - 1 / z[:, 0]) * inner, made.frequency_response(w), rtol=1e-9
-    )
-    assert data["period"][0, 0] == PERIOD
-
-
-def test_the_mat_file_holds_the_rest_of_the_law(tmp_path: Path) -> None:
-    """Feed-forward, stiffness and what a payload changes, by their names in the law."""
-    from scipy.io import loadmat
-
-    made = with_pair()
-    data = {
-        name: value.ravel()
-        for name, value in loadmat(export_matlab(made, tmp_path / "law.mat")).items()
-        if not name.startswith("__")
-    }
-    assert data.pop("sha256").tolist() == [made.digest]
-    assert data["stiffness"] == [made.stiffness]
-    assert data["feedforward_direct"] == [made.feedforward.direct]
-    np.testing.assert_array_equal(data["feedforward_poles"], made.feedforward.poles)
-    np.testing.assert_array_equal(data["feedforward_residues"], made.feedforward.gains)
-    assert made.tracking is not None
-    told = {name: value for name, value in data.items() if name.startswith("payload_")}
-    assert {name: float(value[0]) for name, value in told.items()} == {
-        f"payload_{name}": value for name, value in asdict(made.tracking).items()
-    }
-    plain = loadmat(export_matlab(law(equipped=False), tmp_path / "plain.mat"))
-    assert law(equipped=False).tracking is not None or not [
-        name for name in plain if "payload" in name
-    ]
-
-
-def _numbers(text: str, name: str) -> list[complex]:
-    """The value of `name` in a .m file: a scalar, or a column of complex numbers."""
-    value = re.findall(rf"^law\.{re.escape(name)} = (.+);$", text, re.MULTILINE)[0]
-    return [
-        complex(cell.replace(" + ", "+").replace("+-", "-").replace("i", "j"))
-        for cell in value.strip("[]").split("; ")
-    ]
-
-
-def test_the_m_file_states_the_same_filters(tmp_path: Path) -> None:
-    """Read by a parser of five lines in place of MATLAB: the responses are the law's."""
-    made = with_pair()
-    text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
-    w = np.geomspace(0.05, 500.0, 40)
-    z = np.exp(1j * w * PERIOD)[:, None]
-    responses = {}
-    for part in ("correction", "feedforward"):
-        poles, residues = (
-            np.array(_numbers(text, f"{part}.{name}")) for name in ("poles", "residues")
-        )
-        responses[part] = _numbers(text, f"{part}.direct")[0] + (
-            residues / (z - poles)
-        ).sum(axis=1)
-    np.testing.assert_allclose(
-        (1 - 1 / z[:, 0]) * responses["correction"],
-        made.frequency_response(w),
-        rtol=1e-9,
-    )
-    c = made.feedforward
-    own = c.direct + (np.array(c.gains) / (z - np.array(c.poles))).sum(axis=1)
-    np.testing.assert_allclose(responses["feedforward"], own, rtol=1e-12)
-    assert _numbers(text, "period") == [PERIOD] and _numbers(text, "stiffness") == [
-        made.stiffness
-    ]
-    assert made.tracking is not None
-    for key, value in asdict(made.tracking).items():
-        assert _numbers(text, f"payload.{key}") == [value]
-    assert f"%   law {made.digest}" in text.splitlines()
-    assert text.splitlines()[1].startswith("%ARM_LAW ")
-
-
-def test_the_m_file_holds_every_number_to_the_bit(tmp_path: Path) -> None:
-    made = with_pair()
-    text = export_matlab(made, tmp_path / "arm_law.m").read_text(encoding="utf-8")
-    assert text.startswith("function law = arm_law()")
-    for value in (
-        made.correction.direct,
-        *made.correction.poles,
-        *made.correction.gains,
-    ):
-        assert repr(value) in text
-
-
-@pytest.mark.slow
-def test_octave_runs_the_m_file_and_gets_the_laws_response(tmp_path: Path) -> None:
-    made = with_pair()
-    export_matlab(made, tmp_path / "arm_law.m")
-    frequencies = np.geomspace(0.05, 500.0, 30)
-    code = f"pkg load control; law = arm_law(); w = {frequencies.tolist()};"
-    code += "h = squeeze(freqresp(law.correction.sys, w)); printf('%.17g %.17g\\n', [real(h) imag(h)].');"
-    code += "printf('%.17g %d\\n', law.correction.sys.Ts, numel(pole(law.feedforward.sys)));"
-    answer = shell(octave_with_control(), "--quiet", "--eval", code, cwd=tmp_path)
-    *rows, last = (tuple(map(float, row.split())) for row in answer.stdout.splitlines())
-    # as a quotient of polynomials it is 1e-4 off at 0.05 rad/s
-    np.testing.assert_allclose(
-        [complex(*row) for row in rows],
-        made.frequency_response(frequencies),
-        rtol=1e-10,
-    )
-    assert last == (PERIOD, len(made.feedforward.poles))
-
-
-def test_matlab_names_and_existing_files(tmp_path: Path) -> None:
-    with pytest.raises(FieldError, match="another kind"):
-        export_matlab(law(), tmp_path / "law.txt")
-    with pytest.raises(FieldError, match="identifier"):
-        export_matlab(law(), tmp_path / "2 law.m")
-    export_matlab(law(), tmp_path / "arm.m")
-    with pytest.raises(FieldError, match="already there"):
-        export_matlab(law(), tmp_path / "arm.m")
-    export_matlab(law(), tmp_path / "arm.m", force=True)
 
 
 @pytest.mark.slow

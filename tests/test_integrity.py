@@ -60,7 +60,6 @@ COMMANDS = (
     "twin FILE",
     "certify FILE --out c.json",
     "export c FILE --out firmware",
-    "export matlab FILE --out law.m",
     "export fmu FILE --out law.fmu",
     "run-realtime FILE --io udp://127.0.0.1:1 --out rt",
     "serve-arm FILE --io udp://127.0.0.1:1",

@@ -1485,10 +1485,6 @@ def test_every_output_names_its_file_and_its_command(
             f"fraclink export c design.json --precision double --out {out / 'firmware'}",
             "firmware/law.c",
         ),
-        "matlab": (
-            f"fraclink export matlab design.json --out {out / 'arm_law.m'}",
-            "arm_law.m",
-        ),
         "fmu": (
             f"fraclink export fmu design.json --source --precision double --out {out / 'arm_law.fmu'}",
             "arm_law.fmu",

@@ -1,8 +1,7 @@
-/* The life of an FMU around law_step: what FMI 2 and FMI 3 share.
+/* The life of an FMU around law_step.
  *
- * fmi2.c and fmi3.c include this file. Before, they define `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, what
- * the importer handed over; behind come their own functions, which only translate types. Everything here is static, so
- * that the sources of several FMUs link into one program. The generated all.c puts law.c, law_data, FMU_TOKEN and
+ * fmi3.c includes this file. Before, it defines `fmu_status` with FMU_OK and FMU_ERROR, and `fmu_host`, what the
+ * importer handed over; behind come its own functions, which only translate types. Everything here is static, so that the sources of several FMUs link into one program. The generated all.c puts law.c, law_data, FMU_TOKEN and
  * FMU_PERIOD in front. */
 #ifndef FRACLINK_FMU_CORE_H
 #define FRACLINK_FMU_CORE_H

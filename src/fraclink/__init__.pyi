@@ -93,7 +93,6 @@ from fraclink._export.c import export_c as export_c
 from fraclink._export.claims import Claim as Claim
 from fraclink._export.claims import Proof as Proof
 from fraclink._export.fmu import export_fmu as export_fmu
-from fraclink._export.matlab import export_matlab as export_matlab
 from fraclink._export.replay import Replay as Replay
 from fraclink._export.replay import replay_log as replay_log
 from fraclink._files import kind_of as kind_of

@@ -1,4 +1,4 @@
-/* The life of an FMU, right and wrong, for the sanitizers. Build with -DFMI=2 or 3 in the FMU's sources. */
+/* The life of an FMU, right and wrong, for the sanitizers. Build in the FMU's sources. */
 #include "all.c"
 
 static int told; /* messages so far */
@@ -9,36 +9,6 @@ static int failed(const char *what)
     return 1;
 }
 
-#if FMI == 2
-typedef fmi2Component component;
-#define CALL(name) fmi2##name
-static void hear(fmi2ComponentEnvironment environment, fmi2String name, fmi2Status status, fmi2String category,
-                 fmi2String message, ...)
-{
-    (void)environment, (void)name, (void)status, (void)category, (void)message;
-    told++;
-}
-static const fmi2CallbackFunctions callbacks = {hear, NULL, NULL, NULL, NULL};
-static component make(const char *token)
-{
-    /* a name longer than the room for it */
-    return fmi2Instantiate("an arm with a name that is longer than the sixty-four characters it is kept in",
-                           fmi2CoSimulation, token, NULL, &callbacks, 0, 0);
-}
-static int initialize(component me)
-{
-    return fmi2SetupExperiment(me, 0, 0.0, 0.0, 0, 0.0) || fmi2EnterInitializationMode(me) ||
-           fmi2ExitInitializationMode(me);
-}
-static int step(component me, double now, double size) { return fmi2DoStep(me, now, size, 1); }
-static int set(component me, const unsigned r[], size_t n, const double v[]) { return fmi2SetReal(me, r, n, v); }
-static int get(component me, const unsigned r[], size_t n, double v[]) { return fmi2GetReal(me, r, n, v); }
-#define STATE(name) fmi2##name##FMUstate
-#define RESTORE fmi2DeSerializeFMUstate
-#define SIZE_OF fmi2SerializedFMUstateSize
-#define WRITE fmi2SerializeFMUstate
-typedef fmi2Byte byte;
-#else
 typedef fmi3Instance component;
 #define CALL(name) fmi3##name
 static void hear(fmi3InstanceEnvironment environment, fmi3Status status, fmi3String category, fmi3String message)
@@ -67,7 +37,6 @@ static int get(component me, const uint32_t r[], size_t n, double v[]) { return 
 #define SIZE_OF fmi3SerializedFMUStateSize
 #define WRITE fmi3SerializeFMUState
 typedef fmi3Byte byte;
-#endif
 
 int main(void)
 {

@@ -44,7 +44,7 @@ from fraclink._campaign import Campaign, simulate_part  # noqa: E402
 from fraclink._campaign.faults import Bench, Case, run_case  # noqa: E402
 from fraclink._certify import Certificate  # noqa: E402
 from fraclink._design import optimise  # noqa: E402
-from fraclink._export import export_fmu, export_io, export_matlab  # noqa: E402
+from fraclink._export import export_fmu, export_io  # noqa: E402
 from fraclink._identify import (  # noqa: E402
     design_experiment,
     identify_frequency_response,
@@ -864,29 +864,17 @@ def _members(path: Path) -> Plain:
     }
 
 
-def _matlab(path: Path) -> str:
-    # The first 116 bytes of a .mat file are a text with the date.
-    content = path.read_bytes()
-    return shipped(path.name, content if path.suffix == ".m" else content[116:])
-
-
 def _c_files(named: str, precision: str) -> Plain:
     with tempfile.TemporaryDirectory() as place:
         fl.export_c(law(named, precision), Path(place) / "c", title="golden")
         return {"sha256": _files(Path(place) / "c")}
 
 
-def _fmu(named: str, precision: str, fmi: int) -> Plain:
+def _fmu(named: str, precision: str) -> Plain:
     with tempfile.TemporaryDirectory() as place:
-        target = Path(place) / f"arm_{named}_{precision}_{fmi}.fmu"
-        export_fmu(law(named, precision), target, fmi=fmi, compilers=())
+        target = Path(place) / f"arm_{named}_{precision}.fmu"
+        export_fmu(law(named, precision), target, compilers=())
         return {"sha256": _members(target)}
-
-
-def _for_matlab(ending: str) -> Plain:
-    with tempfile.TemporaryDirectory() as place:
-        path = export_matlab(law("default"), Path(place) / f"arm_law.{ending}")
-        return {"sha256": {"file": _matlab(path)}}
 
 
 def _board() -> Plain:
@@ -921,12 +909,7 @@ def exports() -> Entries:
     for named in ("default", "outer", "geared"):
         for precision in ("double", "single"):
             made[f"C {named} {precision}"] = partial(_c_files, named, precision)
-            for fmi in (2, 3):
-                made[f"FMU {fmi} {named} {precision}"] = partial(
-                    _fmu, named, precision, fmi
-                )
-    for ending in ("m", "mat"):
-        made[f"MATLAB .{ending}"] = partial(_for_matlab, ending)
+            made[f"FMU {named} {precision}"] = partial(_fmu, named, precision)
     made["board"] = _board
     return made | {f"law {named}": partial(law_figures, named) for named in LAWS}
 

@@ -25,7 +25,7 @@ _FIRST = {
     "design": "design the controller for a payload range",
     "simulate": "simulate a move of the tip",
     "certify": "prove stability for every payload and delay",
-    "export": "write the controller as C99, FMU or MATLAB",
+    "export": "write the controller as C99 or FMU",
     "report": "gather a folder of results into one HTML file",
     "share": "the arm in a page that moves, as one HTML file",
     "studio": "a page on this machine: drag the loop, see the arm",

@@ -44,7 +44,6 @@ from fraclink._export import (
     export_c,
     export_fmu,
     export_io,
-    export_matlab,
     replay_log,
 )
 from fraclink._files import kind_of
@@ -53,9 +52,7 @@ from fraclink._logs.responses import read_recording
 from fraclink.errors import FieldError, LogError, MissingExtraError
 
 app = group()
-export = group(
-    "Write the controller for C on a board, MATLAB, an FMU, or a board's I/O."
-)
+export = group("Write the controller for C on a board, an FMU, or a board's I/O.")
 app.add_typer(export, name="export")
 
 Motor = Annotated[bool, "With the motor loop, or for a robot with its own servo"]
@@ -186,27 +183,9 @@ def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
 
 
 @command(export)
-def matlab(
-    design_file: DesignFile,
-    out: Annotated[Path, "File to write, .m or .mat"] = Path("arm_law.m"),
-    force: bool = False,
-) -> Answer:
-    """Write the discrete law for MATLAB: a function (.m) or its numbers (.mat).
-
-    $ fraclink export matlab design.json --out arm_law.m
-    """
-    return _listed(
-        [export_matlab(_law(Design.load(design_file), motor=False), out, force=force)]
-    )
-
-
-@command(export)
 def fmu(
     design_file: DesignFile,
     out: Annotated[Path, "File to write, .fmu"] = Path("arm_law.fmu"),
-    fmi: Annotated[
-        Literal["2", "3"], "Version of the standard: 2 is what every importer reads"
-    ] = "2",
     precision: Annotated[
         Literal["single", "double"], "Arithmetic of the law"
     ] = "double",
@@ -218,15 +197,13 @@ def fmu(
     source: Annotated[bool, "C sources only, no library"] = False,
     force: bool = False,
 ) -> Answer:
-    """Write the law as an FMU for co-simulation (FMI 2.0 or 3.0): Simulink, Dymola,
-    OpenModelica, FMPy.
+    """Write the law as an FMU for co-simulation (FMI 3.0): Simulink, Dymola, FMPy.
 
     $ fraclink export fmu design.json --out arm_law.fmu
     """
     path = export_fmu(
         _of_file(design_file, motor=True)[0],
         out,
-        fmi=3 if fmi == "3" else 2,
         precision=precision,
         # cc where nothing is said: an FMU without a library for this machine runs
         # nowhere at first.

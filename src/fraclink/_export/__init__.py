@@ -1,4 +1,4 @@
-"""Out of the building: C, MATLAB and FMU files, replay of logs through them, a board to
+"""Out of the building: C and FMU files, replay of logs through them, a board to
 begin with.
 """
 
@@ -8,7 +8,6 @@ from fraclink._export.board import export_io
 from fraclink._export.c import export_c
 from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
-from fraclink._export.matlab import export_matlab
 from fraclink._export.replay import Replay, replay, replay_log
 
 __all__ = [
@@ -18,7 +17,6 @@ __all__ = [
     "export_c",
     "export_fmu",
     "export_io",
-    "export_matlab",
     "replay",
     "replay_log",
 ]

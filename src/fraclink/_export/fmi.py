@@ -1,7 +1,7 @@
-"""What an FMU of the law describes: variables, units and identity, written as FMI 2.0
-and as FMI 3.0 want it.
+"""What an FMU of the law describes: variables, units and identity, written as FMI 3.0
+wants it.
 
-Source: FMI 2.0.4, sections 2.2, 2.3 and 4.3; FMI 3.0, sections 2.4 and 2.5.
+Source: FMI 3.0, sections 2.4 and 2.5.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -17,13 +17,13 @@ from fraclink._law import MODES, REASONS
 
 __all__ = [
     "PID_VARIABLES",
-    "STANDARDS",
+    "PLATFORMS",
     "UNITS",
     "VARIABLES",
     "FmuModel",
-    "Standard",
     "Unit",
     "Variable",
+    "descriptions",
     "token_of",
 ]
 
@@ -96,8 +96,7 @@ VARIABLES: tuple[Variable, ...] = (
         "bits of the last period, LAW_FLAG_... in law.h",
         largest=1023,
     ),
-    # FMI 3 wants the independent variable declared, FMI 2 allows it. It and the
-    # payload, an input, stand behind the outputs, as they came later: a value reference
+    # The time and the payload, an input, stand behind the outputs, as they came later: a value reference
     # that somebody's importer has stored must stay.
     Variable("time", "independent", "simulation time", "s"),
     Variable("payload", "input", "mass at the tip; 0 where it is not known", "kg"),
@@ -147,7 +146,7 @@ UNITS: Mapping[str, Unit] = {
     "kg": Unit({"kg": 1}),
     "N.m": Unit({"kg": 1, "m": 2, "s": -2}),
     "V": Unit({"kg": 1, "m": 2, "s": -3, "A": -1}),
-    # FMI defines display = factor·value (2.0.4, section 2.2.2), which is 180/π for
+    # FMI defines display = factor·value (section 2.4.4), which is 180/π for
     # degrees and not its inverse.
     "rad": Unit({"rad": 1}, ("deg", 180.0 / math.pi)),
     "rad/s2": Unit({"rad": 1, "s": -2}, ("deg/s2", 180.0 / math.pi)),
@@ -160,7 +159,7 @@ UNITS: Mapping[str, Unit] = {
 class FmuModel:
     """The model that modelDescription.xml describes.
 
-    `name` is the model's C identifier, `token` (FMI 2: guid) ties the description to
+    `name` is the model's C identifier, `token` ties the description to
     the library, `period` [s] is the only communication step, `digest` identifies the
     law, `variables` are `VARIABLES` or those of a PID, in the same order.
     """
@@ -181,10 +180,9 @@ class FmuModel:
         )
         return f"{what}, one step each period of {self.period:g} s; law {self.digest}"
 
-    def interface(self, state_word: str) -> dict[str, str]:
-        """Attributes of the element CoSimulation; FMI 2 and 3 write "state" of
-        `state_word` differently.
-        """
+    @property
+    def interface(self) -> dict[str, str]:
+        """Attributes of the element CoSimulation."""
         return {
             "modelIdentifier": self.name,
             "needsExecutionTool": "false",
@@ -193,8 +191,8 @@ class FmuModel:
             "canHandleVariableCommunicationStepSize": "false",
             # law.c has no statics: two arms in one simulation are two instances.
             "canBeInstantiatedOnlyOncePerProcess": "false",
-            f"canGetAndSetFMU{state_word}": "true",
-            f"canSerializeFMU{state_word}": "true",
+            "canGetAndSetFMUState": "true",
+            "canSerializeFMUState": "true",
         }
 
 
@@ -227,9 +225,7 @@ def _text(root: ET.Element) -> str:
 
 
 def _add_general(root: ET.Element, model: FmuModel) -> None:
-    """Add what both versions write alike: units, the only category of messages, 500
-    periods to start with.
-    """
+    """Add units, the only category of messages, and 500 periods to start with."""
     units = ET.SubElement(root, "UnitDefinitions")
     used = {variable.unit for variable in model.variables}
     for name, unit in ((name, unit) for name, unit in UNITS.items() if name in used):
@@ -272,62 +268,25 @@ def _value(variable: Variable) -> dict[str, str]:
     """
     if not variable.real:
         return {"min": "0", "max": str(variable.largest)}
-    # A start value belongs to inputs; that of an output is calculated (FMI 2.0.4, table
-    # of section 2.2.7), from those that `start_from` names.
+    # A start value belongs to inputs; that of an output is calculated, from those that `start_from` names.
     return {"unit": variable.unit} | (
         {"start": "0"} if variable.causality == "input" else {}
     )
 
 
-def _unknowns(listed: tuple[Variable, ...], first: int) -> list[tuple[str, str]]:
-    """Of each output its place, counted from `first`, and those of what its start value
-    follows from.
+def _unknowns(listed: tuple[Variable, ...]) -> list[tuple[str, str]]:
+    """Of each output its value reference, and those of what its start value follows
+    from.
     """
-    place = {
-        variable.name: str(index) for index, variable in enumerate(listed, start=first)
-    }
+    place = {variable.name: str(index) for index, variable in enumerate(listed)}
     outputs = [variable for variable in listed if variable.causality == "output"]
     return [
         (place[v.name], " ".join(place[name] for name in v.start_from)) for v in outputs
     ]
 
 
-def _descriptions_2(model: FmuModel) -> dict[str, str]:
-    root = ET.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=model.name,
-        guid=model.token,
-        description=model.description,
-        generationTool="fraclink",
-    )
-    # the wrapper takes its few bytes from malloc: FMI 2 wants that stated
-    interface = model.interface("state") | {
-        "canNotUseMemoryManagementFunctions": "true"
-    }
-    simulation = ET.SubElement(root, "CoSimulation", interface)
-    ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name="all.c")
-    _add_general(root, model)
-    variables = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(model.variables):
-        element = ET.SubElement(
-            variables, "ScalarVariable", _about(variable, reference)
-        )
-        ET.SubElement(element, "Real" if variable.real else "Integer", _value(variable))
-    structure = ET.SubElement(root, "ModelStructure")
-    outputs, initial = (
-        ET.SubElement(structure, "Outputs"),
-        ET.SubElement(structure, "InitialUnknowns"),
-    )
-    for index, known in _unknowns(
-        model.variables, first=1
-    ):  # FMI 2 counts variables from 1, FMI 3 names value references
-        ET.SubElement(outputs, "Unknown", index=index, dependencies="")
-        ET.SubElement(initial, "Unknown", index=index, dependencies=known)
-    return {"modelDescription.xml": _text(root)}
-
-
-def _descriptions_3(model: FmuModel) -> dict[str, str]:
+def descriptions(model: FmuModel) -> dict[str, str]:
+    """Return the files that describe a model by their names."""
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
@@ -338,16 +297,16 @@ def _descriptions_3(model: FmuModel) -> dict[str, str]:
     )
     # No fixedInternalStepSize: it would allow communication steps of several periods,
     # in which the law would run on sensors that stand still.
-    ET.SubElement(root, "CoSimulation", model.interface("State"))
+    ET.SubElement(root, "CoSimulation", model.interface)
     _add_general(root, model)
     variables = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(model.variables):
         kind = "Float64" if variable.real else "UInt32"
         ET.SubElement(variables, kind, _about(variable, reference) | _value(variable))
     structure = ET.SubElement(root, "ModelStructure")
-    for place, _ in _unknowns(model.variables, first=0):
+    for place, _ in _unknowns(model.variables):
         ET.SubElement(structure, "Output", valueReference=place, dependencies="")
-    for place, known in _unknowns(model.variables, first=0):
+    for place, known in _unknowns(model.variables):
         ET.SubElement(
             structure, "InitialUnknown", valueReference=place, dependencies=known
         )
@@ -363,29 +322,11 @@ def _descriptions_3(model: FmuModel) -> dict[str, str]:
     }
 
 
-class Standard(NamedTuple):
-    """A version of the standard: sources in csrc/fmu (the first is compiled), folders
-    below binaries/ by the platform as FMI 3 names it, and the descriptions of a model
-    by their file names."""
-
-    sources: tuple[str, ...]
-    platforms: Mapping[str, str]
-    descriptions: Callable[[FmuModel], dict[str, str]]
-
-
-# FMI 2.0 names systems of x86 alone: an FMU for ARM is one of FMI 3.
-_PLATFORMS_2 = {
-    "x86_64-linux": "linux64",
-    "x86_64-windows": "win64",
-    "x86_64-darwin": "darwin64",
-}
-_PLATFORMS_3 = (*_PLATFORMS_2, "aarch64-linux", "aarch64-darwin")
-
-STANDARDS: Mapping[int, Standard] = {
-    2: Standard(("fmi2.c",), _PLATFORMS_2, _descriptions_2),
-    3: Standard(
-        ("fmi3.c", "fmi3_not_offered.h"),
-        {name: name for name in _PLATFORMS_3},
-        _descriptions_3,
-    ),
-}
+# Folders below binaries/.
+PLATFORMS = (
+    "x86_64-linux",
+    "x86_64-windows",
+    "x86_64-darwin",
+    "aarch64-linux",
+    "aarch64-darwin",
+)

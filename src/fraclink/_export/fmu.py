@@ -1,5 +1,5 @@
-"""Export the law as an FMU for co-simulation, FMI 2.0 or 3.0: sources, libraries made
-of them, a page.
+"""Export the law as an FMU for co-simulation, FMI 3.0: sources, libraries made of
+them, a page.
 """
 
 from __future__ import annotations
@@ -14,10 +14,16 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Literal
 
 from fraclink._export.data import data_header, identifier, law_source
-from fraclink._export.fmi import PID_VARIABLES, STANDARDS, VARIABLES, FmuModel, token_of
+from fraclink._export.fmi import (
+    PID_VARIABLES,
+    PLATFORMS,
+    VARIABLES,
+    FmuModel,
+    descriptions,
+    token_of,
+)
 from fraclink._files import atomic_write, output_path
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Precision
@@ -39,7 +45,6 @@ def export_fmu(
     law: Law,
     path: Path | str,
     *,
-    fmi: Literal[2, 3] = 2,
     precision: Precision | None = None,
     compilers: Sequence[str] = ("cc",),
     force: bool = False,
@@ -62,9 +67,6 @@ def export_fmu(
     path
         The file; its stem is the model's name and must be a C identifier. An existing
         one needs `force`.
-    fmi
-        Version of the standard. 2.0 is what every importer reads, so it is the default;
-        3.0 has unsigned whole numbers, and names for more platforms.
     precision
         Arithmetic of the law, its own where it is left out; the FMU's variables are in
         double precision.
@@ -76,15 +78,15 @@ def export_fmu(
     Raises
     ------
     FieldError
-        a bad name or version, a compiler that is missing or fails, and a platform
-        without a name in the version.
+        a bad name, a compiler that is missing or fails, and a platform that FMI has no
+        name for.
 
-    Source: FMI 2.0.4 and FMI 3.0, chapters 2 and 4.
+    Source: FMI 3.0, chapters 2 and 4.
 
     >>> import fraclink as fl, tempfile
     >>> rig = fl.Rig.named("paper-2023")
     >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
-    >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", fmi=3, compilers=()).name
+    >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", compilers=()).name
     'arm_law.fmu'
     """
     place = output_path(path, force=force)
@@ -97,22 +99,26 @@ def export_fmu(
             remedy="end the name in .fmu",
         )
     name = identifier("out", place.stem)
-    standard = STANDARDS[fmi]
     shipped = law if precision is None else law.in_precision(precision)
     # The token is a hash of the C: who pairs a library with the description of another
     # law is refused by the FMU itself at instantiation.
-    sources, token = _sources(shipped, name, standard.sources)
+    sources, token = _sources(shipped, name)
     listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
     model = FmuModel(name, token, shipped.period, shipped.digest, listed)
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
-    parts |= {
-        file: text.encode() for file, text in standard.descriptions(model).items()
-    }
+    parts |= {file: text.encode() for file, text in descriptions(model).items()}
     parts["documentation/index.html"] = documentation(model, shipped).encode()
     for compiler in compilers:
         platform = platform_of(compiler)
-        folder = _folder(platform, standard.platforms, fmi)
-        library = f"binaries/{folder}/{name}{SUFFIXES[platform.rpartition('-')[2]]}"
+        if platform not in PLATFORMS:
+            raise FieldError(
+                "compiler",
+                platform,
+                "a platform that FMI has no name for",
+                allowed=", ".join(PLATFORMS),
+                remedy="export sources only",
+            )
+        library = f"binaries/{platform}/{name}{SUFFIXES[platform.rpartition('-')[2]]}"
         if library in parts:
             raise FieldError(
                 "compiler",
@@ -127,16 +133,15 @@ def export_fmu(
     return place
 
 
-def _sources(
-    law: Law, name: str, wrapper: tuple[str, ...]
-) -> tuple[dict[str, str], str]:
+def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
     """Return the FMU's C files and its token."""
     sources = {"law_data.h": data_header(law, name="law_data", title="")}
     for file in (
         "law.h",
         "law.c",
         "fmu/fmu_core.h",
-        *(f"fmu/{file}" for file in wrapper),
+        "fmu/fmi3.c",
+        "fmu/fmi3_not_offered.h",
     ):
         sources[Path(file).name] = law_source(file).decode()
     token = token_of(sources)
@@ -154,22 +159,10 @@ def _sources(
         f"#define FMU_PERIOD {law.period.hex()} /* {law.period!r} s */",
         '#include "law.c"',
         '#include "law_data.h"',
-        f'#include "{wrapper[0]}"',
+        '#include "fmi3.c"',
         "",
     ]
     return sources | {"all.c": "\n".join(lines)}, token
-
-
-def _folder(platform: str, known: Mapping[str, str], fmi: int) -> str:
-    if platform not in known:
-        raise FieldError(
-            "compiler",
-            platform,
-            f"a platform that FMI {fmi} has no name for",
-            allowed=", ".join(known),
-            remedy="take another version of FMI, or export sources only",
-        )
-    return known[platform]
 
 
 def _zipped(parts: Mapping[str, bytes]) -> bytes:

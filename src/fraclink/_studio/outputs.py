@@ -11,11 +11,11 @@ from typing import Any
 
 from fraclink import _kernels
 from fraclink._design import Design
-from fraclink._export import export_c, export_fmu, export_matlab
+from fraclink._export import export_c, export_fmu
 from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
 from fraclink._files import output_path
-from fraclink._law import Law, discretize
+from fraclink._law import Law
 from fraclink._show.arm_page import write_arm_page
 from fraclink._show.report import write_report
 from fraclink._show.words import power_on
@@ -41,19 +41,6 @@ def _c(
         paths,
         f"fraclink export c design.json --precision {precision} --out {folder}",
     )
-
-
-def _matlab(
-    session: Session, made: Design, law: Law, precision: Any, force: bool
-) -> tuple[list[Path], str]:
-    path = session.folder / "arm_law.m"
-    # Without the motor loop, as the command writes it: MATLAB simulates the robot's own
-    # servo. The same function as the command's, so that the file is the same to the
-    # byte.
-    own = discretize(made.controller, made.rig.period)
-    return [
-        export_matlab(own, path, force=force)
-    ], f"fraclink export matlab design.json --out {path}"
 
 
 def _fmu(
@@ -87,7 +74,6 @@ _TARGETS: dict[
     str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]
 ] = {
     "c": _c,
-    "matlab": _matlab,
     "fmu": _fmu,
     "share": _share,
     "report": _report,
