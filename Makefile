@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test quick coverage lint bench build docs fuzz reproduce clean lock dist-check
+.PHONY: setup demo test quick coverage lint bench bench-short build docs fuzz reproduce clean lock dist-check
 
 setup: $(STAMP)
 
@@ -65,6 +65,10 @@ lint: setup
 
 bench: setup
 	$(PY) benchmarks/run.py
+
+# The smallest sizes of each: a crash fails, no time is judged.
+bench-short: setup
+	@$(PY) benchmarks/run.py --short
 
 fuzz: setup
 	$(PY) tools/fuzz_law.py --seconds 60

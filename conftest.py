@@ -2,7 +2,7 @@
 
 What a file of tests leaves in its caches is needed by no other, and free memory goes
 back to the system only where the C library is told to: without either, a worker grows
-to twice what it starts with. benchmarks/memory_of_tests.py measures it.
+to twice what it starts with.
 """
 
 from __future__ import annotations

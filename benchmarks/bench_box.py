@@ -31,9 +31,10 @@ from fraclink._certify import Certificate, certify
 from fraclink._design import Design
 from fraclink._law import Law
 from fraclink.errors import FieldError, InfeasibleError
+from harness import line, sizes
 
 RIG = Rig.named("paper-2023")
-SEED, CASES = 15, 60
+SEED = 15
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 # Of a case's point: payload [kg] and delay [s], and beside them the parameters of the
@@ -308,10 +309,6 @@ def box_around(design: Design, size: float) -> ParameterBox:
 # ---- figures ----------------------------------------------------------------------------------------------
 
 
-def figure(name: str, value: str, wanted: str, good: bool) -> None:
-    print(f"{'ok  ' if good else 'MISS'} {name:<60} {value:<28} wanted {wanted}")
-
-
 def against_search(count: int, seed: int) -> None:
     """Every claim beside the truth that the search finds."""
     gaps, unproved = [], 0
@@ -344,18 +341,18 @@ def against_search(count: int, seed: int) -> None:
             f"leaves {certificate.leaves:6d} {spent:6.2f} s  {note}",
             flush=True,
         )
-    figure(
+    line(
         "truth below the claim", str(sum(gap < 0 for gap in gaps)), "0", min(gaps) >= 0
     )
     far = sum(gap > 0.02 for gap in gaps)
-    figure("claim farther than 0.02 from the truth", str(far), "0", far == 0)
-    figure(
+    line("claim farther than 0.02 from the truth", str(far), "0", far == 0)
+    line(
         "largest distance of a claim from the truth",
         f"{max(gaps):.4f}",
         "<= 0.02",
         max(gaps) <= 0.02,
     )
-    figure("not proved", str(unproved), "0", unproved == 0)
+    line("not proved", str(unproved), "0", unproved == 0)
 
 
 def load_checker() -> ModuleType:
@@ -368,7 +365,7 @@ def load_checker() -> ModuleType:
     return module
 
 
-def named_boxes() -> None:
+def named_boxes(count: int) -> None:
     """Leaves and seconds for the moderate and the large box."""
     checker = load_checker()
     wanted = {
@@ -380,23 +377,23 @@ def named_boxes() -> None:
     law = design.law()
     boxes = {"moderate": (ParameterBox.of(design.model, RIG), 5_000, 3.0)}
     boxes["large"] = (box_around(design, 1.0), 15_000, 10.0)
-    for name, (box, most, limit) in boxes.items():
+    for name, (box, most, limit) in list(boxes.items())[:count]:
         begin = time.process_time()
         made = certify(design, law=law, box=box)
         spent = time.process_time() - begin
-        figure(
+        line(
             f"{name} box, proved modulus",
             f"{made.statement.modulus:.3f}",
             "proved",
             made.passed,
         )
-        figure(
+        line(
             f"{name} box, leaves",
             str(made.leaves),
             f"<= {most}",
             made.passed and made.leaves <= most,
         )
-        figure(
+        line(
             f"{name} box, CPU seconds", f"{spent:.2f}", f"<= {limit:g}", spent <= limit
         )
         with tempfile.TemporaryDirectory() as folder:
@@ -405,14 +402,15 @@ def named_boxes() -> None:
             begin = time.process_time()
             checker.check(str(place), law.digest)
             spent = time.process_time() - begin
-        figure(
+        line(
             f"{name} box, CPU seconds to check", f"{spent:.2f}", "<= 10", spent <= 10.0
         )
 
 
 def main() -> None:
-    named_boxes()
-    against_search(CASES, SEED)
+    given = sizes(__doc__, cases=(60, 1), boxes=(2, 1))
+    named_boxes(given.boxes)
+    against_search(given.cases, SEED)
 
 
 if __name__ == "__main__":

@@ -1,127 +1,73 @@
-"""What it costs to come in: `import fraclink` beside `import numpy`, `make demo` after
-set-up, the results.
+"""What it costs to come in: `import fraclink` beside `import numpy`, the main job on
+the bundled log.
 
 Every process is timed in processor seconds of itself and its children, so that other
-work on the machine does not count; the two imports are interleaved, in a fresh
-interpreter each.
+work on the machine does not count; the imports take turns, each in a fresh interpreter.
 """
 
 from __future__ import annotations
 
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from harness import line, median, sizes
+
 ROOT = Path(__file__).resolve().parent.parent
-ROUNDS = 15
 # Public names are loaded when they are first used, so the root alone costs less than
 # numpy does.
 SESSION = "import fraclink as fl; fl.Rig, fl.read_log, fl.identify, fl.design, fl.Law, fl.simulate, fl.s"
+DEMO = ("-m", "fraclink", "run", "--rig", "paper-2023-geared", "--log", "demo")
 
 
-def seconds(command: Sequence[str]) -> float:
-    """Processor seconds of a command."""
+def seconds(*command: str) -> float:
+    """Processor seconds of Python with these arguments."""
     before = os.times()
-    subprocess.run(  # noqa: S603
-        command,
-        cwd=ROOT,
-        check=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    run: Sequence[str] = (sys.executable, *command)
+    subprocess.run(run, cwd=ROOT, check=True, capture_output=True)  # noqa: S603
     after = os.times()
-    return (
-        after.children_user
-        - before.children_user
-        + after.children_system
-        - before.children_system
-    )
+    user = after.children_user - before.children_user
+    return user + after.children_system - before.children_system
 
 
-def row(figure: str, measured: float, spread: str, wanted: str, holds: bool) -> None:
-    """Print one figure."""
-    print(
-        f"{'ok' if holds else 'MISS':<5} {figure:<52} {measured:8.3f} {spread:<22} wanted {wanted}",
-        flush=True,
-    )
-
-
-def imports() -> None:
+def imports(rounds: int) -> None:
     """`import fraclink` and what the session needs first, against `import numpy`."""
-    spent: dict[str, list[float]] = {
-        "pass": [],
-        "import numpy": [],
-        "import fraclink": [],
-        SESSION: [],
-    }
-    for _ in range(ROUNDS):
-        for code, values in spent.items():
-            values.append(seconds([sys.executable, "-c", code]))
-    ratios = [
-        f / n
-        for f, n in zip(spent["import fraclink"], spent["import numpy"], strict=True)
-    ]
-    ratio = statistics.median(ratios)
-    low, high = statistics.quantiles(ratios, n=4)[::2]
-    row(
+    codes = ("pass", "import numpy", "import fraclink", SESSION)
+    spent = np.array([[seconds("-c", code) for code in codes] for _ in range(rounds)])
+    ratio, spread = median(spent[:, 2] / spent[:, 1])
+    line(
         "import fraclink / import numpy (whole process)",
-        ratio,
-        f"({low:.2f} to {high:.2f})",
+        f"{ratio:.2f} ± {spread:.2f}",
         "<= 1.3",
         ratio <= 1.3,
     )
-    bare = statistics.median(spent["pass"])
-    numpy = statistics.median(spent["import numpy"]) - bare
-    own = (statistics.median(spent["import fraclink"]) - bare) / numpy
-    row("the same, without the interpreter's start", own, "", "<= 1.3", own <= 1.3)
-    session = (statistics.median(spent[SESSION]) - bare) / numpy
-    print(
-        f"      with every name of the README's session {session:.2f} times numpy, numpy included: no bound"
+    bare, numpy, _, session = np.median(spent, axis=0)
+    line(
+        "every name of the README's session / numpy, numpy included",
+        f"{(session - bare) / (numpy - bare):.2f}",
+        "no bound",
     )
-
-
-def demo() -> None:
-    """The main job on the bundled log, as `make demo` runs it after set-up."""
-    with tempfile.TemporaryDirectory() as folder:
-        command = [
-            "run",
-            "--rig",
-            "paper-2023",
-            "--log",
-            "demo",
-            "--out",
-            folder,
-            "--force",
-        ]
-        spent = [
-            seconds([sys.executable, "-m", "fraclink", *command]) for _ in range(3)
-        ]
-    value = statistics.median(spent)
-    row(
-        "fraclink run on the bundled log [s]",
-        value,
-        f"({min(spent):.2f} to {max(spent):.2f})",
-        "< 10",
-        value < 10,
-    )
-
-
-def results() -> None:
-    """Every number and figure of the paper."""
-    with tempfile.TemporaryDirectory() as folder:
-        value = seconds([sys.executable, "-m", "reproduce", "--out", folder])
-    row("make reproduce [s]", value, "", "<= 120", value <= 120)
 
 
 def main() -> None:
-    """Print every figure."""
-    imports()
-    demo()
-    results()
+    given = sizes(__doc__, rounds=(15, 1), demos=(3, 1))
+    imports(given.rounds)
+    with tempfile.TemporaryDirectory() as folder:
+        command = (*DEMO, "--out", folder, "--force")
+        value, spread = median(
+            np.array([seconds(*command) for _ in range(given.demos)])
+        )
+    line(
+        "fraclink run on the bundled log, its demo",
+        f"{value:.2f} ± {spread:.2f} s",
+        "< 10 s",
+        value < 10,
+    )
 
 
 if __name__ == "__main__":

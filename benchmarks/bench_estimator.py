@@ -1,5 +1,5 @@
 """The payload estimated while running: what it finds and when, what the moves gain,
-contacts, a real log.
+contacts.
 
 Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1
 rad in 0.5 s; law for 20 to 40 g. Figures are the worst of 20 seeds where nothing else
@@ -8,10 +8,7 @@ is said.
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
 from itertools import permutations
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -20,17 +17,14 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._design import Design
-from fraclink._law import discretize_controller
-from fraclink._law.estimator import PayloadEstimator, payload_estimator
-from fraclink._law.tracking import masses_of
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
+from harness import line, sizes
 
-SEEDS: Final = 20
 PAYLOADS: Final = (0.008, 0.012, 0.016, 0.020, 0.030, 0.040, 0.060, 0.080)
 RIG: Final = fl.Rig.named("paper-2023-geared")
 MOVE: Final = fl.smooth_step(1.0, duration=0.5)
 REST: Final = 3.0  # [s] between two moves
-ROOT: Final = Path(__file__).resolve().parents[1]
 Real = NDArray[np.float64]
 
 
@@ -54,17 +48,19 @@ def found_at(run: Run, payload: float) -> float:
     return float(run.time[min(off[-1] + 1, len(run.time) - 1)])
 
 
-def first_moves(design: Design, bank: PayloadEstimator) -> None:
+def first_moves(
+    design: Design, bank: PayloadEstimator, payloads: tuple[float, ...], seeds: int
+) -> None:
     print(
         "first move: settling not told, told, estimated; within 10 % after; error at the end; 95 % covers"
     )
     covered = []
-    for payload in PAYLOADS:
-        runs = [on_twin(design, payload, bank, seed) for seed in range(SEEDS)]
+    for payload in payloads:
+        runs = [on_twin(design, payload, bank, seed) for seed in range(seeds)]
         settled = [
             max(
                 on_twin(design, payload, told, seed).metrics.settling_time
-                for seed in range(SEEDS)
+                for seed in range(seeds)
             )
             for told in (False, True)
         ]
@@ -81,9 +77,8 @@ def first_moves(design: Design, bank: PayloadEstimator) -> None:
             f"{100 * error:.1f} %;  {100 * inside.mean():.1f} %",
             flush=True,
         )
-    print(
-        f"  all payloads alike: the 95 % interval covers in {100 * np.mean(covered):.1f} % of the periods"
-    )
+    share = 100 * float(np.mean(covered))
+    line("95 % interval, periods covered", f"{share:.1f} %", ">= 95 %", share >= 95)
 
 
 def covers(run: Run, payload: float) -> NDArray[np.bool_]:
@@ -106,7 +101,9 @@ def settling(run: Run, start: float, target: float) -> float:
     return 0.004 * (off[-1] + 1) if off.size else 0.0
 
 
-def changes(design: Design, bank: PayloadEstimator) -> None:
+def changes(
+    design: Design, bank: PayloadEstimator, payloads: tuple[float, ...], seeds: int
+) -> None:
     """Two moves, another payload while the arm stands, three more: every pair of the
     eight payloads.
     """
@@ -115,14 +112,14 @@ def changes(design: Design, bank: PayloadEstimator) -> None:
         path = path.then(fl.smooth_step((-1.0) ** i, 0.5, REST))
     starts = [i * (REST + 0.5) for i in range(5)]
     print(
-        f"payload changed at rest, all {len(PAYLOADS) * (len(PAYLOADS) - 1)} pairs, 20 seeds each"
+        f"payload changed at rest, all {len(payloads) * (len(payloads) - 1)} pairs, {seeds} seeds each"
     )
     worst: dict[tuple[float, float], Real] = {}
-    for before, after in permutations(PAYLOADS, 2):
+    for before, after in permutations(payloads, 2):
         event = PayloadChange(starts[2] - 0.3, after)
         arm = Twin.from_rig(RIG, payload=before)
         times = []
-        for seed in range(SEEDS):
+        for seed in range(seeds):
             run = fl.simulate(
                 design,
                 path,
@@ -153,12 +150,14 @@ def changes(design: Design, bank: PayloadEstimator) -> None:
         )
 
 
-def contacts(design: Design, bank: PayloadEstimator) -> None:
+def contacts(
+    design: Design, bank: PayloadEstimator, payloads: tuple[float, ...], seeds: int
+) -> None:
     """A stop of 2 kN/m in the way at 0.3, 0.6 and 0.9 rad; healthy moves of 0.4, 0.5
     and 1 s.
     """
     seconds, missed, false = [], 0, 0
-    for payload, angle in ((p, a) for p in PAYLOADS for a in (0.3, 0.6, 0.9)):
+    for payload, angle in ((p, a) for p in payloads for a in (0.3, 0.6, 0.9)):
         run = on_twin(
             design,
             payload,
@@ -170,9 +169,9 @@ def contacts(design: Design, bank: PayloadEstimator) -> None:
         flagged = run.time[flags(run, _kernels.PAYLOAD_CONTACT)]
         missed += flagged.size == 0
         seconds += list(flagged[:1] - touched)
-    for payload, time in ((p, t) for p in PAYLOADS for t in (0.4, 0.5, 1.0)):
+    for payload, time in ((p, t) for p in payloads for t in (0.4, 0.5, 1.0)):
         arm = Twin.from_rig(RIG, payload=payload)
-        for seed in range(5):
+        for seed in range(min(seeds, 5)):
             run = fl.simulate(
                 design,
                 fl.smooth_step(1.0, time),
@@ -183,60 +182,25 @@ def contacts(design: Design, bank: PayloadEstimator) -> None:
                 duration=3.0,
             )
             false += bool(flags(run, _kernels.PAYLOAD_CONTACT).any())
-    print(
-        f"contact flagged {1e3 * min(seconds):.0f} to {1e3 * max(seconds):.0f} ms after the touch, median "
-        f"{1e3 * np.median(seconds):.0f} ms; {missed} of 24 missed; {false} of 120 healthy moves flagged"
+    line(
+        "contact: time from the touch to the flag, median",
+        f"{1e3 * np.median(seconds):.0f} ms, {missed} of {3 * len(payloads)} missed",
+        "printed",
+        note=f"{1e3 * min(seconds):.0f} to {1e3 * max(seconds):.0f} ms",
     )
+    line("healthy moves flagged as contact", str(false), "0", false == 0)
 
 
 def flags(run: Run, bit: int) -> NDArray[np.bool_]:
     return np.asarray(run.extras["payload_flags"].astype(int) & bit != 0)
 
 
-def recorded() -> Iterator[str]:
-    """The log of a real link: the frequency of the estimate against that of the offline
-    fit.
-    """
-    folder = Path(
-        os.environ.get("FRACLINK_SHARED", str(ROOT.parent / "shared" / "data"))
-    )
-    file = folder / "quanser_rfl_merced" / "merced_rfl.csv"
-    if not file.exists():
-        yield f"Merced log: not there ({file.name}); set FRACLINK_SHARED"
-        return
-    rig = fl.Rig.load(ROOT / "tests" / "rigs" / "merced.toml")
-    log = fl.read_log(file, rig=rig, payload=0.0158)
-    link = fl.identify(log).model
-    law = discretize_controller(
-        fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig
-    )
-    time = log.period * np.arange(len(log.output))
-    for what, doubt in (
-        ("gauge gain as identified", None),
-        ("gauge gain known to 30 %", 0.3),
-    ):
-        bank = payload_estimator(link, rig, law, (0.0158, 0.0158), gain_doubt=doubt)
-        _, found = bank.run(
-            bank.initial_state(), log.motor_angle, link.stiffness * log.output
-        )
-        nominal, own = masses_of(link, rig)
-        late = (time >= 0.5) & (found.given > 0)
-        off = np.abs(np.sqrt(nominal / (found.estimate[late] + own)) - 1)
-        yield (
-            f"Merced log, {what}: frequency within {100 * off.max():.1f} % of the offline fit after 0.5 s "
-            f"(mass {200 * off.max():.1f} %), given in {100 * np.mean(found.given[time >= 0.5] > 0):.0f} % "
-            "of the periods"
-        )
-
-
 def main() -> None:
-    design = designed()
+    given = sizes(__doc__, seeds=(20, 1), payloads=(len(PAYLOADS), 2))
+    design, payloads = designed(), PAYLOADS[: given.payloads]
     bank = design.estimator()
-    first_moves(design, bank)
-    contacts(design, bank)
-    for line in recorded():
-        print(line)
-    changes(design, bank)
+    for figures in (first_moves, contacts, changes):
+        figures(design, bank, payloads, given.seeds)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,12 @@ place where it ends below or begins above it.
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
 
 import fraclink as fl
-from identify_logs import line
+from harness import line, sizes
 
 NOISE, ORDER, FREQUENCY, DELAY = 0.05, 1.92, 10.02, 0.002
 LINES = np.geomspace(1.0, 80.0, 200)
@@ -54,9 +53,7 @@ def missed(seeds: int, low: float, high: float, code: str) -> tuple[int, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    seeds = parser.parse_args().seeds
+    seeds = sizes(__doc__, seeds=(20, 1)).seeds
     clean = fl.identify_driven_link(
         fl.FrequencyResponse(LINES, arm()(1j * LINES)), details=False
     )

@@ -1,14 +1,11 @@
 """What may be relied on of an identification: structure, gates, second mode, coverage
 under coloured noise.
 
-    python benchmarks/bench_gates.py [--logs 510] [--first 0] [--only structures]
-
 Every log is simulated with known truth, see identify_random.py.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 
 import numpy as np
@@ -17,7 +14,8 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs
 from fraclink._identify import identify
 from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, simulate_log
-from identify_logs import TRUTH, clean_log, line
+from harness import line, sizes
+from identify_logs import TRUTH, clean_log
 from identify_random import COLOURS, PERIOD, coloured, random_log
 
 STRUCTURES = ("D-IOM", "UD-FOM")
@@ -142,7 +140,7 @@ def coverage(seeds: range) -> None:
             )
 
 
-def second_mode() -> None:
+def second_mode(masses: int) -> None:
     """The second mode of links with mass, in logs of the twin: found or not, and its
     frequency.
 
@@ -155,7 +153,7 @@ def second_mode() -> None:
     for noise in (0.01, 0.03, 0.1):
         # (found, logs, worst error) of the modes up to and above 0.15
         seen = {False: [0, 0, 0.0], True: [0, 0, 0.0]}
-        for k, mass in enumerate((0.002, 0.00735, 0.015, 0.03, 0.06)):
+        for k, mass in enumerate((0.002, 0.00735, 0.015, 0.03, 0.06)[:masses]):
             for pole in (40.0, 80.0):
                 for payload in (0.01, 0.03, 0.06):
                     beam = Beam(0.65, 0.338, mass, payload)
@@ -214,30 +212,15 @@ def mode_frequency(beam: Beam, damping: object) -> float:
     )
 
 
-FIGURES = {
-    "structures": lambda seeds: structures(seeds),
-    "good_logs": lambda seeds: good_logs(seeds),
-    "fractional_damping": lambda seeds: fractional_damping(
-        seeds[: max(len(seeds) // 5, 1)]
-    ),
-    "coverage": lambda seeds: coverage(seeds[: max(len(seeds) // 2, 1)]),
-    "second_mode": lambda seeds: second_mode(),
-}
-
-
 def main() -> None:
-    """Print every figure."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--logs", type=int, default=510)
-    parser.add_argument(
-        "--first", type=int, default=0, help="first seed; others are other logs"
-    )
-    parser.add_argument("--only", choices=FIGURES)
-    options = parser.parse_args()
-    seeds = range(options.first, options.first + options.logs)
-    for name, figure in FIGURES.items():
-        if options.only in (None, name):
-            figure(seeds)
+    """Print every figure; other first seeds are other logs."""
+    given = sizes(__doc__, logs=(510, 3), first=(0, 1), masses=(5, 1))
+    seeds = range(given.first, given.first + given.logs)
+    structures(seeds)
+    good_logs(seeds)
+    fractional_damping(seeds[: max(len(seeds) // 5, 1)])
+    coverage(seeds[: max(len(seeds) // 2, 1)])
+    second_mode(given.masses)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ does not count.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -32,33 +31,14 @@ from fraclink._identify import (
 from fraclink._identify.shape import Window
 from fraclink._logs import bundled_log, read_log
 from fraclink._systems.response import grunwald_letnikov
-from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, line, noisy_log
-from identify_recorded import boxes, daisy, real_logs
+from harness import interleaved, line, median, sizes
+from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, noisy_log
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from made_logs import example_motor_log
 
 
-def interleaved(
-    calls: dict[str, Callable[[], object]], rounds: int
-) -> dict[str, np.ndarray]:
-    spent: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            begin = time.thread_time()
-            call()
-            spent[name].append(time.thread_time() - begin)
-    return {name: np.array(values) for name, values in spent.items()}
-
-
-def ratio(spent: dict[str, np.ndarray], name: str) -> tuple[float, float]:
-    """Median of the ratio to R, and half its interquartile range."""
-    values = spent[name] / np.median(spent["R"])
-    low, high = np.percentile(values, [25, 75])
-    return float(np.median(values)), float(high - low) / 2
-
-
-def kernel_and_fits() -> None:
+def kernel_and_fits(rounds: int, whole_rounds: int) -> None:
     log = noisy_log(0)
     window = Window(log.motor_angle, log.output, PERIOD, "first")
     kernel = window.kernel(10.0, longest_delay=0.1)
@@ -72,18 +52,20 @@ def kernel_and_fits() -> None:
         "fit": lambda: identify(log, "UD-FOM", heldout=0, details=False),
         "guess": lambda: identify(log, "UD-FOM", heldout=0, details=False, guess=bad),
     }
-    spent = interleaved(calls, 200)
+    spent = interleaved(calls, rounds)
     for name, title, wanted in (
         ("2", "residual + Jacobian (λ, ω₀) + Gram matrix, N = 5000", 1.5),
         ("3", "the same with the delay's derivative", 1.5),
         ("fit", "UD-FOM fit from Python, no guess", 40.0),
         ("guess", "UD-FOM fit from Python, guess λ 1.3, ω₀ 25", 40.0),
     ):
-        value, spread = ratio(spent, name)
+        value, spread = median(spent[name] / np.median(spent["R"]))
         line(
             title, f"{value:.2f} ± {spread:.2f} R", f"<= {wanted:g} R", value <= wanted
         )
-    whole = interleaved({"R": lambda: compare_structures(log, heldout=0.4)}, 7)["R"]
+    whole = interleaved(
+        {"R": lambda: compare_structures(log, heldout=0.4)}, whole_rounds
+    )["R"]
     value = float(np.median(whole))
     line(
         "all four structures, intervals and report data",
@@ -93,7 +75,7 @@ def kernel_and_fits() -> None:
     )
 
 
-def random_starts(count: int) -> None:
+def random_starts(count: int, logs: int) -> None:
     log = noisy_log(0)
     best = identify(log, "UD-FOM", heldout=0, details=False)
     generator = np.random.default_rng(1)
@@ -133,9 +115,9 @@ def random_starts(count: int) -> None:
             - 1.92
         )
         > 0.01
-        for seed in range(60)
+        for seed in range(logs)
     )
-    line("60 logs without a guess", f"{60 - missed} found", "60", missed == 0)
+    line(f"{logs} logs without a guess", f"{logs - missed} found", "all", missed == 0)
 
 
 def coverage(count: int) -> None:
@@ -265,13 +247,13 @@ def delay_story() -> None:
     )
 
 
-def cut_in_mid_motion() -> None:
+def cut_in_mid_motion(places: int) -> None:
     """Delays of the bundled log from six places on, with the angle before the cut and
     without.
     """
     path, known, unknown = bundled_log("prbs_30g"), [], []
     whole = identify(read_log(path), details=False).delay
-    for begin in (1.0, 2.3, 3.8, 5.1, 7.0, 9.0):
+    for begin in (1.0, 2.3, 3.8, 5.1, 7.0, 9.0)[:places]:
         log = read_log(path, keep=(begin, 20.0))
         known.append(identify(log, details=False).delay - whole)
         unknown.append(
@@ -286,7 +268,7 @@ def cut_in_mid_motion() -> None:
     )
 
 
-def against_the_usual_way() -> None:
+def against_the_usual_way(rounds: int) -> None:
     """Grünwald–Letnikov (compiled) and finite differences, as the paper's Algorithm 1
     would be written.
     """
@@ -316,7 +298,7 @@ def against_the_usual_way() -> None:
             details=False,
         )
 
-    spent = interleaved({"R": usual, "ours": ours}, 9)
+    spent = interleaved({"R": usual, "ours": ours}, rounds)
     times = spent["R"] / spent["ours"]
     line(
         "against GL with finite differences: faster by",
@@ -334,7 +316,7 @@ def against_the_usual_way() -> None:
     )
 
 
-def together() -> None:
+def together(rounds: int) -> None:
     link = LinkModel(1.56, 11.0, order=1.92, payload=0.03)
     damped = LinkModel(1.56, 11.0, damping=1.37, damping_order=0.954, payload=0.03)
     for name, model, wanted in (("UD-FOM", link, 0.015), ("D-FOM", damped, 0.1)):
@@ -343,7 +325,7 @@ def together() -> None:
             log = noisy_log(seed, 0.05, model=model.at_payload(mass))
             logs.append(replace(log, payload=mass))
         spent = interleaved(
-            {"R": lambda logs=logs, name=name: identify_payloads(logs, name)}, 15
+            {"R": lambda logs=logs, name=name: identify_payloads(logs, name)}, rounds
         )["R"]
         fit = identify_payloads(logs, name)
         found = (
@@ -372,22 +354,25 @@ def motor() -> None:
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__)
-    options.add_argument("--starts", type=int, default=2000)
-    options.add_argument("--logs", type=int, default=1000)
-    chosen = options.parse_args()
-    kernel_and_fits()
-    random_starts(chosen.starts)
-    against_the_usual_way()
-    together()
+    given = sizes(
+        __doc__,
+        rounds=(200, 1),
+        slow=(9, 1),
+        starts=(2000, 1),
+        guessless=(60, 1),
+        logs=(1000, 1),
+        places=(6, 1),
+    )
+    kernel_and_fits(given.rounds, given.slow)
+    random_starts(given.starts, given.guessless)
+    if not given.short:  # the peer takes half a minute
+        against_the_usual_way(given.slow)
+    together(given.slow)
     delay_story()
-    cut_in_mid_motion()
-    real_logs()
-    boxes()
-    daisy()
+    cut_in_mid_motion(given.places)
     motor()
-    coverage(chosen.logs)
-    valleys(max(chosen.logs // 10, 1))
+    coverage(given.logs)
+    valleys(max(given.logs // 10, 1))
 
 
 if __name__ == "__main__":

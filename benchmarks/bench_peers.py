@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink._files import write_text
 from fraclink._systems.response import grunwald_letnikov
+from harness import line
 
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "_peers.md"
 Real = NDArray[np.float64]
@@ -367,9 +368,11 @@ def main() -> None:
     parser.add_argument(
         "--write", action="store_true", help=f"write {PAGE.name}; needs every tool"
     )
+    parser.add_argument("--short", action="store_true", help="the same: it is short")
     wanted = parser.parse_args()
     found = rows()
-    print(*found, cost(), sep="\n")
+    for row in (*found, cost()):
+        line(f"{row.problem}: {row.tool}", row.error, "printed")
     if wanted.write:
         absent = [] if octave_control() else ["octave with octave-control"]
         absent += [

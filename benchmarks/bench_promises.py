@@ -5,14 +5,11 @@ Every call is checked at a few of its times with an inversion of its own, in 50 
 and more: Talbot's contour with two numbers of nodes, the residues of the poles outside
 it added, repeated with more nodes until both agree. The true error must never exceed
 the estimate, and the estimate should be at most 100 times the true error in the median.
-
-    python benchmarks/bench_promises.py [calls] [seed]
 """
 
 from __future__ import annotations
 
 import collections
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -31,8 +28,8 @@ from fraclink import (
 )
 from fraclink import s as laplace
 from fraclink._systems.terms import Term
+from harness import line, sizes
 
-CALLS, SEED = 2000, 20
 AGREED = mpf(10) ** -19  # two contours, relative to the response
 Terms = tuple[Term, ...]
 
@@ -407,7 +404,9 @@ def _outcome(
     )
 
 
-def main(calls: int, seed: int) -> None:
+def main() -> None:
+    given = sizes(__doc__, calls=(2000, 24), seed=(20, 20))
+    calls, seed = given.calls, given.seed
     begin, done, left = time.process_time(), [], collections.Counter()
     names = list(KINDS)
     for n in range(calls):
@@ -443,16 +442,16 @@ def report(done: list[Outcome], left: collections.Counter[str], seconds: float) 
         )
     for reason, count in left.most_common():
         print(f"left    {count:4d} {reason}")
-    mark = "ok  " if not broken and done else "MISS"
-    print(
-        f"{mark} calls whose true error exceeds the estimate   {len(broken)} of {len(done)}   wanted 0"
+    line(
+        "calls whose true error exceeds the estimate",
+        f"{len(broken)} of {len(done)}",
+        "0",
+        not broken,
     )
     ratio = float(np.median([o.claimed / max(o.true, tiny) for o in done]))
-    print(
-        f"{'ok  ' if ratio <= 100 else 'MISS'} estimate over true error, median   {ratio:.3g}   wanted <= 100"
-    )
+    line("estimate over true error, median", f"{ratio:.3g}", "<= 100", ratio <= 100)
     print(f"        {seconds:.0f} s of CPU time")
 
 
 if __name__ == "__main__":
-    main(*(int(x) for x in [*sys.argv[1:], *(CALLS, SEED)[len(sys.argv) - 1 :]]))
+    main()

@@ -1,8 +1,6 @@
 """Random requests to `design`: nothing is promised in silence, and what a refusal
 offers is feasible.
 
-    python benchmarks/bench_requests.py [how many]
-
 Every request draws a rig, a link as a log may show it (a late gauge, a wrong gauge
 gain, a second mode, damping), a payload range and options of `design`. Each ends as one
 of:
@@ -22,7 +20,6 @@ from __future__ import annotations
 
 import collections
 import math
-import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,9 +31,9 @@ import fraclink as fl
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
 from fraclink.errors import FieldError, InfeasibleError
+from harness import line, sizes
 
 RIGS = ("paper-2023", "paper-2023-geared")
-REQUESTS = 500
 ROUNDING = 1e-6  # relative, of a requirement that is met with equality
 ALLOWANCE = math.radians(0.5)  # what the fit of the law may cost without a word
 ALIASES = 300
@@ -274,17 +271,19 @@ def survey(seeds: range) -> tuple[collections.Counter[str], list[str]]:
 
 
 def main() -> None:
-    many = int(sys.argv[1]) if len(sys.argv) > 1 else REQUESTS
+    many = sizes(__doc__, requests=(500, 2)).requests
     begin = time.process_time()
     count, broken = survey(range(many))
-    for line in broken:
-        print(f"     {line}")
+    for request in broken:
+        print(f"     {request}")
     for what, times in count.most_common():
         print(f"     {what:<32} {times:>5}")
     print(f"     {time.process_time() - begin:.0f} s of CPU")
-    mark, exceptions = "MISS" if broken else "ok  ", f"{len(broken)} of {many}"
-    print(
-        f"{mark} {'requests, exceptions to the rule':<52} {exceptions:<28} wanted 0 of 500"
+    line(
+        "requests, exceptions to the rule",
+        f"{len(broken)} of {many}",
+        "0",
+        not broken,
     )
 
 

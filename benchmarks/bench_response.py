@@ -27,38 +27,11 @@ from fraclink._systems.response import (
     step_response,
     time_response,
 )
+from harness import interleaved, line, median, sizes
 
 PERIOD = 0.004
 REFERENCE = Path(__file__).parents[1] / "tests" / "reference" / "step_responses.json"
 LINK = 10.02**2 / (s**1.92 + 10.02**2)
-
-
-def line(figure: str, measured: str, wanted: str, holds: bool) -> None:
-    print(
-        f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}",
-        flush=True,
-    )
-
-
-def interleaved(
-    calls: dict[str, Callable[[], object]], rounds: int
-) -> dict[str, np.ndarray]:
-    spent: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            begin = time.thread_time()
-            call()
-            spent[name].append(time.thread_time() - begin)
-    return {name: np.array(values) for name, values in spent.items()}
-
-
-def ratio(spent: dict[str, np.ndarray], name: str, base: str) -> tuple[float, float]:
-    """Median of the ratio to `base` of the same round, and half its interquartile
-    range.
-    """
-    values = spent[name] / spent[base]
-    low, high = np.percentile(values, [25, 75])
-    return float(np.median(values)), float(high - low) / 2
 
 
 def transfer(case: list[str]) -> FractionalTransferFunction:
@@ -96,8 +69,7 @@ def accuracy() -> None:
         )
 
 
-def cost() -> None:
-    samples = 1_000_000
+def cost(samples: int, rounds: int) -> None:
     generator = np.random.default_rng(0)
     signal, u = (
         generator.standard_normal(2 * samples),
@@ -111,17 +83,23 @@ def cost() -> None:
         "fine": lambda: fine.respond(u),
         "all": lambda: time_response(LINK, u, PERIOD),
     }
-    spent = interleaved(calls, 15)
+    spent = interleaved(calls, rounds)
     error = _step_error(modes, samples)
     for name, title in (
-        ("modes", f"recursion, N = 1e6, {modes.count} states, step error {error:.0e}"),
+        (
+            "modes",
+            f"recursion, N = {samples:.0e}, {modes.count} states, step error {error:.0e}",
+        ),
         (
             "fine",
-            f"recursion, N = 1e6, {fine.count} states, step error {_step_error(fine, samples):.0e}",
+            f"recursion, N = {samples:.0e}, {fine.count} states, step error {_step_error(fine, samples):.0e}",
         ),
-        ("all", "time_response, N = 1e6, set-up, checks and copies included"),
+        (
+            "all",
+            f"time_response, N = {samples:.0e}, set-up, checks and copies included",
+        ),
     ):
-        value, spread = ratio(spent, name, "R")
+        value, spread = median(spent[name] / spent["R"])
         line(title, f"{value:.2f} ± {spread:.2f} R", "<= 0.35 R", value <= 0.35)
 
 
@@ -135,10 +113,10 @@ def _step_error(modes: DiscreteModes, samples: int) -> float:
     return float(np.max(np.abs(output[index] - exact)) / np.max(np.abs(output)))
 
 
-def linearity() -> None:
+def linearity(decades: int) -> None:
     """CPU time beyond that of 16 samples (tables and call), a sample and state."""
     spent = []
-    for size in [10**k for k in range(3, 8)]:
+    for size in [10**k for k in range(3, 3 + decades)]:
         u = np.random.default_rng(1).standard_normal(size)
         modes = discrete_modes(LINK, PERIOD, span=size * PERIOD)
         calls: dict[str, Callable[[], object]] = {
@@ -150,15 +128,14 @@ def linearity() -> None:
         spent.append(beyond / (size - 16) * 1e9 / modes.count)
     text = ", ".join(f"{value:.2f}" for value in spent)
     line(
-        "ns per sample and state at N = 1e3, 1e4 … 1e7",
+        "ns per sample and state at N = 1e3, 1e4 …",
         text,
         "flat within 2",
         max(spent) <= 2 * min(spent),
     )
 
 
-def against_full_memory() -> None:
-    samples = 100_000
+def against_full_memory(samples: int) -> None:
     u = np.sign(np.sin(0.3 * np.arange(samples) * PERIOD))
     exact = time_response(LINK, u, PERIOD).output
     begin = time.thread_time()
@@ -170,7 +147,7 @@ def against_full_memory() -> None:
     error = float(np.max(np.abs(full - exact)) / np.max(np.abs(exact)))
     ours = _square_wave_error(exact, samples)
     line(
-        "against Grünwald-Letnikov O(N²) in C, N = 1e5",
+        f"against Grünwald-Letnikov O(N²) in C, N = {samples:.0e}",
         f"{long / short:.0f} x faster",
         ">= 1000",
         long >= 1e3 * short,
@@ -217,7 +194,7 @@ def _square_wave_error(output: np.ndarray, samples: int) -> float:
     return max(gaps) / float(np.max(np.abs(output)))
 
 
-def against_oustaloup() -> None:
+def against_oustaloup(rounds: int) -> None:
     import control
 
     samples = 5000
@@ -259,13 +236,13 @@ def against_oustaloup() -> None:
         ),
         "our next": lambda: time_response(LINK, u, PERIOD),
     }
-    spent = interleaved(calls, 15)
+    spent = interleaved(calls, rounds)
     for name, base, title in (
         ("theirs", "ours", "recursion alone"),
         ("their all", "our all", "with set-up"),
         ("their all", "our next", "with set-up, our poles known"),
     ):
-        value, spread = ratio(spent, name, base)
+        value, spread = median(spent[name] / spent[base])
         line(
             f"against python-control with Oustaloup, N = 5000, {title}",
             f"{value:.0f} ± {spread:.0f} x faster",
@@ -282,8 +259,7 @@ def against_oustaloup() -> None:
     )
 
 
-def memory() -> None:
-    samples = 10_000_000
+def memory(samples: int) -> None:
     u = np.zeros(samples)
     modes = discrete_modes(LINK, PERIOD, span=samples * PERIOD)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -293,7 +269,7 @@ def memory() -> None:
     tracemalloc.stop()
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024
     line(
-        f"memory of the recursion, N = 1e7, {modes.count} states",
+        f"memory of the recursion, N = {samples:.0e}, {modes.count} states",
         f"{max(grown, python) / samples:.1f} B a sample",
         "<= 8.5 (the output)",
         grown <= 8.5 * samples,
@@ -301,13 +277,20 @@ def memory() -> None:
 
 
 def main() -> None:
-    memory()  # first: a later peak of this process would hide it
+    given = sizes(
+        __doc__,
+        samples=(1_000_000, 10_000),
+        memory=(100_000, 5000),
+        rounds=(15, 1),
+        decades=(5, 2),
+    )
+    memory(10 * given.samples)  # first: a later peak would hide it
     accuracy()
-    cost()
-    linearity()
-    against_full_memory()
+    cost(given.samples, given.rounds)
+    linearity(given.decades)
+    against_full_memory(given.memory)
     full_memory_errors()
-    against_oustaloup()
+    against_oustaloup(given.rounds)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,6 @@
 """From a log that nobody has described to a first model: logs of many shapes through
 `start`.
 
-    python benchmarks/bench_start.py [words of a shape's name]
-
 Every made log is of one motion of one arm (λ = 1.93, ω₀ = 10.02, c = 1.56 N·m/rad, 0.32
 m), so that the script knows what each column is: it compares the period, motor angle,
 output, voltage, units, signs, delay, frequency and order that `start` ends with. Where
@@ -35,7 +33,7 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._cli import main as command
-from identify_logs import line
+from harness import line, sizes
 from start_shapes import DELAY, FREQUENCY, ORDER, PERIOD, Shape, forms, motion, signals
 
 MOST_DECISIONS, MOST_SECONDS, FEWEST_SHAPES = 7, 3.0, 20
@@ -185,12 +183,10 @@ def tried(shape: Shape, folder: Path) -> Outcome:
     return outcome
 
 
-def made(wanted: str) -> tuple[dict[str, Outcome], int]:
+def made(count: int) -> tuple[dict[str, Outcome], int]:
     """Every made shape, and how many tracebacks there were."""
     found, broken = {}, 0
-    for name, shape in (forms() | signals()).items():
-        if wanted not in name:
-            continue
+    for name, shape in list((forms() | signals()).items())[:count]:
         with tempfile.TemporaryDirectory() as folder:
             try:
                 found[name] = tried(shape, Path(folder))
@@ -292,7 +288,7 @@ def known() -> tuple[int, int, list[str]]:
     return count, fitted, wrong
 
 
-def speed() -> None:
+def speed(rounds: int) -> None:
     """`fraclink start` in a fresh process on 20 s at 250 Hz, to fit and picture: clock
     and processor.
     """
@@ -307,7 +303,7 @@ def speed() -> None:
         str(folder),
     ]
     clock, processor = [], []
-    for _ in range(5):
+    for _ in range(rounds):
         begin, before = time.perf_counter(), os.times()
         subprocess.run([*words, "--force"], check=True, capture_output=True)  # noqa: S603
         clock.append(time.perf_counter() - begin)
@@ -330,9 +326,10 @@ def speed() -> None:
     )
 
 
-def main(wanted: str = "") -> None:
+def main() -> None:
     """Print every figure."""
-    found, broken = made(wanted)
+    given = sizes(__doc__, shapes=(100, 2), rounds=(5, 1))
+    found, broken = made(given.shapes)
     through = sum(o.fitted for o in found.values())
     mended = sum(o.mended for o in found.values())
     wrong = [name for name, o in found.items() if o.faults]
@@ -363,7 +360,7 @@ def main(wanted: str = "") -> None:
         "0",
         not physical,
     )
-    if not wanted:
+    if not given.short:
         count, fitted, faults = known()
         line(
             "bundled and recorded logs fitted",
@@ -377,8 +374,8 @@ def main(wanted: str = "") -> None:
             "0",
             not faults,
         )
-        speed()
+    speed(given.rounds)
 
 
 if __name__ == "__main__":
-    main(" ".join(sys.argv[1:]))
+    main()

@@ -20,7 +20,6 @@ example, `--example K` runs one of the ten alone.
 
 from __future__ import annotations
 
-import argparse
 import os
 
 os.environ["OPENBLAS_NUM_THREADS"] = (
@@ -35,7 +34,7 @@ from scipy.optimize import least_squares
 
 import fraclink as fl
 from fraclink._identify.expression import parse_expression
-from identify_logs import line
+from harness import line, sizes
 
 SPLIT = 8  # steps of a sample
 NOISE = 0.02  # of the output's standard deviation; of each line of a frequency response
@@ -249,24 +248,15 @@ def peers(example: Example, samples: int, seconds: float) -> tuple[float, float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--no-peer", action="store_true")
-    parser.add_argument(
-        "--example", type=int, choices=range(1, 11), help="one of the ten alone"
+    given = sizes(
+        __doc__, samples=(20_000, 400), seeds=(3, 1), examples=(10, 1), peers=(1, 0)
     )
-    given = parser.parse_args()
     good, ratios = 0, []
-    chosen = (
-        EXAMPLES
-        if given.example is None
-        else EXAMPLES[given.example - 1 : given.example]
-    )
+    chosen = EXAMPLES[6:7] if given.short else EXAMPLES[: given.examples]
     for example in chosen:
         found, seconds = recovered(example, given.samples, given.seeds)
         good += found
-        if not given.no_peer and example.period and "exp" not in example.expression:
+        if given.peers and example.period and "exp" not in example.expression:
             ratios.append(peers(example, given.samples, seconds))
     line(
         "examples recovered, no start value",

@@ -1,9 +1,5 @@
-"""`tune` on random arms, wrong wirings and kills, and what `watch` sees: the figures of
+"""`tune` on random arms, wrong wirings, and what `watch` sees: the figures of
 the issue's table.
-
-    python benchmarks/bench_tune.py [--arms 100] [--first 0] [--only
-    arms|wiring|kills|watch] python benchmarks/bench_tune.py --report arms-0.jsonl
-    arms-50.jsonl
 
 Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a
 half to twice, gauge gain ±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2
@@ -14,11 +10,9 @@ reading is one period of the arm, so that no clock is waited for.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -26,21 +20,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 
 import fraclink as fl
 from fraclink._arm.box import Arm
 from fraclink._arm.link import SecondMode
-from fraclink._realtime import VirtualClock
 from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import ArmLine, open_line
+from fraclink._realtime.line import open_line
 from fraclink._realtime.tune_guard import Guard
 from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink._simulate import PowerLaw
-from fraclink.errors import FieldError, FraclinkError
-from identify_logs import line
+from fraclink.errors import FraclinkError
+from harness import line, sizes
 
 PAPER = fl.Rig.named("paper-2023-geared")
 
@@ -271,18 +263,6 @@ def arms(first: int, count: int) -> None:
     report(results)
 
 
-def lines_of(files: list[Path]) -> list[dict[str, Any]]:
-    """The arms of some files of JSON lines, the last line of each seed."""
-    texts = (
-        text
-        for file in files
-        for text in file.read_text().splitlines()
-        if text.startswith("{")
-    )
-    found = {one["seed"]: one for one in map(json.loads, texts)}
-    return [found[seed] for seed in sorted(found)]
-
-
 def report(results: list[dict[str, Any]]) -> None:
     """The lines of the table."""
     whole = [found for found in results if "crash" not in found]
@@ -413,193 +393,7 @@ def wiring(count: int) -> None:
     line("wrong wirings that left a limit", str(left), "0", left == 0)
 
 
-# ---- kills -------------------------------------------------------------------------------------------
-
-
-class Killed(BaseException):
-    """The process is gone: nothing behind it runs."""
-
-
-class Mortal:
-    """A virtual clock whose owner is killed at a time [s]: no stop is sent by then, as
-    after SIGKILL.
-    """
-
-    def __init__(self, clock: Any, end: float) -> None:
-        self.clock, self.end = clock, end
-
-    @property
-    def now(self) -> float:
-        """Time [s]."""
-        return float(self.clock.now)
-
-    def sleep(self, seconds: float) -> None:
-        """Sleep, or die."""
-        if self.now >= self.end:
-            raise Killed
-        self.clock.sleep(seconds)
-
-
-def kills(count: int) -> None:
-    """Tunings killed at random moments: when the arm's drive is off, and whether
-    --resume goes on.
-
-    What is killed is resumed, and killed again, until a tuning ends; then the next one
-    begins. Two threads take turns four times a period on one virtual clock, and the arm
-    outlives its controller by a second.
-    """
-    off, held, resumed, stages = (
-        list[int](),
-        list[int](),
-        Counter[str](),
-        Counter[str](),
-    )
-    random, finished, number = np.random.default_rng(0), 0, 0
-    with (
-        mock.patch.object(ArmLine, "stop", stopped),
-        mock.patch("fraclink._realtime.line._LOOKS", 4),
-        tempfile.TemporaryDirectory() as place,
-    ):
-        while len(off) < count:
-            folder = Path(place) / str(finished)
-            attempt = Attempt(float(random.uniform(0.1, 30.0)), number, folder)
-            number += 1
-            arm, found = attempt.run()
-            if attempt.again and (found is not None or attempt.begun != ["wiring"]):
-                resumed[attempt.resumed] += (
-                    1  # one that is killed in the wiring check is resumed once more
-                )
-            if found is None:
-                last = int(np.flatnonzero(arm.connected)[-1])
-                off.append(int(np.count_nonzero(arm.voltage[last + 1 :])))
-                held.append(kept_up(arm, attempt.end))
-                stages[attempt.begun[-1]] += 1
-                print(
-                    f"  kill {len(off)} at {attempt.end:.1f} s in {attempt.begun}, {dict(resumed)}",
-                    flush=True,
-                )
-            else:
-                finished += 1
-                print(
-                    f"  tuning {finished}: {found.verdict.state} {found.stopped} {found.reasons}",
-                    flush=True,
-                )
-    line(
-        f"kills, {len(off)} in {dict(stages)}: periods with a voltage after the watchdog's ten",
-        f"most {max(off, default=0)}",
-        "0",
-        not any(off),
-    )
-    line(
-        "periods from the kill until the drive was off",
-        f"most {max(held, default=0)}",
-        "<= 10",
-        max(held) <= 10,
-    )
-    line(
-        f"--resume behind them; {finished} tunings ended",
-        str(dict(resumed)),
-        "goes on or says why not",
-        not resumed["neither"],
-    )
-
-
-def kept_up(arm: fl.ServedArm, killed: float) -> int:
-    """Periods from the kill [s] to the last voltage at the motor; the arm began its
-    first a period late.
-    """
-    driven = np.flatnonzero(arm.voltage)
-    return (
-        max(int(driven[-1]) + 1 - round(killed / arm.period), 0) if driven.size else 0
-    )
-
-
-class Attempt:
-    """One start of `tune` on a served arm, resumed where something is there, that is
-    killed at `end` [s].
-    """
-
-    def __init__(self, end: float, seed: int, folder: Path) -> None:
-        self.end, self.seed, self.folder = end, seed, folder
-        self.again = (folder / "tuning.json").exists()
-        self.begun: list[str] = []
-        self.resumed = "neither"
-
-    def say(self, text: str) -> None:
-        """Note the stage that begins."""
-        if not text.startswith(" "):
-            self.begun.append(
-                text.split(",")[0] if "experiment" not in text else "link"
-            )
-            # The wiring is looked at in any case; a second stage is one behind it that
-            # was not whole.
-            if len(self.begun) > 1:
-                self.resumed = "goes on"
-
-    def run(self) -> tuple[fl.ServedArm, fl.Tuning | None]:
-        """What the arm saw, and the tuning; None where it was killed."""
-        clock, period = VirtualClock(2), SHAPES[0].rig.period
-        way, served = fl.SharedMemory(f"bench-tune-{self.seed}"), list[fl.ServedArm]()
-
-        def serve() -> None:
-            try:
-                served.append(
-                    fl.serve_arm(
-                        PAPER_TWIN,
-                        way,
-                        period,
-                        duration=self.end + 1.0,
-                        seed=self.seed,
-                        priority=0,
-                        clock=clock,
-                    )
-                )
-            finally:
-                clock.leave()
-
-        thread = threading.Thread(target=serve)
-        thread.start()
-        plan = replace(
-            plan_of(replace(draw(0), twin=PAPER_TWIN, payload=0.030)), period=None
-        )
-        mortal = Mortal(clock, clock.now + self.end)
-        try:
-            found = fl.tune(
-                way,
-                plan,
-                out=self.folder,
-                resume=self.again,
-                begin=self.say,
-                clock=mortal,
-            )
-            if found.stopped:
-                self.resumed = "says why not"
-            return self._served(clock, thread, served), found
-        except Killed:
-            return self._served(clock, thread, served), None
-        except FieldError as error:
-            self.resumed = f"says why not: {error.problem}"
-            raise
-
-    def _served(
-        self, clock: Any, thread: threading.Thread, served: list[fl.ServedArm]
-    ) -> fl.ServedArm:
-        clock.leave()
-        thread.join(120.0)
-        return served[0]
-
-
-def stopped(way: ArmLine) -> None:
-    """What `ArmLine.stop` does, unless its owner is dead."""
-    if way._clock.now < way._clock.end:
-        STOP(way)
-
-
-STOP = ArmLine.stop
 PAPER_TWIN = fl.Twin.from_rig(PAPER)
-
-
-# ---- watch -------------------------------------------------------------------------------------------
 
 
 def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
@@ -623,7 +417,7 @@ def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
     )
 
 
-def watching(count: int, hours: float) -> None:
+def watching(count: int, windows: int) -> None:
     """Changes of the arm after its tuning, each seen in 20 s of moves, and alarms
     without a change.
     """
@@ -666,7 +460,7 @@ def watching(count: int, hours: float) -> None:
         ">= 95 %",
         total >= 0.95 * 4 * count,
     )
-    windows = round(hours * 3600 / 20)
+    hours = windows * 20 / 3600
     alarms = sum(
         bool(fl.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due)
         for k in range(windows)
@@ -680,37 +474,19 @@ def watching(count: int, hours: float) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--arms", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--wirings", type=int, default=20)
-    parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--records", type=int, default=40)
-    parser.add_argument(
-        "--hours",
-        type=float,
-        default=1.0,
-        help="of motion that is watched for false alarms",
+    """Print every figure; other first seeds are other arms."""
+    given = sizes(
+        __doc__,
+        arms=(100, 1),
+        first=(0, 0),
+        wirings=(20, 1),
+        records=(40, 0),
+        windows=(180, 0),
     )
-    parser.add_argument(
-        "--report",
-        type=Path,
-        nargs="+",
-        help="files of JSON lines to sum up, the last line of each seed counts",
-    )
-    parser.add_argument("--only", choices=("arms", "wiring", "kills", "watch"))
-    chosen = parser.parse_args()
-    if chosen.report:
-        report(lines_of(chosen.report))
-        return
-    if chosen.only in (None, "arms"):
-        arms(chosen.first, chosen.arms)
-    if chosen.only in (None, "wiring"):
-        wiring(chosen.wirings)
-    if chosen.only in (None, "kills"):
-        kills(chosen.kills)
-    if chosen.only in (None, "watch"):
-        watching(chosen.records, chosen.hours)
+    arms(given.first, given.arms)
+    wiring(given.wirings)
+    if given.records:  # a tuning of its own: 15 s
+        watching(given.records, given.windows)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,9 @@
 """Figures of the twin: modes, speed, distance from the lumped model, and what
 identification makes of it.
-
-    python benchmarks/bench_twin.py [--seeds 100]
-
-Every line: what was measured | value | wanted | error beside it.
 """
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import sys
 import time
@@ -34,6 +29,7 @@ from fraclink._simulate import (
     geared,
     simulate_log,
 )
+from harness import line, sizes
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from exact_frequencies import exact_frequencies
@@ -41,11 +37,6 @@ from exact_frequencies import exact_frequencies
 STIFFNESS, LENGTH, LINK_MASS, PERIOD = 1.56, 0.65, 0.00735, 0.004
 RIGIDITY = STIFFNESS * LENGTH / 3
 RATIO = 0.0654  # damping ratio of the mode at λ = 1.92, given to all three materials
-
-
-def line(what: str, value: str, wanted: str, error: str = "") -> None:
-    """Print one figure."""
-    print(f"{what} | {value} | {wanted} | {error}")
 
 
 def modes() -> None:
@@ -73,7 +64,7 @@ def modes() -> None:
     )
 
 
-def speed() -> None:
+def speed(rounds: int) -> None:
     """Print how much faster than real time three modes at 1 ms run, with the energy
     they should not gain.
     """
@@ -88,7 +79,7 @@ def speed() -> None:
         )
         step = plant.discretise(1e-3)
         seconds, kept = [], 0.0
-        for _ in range(7):
+        for _ in range(rounds):
             state = step.rest()
             state[plant.mode_slice(0).start + 1] = 0.1
             energy = plant.energy(state)
@@ -101,11 +92,11 @@ def speed() -> None:
             f"twin speed, 3 modes, 1 ms, {damping.label.split(',')[0]}, {plant.order} states",
             f"{factor:.0f} x real time",
             ">= 500",
-            f"energy left after 4 s {kept:.3f}",
+            note=f"energy left after 4 s {kept:.3f}",
         )
 
 
-def lumped_table() -> None:
+def lumped_table(payloads: int) -> None:
     """Print the twin's tip against the lumped model with eq. (5) and with the matched
     mode, 8 to 40 g.
     """
@@ -114,7 +105,8 @@ def lumped_table() -> None:
     print(
         "payload g | link/payload | eq. (5) off % | mode 2 rad/s | tip apart mrad: eq. (5)/matched/1 mode"
     )
-    for payload in (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040):
+    table = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
+    for payload in table[:payloads]:
         beam = Beam(LENGTH, RIGIDITY, LINK_MASS, payload)
         modes_ = beam.modes(3).frequencies
         naive = Beam(LENGTH, RIGIDITY, 0.0, payload)
@@ -181,7 +173,7 @@ def spillover(filter_time: float | None) -> None:
                 if radius < 1 + 1e-9
                 else f"unstable, radius 1 + {radius - 1:.1e}",
                 "stable",
-                f"|L| at mode 2: {gain:.2f}",
+                note=f"|L| at mode 2: {gain:.2f}",
             )
 
 
@@ -217,7 +209,7 @@ def chosen(
     return by_bic, by_aic
 
 
-def discrimination(seeds: int) -> None:
+def discrimination(seeds: int, beams: int, materials: int) -> None:
     """Print how often identification names the material of the twin."""
     massless = Beam(LENGTH, RIGIDITY, 0.0, 0.030)
     rod = Beam(LENGTH, RIGIDITY, LINK_MASS, 0.030)
@@ -225,7 +217,7 @@ def discrimination(seeds: int) -> None:
         (massless, 80.0, "massless link, hub at 80 rad/s"),
         (rod, 10.0, "7.35 g link, hub at 10 rad/s"),
         (rod, 80.0, "7.35 g link, hub at 80 rad/s: mode 2 is in the log"),
-    ):
+    )[:beams]:
         omega = float(beam.modes(1).frequencies[0])
         cases: list[tuple[str, object, int, str]] = [
             ("UD-FOM", PowerLaw(1.92), 5001, "power law 1.92"),
@@ -238,7 +230,7 @@ def discrimination(seeds: int) -> None:
             ("D-FOM", fractional(0.5, omega), 5001, "fractional 0.5"),
             ("D-FOM", fractional(0.5, omega), 10001, "fractional 0.5"),
             ("D-FOM", fractional(0.7, omega), 20001, "fractional 0.7"),
-        ]
+        ][:materials]
         for right, damping, samples, material in cases:
             by_bic, by_aic = chosen(beam, damping, samples, pole, seeds)
             share = 100 * by_bic.get(right, 0) / seeds
@@ -247,23 +239,27 @@ def discrimination(seeds: int) -> None:
                 f"{name}; {material}, {samples} samples -> {right}",
                 f"BIC {share:.0f} %",
                 ">= 95 %",
-                f"AIC {aic:.0f} %; BIC chose {by_bic}",
+                note=f"AIC {aic:.0f} %; BIC chose {by_bic}",
             )
 
 
 def main() -> None:
     """Print every figure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__.split("\n")[0] if __doc__ else ""
+    given = sizes(
+        __doc__,
+        seeds=(100, 1),
+        rounds=(7, 1),
+        payloads=(8, 1),
+        beams=(3, 1),
+        materials=(5, 1),
     )
-    parser.add_argument("--seeds", type=int, default=100)
-    seeds = parser.parse_args().seeds
     modes()
-    speed()
-    lumped_table()
+    speed(given.rounds)
+    lumped_table(given.payloads)
     spillover(None)
-    spillover(0.04)
-    discrimination(seeds)
+    if not given.short:
+        spillover(0.04)
+    discrimination(given.seeds, given.beams, given.materials)
 
 
 if __name__ == "__main__":

@@ -88,10 +88,3 @@ def ist(name: str) -> Experiment | None:
         output_kind="deflection",
         source=path.name,
     )
-
-
-def line(figure: str, measured: str, wanted: str, holds: bool) -> None:
-    print(
-        f"{'ok  ' if holds else 'MISS'} {figure:<66} {measured:<34} wanted {wanted}",
-        flush=True,
-    )

@@ -28,7 +28,7 @@ spec.loader.exec_module(runner)
             2,
             False,
         ),
-        ("print('mode 1 | 3.2 rad/s | 3.2 | 1e-7')", 1, False),
+        ("print('mode 1  3.2 rad/s  wanted 3.2')", 1, False),
         ("print('ok speed 3')\nraise SystemExit(3)", 1, True),
         ("print('okay, nothing measured')", 0, True),
         ("1 / 0", 0, True),

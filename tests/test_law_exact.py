@@ -11,7 +11,7 @@ from flint import arb, ctx
 from fraclink._law import Law
 from law_bench import law, run
 
-PERIODS = 20_000  # benchmarks/bench_precision.py does the same for a million
+PERIODS = 20_000
 BITS = 160
 
 

@@ -1,4 +1,4 @@
-"""The mutants of benchmarks/bench_mutants.py: which changes are made, and that nothing
+"""The mutants of tools/mutants.py: which changes are made, and that nothing
 else is touched.
 """
 
@@ -34,7 +34,7 @@ def pair(a, b):
 
 @pytest.fixture(scope="module")
 def mutation() -> ModuleType:
-    path = Path(__file__).parents[1] / "benchmarks" / "mutation.py"
+    path = Path(__file__).parents[1] / "tools" / "mutation.py"
     spec = importlib.util.spec_from_file_location("mutation", path)
     assert spec is not None
     assert spec.loader is not None

@@ -1,7 +1,4 @@
-"""Mutated files of every format: a clear error or a table, nothing else.
-
-`benchmarks/fuzz_readers.py` feeds 20 000 to each reader.
-"""
+"""Mutated files of every format: a clear error or a table, nothing else."""
 
 from __future__ import annotations
 

@@ -388,27 +388,21 @@ def enclose_phase_margin(
     """Enclose the worst phase margin over the statement's box to `width` [rad].
 
     The upper end is attained at a crossing, known to rounding; the lower end is proved
-    by branch and bound. For margins below 90°.
+    by branch and bound, to the least of `width`, twice, four times `width` … that a
+    proof of `most` nodes reaches. For margins below 90°.
     """
     high, payload, frequency = _attained(statement, law)
     loop = BoxLoop(statement)
-    # The upper end was attained: a proof of all but `width` of it is the answer, and
-    # mostly succeeds at once.
-    nodes = _keeps(loop, high - width, most)
-    if nodes is not None:
-        return Enclosure(high - width, high, payload, frequency, nodes)
-    # A claim that ran out of nodes is not refuted: what is returned is what was proved,
-    # not what holds.
-    low, bad = 0.0, high - width
-    for _ in range(12):
-        middle = 0.5 * (low + bad)
-        # A quarter of the nodes: twelve proofs that all run out would take three times
-        # as long as the first.
-        found = _keeps(loop, middle, most // 4)
-        low, bad, nodes = (
-            (middle, bad, found) if found is not None else (low, middle, nodes)
-        )
-    return Enclosure(low, high, payload, frequency, nodes or 0)
+    # The upper end was attained, so a proof of all but `width` of it mostly succeeds at
+    # once. The bound counts aliases by their modulus: where they turn the loop by more
+    # than `width`, the next widths do.
+    low = high - width
+    while low > 0.0:
+        nodes = _keeps(loop, low, most)
+        if nodes is not None:
+            return Enclosure(low, high, payload, frequency, nodes)
+        low = high - 2.0 * (high - low)
+    return Enclosure(0.0, high, payload, frequency, 0)
 
 
 def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:

@@ -26,7 +26,7 @@ from fraclink.errors import FieldError
 __all__ = ["OUTPUT_VERBS"]
 
 _PRECISIONS = ("single", "double")
-# Counted by benchmarks/bench_instructions.py on a Cortex-M4F, gcc -O2, a law of 6 + 2
+# Counted by benchmarks/bench_law.py on a Cortex-M4F, gcc -O2, a law of 6 + 2
 # modes in single precision: built for this design alone, and with room for every
 # design; and what a mode more costs.
 _COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8

@@ -1,10 +1,10 @@
 """Whether the tests notice: random mutants of fraclink's Python, each run against the
 tests that touch it.
 
-    python benchmarks/bench_mutants.py record [TEST ...]   # the blocks each test runs, and its time
-    python benchmarks/bench_mutants.py run --seed 1 --count 300 --minutes 9   # again until all are judged
-    python benchmarks/bench_mutants.py report --seed 1
-    python benchmarks/bench_mutants.py run --seed 1 --count 40 --only _logs   # of one room
+    python tools/mutants.py record [TEST ...]   # the blocks each test runs, and its time
+    python tools/mutants.py run --seed 1 --count 300 --minutes 9   # again until all are judged
+    python tools/mutants.py report --seed 1
+    python tools/mutants.py run --seed 1 --count 40 --only _logs   # of one room
 
 Without arguments: all three. A mutant is drawn by room (the packages of src/fraclink,
 the modules beside them, and prove), at least `FEWEST` from each and the rest by the
