@@ -408,7 +408,7 @@ def named_boxes(count: int) -> None:
 
 
 def main() -> None:
-    given = sizes(__doc__, cases=(60, 1), boxes=(2, 1))
+    given = sizes(__doc__, cases=(60, 1), boxes=(2, 0))
     named_boxes(given.boxes)
     against_search(given.cases, SEED)
 
