@@ -41,7 +41,6 @@ from fraclink._simulate import (
     geared,
     simulate_log,
 )
-from fraclink._systems.commensurate import FractionalStateSpace
 from fraclink._systems.response import grunwald_letnikov, impulse_response
 from fraclink.errors import FraclinkError
 from junk import (
@@ -266,41 +265,13 @@ CALLS: dict[str, Call] = {
     ),
     "poles": (fl.poles, lambda: {"system": SYSTEM}),
     "is_stable": (fl.is_stable, lambda: {"system": SYSTEM}),
-    "norm": (fl.norm, lambda: {"system": SYSTEM, "p": 2}),
     "margins": (
         fl.margins,
         lambda: {"loop": SYSTEM, "limit": None, "unstable_poles": None},
     ),
-    "disk_margin": (
-        fl.disk_margin,
-        lambda: {"loop": SYSTEM, "skew": 0.5, "limit": None, "unstable_poles": None},
-    ),
     "mittag_leffler": (
         fl.mittag_leffler,
         lambda: {"z": [1.0, 1j], "alpha": 0.8, "beta": 1.2},
-    ),
-    "commensurate_order": (fl.commensurate_order, lambda: {"system": SYSTEM}),
-    "FractionalStateSpace": (
-        FractionalStateSpace,
-        lambda: {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "order": 0.8},
-    ),
-    "FractionalStateSpace.response": (
-        FractionalStateSpace.from_transfer_function(SYSTEM).response,
-        lambda: {
-            "u": np.ones(9),
-            "period": 0.1,
-            "initial": [1.0],
-            "initial_rate": [1.0],
-            "hold": "zero",
-        },
-    ),
-    "FractionalStateSpace.from_transfer_function": (
-        FractionalStateSpace.from_transfer_function,
-        lambda: {"system": SYSTEM, "order": 0.96},
-    ),
-    "FractionalStateSpace.transfer_function": (
-        FractionalStateSpace.from_transfer_function(SYSTEM).transfer_function,
-        lambda: {"output": 0, "input": 0},
     ),
     "approximate": (
         fl.approximate,

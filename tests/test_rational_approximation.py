@@ -1,11 +1,10 @@
-"""The filters with a name against their formulas, the minimax rational against
+"""Oustaloup's filter against its formula, the minimax rational against
 Oustaloup's filter.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import control
 import numpy as np
@@ -72,89 +71,6 @@ def test_oustaloup_is_the_product_formula(
 
 FRACTIONS = [0.08, 0.5, 0.75, 0.92]
 POINTS = 1j * np.geomspace(1e-4, 1e5, 40)
-
-
-@pytest.mark.parametrize("fraction", FRACTIONS)
-def test_refined_is_the_printed_formula(fraction: float) -> None:
-    b, d, high = 10.0, 9.0, BAND[1]
-    bent = (d * POINTS**2 + b * high * POINTS) / (
-        d * (1 - fraction) * POINTS**2 + b * high * POINTS + d * fraction
-    )
-    wanted = (d / b) ** fraction * bent * filter_of(fraction, POINTS, BAND, 7)
-    made = approximate(s**fraction, BAND, 7, method="refined")
-    assert made.order == 9
-    assert made(POINTS) == pytest.approx(wanted, rel=1e-11)
-
-
-@pytest.mark.parametrize("fraction", FRACTIONS)
-def test_charef_is_its_recursion(fraction: float) -> None:
-    """Poles and zeros one after the other, with the error y that the number of poles
-    leaves.
-    """
-    m, count = 1 - fraction, 9
-    made = approximate(s**fraction, BAND, count, method="charef")
-    places = np.sort(-made.poles.real)
-    y = 20 * m * math.log10(places[0] / (0.1 * BAND[0]))
-    value, pole = POINTS * (0.1 * BAND[0]) ** -m / (1 + POINTS / places[0]), places[0]
-    for _ in range(count - 1):
-        zero = pole * 10 ** (y / (10 * (1 - m)))
-        pole = zero * 10 ** (y / (10 * m))
-        value *= (1 + POINTS / zero) / (1 + POINTS / pole)
-    assert pole == pytest.approx(10 * BAND[1], rel=1e-9)
-    assert made(POINTS) == pytest.approx(value, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("q", "order", "pairs"),
-    [(2, 13, 13), (2, 39, 13), (2, 40, 40), (3, 5, 5), (10, 12, 12)],
-)
-def test_carlson_is_newtons_process(q: int, order: int, pairs: int) -> None:
-    middle = math.sqrt(BAND[0] * BAND[1])
-    x, value, have = POINTS / middle, np.ones(POINTS.shape, dtype=complex), 0
-    while have < pairs:
-        power = value**q
-        value *= ((q - 1) * power + (q + 1) * x) / ((q + 1) * power + (q - 1) * x)
-        have = (q + 1) * have + 1
-    made = approximate(s ** (1 / q), BAND, order, method="carlson")
-    assert made.order == pairs
-    assert made(POINTS) == pytest.approx(middle ** (1 / q) * value, rel=1e-9)
-    inverse = approximate(1 / s ** (1 - 1 / q), BAND, order, method="carlson")
-    wanted = made(POINTS) / POINTS if q > 2 else 1 / made(POINTS)
-    assert inverse(POINTS) == pytest.approx(wanted, rel=1e-9)
-
-
-@pytest.mark.parametrize("method", ["refined", "charef", "carlson"])
-def test_a_system_is_the_quotient_of_its_substituted_powers(
-    method: Literal["refined", "charef", "carlson"],
-) -> None:
-    powers = {f: approximate(s**f, BAND, 6, method=method)(POINTS) for f in (0.5, 0.25)}
-    top = POINTS + 3
-    bottom = POINTS**2 + 2 * POINTS * powers[0.5] + 3 * powers[0.25] + 4
-    system = (s + 3) / (s**2 + 2 * s**1.5 + 3 * s**0.25 + 4)
-    made = approximate(system, BAND, 6, method=method)
-    assert made(POINTS) == pytest.approx(top / bottom, rel=1e-8)
-    assert np.all(made.poles.real < 0)
-
-
-def test_matched_z_maps_the_roots() -> None:
-    period = 0.004
-    plain = approximate(1 / (s**1.5 + 1), BAND, 5)
-    made = approximate(1 / (s**1.5 + 1), BAND, 5, method="matched-z", period=period)
-    assert made.poles == pytest.approx(np.exp(plain.poles * period), rel=1e-12)
-    middle = math.sqrt(BAND[0] * BAND[1])
-    assert abs(made.frequency_response(middle)) == pytest.approx(
-        abs(plain(1j * middle)), rel=1e-12
-    )
-    # Far below the Nyquist frequency it is the continuous filter, but for a constant.
-    w = np.geomspace(BAND[0], 3.0, 50)
-    assert np.abs(made.frequency_response(w) / plain(1j * w) - 1) == pytest.approx(
-        0, abs=0.05
-    )
-    a, b, c, d = made.state_space()
-    z = np.exp(20j * period)
-    assert (c @ np.linalg.solve(z * np.eye(len(a)) - a, b) + d)[0, 0] == pytest.approx(
-        made(z), rel=1e-9
-    )
 
 
 def test_known_error_of_the_best_oustaloup_filter() -> None:
@@ -254,9 +170,6 @@ def test_reported_error_is_the_error() -> None:
     ("system", "options", "field"),
     [
         (s**0.5, {"method": "matsuda"}, "method"),
-        (s**0.4, {"method": "carlson"}, "system"),
-        (s ** (2 / 3), {"method": "carlson"}, "method"),
-        (s**0.5, {"method": "matched-z"}, "period"),
         (s**0.5, {"order": 0}, "order"),
         (s**0.5, {"order": 41}, "order"),
         (s**0.5, {"order": 13, "method": "minimax"}, "order"),

@@ -49,15 +49,10 @@ def log() -> fl.Experiment:
 
 HELD: dict[str, Any] = {
     "FractionalTransferFunction": lambda: (1 / (S**0.5 + 3)).delayed(0.1),
-    "TransferMatrix": lambda: fl.TransferMatrix([[1 / S**0.5, 0], [2, 1 / (S + 1)]]),
     "TimeResponse": lambda: fl.step_response(1 / (S**0.5 + 1), 1.0, 0.01),
     "DiscreteModes": lambda: fl.discrete_modes(1 / (S + 1), 0.1, span=10.0),
     "Margins": lambda: fl.margins(LOOP),
-    "DiskMargin": lambda: fl.disk_margin(LOOP),
     "StabilityVerdict": lambda: fl.is_stable(LOOP),
-    "MultivariableMargins": lambda: fl.multivariable_margins(
-        fl.TransferMatrix([[LOOP, 0], [0, LOOP]])
-    ),
     "RationalApproximation": lambda: fl.approximate(
         1 / (S**0.5 + 1), (0.1, 10.0), order=4
     ),

@@ -201,10 +201,6 @@ from fraclink._simulate.sensors import TipPulse as TipPulse
 from fraclink._simulate.shape import shape as shape
 from fraclink._simulate.shaped_move import ShapedMove as ShapedMove
 from fraclink._simulate.simulate import simulate as simulate
-from fraclink._systems.commensurate import FractionalStateSpace as FractionalStateSpace
-from fraclink._systems.commensurate import commensurate_order as commensurate_order
-from fraclink._systems.disk_margins import DiskMargin as DiskMargin
-from fraclink._systems.disk_margins import disk_margin as disk_margin
 from fraclink._systems.fractional import (
     FractionalTransferFunction as FractionalTransferFunction,
 )
@@ -215,11 +211,6 @@ from fraclink._systems.margins import Margins as Margins
 from fraclink._systems.margins import margins as margins
 from fraclink._systems.mittag_leffler import mittag_leffler as mittag_leffler
 from fraclink._systems.modes import DiscreteModes as DiscreteModes
-from fraclink._systems.multivariable import MultivariableMargins as MultivariableMargins
-from fraclink._systems.multivariable import (
-    multivariable_margins as multivariable_margins,
-)
-from fraclink._systems.norms import norm as norm
 from fraclink._systems.rational import RationalApproximation as RationalApproximation
 from fraclink._systems.rational import approximate as approximate
 from fraclink._systems.response import TimeResponse as TimeResponse
@@ -231,7 +222,6 @@ from fraclink._systems.response import time_response as time_response
 from fraclink._systems.stability import StabilityVerdict as StabilityVerdict
 from fraclink._systems.stability import is_stable as is_stable
 from fraclink._systems.stability import poles as poles
-from fraclink._systems.transfer_matrix import TransferMatrix as TransferMatrix
 from fraclink.findings import Finding as Finding
 from fraclink.findings import Scope as Scope
 from fraclink.findings import Verdict as Verdict

@@ -52,8 +52,6 @@ class CallableLoop:
         if values.shape != x.shape:
             problem, allowed = "of another shape than its argument", f"shape {x.shape}"
             remedy = "write the callable with numpy operations on arrays of s"
-            if values.ndim == 3:
-                remedy = "use multivariable_margins for several inputs and outputs"
             raise FieldError(
                 "loop", values.shape, problem, allowed=allowed, remedy=remedy
             )
@@ -273,20 +271,6 @@ class FractionalLoop:
         """L(j e^x)."""
         terms = self._terms(x)
         return np.asarray(terms[: self.top].sum(0) / terms[self.top :].sum(0))
-
-    def log_modulus(self, x: Reals) -> Reals:
-        """ln |L(j e^x)| without overflow at any x."""
-        sides = []
-        for side in (slice(None, self.top), slice(self.top, None)):
-            exponents = self.orders[side, None] * x
-            largest = exponents.max(0)
-            terms = self.coefficients[side, None] * np.exp(exponents - largest)
-            if self.delays[side].any():
-                terms = terms * np.exp(
-                    -1j * self.delays[side, None] * np.exp(np.minimum(x, 700.0))
-                )
-            sides.append(largest + np.log(np.abs(terms.sum(0))))
-        return np.asarray(sides[0] - sides[1])
 
     def point(self, x: float) -> tuple[complex, complex]:
         """L(j e^x) and d ln L/dx, exact, at one frequency (scalars: ten times faster

@@ -1,4 +1,4 @@
-"""Integer-order stand-ins for fractional systems: the filters with a name, and the
+"""Integer-order stand-ins for fractional systems: Oustaloup's filter, and the
 minimax rational.
 """
 
@@ -17,11 +17,10 @@ from fraclink._systems.minimax import Target, finish, grow
 from fraclink._systems.stability import poles
 from fraclink._systems.terms import Complexes, Reals
 from fraclink._systems.zero_pole import (
-    FILTERS,
     bilinear,
     cascade,
     evaluate,
-    matched,
+    oustaloup,
     residues,
     substituted,
     zeros_of_fractions,
@@ -106,9 +105,7 @@ def approximate(
     band: Band,
     order: Annotated[int, Between(1, 40)],
     *,
-    method: Literal[
-        "oustaloup", "refined", "carlson", "charef", "matched-z", "minimax"
-    ] = "oustaloup",
+    method: Literal["oustaloup", "minimax"] = "oustaloup",
     period: Positive | None = None,
 ) -> RationalApproximation:
     """Return an integer-order approximation of a fractional system in a band, with its
@@ -121,35 +118,26 @@ def approximate(
     band
         Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
     order
-        "minimax": number of poles of the whole, 1 … 12. The others replace each
-        fractional power s^(a − ⌊a⌋) by a filter, with 1 … 40 pole-zero pairs
-        ("oustaloup", "matched-z"; "refined" has two pairs more), poles ("charef") or at
-        most as many pairs as Newton's steps give ("carlson": 1, 4, 13, 40 for 1/2).
+        "minimax": number of poles of the whole, 1 … 12. "oustaloup" replaces each
+        fractional power s^(a − ⌊a⌋) by a filter of 1 … 40 pole-zero pairs.
     method
         "minimax" has the smallest worst relative error over the band for its number of
-        poles. The others are known by name: "oustaloup" is the recursive filter that
-        FOMCON and others use, known to be poor at the band's ends; "refined" is Xue's
-        modification of it; "carlson" is Newton's process for the q-th root around the
-        middle of the band, for fractional parts 1/q and 1 − 1/q; "charef" is the
-        singularity function from a decade below the band to a decade above; "matched-z"
-        maps Oustaloup's poles and zeros by z = e^(sT).
+        poles. "oustaloup" is the recursive filter that FOMCON and others use, known to
+        be poor at the band's ends.
     period
-        Sampling period [s] for a discrete result: the filters by the bilinear map
-        ("matched-z" by its own), or the minimax fit on the unit circle.
+        Sampling period [s] for a discrete result: Oustaloup's filter by the bilinear
+        map, or the minimax fit on the unit circle.
 
 
     Raises
     ------
     FieldError
         Bad band, order or method, a delay, a system improper by one order or more,
-        unstable poles (minimax), another fractional part (carlson), no period
-        (matched-z).
+        unstable poles (minimax).
 
     References
     ----------
-    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25; Xue, Zhao and Chen,
-    Proc. IEEE ICMA (2006) 1043; Carlson and Halijak, IEEE Trans. Circuit Theory 11
-    (1964) 210; Charef et al., IEEE Trans. Autom. Control 37 (1992) 1465.
+    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
 
     Examples
     --------
@@ -162,7 +150,7 @@ def approximate(
     if method == "minimax":  # more poles than this are below the rounding of the fit
         Between(1, 12).check("order", order)
     if method != "minimax":
-        zeros, found, gain = _filtered(system, band, order, method, period)
+        zeros, found, gain = _filtered(system, band, order, period)
     elif period is None:
         zeros, found, gain = _continuous(system, band, order)
     else:
@@ -193,35 +181,14 @@ def _filtered(
     system: FractionalTransferFunction,
     band: tuple[float, float],
     order: int,
-    method: str,
     period: float | None,
 ) -> tuple[Complexes, Complexes, float]:
     """Zeros, poles and gain with a filter in place of each fractional power."""
-    if method == "matched-z" and period is None:
-        remedy = "give period=, or use method='oustaloup' for a continuous filter"
-        raise FieldError(
-            "period",
-            None,
-            "missing",
-            allowed="> 0 s for method='matched-z'",
-            remedy=remedy,
-        )
-    kind = FILTERS["oustaloup" if method == "matched-z" else method]
     zeros, found, gain = substituted(
-        system.numerator, system.denominator, lambda f: kind(f, band, order)
+        system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
     )
-    if len(zeros) > len(found):
-        problem, remedy = (
-            "a filter with more zeros than poles here",
-            "use method='oustaloup' or 'minimax'",
-        )
-        raise FieldError(
-            "method", method, problem, allowed="a proper result", remedy=remedy
-        )
     if period is None:
         return zeros, found, gain
-    if method == "matched-z":
-        return matched(zeros, found, gain, period, math.sqrt(band[0] * band[1]))
     return bilinear(zeros, found, gain, period)
 
 

@@ -1,5 +1,4 @@
-"""Rational functions as zeros, poles and gain, and those with a name that stand for
-s^f.
+"""Rational functions as zeros, poles and gain, and Oustaloup's, which stands for s^f.
 
 Multiplied out, polynomials with roots over eight decades have coefficients that double
 precision cannot hold: everything here stays a product of its roots. A system with a
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fraclink._systems.terms import Complexes, Reals, Term
-from fraclink.errors import FieldError, NotConvergedError
+from fraclink.errors import NotConvergedError
 
 Band = tuple[float, float]
 
@@ -169,44 +168,16 @@ def bilinear(
     return moved, (1 + half * found) / (1 - half * found), float(gain * scale.real)
 
 
-def matched(
-    zeros: Complexes, found: Complexes, gain: float, period: float, frequency: float
-) -> tuple[Complexes, Complexes, float]:
-    """z = e^(sT) for every root, all but one of the zeros at infinity at −1, |R| kept
-    at `frequency`.
-    """
-    # One zero stays at infinity: it is the delay of a sample that a strictly proper
-    # system has.
-    absent = max(len(found) - len(zeros) - 1, 0)
-    at_zeros = np.concatenate([np.exp(zeros * period), np.full(absent, -1.0)])
-    at_poles = np.exp(found * period)
-    wanted = evaluate(np.array([1j * frequency]), zeros, found, gain)[0]
-    here = evaluate(
-        np.array([np.exp(1j * frequency * period)]), at_zeros, at_poles, 1.0
-    )[0]
-    # A zero at infinity is a factor with a positive value in the band, and so is what
-    # stands for it.
-    return at_zeros, at_poles, float(np.copysign(abs(wanted / here), gain))
-
-
 # ---- filters that stand for s^f ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class PowerFilter:
-    """s^f ≈ gain · s^shift · Π(s − z)/Π(s − p); shift is 0, or 1 where s^(f−1) is what
-    is approximated.
-    """
+    """s^f ≈ gain · Π(s − z)/Π(s − p), with as many zeros as poles."""
 
     zeros: Complexes
     poles: Complexes
     gain: float
-    shift: int = 0
-
-    @property
-    def degree(self) -> int:
-        """The power of s that it is at infinity."""
-        return self.shift + len(self.zeros) - len(self.poles)
 
 
 def corners(power: float, band: Band, order: int) -> tuple[Reals, Reals]:
@@ -222,121 +193,6 @@ def oustaloup(fraction: float, band: Band, order: int) -> PowerFilter:
     """Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25."""
     up, down = corners(fraction, band, order)
     return PowerFilter(-up.astype(complex), -down.astype(complex), band[1] ** fraction)
-
-
-def refined(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Xue, Zhao and Chen, Proc. IEEE ICMA (2006) 1043, with b = 10, d = 9 and the gain
-    as printed there.
-
-    (d/b)^f · (d s² + b ω_h s)/(d(1 − f)s² + b ω_h s + d f) times Oustaloup's filter:
-    the fraction lifts the ends of the band, and (d/b)^f lowers all of it, by 0.46 dB
-    for f = 1/2.
-    """
-    b, d, high = 10.0, 9.0, band[1]
-    plain = oustaloup(fraction, band, order)
-    # Both roots are real and far apart: the smaller one from the product, which does
-    # not cancel.
-    half = 0.5 * b * high
-    root = -(half + math.sqrt(half**2 - d * d * fraction * (1 - fraction))) / (
-        d * (1 - fraction)
-    )
-    added = np.array([root, fraction / (1 - fraction) / root], dtype=complex)
-    return PowerFilter(
-        np.append(plain.zeros, -b * high / d),
-        np.append(plain.poles, added),
-        plain.gain * (d / b) ** fraction / (1 - fraction),
-        shift=1,
-    )
-
-
-def charef(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Charef et al., IEEE Trans. Autom. Control 37 (1992) 1465: s^f = s · s^(−m), m = 1
-    − f.
-
-    s^(−m) ≈ p_T^(−m) Π(1 + s/z_i)/Π(1 + s/p_i) with p_0 = p_T 10^(y/20m), z_i = p_i
-    10^(y/10(1−m)), p_(i+1) = z_i 10^(y/10m). `order` poles reach from a decade below
-    the band to a decade above, which fixes the error y [dB] between the straight lines
-    and the steps.
-    """
-    m = 1.0 - fraction
-    low, decades = 0.1 * band[0], math.log10(band[1] / band[0]) + 2.0
-    y = decades / (1 / (20 * m) + (order - 1) / (10 * m * (1 - m)))
-    i = np.arange(order)
-    poles = low * 10 ** (y / (20 * m) + i * y / (10 * m * (1 - m)))
-    zeros = poles[:-1] * 10 ** (y / (10 * (1 - m)))
-    # Ratio by ratio, so that forty poles do not overflow.
-    gain = low**-m * float(poles[-1] * np.prod(poles[:-1] / zeros))
-    return PowerFilter(-zeros.astype(complex), -poles.astype(complex), gain, shift=1)
-
-
-def carlson(fraction: float, band: Band, order: int) -> PowerFilter:
-    """Carlson and Halijak, IEEE Trans. Circuit Theory 11 (1964) 210, around the middle
-    ω₀ of the band.
-
-    H ← H ((q − 1)H^q + (q + 1)x)/((q + 1)H^q + (q − 1)x) from H = 1 tends to x^(1/q), x
-    = s/ω₀; as many steps as `order` pole-zero pairs allow. s^(1 − 1/q) is s over it.
-    """
-    inverse = fraction > 0.5
-    root = 1.0 - fraction if inverse else fraction
-    q = round(1.0 / root)
-    if abs(root * q - 1.0) > 1e-9:
-        problem = "not 1/q or 1 − 1/q with a whole number q"
-        remedy = "use method='oustaloup' or 'minimax'"
-        allowed = (
-            "powers with fractional parts such as 1/2, 1/3, 2/3 for method='carlson'"
-        )
-        raise FieldError(
-            "system", f"s^{fraction:.10g}", problem, allowed=allowed, remedy=remedy
-        )
-    zeros: Complexes = np.empty(0, complex)
-    poles, gain = zeros, 1.0
-    while (q + 1) * len(zeros) + 1 <= order:
-        more = _newton(zeros, poles, gain, q, inner=q - 1.0, outer=q + 1.0)
-        less = _newton(zeros, poles, gain, q, inner=q + 1.0, outer=q - 1.0)
-        # The leading terms are x B^q's, which is one degree above A^q.
-        gain *= (q + 1.0) / (q - 1.0)
-        zeros, poles = np.concatenate([zeros, more]), np.concatenate([poles, less])
-    middle = math.sqrt(band[0] * band[1])
-    zeros, poles = np.asarray(zeros * middle), np.asarray(poles * middle)
-    if inverse:
-        return PowerFilter(poles, zeros, middle ** (fraction - 1.0) / gain, shift=1)
-    return PowerFilter(zeros, poles, middle**fraction * gain)
-
-
-def _newton(
-    zeros: Complexes,
-    poles: Complexes,
-    gain: float,
-    q: int,
-    *,
-    inner: float,
-    outer: float,
-) -> Complexes:
-    """All zeros of (inner H^q + outer x) Π(x − p)^q."""
-    count = q * len(zeros) + 1
-
-    def rate(x: Complexes) -> Complexes:
-        here = x[:, None]
-        at_zeros, at_poles = (1 / (here - zeros)).sum(1), (1 / (here - poles)).sum(1)
-        power = inner * evaluate(x, zeros, poles, gain) ** q
-        slope = power * q * (at_zeros - at_poles) + outer
-        return np.asarray(slope / (power + outer * x) + q * at_poles)
-
-    places = (
-        np.tan(np.linspace(0.0, 0.5 * math.pi, count + 2)[1:-1]) ** 2
-    )  # where they lie for q = 2
-    # Off the axis, to alternating sides: real starts of a real polynomial stay real,
-    # and its pairs are never found.
-    turned = np.exp(0.3j * np.where(np.arange(count) % 2, 1, -1))
-    return aberth(np.asarray(-places * turned, dtype=complex), rate)
-
-
-FILTERS: dict[str, Callable[[float, Band, int], PowerFilter]] = {
-    "oustaloup": oustaloup,
-    "refined": refined,
-    "carlson": carlson,
-    "charef": charef,
-}
 
 
 def substituted(
@@ -383,8 +239,8 @@ class _Sum:
         split = [(t.coefficient, *_split(t.order)) for t in terms]
         self.fractions = {f for _, _, f in split if f}
         used = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
-        self.terms = [(c * part.gain, n + part.shift, part) for c, n, part in used]
-        self.degree = max(n + part.degree for _, n, part in used)
+        self.terms = [(c * part.gain, n, part) for c, n, part in used]
+        self.degree = max(n for _, n, _ in used)
         self.down = np.concatenate(
             [np.empty(0, complex), *(filters[f].poles for f in sorted(self.fractions))]
         )
@@ -401,9 +257,7 @@ class _Sum:
 
     def leading(self) -> float:
         """Coefficient of the highest power at infinity."""
-        degrees = [n + len(part.zeros) - len(part.poles) for _, n, part in self.terms]
-        pairs = zip(self.terms, degrees, strict=True)
-        return math.fsum(c for (c, _, _), degree in pairs if degree == self.degree)
+        return math.fsum(c for c, n, _ in self.terms if n == self.degree)
 
     def zeros(self) -> Complexes:
         """All zeros of the polynomial that the sum is over its filters' poles."""
