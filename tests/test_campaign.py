@@ -100,7 +100,6 @@ def test_impossible_draws_are_refused(name):
         ("seed", -1, FieldError),
         ("motor_loop", "perfect", FieldError),
         ("duration", 0.1, FieldError),
-        ("model", LinkModel(1.56, 11.0, damping=0.3), FieldError),
     ],
 )
 def test_impossible_campaigns_are_refused(field, value, error):
@@ -123,12 +122,21 @@ def link_answers(decay, weight, pair, pair_weight, first, count):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [1.5, 1.9, 1.92, 1.94, 2.0])
-def test_batch_links_are_the_links_of_simulate(order):
+@pytest.mark.parametrize(
+    ("order", "damping", "damping_order"),
+    [(order, 0.0, 1.0) for order in (1.5, 1.9, 1.92, 1.94, 2.0)]
+    + [(2.0, 0.3, 1.0), (2.0, 9.0, 1.0), (2.0, 0.5, 0.8), (2.0, 5.0, 0.5)]
+    + [(2.0, 13.0, 0.9), (2.0, 4.0, 1.3), (2.0, 0.05, 1.9), (1.9, 0.5, 0.8)],
+)
+def test_batch_links_are_the_links_of_simulate(order, damping, damping_order):
     stiff = np.array([60.0, 123.1, 400.0])
-    links = batch_links(stiff, np.full(3, order), 0.004)
+    model = LinkModel(
+        1.56, 11.0, order=order, damping=damping, damping_order=damping_order
+    )
+    orders, dampings = np.full(3, order), np.full(3, damping)
+    links = batch_links(model, stiff, orders, dampings, 0.004)
     for i, value in enumerate(stiff):
-        exact = link_weights(LinkModel(1.56, value**0.5, order=order), 0.004, 20.0)
+        exact = link_weights(replace(model, natural_frequency=value**0.5), 0.004, 20.0)
         names = ("decay", "weight", "pair", "pair_weight", "first")
         wanted = link_answers(*(getattr(exact, name)[0] for name in names), count=1500)
         row = [getattr(links, name)[i] for name in names]
@@ -137,7 +145,14 @@ def test_batch_links_are_the_links_of_simulate(order):
 
 def test_a_link_too_fast_for_the_period_is_refused():
     with pytest.raises(FieldError, match="period"):
-        batch_links(np.array([1e7]), np.array([1.92]), 0.004)
+        batch_links(
+            LinkModel(1.0, 10.0), np.array([1e7]), np.array([1.92]), np.zeros(1), 0.004
+        )
+
+
+def test_a_link_that_does_not_vibrate_is_refused_by_its_damping():
+    with pytest.raises(FieldError, match="damping: too large"):
+        batch_links(LinkModel(1.0, 10.0), np.array([100.0]), np.array([2.0]), np.array([15.0]), 0.004)
 
 
 def varied_delay() -> Campaign:

@@ -340,13 +340,12 @@ def test_a_block_has_the_numbers_of_its_arms() -> None:
 def test_links_of_a_block_are_valid_up_to_two_radians_in_a_period() -> None:
     for order in (1.5, 2.0):
         edge = (2.0 / 0.004) ** order
-        batch_links(np.array([100.0, 0.999 * edge]), np.array([order, order]), 0.004)
+        model, orders, none = MODEL, np.full(2, order), np.zeros(2)
+        batch_links(model, np.array([100.0, 0.999 * edge]), orders, none, 0.004)
         with pytest.raises(
             FieldError, match=r"period: too long for the fastest link .* < 0.004 s"
         ):
-            batch_links(
-                np.array([100.0, 1.001 * edge]), np.array([order, order]), 0.004
-            )
+            batch_links(model, np.array([100.0, 1.001 * edge]), orders, none, 0.004)
 
 
 # ── its parts
@@ -391,14 +390,18 @@ def test_a_part_of_the_first_release_has_the_later_columns_as_they_were(
     from pyarrow import parquet
 
     table = parquet.read_table(part_path(one_part, 0))
-    old = table.drop_columns(["gauge_delay", "gauge_gain", "payload_given", "growth"])
+    old = table.drop_columns(
+        ["gauge_delay", "gauge_gain", "payload_given", "damping", "growth"]
+    )
     meta = {k: v for k, v in table.schema.metadata.items() if k != b"digests"}
     meta[b"columns"] = ",".join(old.column_names).encode()
     parquet.write_table(old.replace_schema_metadata(meta), part_path(tmp_path, 0))
-    names = ("gauge_delay", "gauge_gain", "growth", "payload")
+    names = ("gauge_delay", "gauge_gain", "growth", "damping", "payload")
     found = read_part(small(30), tmp_path, 0, names=names)
     assert found is not None and sorted(found) == sorted(names)
-    assert [set(found[name].tolist()) for name in names[:3]] == [{0.0}, {1.0}, {0.0}]
+    assert [set(found[name].tolist()) for name in names[:4]] == [
+        *({0.0}, {1.0}, {0.0}, {1.0})
+    ]
     everything = read_part(small(30), tmp_path, 0)
     assert everything is not None and "growth" not in everything
 

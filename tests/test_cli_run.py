@@ -370,7 +370,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
         str(tmp_path / "out"),
         *EASY,
     ]
-    assert main([*command, "--certify", "--arms", "0", "--json"]) == 0
+    assert main([*command, "--certify", "--arms", "0", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["promise"]["state"] == "passed"
     assert result["verdict"]["reality"]["state"] == "not run"

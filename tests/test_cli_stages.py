@@ -393,7 +393,7 @@ def test_a_study_reads_fits_and_designs_as_the_options_say(line: Line) -> None:
         "title": "T",
         "script": False,
     }
-    study.law, study.verdict.refuted = None, True
+    study.law, study.verdict.passed = None, False
     told = line("run --rig paper-2023 --log log.csv --out o --force --json")
     assert (told.code, told.err, json.loads(told.out)["report"]) == (
         1,

@@ -186,7 +186,7 @@ def test_a_log_against_its_header_is_shown_nothing(tmp_path: Path) -> None:
     wrong = replace(stated, motor_angle=replace(stated.motor_angle, unit="deg"))
     rig = replace(RIG, log=wrong)
     study = run(rig, read_log(path, rig=rig), arms=0)
-    assert study.verdict.refuted
+    assert study.verdict.state in ("failed", "not shown")
     reasons = " ".join(study.verdict.reasons)
     assert "is in rad by the log's own header, in deg by [log]" in reasons
     assert "as with an angle in degrees that is called radians" in reasons

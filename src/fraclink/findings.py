@@ -160,15 +160,6 @@ class Verdict:
         return self.state == "passed"
 
     @property
-    def refuted(self) -> bool:
-        """Whether a scope failed or could not be shown; what was not run refutes
-        nothing.
-        """
-        # A proof that ended undecided counts as refuted here: it was asked for, and the
-        # arm must not be taken for safe.
-        return self.state in ("failed", "not shown")
-
-    @property
     def reasons(self) -> tuple[str, ...]:
         """The reasons of all scopes, each once."""
         # dict keeps the order, which a set would not.

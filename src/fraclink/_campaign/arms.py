@@ -16,7 +16,7 @@ from fraclink._arm.rig import Rig
 from fraclink._campaign.campaign import PART_RUNS, Campaign, draw
 from fraclink._simulate.estimates import ESTIMATED
 from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_rig
-from fraclink._simulate.links import batch_links, second_mode_weights
+from fraclink._simulate.links import batch_links, link_poles
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import estimates_of_model, model_run
@@ -92,10 +92,17 @@ def _vibration(campaign: Campaign, own: dict[str, Real]) -> Real:
     """Period of each link's vibration [s], shape (R,)."""
     # The pole Ω e^(iπ/λ) turns by Ω sin(π/λ) a second. With Ω alone λ = 1.9 would make
     # the windows in which growth and residue are measured 0.3 % short, λ = 1.5 13 %.
-    pole = (own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)) ** (
-        1.0 / own["order"]
-    )
-    return np.asarray(2.0 * np.pi / (pole * np.sin(np.pi / own["order"])))
+    stiff, order, damping = _links_of(campaign, own)
+    pole = np.exp(link_poles(campaign.model, stiff, order, damping))
+    return np.asarray(2.0 * np.pi / (stiff ** (1.0 / order) * pole.imag))
+
+
+def _links_of(campaign: Campaign, own: dict[str, Real]) -> tuple[Real, Real, Real]:
+    """ω₀², λ and μ of each link, shape (R,)."""
+    # Equation (5) for each arm: the link is massless, so that stiffness and payload say
+    # its frequency. μ is the same for every payload, as `LinkModel.at_payload` has it.
+    stiff = own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)
+    return stiff, own["order"], campaign.model.damping * own["damping"]
 
 
 def _measured(
@@ -166,15 +173,7 @@ def block_of(
     """
     rig, period = campaign.rig, campaign.law.period
     count = len(own["payload"])
-    # Equation (5) for each arm: the link is massless, so that stiffness and payload say
-    # its frequency.
-    stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
-    links = batch_links(stiff, own["order"], period)
-    # The nominal arm's in every run: a log shows the second mode at one payload, and
-    # nothing tells how it moves with another.
-    second = np.repeat(
-        second_mode_weights(campaign.model.second_mode, period), count, axis=0
-    )
+    links = batch_links(campaign.model, *_links_of(campaign, own), period)
     number = first + np.arange(count, dtype=np.uint64)
     with np.errstate(
         over="ignore"
@@ -194,7 +193,7 @@ def block_of(
     values = {name: own[name] for name in (*same, "amplitude", "gauge_gain")}
     arms = LumpedArms.of(
         rig,
-        replace(links, second=second),
+        links,
         seeds,
         noise=rig.gauge.noise * own["noise"],
         gauge_delay=own["gauge_delay"] / period,
@@ -246,6 +245,8 @@ def arm_of(campaign: Campaign, run: int) -> tuple[Rig, LinkModel, dict[str, floa
         own["stiffness"],
         (own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)) ** 0.5,
         order=own["order"],
+        damping=campaign.model.damping * own["damping"],
+        damping_order=campaign.model.damping_order,
         payload=own["payload"],
         gauge_delay=own["gauge_delay"],
         gauge_gain=own["gauge_gain"],

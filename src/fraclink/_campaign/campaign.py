@@ -130,6 +130,7 @@ _RANGES = {
     "amplitude": (0.0, math.inf, False),
     "delay_samples": (0.0, 100.0, True),
     "viscous_friction": (0.0, math.inf, True),
+    "damping": (0.0, math.inf, True),
     "coulomb_torque": (0.0, math.inf, True),
     "noise": (0.0, math.inf, True),
     "gauge_delay": (0.0, math.inf, True),
@@ -143,7 +144,7 @@ class Draws:
     """The distributions of one campaign; factors multiply the rig's own value.
 
     payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction,
-    coulomb_torque and noise [factors], gauge_offset [N·m], delay_samples [periods],
+    coulomb_torque, noise and the link's damping μ [factors], gauge_offset [N·m], delay_samples [periods],
     amplitude of the move [rad], gauge_delay [s], gauge_gain [1], payload_given [1]:
     what the law is given over the arm's payload, 0 for nothing.
     """
@@ -169,6 +170,7 @@ class Draws:
     gauge_delay: Distribution = with_default(default_factory=lambda: _always(0.0))
     gauge_gain: Distribution = with_default(default_factory=lambda: _always(1.0))
     payload_given: Distribution = with_default(default_factory=lambda: _always(0.0))
+    damping: Distribution = with_default(default_factory=lambda: _always(1.0))
 
     def __post_init__(self) -> None:
         for name, (low, high, closed) in _RANGES.items():
@@ -190,7 +192,7 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
     day to day.
 
     payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
-    viscous friction ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
+    viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
     ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the rig's own: one more sample is
     another design, not a tolerance. The gauge's delay and gain are those that were
     identified.
@@ -215,6 +217,8 @@ def draws_for(rig: Rig, model: LinkModel) -> Draws:
         # shows a torque that is yet to come.
         gauge_delay=_always(max(model.gauge_delay, 0.0)),
         gauge_gain=_always(model.gauge_gain),
+        # of a link without μ there is nothing to draw, and nothing to correlate with
+        damping=_around(1.0, 0.3) if model.damping else _always(1.0),
     )
 
 
@@ -293,16 +297,6 @@ class Campaign:
                 "too many",
                 allowed=f"<= {LARGEST}",
                 remedy="ask for less",
-            )
-        # The batched links have the closed form of a link without μ; a viscous one
-        # would need another integral.
-        if self.model.structure not in ("UD-FOM", "UD-IOM"):
-            raise FieldError(
-                "model",
-                self.model.structure,
-                "not one that the campaign draws",
-                allowed="UD-FOM or UD-IOM",
-                remedy="fit UD-FOM to the log",
             )
 
     @cached_property
@@ -442,6 +436,7 @@ LATER_DRAWS: dict[str, float] = {
     "gauge_delay": 0.0,
     "gauge_gain": 1.0,
     "payload_given": 0.0,
+    "damping": 1.0,
 }
 
 

@@ -118,11 +118,9 @@ def run(
         "simulating": moved,
     }
     steps |= {"proving": proved} if certified else {}
-    steps |= (
-        {f"trying {arms} arms": lambda study: tried(study, arms, seed, folder)}
-        if arms
-        else {}
-    )
+    trying = f"trying {arms} arms"
+    if arms:
+        steps[trying] = lambda study: tried(study, arms, seed, folder)
     for name, step in steps.items():
         begin(name)
         try:
@@ -139,11 +137,9 @@ def run(
                 if isinstance(error, InfeasibleError)
                 else f"{name} failed: {error}"
             )
-            study = (
-                replace(study, uncertified=why)
-                if name == "proving"
-                else replace(study, stopped=why)
-            )
+            # What could not be run is "not run", and breaks no promise.
+            place = {"proving": "uncertified", trying: "untried"}.get(name, "stopped")
+            study = replace(study, **{place: why})
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
         # Without a fit there is no design, and without a law nothing that moves.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +61,10 @@ class Study:
     files only.
 
     rig, experiment, findings (of their examination); comparison of the structures; the
-    fit that the design used; design, law and certificate; stopped and uncertified: why
-    there is none of them; refused: the request and the nearest that can be met, where
-    it was the request that stopped it; runs: simulated moves, one for each payload;
+    fit that the design used; design, law and certificate; stopped, uncertified and
+    untried: why there is none of them, no proof and no arms that differ; refused: the
+    request and the nearest that can be met, where it was the request that stopped it;
+    runs: simulated moves, one for each payload;
     arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
@@ -82,6 +83,7 @@ class Study:
     refused: Refusal | None = None
     certificate: Certificate | None = None
     uncertified: str | None = None
+    untried: str | None = None
     runs: tuple[Run, ...] = ()
     arms: Summary | None = None
     faults: FaultTable | None = None
@@ -124,11 +126,7 @@ class Study:
                 doubts,
                 bool(self.runs),
             ),
-            _scope(
-                self._failures(),
-                doubts,
-                self.arms is not None or self.faults is not None,
-            ),
+            self._reality(doubts),
             ("the log is simulated, not measured",) if self.simulated else (),
         )
 
@@ -149,6 +147,15 @@ class Study:
             [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
         )
         return ([] if self.stopped is None else [self.stopped]) + missed + unproved
+
+    def _reality(self, doubts: list[str]) -> Scope:
+        ran = self.arms is not None or self.faults is not None
+        scope = _scope(self._failures(), doubts, ran)
+        return (
+            scope
+            if self.untried is None
+            else replace(scope, reasons=(*scope.reasons, self.untried))
+        )
 
     def _failures(self) -> list[str]:
         failed = []
@@ -240,6 +247,7 @@ def _remarks_of(study: Study) -> _Remarks:
         stopped=study.stopped,
         refused=study.refused,
         uncertified=study.uncertified,
+        untried=study.untried,
         assumptions=study.assumptions,
         findings=study.findings,
         comparison=None
@@ -319,6 +327,7 @@ class _Remarks:
     stopped: str | None = None
     refused: Refusal | None = None
     uncertified: str | None = None
+    untried: str | None = None
     assumptions: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()
     comparison: _Preference | None = None
@@ -348,6 +357,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         refused=about.refused,
         certificate=None if refuted else proof,
         uncertified=proof.verdict if refuted else about.uncertified,
+        untried=about.untried,
         runs=tuple(
             sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
         ),

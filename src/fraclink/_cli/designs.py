@@ -131,12 +131,10 @@ def run(
             f"fraclink campaign replay {out / 'arms'} --run {study.arms.failed[0]}"
         )
     values = {"report": str(place), "out": str(out)}
-    # "Not run" is no failure: --arms 0 leaves a scope out on purpose. The JSON's
-    # "passed" is stricter, and says so.
-    passed, shown = not study.verdict.refuted, place if open else None
+    shown = place if open else None
     return Answer(
         study,
-        passed,
+        study.verdict.passed,
         values=values,
         written=(place,),
         following=following,

@@ -6,11 +6,11 @@ the link to each power is exact: at the end of its own period by the power serie
 θt/θm, later by the modes of the step response (a sum of exponentials, see
 fraclink._systems.response).
 
-The links of many arms at once are the same recursion, vectorised. The step response of
-``G = ω₀²/(s^λ + ω₀²)`` is, in the link's own time x = Ω t with Ω = ω₀^(2/λ),
+The links of many arms at once are the same recursion, vectorised. In the link's own
+time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ) the step response of
+``G = (M z^α + 1)/(z^λ + M z^α + 1)`` is, with its pole p,
 
-``S = 1 − (2/λ) Re e^(x e^(iπ/λ)) − (1/π) ∫ sin(πλ) e^(λv) / |1 + e^(λv + iπλ)|² · e^(−x
-e^v) dv``,
+``S = 1 − 2 Re p^λ/(λ p^λ + α M p^α) e^(x p) + (1/π) ∫ Im G(e^(v + iπ)) e^(−x e^v) dv``,
 
 so one grid in v = ln(r/Ω) serves every payload (Lemma 1's homothety) and only
 exponentials are left to do.
@@ -101,12 +101,15 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
     # A sum of exponentials is good from one period on; within the first, where a
     # fractional response begins like t^λ, the power series is exact.
-    at_end = [_end_of_power(model, period, j) for j in range(POWERS)]
+    alone = (model.natural_frequency**2, model.order, model.damping)
+    at_end = _powers_at_end(
+        *(np.array([value]) for value in alone), model.damping_order, period
+    )[0]
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
     # What the modes of one period would say at its end is taken out of the direct term,
     # as the recursion adds it.
-    first = np.array(at_end) - real.sum(axis=1) - pair.sum(axis=1).real
+    first = at_end - real.sum(axis=1) - pair.sum(axis=1).real
     second = second_mode_weights(model.second_mode, period)
     return LinkWeights(
         modes.decays[None],
@@ -140,27 +143,6 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
     )[None]
 
 
-def _end_of_power(model: LinkModel, period: float, power: int) -> float:
-    """Response of G to xʲ at x = 1: G = Σ −(−X)ⁿ, X = (μ s^α + ω₀²)/s^λ, term by term:
-    t^q/Γ(q + 1).
-    """
-    stiff = model.natural_frequency**2 * period**model.order
-    soft = model.damping * period ** (model.order - model.damping_order)
-    total = 0.0
-    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some
-    # twenty terms do.
-    for n in range(1, 100):
-        part = 0.0
-        for k in range(n + 1 if soft else 1):
-            exponent = model.order * n - model.damping_order * k + power
-            size = math.comb(n, k) * soft**k * stiff ** (n - k)
-            part += size * math.exp(-math.lgamma(exponent + 1))
-        total -= (-1) ** n * part
-        if part < 1e-18 * abs(total):
-            break
-    return math.factorial(power) * total
-
-
 def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
     """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to
     x^j, relative to a step.
@@ -190,30 +172,74 @@ def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
 # ──────────────────────────────────────────────────────────────────────────────────────────────
 
 
-def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
-    """Return the recursions of links ``G = ω₀²/(s^λ + ω₀²)`` at `period` [s] for a
-    motor angle of degree 5.
+# arg p of a link whose vibration has ζ = cos(π/4) = 0.71: beyond it nothing swings, and
+# the pole of the next sheet, which no exponential can stand for, nears the integrand.
+APERIODIC = 0.75 * np.pi
+
+
+def link_poles(model: LinkModel, stiff: Real, order: Real, damping: Real) -> Complex:
+    """Return ln of each link's vibration pole over Ω = ω₀^(2/λ), shape (R,): its
+    imaginary part is arg p.
+
+    Newton's iteration on w ↦ e^(λw) + M e^(αw) + 1 while M grows from 0 to its value.
+    """
+    alpha = model.damping_order
+    scaled = damping * stiff ** ((alpha - order) / order)
+    log_pole = 1j * np.pi / order
+    if not np.any(scaled):
+        return np.asarray(log_pole)
+    for share in np.linspace(0.1, 1.0, 10):
+        for _ in range(6):
+            moving = np.exp(order * log_pole)
+            friction = share * scaled * np.exp(alpha * log_pole)
+            log_pole = log_pole - (moving + friction + 1.0) / (
+                order * moving + alpha * friction
+            )
+    # NaN, too: a link far beyond the limit has no pole to follow.
+    if not np.all(log_pole.imag < APERIODIC):
+        raise FieldError(
+            "damping",
+            float(damping[np.argmax(log_pole.imag)]),
+            "too large: the link does not vibrate",
+            allowed="a damping ratio below 0.7 of every arm",
+            remedy="draw less damping or a stiffer link",
+        )
+    return np.asarray(log_pole)
+
+
+def batch_links(
+    model: LinkModel, stiff: Real, order: Real, damping: Real, period: float
+) -> LinkWeights:
+    """Return the recursions of links ``G = (μ s^α + ω₀²)/(s^λ + μ s^α + ω₀²)`` at
+    `period` [s] for a motor angle of degree 5.
 
     Parameters
     ----------
+    model
+        has the damping's order α and the second mode of all the links: a log shows that
+        mode at one payload, and nothing tells how it moves with another.
     stiff
         ω₀² of each run [s^−λ], shape (R,), > 0.
     order
         λ of each run, shape (R,), 1 < λ ≤ 2.
+    damping
+        μ of each run [s^(α−λ)], shape (R,), >= 0.
     period
         control period [s]; |pole|·period < 2, beyond that no loop at that period holds.
 
     Raises
     ------
     FieldError
-        a link too fast for the period.
+        a link too fast for the period, or one so damped that it does not vibrate.
 
     >>> import numpy as np
-    >>> links = batch_links(np.array([123.1, 184.6]), np.array([1.92, 2.0]), 0.004)
+    >>> model, two = LinkModel(1.56, 11.1, damping=0.4), np.ones(2)
+    >>> links = batch_links(model, np.array([123.1, 184.6]), 2 * two, 0.4 * two, 0.004)
     >>> links.weight.shape[:2], links.pair_weight.shape
     ((2, 6), (2, 6, 1))
     """
     speed = stiff ** (1.0 / order)
+    log_pole = link_poles(model, stiff, order, damping)
     reach = speed * period
     # One arm of a block that cannot be simulated is an error of the draws, and named;
     # leaving it out would make the campaign's share of failures a lie.
@@ -225,34 +251,46 @@ def batch_links(stiff: Real, order: Real, period: float) -> LinkWeights:
             allowed=f"< {LONGEST / float(speed.max()):.3g} s",
             remedy="draw heavier payloads or a smaller stiffness",
         )
-    # One grid for all arms: the smallest λ needs both ends farthest out, the slowest
-    # link the upper one.
-    grid = _grid(float(reach.min()), float(order.min()))
-    density = (
-        -np.sin(np.pi * order)[:, None] * np.exp(np.multiply.outer(order, grid)) / np.pi
-    )
-    density /= np.abs(1.0 + np.exp(order[:, None] * (grid + 1j * np.pi))) ** 2
+    # One grid for all arms: the smallest exponent needs both ends farthest out, the
+    # slowest link the upper one. Whole exponents have no branch cut.
+    alpha, damped = model.damping_order, bool(np.any(damping))
+    slowest = min(float(order.min()), alpha) if damped else float(order.min())
+    width = STEP
+    if damped:
+        # Where λ nears 2 the next sheet's poles lie as far from the integrand as p.
+        gap = np.pi - float(log_pole.imag.max())
+        width = min(STEP, 2.0 * np.pi * gap / NEGLIGIBLE)
+    whole = bool(np.all(order == 2.0)) and (not damped or alpha == 1.0)
+    grid = np.zeros(0) if whole else _grid(float(reach.min()), slowest, width)
+    scaled = damping * speed ** (alpha - order)
+    restoring = 1.0 + scaled[:, None] * np.exp(alpha * (grid + 1j * np.pi))
+    moving = np.exp(order[:, None] * (grid + 1j * np.pi))
+    density = (restoring / (moving + restoring)).imag / np.pi
     # Weight of e^(−r t) in S; over one period a mode answers a step by −gain·(1 −
     # e^(−rT)) of it.
-    real = STEP * density
+    real = width * density
     log_decay = -reach[:, None] * np.exp(grid)
-    pole = reach * np.exp(1j * np.pi / order)
-    pair = -(2.0 / order) * _correction(order, float(grid[0]))
+    pole = reach * np.exp(log_pole)
+    swing = np.exp(order * log_pole)
+    residue = swing / (order * swing + alpha * scaled * np.exp(alpha * log_pole))
+    pair = -2.0 * residue
+    pair = pair if whole else pair * _correction(log_pole, float(grid[0]), width)
     weight = _answers(real, log_decay)
     pair_weight = _answers(pair[:, None], pole[:, None])
-    at_end = _powers_at_end(stiff, order, period)
+    at_end = _powers_at_end(stiff, order, damping, alpha, period)
     first = at_end - weight.sum(axis=2) - pair_weight.sum(axis=2).real
+    second = second_mode_weights(model.second_mode, period)
     return LinkWeights(
         decay=np.exp(log_decay),
         weight=np.ascontiguousarray(weight),
         pair=np.exp(pole[:, None]),
         pair_weight=np.ascontiguousarray(pair_weight),
         first=np.ascontiguousarray(first),
-        second=np.zeros((0, 15)),
+        second=np.repeat(second, len(stiff), axis=0),
     )
 
 
-def _grid(reach: float, order: float) -> Real:
+def _grid(reach: float, order: float, width: float) -> Real:
     """Nodes v: the density falls like e^(−λ|v|), and above like e^(−e^v ΩT) from one
     period on.
     """
@@ -261,21 +299,21 @@ def _grid(reach: float, order: float) -> Real:
     # of the response.
     high = min(NEGLIGIBLE / order, math.log(NEGLIGIBLE / reach))
     return np.asarray(
-        np.arange(math.floor(low / STEP), math.ceil(high / STEP) + 1) * STEP
-        + 0.5 * STEP
+        np.arange(math.floor(low / width), math.ceil(high / width) + 1) * width
+        + 0.5 * width
     )
 
 
-def _correction(order: Real, start: float) -> Complex:
+def _correction(log_pole: Complex, start: float, width: float) -> Complex:
     """What the trapezoidal rule leaves of a pole's residue: the rule counts the rest of
     it by itself.
 
-    The density has simple poles at v = ±i y, y = π(1 − 1/λ), whose exponential is the
-    link's own pair.
+    The density has simple poles at v = ln p − iπ and its conjugate, whose exponential
+    is the link's own pair.
     """
-    y = np.pi * (1.0 - 1.0 / order)
-    phase = np.exp(2j * np.pi * start / STEP)
-    return np.asarray(1.0 / (1.0 - phase * np.exp(-2.0 * np.pi * y / STEP)))
+    return np.asarray(
+        1.0 / (1.0 - np.exp(2j * np.pi * (start - log_pole + 1j * np.pi) / width))
+    )
 
 
 def _answers(
@@ -308,16 +346,27 @@ def _series(z: NDArray[np.inexact], power: int) -> NDArray[np.inexact]:
     return total
 
 
-def _powers_at_end(stiff: Real, order: Real, period: float) -> Real:
-    """Response of G to x^j at x = 1, from the power series −Σ (−X)ⁿ of G: shape (R, 6)."""
-    ratio = (stiff * period**order)[:, None, None]
-    power = np.arange(POWERS)[None, :, None]
-    # X < LONGEST^λ <= 4, and 4^39/Γ(40) is 1e-23; logarithms, since Γ of the highest
-    # overflows.
-    n = np.arange(1, 40)[None, None, :]
-    size = (
-        n * np.log(ratio)
-        + gammaln(power + 1.0)
-        - gammaln(order[:, None, None] * n + power + 1.0)
-    )
-    return np.asarray(-np.sum((-1.0) ** n * np.exp(size), axis=2))
+def _powers_at_end(
+    stiff: Real, order: Real, damping: Real, damping_order: float, period: float
+) -> Real:
+    """Response of G to x^j at x = 1, shape (R, 6): G = −Σ (−X)ⁿ, X = (μ s^α + ω₀²)/s^λ,
+    term by term as t^q/Γ(q + 1).
+    """
+    power = np.arange(POWERS)[:, None]
+    spring = np.log(stiff * period**order)[:, None, None]
+    with np.errstate(divide="ignore"):  # without damping its powers are e^−∞ = 0
+        damper = np.log(damping * period ** (order - damping_order))[:, None, None]
+    total = np.zeros((len(stiff), POWERS))
+    # X at the end of the period is below LONGEST^λ ≤ 4, and Γ(λn + 1) outruns 4ⁿ: some
+    # twenty terms do. Logarithms, since Γ of the highest overflows.
+    for n in range(1, 100):
+        k = np.arange(n + 1 if np.any(damping) else 1)
+        exponent = order[:, None, None] * n - damping_order * k + power
+        ways = gammaln(n + 1.0) - gammaln(k + 1.0) - gammaln(n - k + 1.0)
+        dampers = np.where(k > 0, k * damper, 0.0) if k.size > 1 else 0.0
+        size = ways + dampers + (n - k) * spring - gammaln(exponent + 1.0)
+        part = np.exp(size + gammaln(power + 1.0)).sum(axis=2)
+        total -= (-1.0) ** n * part
+        if np.all(part < 1e-18 * np.abs(total)):
+            break
+    return total
