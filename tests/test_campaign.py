@@ -152,7 +152,13 @@ def test_a_link_too_fast_for_the_period_is_refused():
 
 def test_a_link_that_does_not_vibrate_is_refused_by_its_damping():
     with pytest.raises(FieldError, match="damping: too large"):
-        batch_links(LinkModel(1.0, 10.0), np.array([100.0]), np.array([2.0]), np.array([15.0]), 0.004)
+        batch_links(
+            LinkModel(1.0, 10.0),
+            np.array([100.0]),
+            np.array([2.0]),
+            np.array([15.0]),
+            0.004,
+        )
 
 
 def varied_delay() -> Campaign:

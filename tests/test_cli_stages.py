@@ -359,7 +359,7 @@ def test_a_gear_is_refused_by_the_name_of_its_option(line: Line) -> None:
 def test_a_study_reads_fits_and_designs_as_the_options_say(line: Line) -> None:
     arms = SimpleNamespace(failure=SimpleNamespace(count=0), failed=(17,))
     study = SimpleNamespace(
-        law="a law", arms=None, verdict=SimpleNamespace(refuted=False)
+        law="a law", arms=None, verdict=SimpleNamespace(passed=True)
     )
     asked = line.hear("designs.run_study", study)
     written = line.hear("designs.write_report", Path("o/report.html"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import os
 import re
 import shutil
 import subprocess
@@ -330,3 +331,37 @@ def test_sessions_that_are_not_cells_print_what_they_say(page: Path) -> None:
     outcome = doctest.DocTestRunner(optionflags=doctest.REPORT_NDIFF).run(test)
     assert outcome.attempted > 0
     assert outcome.failed == 0
+
+
+# ── the pictures of the built pages
+
+# What draws into new axes of its own, the library's plots and matplotlib's.
+DRAWING = re.compile(
+    r"subplots\(|^fl\.(?:bode|nyquist|nichols|latency|phase_shares"
+    r"|margins_against_payload|margin_plot|step_plot)\(",
+    re.MULTILINE,
+)
+CELL = re.compile(r"^```\{code-cell\}.*?\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_every_cell_that_draws_has_its_picture_in_the_built_page(page: Path) -> None:
+    drawing = [
+        bool(DRAWING.search(cell)) and "remove-cell" not in cell
+        for cell in CELL.findall(page.read_text("utf-8"))
+        if "remove-cell" not in cell
+    ]
+    if not any(drawing):
+        return
+    built = DOCS / "_build" / "html" / page.relative_to(DOCS).with_suffix(".html")
+    if not built.exists():
+        if os.environ.get("FRACLINK_CI"):
+            pytest.fail("the pages are not built: run `make docs` first")
+        pytest.skip("the pages are not built: run `make docs`")
+    # A cell ends where the next begins, so that an image counts for the cell above it.
+    cells = re.split(r'<div class="cell[ "]', built.read_text("utf-8"))[1:]
+    assert len(cells) == len(drawing)
+    pictures = ["<img" in cell or "<svg" in cell for cell in cells]
+    assert [own for own, draws in zip(pictures, drawing, strict=True) if draws] == (
+        [True] * sum(drawing)
+    )

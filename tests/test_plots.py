@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -704,3 +706,28 @@ def test_no_arrow_bridges_what_is_not_seen() -> None:
     told.clear()
     _arrows(axis, np.array([0.0, 1.0, 2.0]) + 0j, "red", 10.0)
     assert told == []  # too few points for a direction
+
+
+def test_a_plot_leaves_the_parameters_of_matplotlib_alone(tmp_path: Path) -> None:
+    """The first figure of a notebook chooses the backend, which makes it interactive:
+    undone, no later figure is shown.
+    """
+    (tmp_path / "inline.py").write_text(
+        "from matplotlib.backends.backend_agg import *\n"
+        "import matplotlib\n"
+        "matplotlib.interactive(True)\n"
+    )
+    program = (
+        "import matplotlib, fraclink as fl\n"
+        "fl.bode(1 / (fl.s + 1))\n"
+        "print(matplotlib.is_interactive())"
+    )
+    inline = {"MPLBACKEND": "module://inline", "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(  # noqa: S603
+        [sys.executable, "-c", program],
+        env=os.environ | inline,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.strip() == "True"

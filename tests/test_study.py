@@ -27,6 +27,7 @@ from fraclink.errors import (
     NotConvergedError,
 )
 from fraclink.findings import Finding, Scope
+from identify_cases import made_log
 
 RIG = fl.Rig.named("paper-2023")
 
@@ -535,3 +536,37 @@ def test_arms_are_tried_in_the_folder_that_is_given(tmp_path: Path) -> None:
     assert (campaign.runs, campaign.seed, campaign.model) == (3, 5, made.model)
     again = stages.tried(study, 3, 5).arms
     assert again is not None and again.metrics == kept.arms.metrics
+
+
+def test_arms_that_could_not_be_tried_are_not_run_and_break_no_promise(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    failure = FieldError("period", 0.1, "too long", allowed="< 0.01 s", remedy="-")
+    Steps(monkeypatch, tried=failure)
+    study = replace(stages.run(RIG, log()), design=None)
+    assert study.stopped is None and "too long" in str(study.untried)
+    reality = Study(untried=study.untried).verdict.reality
+    assert (reality.state, reality.reasons) == ("not run", (study.untried,))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("damping", "damping_order", "delay"), [(1.0, 1.0, 0.004), (1.2, 0.85, 0.010)]
+)
+def test_an_ordinarily_damped_arm_passes(
+    damping: float, damping_order: float, delay: float
+) -> None:
+    rig = fl.Rig.named("paper-2023-geared")
+    assert rig.model is not None
+    link = replace(rig.model, order=2.0, damping=damping, damping_order=damping_order)
+    record = made_log(link, noise=0.003, delay=delay, payload=0.030)
+    study = stages.run(
+        rig,
+        record,
+        structure=link.structure,
+        payloads=(0.020, 0.040),
+        gain_crossover=10.5,
+        phase_margin=np.radians(50.0),
+        arms=50,
+    )
+    assert study.verdict.passed, study.verdict.reasons

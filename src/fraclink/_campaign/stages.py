@@ -138,8 +138,12 @@ def run(
                 else f"{name} failed: {error}"
             )
             # What could not be run is "not run", and breaks no promise.
-            place = {"proving": "uncertified", trying: "untried"}.get(name, "stopped")
-            study = replace(study, **{place: why})
+            if name == trying:
+                study = replace(study, untried=why)
+            elif name == "proving":
+                study = replace(study, uncertified=why)
+            else:
+                study = replace(study, stopped=why)
             if isinstance(error, InfeasibleError) and error.nearest:
                 study = replace(study, refused=Refusal.of(wanted, error.nearest))
         # Without a fit there is no design, and without a law nothing that moves.

@@ -40,7 +40,6 @@ __all__ = [
 ]
 __all__ += [
     "LoopCurve",
-    "cycle",
     "figure",
     "finish",
     "labelled",
@@ -124,18 +123,6 @@ def theme_on(background: Any) -> int:
     # A transparent background shows the page's, which is white more often than not.
     *colour, opacity = to_rgba(background)
     return DARK if opacity and sum(colour) < 1.5 else LIGHT
-
-
-def cycle() -> dict[Any, Any]:
-    """What gives the lines of new axes fraclink's colours and dashes, light or dark as
-    the axes are.
-    """
-    mpl = load_matplotlib()
-    known = colours(theme_on(mpl.rcParams["axes.facecolor"]))
-    lines = [known[f"line-{line}"] for line in LINE_NUMBERS]
-    return {
-        "axes.prop_cycle": mpl.cycler(color=lines) + mpl.cycler(linestyle=list(_DASHES))
-    }
 
 
 def tint(ax: Any, name: str) -> str:
@@ -231,8 +218,14 @@ def new_axes(rows: int = 1) -> Any:
         from matplotlib import pyplot
     except ImportError as error:
         raise MissingExtraError("matplotlib", "report") from error
-    with pyplot.rc_context(cycle()):
-        return pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
+    # Not by a context of rcParams: in a notebook the first figure chooses the backend,
+    # which sets parameters of its own, and leaving the context would undo them.
+    axes = pyplot.subplots(rows, 1, sharex=True, layout="constrained")[1]
+    for ax in np.atleast_1d(axes):
+        known = colours(theme_on(ax.get_facecolor()))
+        lines = [known[f"line-{line}"] for line in LINE_NUMBERS]
+        ax.set_prop_cycle(color=lines, linestyle=list(_DASHES))
+    return axes
 
 
 def finish(ax: Any, labels: Sequence[str] | None) -> Any:

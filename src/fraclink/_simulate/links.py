@@ -101,10 +101,11 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
     modes = discrete_modes(model.tip(), period, span=span, tolerance=LINK_TOLERANCE)
     # A sum of exponentials is good from one period on; within the first, where a
     # fractional response begins like t^λ, the power series is exact.
-    alone = (model.natural_frequency**2, model.order, model.damping)
-    at_end = _powers_at_end(
-        *(np.array([value]) for value in alone), model.damping_order, period
-    )[0]
+    square, order, damping = (
+        np.array([value])
+        for value in (model.natural_frequency**2, model.order, model.damping)
+    )
+    (at_end,) = _powers_at_end(square, order, damping, model.damping_order, period)
     real = modes.gains * _relative_powers(modes.log_decays)
     pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
     # What the modes of one period would say at its end is taken out of the direct term,
@@ -271,10 +272,11 @@ def batch_links(
     real = width * density
     log_decay = -reach[:, None] * np.exp(grid)
     pole = reach * np.exp(log_pole)
-    swing = np.exp(order * log_pole)
+    swing: Complex = np.exp(order * log_pole)
     residue = swing / (order * swing + alpha * scaled * np.exp(alpha * log_pole))
-    pair = -2.0 * residue
-    pair = pair if whole else pair * _correction(log_pole, float(grid[0]), width)
+    pair = np.asarray(-2.0 * residue, dtype=np.complex128)
+    if not whole:
+        pair = pair * _correction(log_pole, float(grid[0]), width)
     weight = _answers(real, log_decay)
     pair_weight = _answers(pair[:, None], pole[:, None])
     at_end = _powers_at_end(stiff, order, damping, alpha, period)
