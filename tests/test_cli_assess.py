@@ -28,7 +28,7 @@ def _design(place: Path) -> fl.Design:
 
 
 @pytest.mark.slow
-def test_assess_tells_budget_margins_rivals_and_spillover(
+def test_assess_tells_budget_margins_and_spillover(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     design = _design(tmp_path / "design.json")
@@ -42,8 +42,6 @@ def test_assess_tells_budget_margins_rivals_and_spillover(
     assert found["phase_margin"]["sampled"][-1] == pytest.approx(
         design.sampled_at(0.020).phase_margin
     )
-    assert len(found["rivals"]) == 5
-    assert sum("unstable" in sentence for sentence in found["rivals"]) == 2
     assert [item["name"] for item in found["spillover"]] == [
         "loop gain at mode 2",
         "loop gain at mode 3",

@@ -16,7 +16,7 @@ from fraclink._arm.controller import closed_loop_poles
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
-from fraclink._design.assess import PRINTED, match_at
+from fraclink._design.assess import PRINTED
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = Rig.named("paper-2023")
@@ -303,18 +303,6 @@ def test_printed_controllers_are_unstable_on_the_printed_model(
         / (s**1.92 + pi**2)
     )
     assert abs(1 + loop) < 1e-10
-
-
-def test_integer_controller_matched_at_the_nominal_point():
-    nominal = paper_plan().at_frequency(11.54)
-    matched = match_at(
-        replace(RIG.model, order=2.0),
-        11.54,
-        nominal.gain_crossover,
-        nominal.phase_margin,
-    )
-    assert matched.order == pytest.approx(0.786021, abs=5e-7)
-    assert matched.gain == pytest.approx(0.208339, abs=5e-7)
 
 
 @pytest.mark.slow

@@ -484,37 +484,6 @@ def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None
     assert shown("order", "D-IOM") == number(1.92)
 
 
-def test_the_sentences_on_tolerances_say_each_bound_that_there_is() -> None:
-    from types import SimpleNamespace
-
-    from fraclink._design.assess import Tolerances
-    from fraclink._show.words import tolerance_sentences
-
-    made = SimpleNamespace(
-        payloads=(0.02, 0.04),
-        rig=SimpleNamespace(motor_loop=SimpleNamespace(pole=80.0)),
-    )
-
-    def said(*numbers: float) -> list[str]:
-        return tolerance_sentences(Tolerances(*numbers), made)  # type: ignore[arg-type]
-
-    assert said(0.012, 0.004, 0.2, 0.25, 6.0, 31.0) == [
-        "12 ms more delay",
-        "payloads down to 4 g and up to 200 g instead of 20 to 40 g",
-        "a link 0.25 to 6 times as stiff as the model",
-        "a motor loop as slow as 31 rad/s instead of 80 rad/s",
-    ]
-    assert said(math.inf, 0.0, math.inf, 0.0, math.inf, 0.0) == ["any payload"]
-    assert said(0.0, 0.004, math.inf, 0.0, 6.0, 0.0) == [
-        "payloads down to 4 g instead of 20 to 40 g",
-        "a link up to 6 times as stiff as the model",
-    ]
-    assert (
-        said(0.0, 0.0, 0.2, 0.25, math.inf, 0.0)[1]
-        == "a link 0.25 times as stiff as the model"
-    )
-
-
 def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -> None:
     from fraclink._design.assess import PhaseShare
     from fraclink._show.loops import budget_figure

@@ -61,7 +61,6 @@ HELD: dict[str, Any] = {
     "LinkModel": lambda: design().model,
     "Law": lambda: fl.discretize(design()),
     "Limits": lambda: fl.discretize(design()).limits,
-    "Tolerances": lambda: fl.tolerances(design()),
     "MarginCurve": lambda: fl.margin_curve(design(), [0.02, 0.03]),
     "Requirement": lambda: design().requirements[0],
     "Run": lambda: fl.simulate(

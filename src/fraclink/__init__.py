@@ -13,8 +13,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from fraclink.errors import warn_deprecated
-
 __version__ = "0.2.0"
 
 # Public name -> module that defines it, as the stub says it to editors and type
@@ -27,10 +25,6 @@ _HOME = {
     for alias in node.names
 }
 
-# Old public name -> (new public name, release that removes the old one);
-# docs/reference/stability.md.
-_RENAMED: dict[str, tuple[str, str]] = {}
-
 __all__ = sorted(["__version__", *_HOME])
 
 
@@ -41,10 +35,6 @@ def __getattr__(name: str) -> Any:
         # what is missing.
         globals()[name] = value
         return value
-    if name in _RENAMED:
-        new, removed = _RENAMED[name]
-        warn_deprecated(f"fraclink.{name}", use=f"fraclink.{new}", removed=removed)
-        return __getattr__(new)
     raise AttributeError(f"module 'fraclink' has no attribute {name!r}")
 
 

@@ -68,19 +68,14 @@ from fraclink._certify.statement import Certificate as Certificate
 from fraclink._certify.statement import Statement as Statement
 from fraclink._cli import main as main
 from fraclink._design.alternatives import FeasibilityMap as FeasibilityMap
-from fraclink._design.alternatives import (
-    compare_at_equal_sensitivity as compare_at_equal_sensitivity,
-)
 from fraclink._design.alternatives import feasibility_map as feasibility_map
 from fraclink._design.assess import MarginCurve as MarginCurve
 from fraclink._design.assess import PhaseShare as PhaseShare
-from fraclink._design.assess import Tolerances as Tolerances
 from fraclink._design.assess import VibrationMode as VibrationMode
 from fraclink._design.assess import margin_curve as margin_curve
 from fraclink._design.assess import mode_gains as mode_gains
 from fraclink._design.assess import phase_budget as phase_budget
 from fraclink._design.assess import spillover as spillover
-from fraclink._design.assess import tolerances as tolerances
 from fraclink._design.optimisation import Optimised as Optimised
 from fraclink._design.optimisation import optimise as optimise
 from fraclink._design.pid import tune_pid as tune_pid
@@ -229,4 +224,3 @@ from fraclink.findings import Verdict as Verdict
 __version__: str
 __all__: list[str]
 _HOME: dict[str, str]
-_RENAMED: dict[str, tuple[str, str]]

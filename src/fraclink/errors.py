@@ -14,15 +14,11 @@
 The command line turns ``FieldError`` and ``MissingExtraError`` into exit code 2 (bad
 input) and ``InfeasibleError``, ``NotCertifiedError`` and ``NotConvergedError`` into
 exit code 1 (failed). Warnings are ``FraclinkWarning`` with a stable code (``W101``
-...). A public name that will go warns with ``DeprecationWarning``;
-docs/reference/stability.md says when.
+...).
 """
 
 from __future__ import annotations
 
-import functools
-import warnings
-from collections.abc import Callable
 from typing import ParamSpec, TypeVar
 
 __all__ = [
@@ -256,62 +252,3 @@ class FraclinkWarning(UserWarning):
     def __init__(self, code: str, message: str) -> None:
         self.code, self.message = code, message
         super().__init__(f"{code}: {message}")
-
-
-def warn_deprecated(old: str, *, use: str, removed: str, depth: int = 1) -> None:
-    """Warn that `old` is removed in release `removed`, and name what to use instead.
-
-    The warning points at the line that uses the old name: `depth` callers above the
-    caller of this function.
-
-    >>> import warnings
-    >>> with warnings.catch_warnings(record=True) as caught:
-    ...     warnings.simplefilter("always")
-    ...     warn_deprecated("Plan", use="Design", removed="0.3")
-    >>> print(caught[0].message)
-    Plan is deprecated and will be removed in fraclink 0.3: use Design
-    """
-    text = f"{old} is deprecated and will be removed in fraclink {removed}: use {use}"
-    warnings.warn(text, DeprecationWarning, stacklevel=depth + 2)
-
-
-def deprecated(
-    *, use: str, removed: str, **renamed: str
-) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that warns at each call, or, with `renamed`, where an old
-    argument is given.
-
-    `renamed` maps an old argument to its new name; its value is passed on under that.
-
-    >>> @deprecated(use="phase_margin", removed="0.3", margin="phase_margin")
-    ... def design(*, phase_margin: float) -> float:
-    ...     return phase_margin
-    >>> import warnings
-    >>> with warnings.catch_warnings(record=True) as caught:
-    ...     warnings.simplefilter("always")
-    ...     print(design(margin=0.9), caught[0].message)
-    0.9 design(margin=…) is deprecated and will be removed in fraclink 0.3: use phase_margin=
-    """
-
-    def mark(function: Callable[P, R]) -> Callable[P, R]:
-        @functools.wraps(function)
-        def call(*args: P.args, **kwargs: P.kwargs) -> R:
-            if not renamed:
-                warn_deprecated(function.__name__, use=use, removed=removed)
-            for old, new in renamed.items():
-                if old in kwargs:
-                    # Given under both names, none can be preferred without ignoring the
-                    # other: Python's own answer to that is TypeError.
-                    if new in kwargs:
-                        raise TypeError(
-                            f"{function.__name__}() got both {old!r} and {new!r}, which replaces it"
-                        )
-                    warn_deprecated(
-                        f"{function.__name__}({old}=…)", use=f"{new}=", removed=removed
-                    )
-                    kwargs[new] = kwargs.pop(old)
-            return function(*args, **kwargs)
-
-        return call
-
-    return mark

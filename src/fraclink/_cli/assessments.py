@@ -32,19 +32,15 @@ from fraclink._cli.options import (
 from fraclink._design import Design, Requirement
 from fraclink._design import optimise as better
 from fraclink._design.alternatives import (
-    Alternative,
-    compare_at_equal_sensitivity,
     feasibility_map,
 )
 from fraclink._design.assess import (
     CurveKind,
     MarginCurve,
     PhaseShare,
-    Tolerances,
     margin_curve,
     mode_gains,
     phase_budget,
-    tolerances,
 )
 from fraclink._design.pid import tune_pid as pid_for
 from fraclink._files import output_path, write_json, write_text
@@ -70,16 +66,11 @@ _POINTS = (
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a design is worth: phase budget, margins, tolerances, rivals at equal Ms,
-    higher modes.
-    """
+    """What a design is worth: phase budget, margins, higher modes."""
 
     payloads: tuple[float, ...]
     budget: tuple[PhaseShare, ...]
     curves: tuple[MarginCurve, ...]
-    tolerances: Tolerances
-    max_sensitivity: float
-    rivals: tuple[Alternative, ...]
     modes: tuple[Requirement, ...]
 
     @property
@@ -91,9 +82,6 @@ class Assessment:
 @command(app)
 def assess(
     design_file: DesignFile,
-    max_sensitivity: Annotated[
-        float | None, "Ms at which rivals are compared; default: the design's own"
-    ] = None,
     link_mass: LinkMass = None,
     mode_damping: Annotated[
         float | None, "Damping ratio of modes 2 and 3; default: the model's damping"
@@ -104,8 +92,7 @@ def assess(
         Writes((*_FIGURES, _NUMBERS)),
     ] = None,
 ) -> Answer:
-    """Assess a design: phase budget, margins, tolerances, rivals at equal Ms, higher
-    modes.
+    """Assess a design: phase budget, margins, higher modes.
 
     $ fraclink assess design.json --link-mass 0.00735
     """
@@ -114,10 +101,6 @@ def assess(
     # Both ends and what lies between on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
     curves = tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS)
-    # Ms is one over the smallest distance from −1, of the loop as it is (the third
-    # curve): rivals tuned for more or less damping than that would not be compared, but
-    # handicapped.
-    peak = max_sensitivity or 1.0 / float(min(curves[2].modulus_margin))
     link = (
         made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
     )
@@ -125,9 +108,6 @@ def assess(
         payloads,
         tuple(phase_budget(made, low)),
         curves,
-        tolerances(made),
-        peak,
-        tuple(compare_at_equal_sensitivity(made, max_sensitivity=peak)),
         tuple(
             mode_gains(
                 replace(made, rig=replace(made.rig, link=link)),

@@ -1,6 +1,4 @@
-"""What else could be asked for, and what else could be built: the feasibility map,
-rivals at one Ms.
-"""
+"""What else could be asked for: the feasibility map."""
 
 from __future__ import annotations
 
@@ -10,35 +8,26 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
-from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop, noise_points
 from fraclink._arm.rig import Rig
-from fraclink._design.assess import PRINTED, axis_of, match_at
+from fraclink._design.assess import axis_of
 from fraclink._design.equations import equation, task_of
-from fraclink._law.design import Design, Specification
+from fraclink._law.design import Specification
 from fraclink._systems.sweep import bracketed_roots
 from fraclink._validate import Between, Frequency, PhaseMargin, checked
 from fraclink._validate.display import displayed
 from fraclink._validate.equality import compared
-from fraclink.errors import InfeasibleError, SizeError
+from fraclink.errors import SizeError
 
 __all__ = [
-    "Alternative",
     "FeasibilityMap",
-    "compare_at_equal_sensitivity",
     "feasibility_map",
-    "scale_to_sensitivity",
 ]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-PeakBound = Annotated[float, Between(1.0, 100.0, low_open=True)]
-# Ms and noise are smooth over ω₀; nine links, as for the requirements of a design, so
-# that two figures of one controller agree.
-_PAYLOADS = 9
 _POINTS = (
     320  # trial values of ω̄_c of a map; a root is then closed in on by secant steps
 )
@@ -48,193 +37,6 @@ _MARGINAL = 1e-6
 
 
 # ---- the same distance from -1 for all --------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Alternative:
-    """A controller and its worst values over the payload range of a design, on the loop
-    that runs.
-    """
-
-    name: str
-    controller: Controller
-    stable: bool
-    sensitivity_peak: float
-    gain_crossover: float  # smallest upper crossover [rad/s]
-    phase_margin: float  # smallest [rad]
-    noise_gain: float
-    settling_time: float  # 2π/gain_crossover [s]
-
-
-def compare_at_equal_sensitivity(
-    design: Design, *, max_sensitivity: float
-) -> tuple[Alternative, ...]:
-    """Rate C, C', PD and the best β at one worst Ms, and the paper's printed
-    controllers as they are.
-
-    C' has the order of the integer-model design matched to the design at the nominal
-    payload (eq. (42) with λ = 2); PD is β = 1. Each gets the largest gain that the
-    bound on Ms allows, with the design's own filter. For matched designs the published
-    advantage of the fractional model vanishes; this shows by how much.
-    """
-    own = design.controller
-    w0 = design.natural_frequency(design.rig.payloads.nominal)
-    found = design.ideal_loop.crossings(w0)
-    upper = int(np.argmax(found.frequency))
-    crossover = float(found.frequency[upper])
-    # The angle itself, 0 to 360°: a margin above 180° must not come as a negative one,
-    # which asks for another β.
-    margin = float(np.remainder(found.phase_margin[upper], 2.0 * math.pi))
-    matched = match_at(
-        replace(design.model, order=2.0, damping=0.0), w0, crossover, margin
-    )
-    entries = [
-        ("C, fractional model", own.order),
-        ("C', integer model", matched.order),
-        ("PD", 1.0),
-    ]
-    rivals = []
-    for name, order in entries:
-        # From the same |Ĉ| at the crossover: the factor on the gain that is then sought
-        # lies between 0.01 and 100.
-        start = _start(own, order, crossover)
-        rivals.append(
-            _rate(design, name, scale_to_sensitivity(design, start, max_sensitivity))
-        )
-    rivals.append(_best_order(design, max_sensitivity))
-    rivals += [
-        _rate(design, f"printed {name}", printed) for name, printed in PRINTED.items()
-    ]
-    return tuple(rivals)
-
-
-def _loop_of(design: Design, controller: Controller) -> Loop:
-    """The design's loop with another controller."""
-    return design.full_loop.with_controller(controller)
-
-
-def _rate(design: Design, name: str, controller: Controller) -> Alternative:
-    w0 = np.geomspace(*design.natural_frequencies, _PAYLOADS)
-    got = _loop_of(design, controller).achieved(w0, design.rig.period)
-    stable = bool(np.all(got.phase_margin > 0.0))
-    slowest = float(np.min(got.gain_crossover))
-    return Alternative(
-        name=name,
-        controller=controller,
-        stable=stable,
-        sensitivity_peak=float(np.max(got.sensitivity_peak)),
-        gain_crossover=slowest,
-        phase_margin=float(np.min(got.phase_margin)),
-        # Of an unstable loop the integral is finite, and says nothing: no stationary
-        # noise exists there.
-        noise_gain=float(np.max(got.noise_gain)) if stable else math.inf,
-        settling_time=2.0 * math.pi / slowest if slowest else math.inf,
-    )
-
-
-@checked
-def scale_to_sensitivity(
-    design: Design, controller: Controller, max_sensitivity: PeakBound
-) -> Controller:
-    """Return the controller with the largest gain whose worst Ms over the payloads is
-    `max_sensitivity` > 1.
-
-    Raises InfeasibleError where no gain reaches it.
-    """
-    bound = max_sensitivity
-    loop, w0 = (
-        _loop_of(design, controller),
-        np.geomspace(*design.natural_frequencies, _PAYLOADS),
-    )
-    # Steps of 4 %: Ms need not grow with the gain, so that the root is sought beside
-    # the last one that keeps it.
-    ratios = np.geomspace(1e-2, 1e2, 240)
-    kept = _rough_peaks(loop, w0, ratios) <= bound
-    if not kept.any():
-        raise InfeasibleError(
-            "sensitivity peak",
-            f"no gain brings Ms to {bound:g} with β = {controller.order:g}",
-        )
-
-    def excess(ratio: float) -> float:
-        return (
-            float(np.max(replace(loop, gain=ratio * loop.gain).sensitivity_peak(w0)))
-            - bound
-        )
-
-    last = int(np.nonzero(kept)[0][-1])
-    # A step to either side: the grid's peaks are a per cent low, and the true one may
-    # already exceed the bound at the last that kept it.
-    good, bad = (
-        float(ratios[max(last - 1, 0)]),
-        float(ratios[min(last + 1, ratios.size - 1)]),
-    )
-    if excess(bad) > 0.0:
-        good = float(brentq(excess, good, bad, xtol=1e-11 * good, rtol=1e-11))
-    return replace(controller, gain=good * controller.gain)
-
-
-def _rough_peaks(loop: Loop, w0: Real, ratios: Real) -> Real:
-    """Worst Ms for each factor on the gain, on a grid; infinite from the first factor
-    that is unstable on.
-
-    L is linear in the gain and keeps its phase: -1 is passed where |L| at the phase
-    crossing reaches one.
-    """
-    w = np.minimum(loop.peak(w0)[:, None] * np.geomspace(0.2, 60.0, 400), loop.highest)
-    log = loop.log(w, w0[:, None])
-    value, beyond = np.exp(log), log.imag <= -math.pi
-    # The initial value stands for a phase that never reaches −180°: no gain makes that
-    # loop unstable.
-    crossing = float(np.max(np.abs(value), where=beyond, initial=1e-300))
-    peaks = np.array([float(np.max(1.0 / np.abs(1.0 + r * value))) for r in ratios])
-    return np.where(ratios * crossing < 1.0, peaks, math.inf)
-
-
-def _start(own: Controller, order: float, frequency: float) -> Controller:
-    """The design's controller with another β and the same gain at `frequency` [rad/s]."""
-    # As `design` chooses n: a single pole behind s^β, β >= 1, leaves Ĉ and its noise
-    # rising (32).
-    n = max(own.filter_order, 2 if order >= 1.0 and own.filter_time else 1)
-    return replace(
-        own,
-        order=order,
-        gain=own.gain * frequency ** (own.order - order),
-        filter_order=n,
-    )
-
-
-def _best_order(design: Design, max_sensitivity: float) -> Alternative:
-    """The β, with the design's own filter, that crosses highest for the worst payload
-    at this Ms.
-    """
-    best: Alternative | None = None
-    # Three rounds of seven, each a third as wide: β to 0.013 with 21 fits, where its
-    # crossover is flat.
-    centre, width = design.controller.order, 0.35
-    for _ in range(3):
-        for order in map(float, centre + width * np.linspace(-1.0, 1.0, 7)):
-            # Theorem 1 needs β < λ, and β → 0 is a constant Ĉ, whose C(0) is not 1.
-            if not 0.05 < order < min(design.model.order, 1.95):
-                continue
-            start = _start(design.controller, order, design.gain_crossover_upper)
-            try:
-                rival = _rate(
-                    design,
-                    "best β",
-                    scale_to_sensitivity(design, start, max_sensitivity),
-                )
-            except InfeasibleError:
-                continue
-            if best is None or rival.gain_crossover > best.gain_crossover:
-                best = rival
-        centre = best.controller.order if best is not None else centre
-        width /= 3.0
-    if best is None:
-        raise InfeasibleError(
-            "sensitivity peak", f"no order β brings Ms to {max_sensitivity:g}"
-        )
-    return best
 
 
 # ---- the map of what can be asked for ---------------------------------------------------------------------

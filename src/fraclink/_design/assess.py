@@ -6,19 +6,15 @@ Also the closed-loop poles, and the controllers that the paper printed.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
-from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._law.design import Design, Requirement
 from fraclink._validate import (
@@ -35,16 +31,12 @@ __all__ = [
     "PRINTED",
     "MarginCurve",
     "PhaseShare",
-    "Tolerances",
     "VibrationMode",
     "axis_of",
     "margin_curve",
-    "match_at",
-    "matched_in",
     "mode_gains",
     "phase_budget",
     "spillover",
-    "tolerances",
 ]
 
 Real = NDArray[np.float64]
@@ -56,7 +48,6 @@ PRINTED: dict[str, Controller] = {
     "(58)": Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2),
     "(59)": Controller(gain=0.241, order=0.65, filter_time=0.16, filter_order=2),
 }
-_PAYLOADS = 9
 GainLimit = Annotated[float, Between(0.0, 1e3, low_open=True)]
 CurveKind = Literal["ideal", "motor", "loop", "sampled"]
 
@@ -216,94 +207,6 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
     return axis
 
 
-@dataclass(frozen=True)
-class Tolerances:
-    """How far one thing may be wrong before the loop is unstable at some payload of the
-    design.
-
-    ``delay`` [s] more than assumed; ``payload_low`` and ``payload_high`` [kg], the
-    lightest and heaviest stable payload (0 and infinity where there is no limit within
-    a factor of 49); ``stiffness_low`` and ``stiffness_high``, true over assumed
-    stiffness; ``motor_pole`` [rad/s], the slowest motor loop.
-    """
-
-    delay: float
-    payload_low: float
-    payload_high: float
-    stiffness_low: float
-    stiffness_high: float
-    motor_pole: float
-
-
-@checked
-def tolerances(design: Design) -> Tolerances:
-    """Return how much delay, payload, stiffness and motor-pole error the loop that runs
-    tolerates.
-    """
-    loop = design.full_loop
-    low, high = design.natural_frequencies
-    grid = np.geomspace(low, high, _PAYLOADS)
-    found = loop.crossings(grid)
-    # More delay at a falling crossing adds an encirclement of −1, and takes one away at
-    # a rising one (`Loop.margins`): only the falling ones are lost to it.
-    falling = found.slope < 0.0
-    # φ_m/ω_c at each, in [0, 2π): the smallest is not that of the smallest margin where
-    # a late gauge crosses often.
-    delay = float(
-        np.min(
-            np.remainder(found.phase_margin[falling], 2 * math.pi)
-            / found.frequency[falling]
-        )
-    )
-
-    def margin(changed: Loop, w0: Real | float) -> float:
-        return float(np.min(changed.margins(w0)[1]))
-
-    def stiff(ratio: float) -> float:
-        # θte = θm − Γ/c with the assumed c: a stiffer link moves the mode and shows in
-        # the gauge as gain.
-        changed = replace(loop, gauge_gain=ratio * loop.gauge_gain)
-        # Ends and middle: the least margin lies at an end, or inside where a late gauge
-        # puts it, and every link more is asked for at up to 120 stiffnesses.
-        return margin(changed, grid[[0, 4, 8]] * math.sqrt(ratio))
-
-    # A factor of 7 in ω₀ is one of 49 in payload, further than any design is asked
-    # about.
-    light = _edge(lambda w0: margin(loop, w0), high, 7.0 * high)
-    heavy = _edge(lambda w0: margin(loop, w0), low, low / 7.0)
-    slow = None
-    if loop.lag:
-        slow = _edge(
-            lambda p: margin(replace(loop, lag=1.0 / p), grid),
-            1.0 / loop.lag,
-            0.02 / loop.lag,
-        )
-    # A factor of 20 either way is farther than anybody is wrong about a stiffness.
-    soft, hard = _edge(stiff, 1.0, 0.05), _edge(stiff, 1.0, 20.0)
-    return Tolerances(
-        delay=delay,
-        payload_low=design.payload(light) if light else 0.0,
-        payload_high=design.payload(heavy) if heavy else math.inf,
-        stiffness_low=soft or 0.0,
-        stiffness_high=hard or math.inf,
-        motor_pole=slow or 0.0,
-    )
-
-
-def _edge(margin: Callable[[float], float], start: float, end: float) -> float | None:
-    """Where between `start` (stable) and `end` the signed margin first reaches zero;
-    None where never.
-    """
-
-    # The first edge counts, and a margin may come back behind it: so steps of a few
-    # percent, and then a root.
-    steps = [float(x) for x in np.geomspace(start, end, 60)]
-    for good, bad in itertools.pairwise(steps):
-        if margin(bad) <= 0.0:
-            return float(brentq(margin, good, bad, xtol=1e-12 * abs(start), rtol=1e-12))
-    return None
-
-
 @checked(prefix="mode.")
 @dataclass(frozen=True)
 class VibrationMode:
@@ -379,35 +282,3 @@ def mode_gains(
 
 
 # ---- poles ------------------------------------------------------------------------------------------------
-
-
-def match_at(
-    model: LinkModel,
-    natural_frequency: float,
-    gain_crossover: float,
-    phase_margin: float,
-) -> Controller:
-    """Return the unfiltered controller that has this crossover and margin at one ω₀
-    (eq. (42)): C'.
-
-    One complex equation in k_d and β; `gain_crossover` [rad/s], `phase_margin` [rad].
-
-    >>> link = LinkModel(stiffness=1.56, natural_frequency=11.54, order=2.0)
-    >>> matched = match_at(link, 11.54, 20.865280, 1.2346783)
-    >>> print(f"{matched.order:.6f} {matched.gain:.6f}")
-    0.786021 0.208339
-    """
-    return matched_in(
-        Loop.ideal(model), natural_frequency, gain_crossover, phase_margin
-    )
-
-
-def matched_in(
-    beside: Loop, natural_frequency: float, gain_crossover: float, phase_margin: float
-) -> Controller:
-    """Return the same for any loop without its Ĉ: what stands beside k_d s^β."""
-    value = complex(beside.log(gain_crossover, natural_frequency))
-    # The phase of k_d (jω)^β is βπ/2 whatever k_d: (55) is linear in β, and k_d follows
-    # from |L| = 1.
-    order = 2.0 / math.pi * (phase_margin - math.pi - value.imag)
-    return Controller(gain=math.exp(-value.real) / gain_crossover**order, order=order)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fraclink._show.text import looked_up
-from fraclink._show.views import repeated, rival_sentences
+from fraclink._show.views import repeated
 
 if TYPE_CHECKING:
     from fraclink._campaign import Summary
@@ -143,8 +143,7 @@ def _assessment_json(found: Any) -> dict[str, Any]:
         "phase_margin": {
             curve.kind: plain(curve.phase_margin) for curve in found.curves
         },
-        "rivals": list(rival_sentences(found.rivals)),
-    } | _record("payloads tolerances max_sensitivity spillover:modes", found)
+    } | _record("payloads spillover:modes", found)
 
 
 def _faults_json(table: Any) -> dict[str, Any]:

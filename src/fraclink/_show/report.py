@@ -16,7 +16,7 @@ from fraclink._campaign import Campaign, Summary, columns
 from fraclink._campaign.study import Study
 from fraclink._design import Design
 from fraclink._design.alternatives import feasibility_map
-from fraclink._design.assess import phase_budget, tolerances
+from fraclink._design.assess import phase_budget
 from fraclink._files import write_text
 from fraclink._show import figures, fleets, loops, runs, tables, words
 from fraclink._show.arm_box import arm_box, page_hash
@@ -94,7 +94,6 @@ def render_report(
         if study.rig
         else "",
         said=words.arm_sentences(study.rig, model) if study.rig else [],
-        tolerated=_tolerated(design),
         rig_findings=[
             finding for finding in study.findings if finding.code.startswith("W1")
         ],
@@ -139,10 +138,6 @@ def _copy(drawing: str) -> str:
 def _zone(design: Design | None) -> str:
     low, high = design.payloads if design else (0.0, 0.0)
     return f"{number(1e3 * low)} to {number(1e3 * high)} g"
-
-
-def _tolerated(design: Design | None) -> list[str]:
-    return words.tolerance_sentences(tolerances(design), design) if design else []
 
 
 def _faults(study: Study) -> Mapping[str, Any] | None:

@@ -12,7 +12,6 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._campaign.study import Study
 from fraclink._design import Design
-from fraclink._design.assess import Tolerances
 from fraclink._show.tables import source_name
 from fraclink._show.text import degrees, grams, number, option
 
@@ -24,7 +23,6 @@ __all__ = [
     "sketch_notes",
     "steps",
 ]
-__all__ += ["tolerance_sentences"]
 
 _LEFT = 0.05  # of a swing: what nobody sees any more
 
@@ -91,47 +89,6 @@ def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
     payload = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}"
     gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
     return f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms", gauge, payload
-
-
-def tolerance_sentences(found: Tolerances, design: Design) -> list[str]:
-    """How far one thing may be off before the loop is unstable, each alone."""
-    low, high = design.payloads
-    said = []
-    if 0.0 < found.delay < math.inf:
-        said.append(f"{number(1e3 * found.delay, 2)} ms more delay")
-    light = (
-        f"down to {number(1e3 * found.payload_low, 2)} g"
-        if found.payload_low > 0
-        else ""
-    )
-    heavy = (
-        f"up to {grams(found.payload_high)}"
-        if math.isfinite(found.payload_high)
-        else ""
-    )
-    ends = " and ".join(part for part in (light, heavy) if part)
-    said.append(
-        f"payloads {ends} instead of {number(1e3 * low)} to {grams(high)}"
-        if ends
-        else "any payload"
-    )
-    soft = f"{number(found.stiffness_low, 2)}" if found.stiffness_low > 0 else ""
-    hard = (
-        f"{number(found.stiffness_high, 3)}"
-        if math.isfinite(found.stiffness_high)
-        else ""
-    )
-    if soft or hard:
-        span = " to ".join(part for part in (soft, hard) if part)
-        said.append(
-            f"a link {'up to ' if not soft else ''}{span} times as stiff as the model"
-        )
-    if found.motor_pole > 0:
-        rate = number(found.motor_pole, 2)
-        said.append(
-            f"a motor loop as slow as {rate} rad/s instead of {number(design.rig.motor_loop.pole)} rad/s"
-        )
-    return said
 
 
 def nearest_command(study: Study) -> str:
