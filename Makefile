@@ -8,7 +8,7 @@ PY := $(BIN)/python
 PIP := $(PY) -m pip install --quiet --quiet --disable-pip-version-check
 STAMP := $(VENV)/.installed
 # An editable install knows the modules that there were when it was made: a new one needs another.
-MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
+MODULES := $(VENV)/.modules-$(shell find src prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
 .PHONY: setup demo test quick coverage lint bench bench-short build docs fuzz reproduce clean lock dist-check

@@ -15,13 +15,10 @@ from pathlib import Path
 import numpy as np
 
 import fraclink as fl
-from fraclink._campaign import (
-    Campaign,
-    run_campaign,
-    save_campaign,
-    simulate_part,
-)
-from fraclink._campaign import arms as part_module
+from fraclink.trials import _arms as part_module
+from fraclink.trials._arms import simulate_part
+from fraclink.trials._campaign import Campaign, save_campaign
+from fraclink.trials._run import run_campaign
 from harness import line, sizes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -141,7 +138,7 @@ def scaling(runs: int) -> None:
 
 MEMORY = """
 import resource, sys
-from fraclink._campaign.run import compute
+from fraclink.trials._run import compute
 for part in range(int(sys.argv[2])):
     compute(sys.argv[1], part)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -14,15 +14,16 @@ import time
 import numpy as np
 
 import fraclink as fl
+import fracsys
 from harness import line, sizes
 
 NOISE, ORDER, FREQUENCY, DELAY = 0.05, 1.92, 10.02, 0.002
 LINES = np.geomspace(1.0, 80.0, 200)
 
 
-def arm() -> fl.FractionalTransferFunction:
+def arm() -> fracsys.FractionalTransferFunction:
     """θm/V of link and motor."""
-    rig, s = fl.Rig.named("paper-2023-geared"), fl.s
+    rig, s = fl.Rig.named("paper-2023-geared"), fracsys.s
     inertia = rig.motor.inertia * rig.motor.gear_ratio**2
     link = s**ORDER / (s**ORDER + FREQUENCY**2)
     return (
@@ -44,7 +45,7 @@ def missed(seeds: int, low: float, high: float, code: str) -> tuple[int, int]:
     same.
     """
     found = [
-        fl.identify_driven_link(noisy(seed).between(low, high), details=False)
+        fl.extend.identify_driven_link(noisy(seed).between(low, high), details=False)
         for seed in range(seeds)
     ]
     return sum(code in {f.code for f in fit.findings} for fit in found), sum(
@@ -54,12 +55,12 @@ def missed(seeds: int, low: float, high: float, code: str) -> tuple[int, int]:
 
 def main() -> None:
     seeds = sizes(__doc__, seeds=(20, 1)).seeds
-    clean = fl.identify_driven_link(
+    clean = fl.extend.identify_driven_link(
         fl.FrequencyResponse(LINES, arm()(1j * LINES)), details=False
     )
     dip, peak = FREQUENCY ** (2 / ORDER), float(clean.peak or np.nan)
     begin = time.process_time()
-    fits = [fl.identify_driven_link(noisy(seed)) for seed in range(seeds)]
+    fits = [fl.extend.identify_driven_link(noisy(seed)) for seed in range(seeds)]
     seconds = (time.process_time() - begin) / seeds
     dips = max(abs(fit.anti_resonance / dip - 1) for fit in fits)
     peaks = max(abs((fit.peak or np.nan) / peak - 1) for fit in fits)

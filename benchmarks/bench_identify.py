@@ -29,8 +29,8 @@ from fraclink._identify import (
     simulated_torque,
 )
 from fraclink._identify.shape import Window
-from fraclink._logs import bundled_log, read_log
-from fraclink._systems.response import grunwald_letnikov
+from fraclink._reading.reading import bundled_log, read_log
+from fracsys._response import grunwald_letnikov
 from harness import interleaved, line, median, sizes
 from identify_logs import NOISE, PERIOD, SAMPLES, TRUTH, clean_log, noisy_log
 

@@ -36,16 +36,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
+import fracsys
 from fraclink._files import write_text
-from fraclink._systems.response import grunwald_letnikov
+from fracsys._response import grunwald_letnikov
 from harness import line
 
 PAGE = Path(__file__).parents[1] / "docs" / "explanation" / "_peers.md"
 Real = NDArray[np.float64]
 
 ORDER, SQUARE = 1.92, 100.0
-LINK = SQUARE / (fl.s**ORDER + SQUARE)
-LOOP = 0.148 * fl.s**0.65 * LINK
+LINK = SQUARE / (fracsys.s**ORDER + SQUARE)
+LOOP = 0.148 * fracsys.s**0.65 * LINK
 PERIOD, DURATION = 0.004, 2.0
 TIME = np.arange(round(DURATION / PERIOD) + 1) * PERIOD
 # FOMCON's defaults: Oustaloup's filter of order 5 over 0.001 … 1000 rad/s is 2·5 + 1
@@ -109,7 +110,7 @@ def true_margin() -> float:
         return float(180 + mpmath.degrees(mpmath.arg(loop(crossing))))
 
 
-def default_loop() -> fl.FractionalTransferFunction:
+def default_loop() -> fracsys.FractionalTransferFunction:
     """1/(1 + ĈG) of the design for 20 g … 40 g, 12 rad/s and 50°, at 30 g."""
     rig = fl.Rig.named("paper-2023")
     design = fl.design(
@@ -137,7 +138,7 @@ def step_rows() -> list[Row]:
 
     ones = np.ones(len(TIME))
     rows = [
-        row("fraclink, `step_response`", fl.step_response(LINK, TIME).output),
+        row("fraclink, `step_response`", fracsys.step_response(LINK, TIME).output),
         row(
             "Grünwald–Letnikov sums (FOMCON's `lsim`, CRONE's \"Grunwald\"; our code)",
             grunwald(1),
@@ -216,7 +217,9 @@ def margin_rows() -> list[Row]:
     def row(tool: str, value: float) -> Row:
         return Row(problem, tool, digit(abs(value - exact), "°"))
 
-    rows = [row("fraclink, `margins`", math.degrees(fl.margins(LOOP).phase_margin))]
+    rows = [
+        row("fraclink, `margins`", math.degrees(fracsys.margins(LOOP).phase_margin))
+    ]
     for name, grid in (
         ("50 points over two decades", np.geomspace(1, 100, 50)),
         ("FOMCON's default", GRID),
@@ -245,7 +248,7 @@ def margin_rows() -> list[Row]:
 def pole_rows() -> list[Row]:
     """Relative error of the dominant pole of the closed loop."""
     closed = default_loop()
-    found = fl.poles(closed)[0]
+    found = fracsys.poles(closed)[0]
     terms = [(term.coefficient, term.order) for term in closed.denominator]
     with mpmath.workdps(50):
         exact = complex(
@@ -280,10 +283,12 @@ def pole_rows() -> list[Row]:
     ]
 
 
-def stand_in(system: fl.FractionalTransferFunction, pairs: int) -> control.StateSpace:
+def stand_in(
+    system: fracsys.FractionalTransferFunction, pairs: int
+) -> control.StateSpace:
     """A rational system for a tool that knows no other."""
     return control.ss(
-        *fl.approximate(
+        *fracsys.approximate(
             system, band=BAND, order=pairs, method="oustaloup"
         ).state_space()
     )
@@ -346,7 +351,7 @@ def cost() -> Row:
 
     ratios = [
         spent(lambda: grunwald_letnikov(LINK, ones, PERIOD))
-        / spent(lambda: fl.time_response(LINK, ones, PERIOD))
+        / spent(lambda: fracsys.time_response(LINK, ones, PERIOD))
         for _ in range(5)
     ]
     return Row(

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 from mpmath import mp, mpf
 
-from fraclink import (
+from fraclink import errors
+from fracsys import (
     FractionalTransferFunction,
-    errors,
     impulse_response,
     poles,
     step_response,
     time_response,
 )
-from fraclink import s as laplace
-from fraclink._systems.terms import Term
+from fracsys import s as laplace
+from fracsys._terms import Term
 from harness import line, sizes
 
 AGREED = mpf(10) ** -19  # two contours, relative to the response

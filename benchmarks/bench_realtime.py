@@ -19,8 +19,10 @@ import numpy as np
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._law import Law, equip
-from fraclink._realtime import Callback, measure_wake_ups, run_realtime
 from fraclink._simulate import geared
+from fraclink.lab._connections import Callback
+from fraclink.lab._loop import run_realtime
+from fraclink.lab._machine import measure_wake_ups
 from harness import line, sizes
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -64,7 +66,7 @@ def jitter(period: float, seconds: float, rounds: int, busy: int) -> None:
     with busy_loops(busy):
         for _ in range(rounds):
             bare.append(measure_wake_ups(period, step=period, **options).latency)
-            runs.append(run_realtime(law, fl.hold(0.0), arm, **options))
+            runs.append(run_realtime(law, fl.extend.hold(0.0), arm, **options))
     loop, peer = np.concatenate([run.latency for run in runs]), np.concatenate(bare)
     name = f"{1e3 * period:g} ms, {'busy' if busy else 'quiet'}: "
     granted = f"{runs[0].scheduling}, memory {runs[0].memory}"

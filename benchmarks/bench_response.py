@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from scipy.fft import rfft
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.modes import DiscreteModes
-from fraclink._systems.response import (
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._modes import DiscreteModes
+from fracsys._response import (
     discrete_modes,
     grunwald_letnikov,
     held_quotient,

@@ -14,13 +14,13 @@ from functools import partial
 import control
 import numpy as np
 
-from fraclink._systems.discrete import _target as discrete_target
-from fraclink._systems.discrete import fit_discrete
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.interop import to_control
-from fraclink._systems.margins import margins
-from fraclink._systems.minimax import PartialFractions, improve, score
-from fraclink._systems.roots import log_zeros
+from fracsys._discrete import _target as discrete_target
+from fracsys._discrete import fit_discrete
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._interop import to_control
+from fracsys._margins import margins
+from fracsys._minimax import PartialFractions, improve, score
+from fracsys._roots import log_zeros
 from harness import interleaved, line, median, sizes, timed
 
 PERIOD = 0.004

@@ -50,7 +50,7 @@ class Outcome:
     physical: int = 0
 
 
-def compared(shape: Shape, found: fl.Start) -> Iterator[str]:
+def compared(shape: Shape, found: fl.logs.Start) -> Iterator[str]:
     """What `start` has taken wrongly."""
     log, true = found.experiment, motion()
     if abs(log.period / PERIOD - 1) > 1e-6:
@@ -119,7 +119,7 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
     if code:
         return [f"{named[0]}: exit code {code}: {text[-300:]}"]
     if "identify-structure" in named[0]:
-        found = fl.StructureFit.load(str(path) + ".json").parameters
+        found = fl.extend.StructureFit.load(str(path) + ".json").parameters
         if (
             abs(found["a"] - ORDER) > 0.03
             or abs(found["w"] ** (1 / found["a"]) / FREQUENCY ** (2 / ORDER) - 1) > 0.02
@@ -155,7 +155,7 @@ def tried(shape: Shape, folder: Path) -> Outcome:
     outcome.decisions = len(column)
     for told, answer in (*shape.steps, ("", None)):
         try:
-            found = fl.start(path, column=column, **options)
+            found = fl.logs.start(path, column=column, **options)
         except ValueError as error:
             said = " ".join(str(error).split())
             if answer is None or told.lower() not in said.lower():
@@ -217,7 +217,7 @@ def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
     """Bundled and recorded logs: the file, what only its laboratory knows, the log as
     its rig states it.
     """
-    for name in fl.bundled_logs():
+    for name in fl.extend.bundled_logs():
         path = fl.bundled_log(name)
         yield name, path, (), fl.read_log(path)
     tests = Path(__file__).resolve().parents[1] / "tests"
@@ -238,7 +238,7 @@ def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
             yield name, data / name, stated, known
 
 
-def compared_with(found: fl.Start, known: fl.Experiment) -> Iterator[str]:
+def compared_with(found: fl.logs.Start, known: fl.Experiment) -> Iterator[str]:
     """Where `start` took a log otherwise than its rig; a gauge that is not calibrated
     may have any factor.
     """
@@ -272,7 +272,7 @@ def known() -> tuple[int, int, list[str]]:
     for name, path, stated, log in known_logs():
         count += 1
         try:
-            found = fl.start(path, column=stated)
+            found = fl.logs.start(path, column=stated)
         except ValueError as error:
             wrong.append(f"{name}: {error}")
             continue

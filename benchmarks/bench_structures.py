@@ -33,6 +33,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import fraclink as fl
+import fracsys
 from fraclink._identify.expression import parse_expression
 from harness import line, sizes
 
@@ -137,7 +138,7 @@ def binary(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray:
 
 def measured(
     example: Example, samples: int, seed: int
-) -> fl.Recording | fl.FrequencyResponse:
+) -> fl.extend.Recording | fl.FrequencyResponse:
     """What a laboratory would have: the exact response with noise."""
     rng = np.random.default_rng(seed)
     G = parse_expression(example.expression).function(example.truth)
@@ -148,14 +149,14 @@ def measured(
             w, G(1j * w) * (1 + NOISE * (noise[0] + 1j * noise[1]) / np.sqrt(2))
         )
     u = binary(rng, samples, round(example.bit / example.period))
-    y = fl.time_response(G, u, example.period).output
-    return fl.Recording(
+    y = fracsys.time_response(G, u, example.period).output
+    return fl.extend.Recording(
         example.period, u, y + NOISE * y.std() * rng.standard_normal(samples)
     )
 
 
 def difference_fit(
-    example: Example, record: fl.Recording, split: int = 1
+    example: Example, record: fl.extend.Recording, split: int = 1
 ) -> tuple[float, float, int]:
     """Seconds, worst relative error and simulations of a Grünwald–Letnikov fit, begun
     20 % off.
@@ -170,7 +171,7 @@ def difference_fit(
         nonlocal count
         count += 1
         G = structure.function(dict(zip(names, (x * truth).tolist(), strict=True)))
-        output = fl.grunwald_letnikov(G, finer, record.period / split)
+        output = fracsys.grunwald_letnikov(G, finer, record.period / split)
         # A held input jumps behind its sample, the scheme's at it: the sample before
         # the jump is compared.
         return np.asarray(output[split - 1 :: split][:-1] - record.output[1:])
@@ -183,10 +184,10 @@ def difference_fit(
 
 
 def seconds_of(
-    example: Example, data: fl.Recording | fl.FrequencyResponse, *, details: bool
-) -> tuple[float, fl.StructureFit]:
+    example: Example, data: fl.extend.Recording | fl.FrequencyResponse, *, details: bool
+) -> tuple[float, fl.extend.StructureFit]:
     heldout = (
-        0.0 if isinstance(data, fl.Recording) else None
+        0.0 if isinstance(data, fl.extend.Recording) else None
     )  # a response has nothing to hold out
     start = time.process_time()
     fit = fl.identify_structure(

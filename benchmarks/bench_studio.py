@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import fraclink as fl
-from fraclink._studio.preview import Subject, preview
+from fraclink.studio._preview import Subject, preview
 from harness import line, sizes
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))

@@ -26,12 +26,12 @@ import numpy as np
 import fraclink as fl
 from fraclink._arm.box import Arm
 from fraclink._arm.link import SecondMode
-from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_guard import Guard
-from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink._simulate import PowerLaw
 from fraclink.errors import FraclinkError
+from fraclink.lab._connections import Callback, Command
+from fraclink.lab._line import open_line
+from fraclink.lab._tune_guard import Guard
+from fraclink.lab._tune_wiring import WiringFault, check_wiring
 from harness import line, sizes
 
 PAPER = fl.Rig.named("paper-2023-geared")
@@ -51,10 +51,12 @@ def _rig(
 ) -> fl.Rig:
     return replace(
         PAPER,
-        link=fl.Link(
+        link=fl.extend.Link(
             length=length, flexural_rigidity=stiffness * length / 3, stiffness=stiffness
         ),
-        payloads=fl.Payloads(low=0.75 * payload, high=1.35 * payload, nominal=payload),
+        payloads=fl.extend.Payloads(
+            low=0.75 * payload, high=1.35 * payload, nominal=payload
+        ),
         motor=replace(PAPER.motor, gear_ratio=gear),
         gauge=replace(
             PAPER.gauge,
@@ -166,7 +168,7 @@ def broken(record: np.ndarray, limits: fl.MotionLimits) -> list[str]:
 
 
 def truth(
-    drawn: Drawn, design: fl.Design, made: fl.FirstMove | None
+    drawn: Drawn, design: fl.Design, made: fl.lab.FirstMove | None
 ) -> tuple[float, float, list[str]]:
     """(promised, true) phase margin [°] at the tuned payload, and why moves of the true
     arm fail.
@@ -212,7 +214,7 @@ def truth(
 def one_arm(seed: int, out: Path) -> dict[str, Any]:
     """Tune one arm, and compare with the truth."""
     drawn = draw(seed)
-    arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
+    arm = fl.lab.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
     began = time.process_time()
     found = fl.tune(
         arm.callback, plan_of(drawn), out=out / f"{seed}", force=True, clock="none"
@@ -327,7 +329,7 @@ def report(results: list[dict[str, Any]]) -> None:
 
 
 def wired(
-    arm: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1
+    arm: fl.lab.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1
 ) -> Callback:
     """The arm with factors on its wires."""
 
@@ -341,7 +343,7 @@ def wired(
     return Callback(read, write)
 
 
-WRONG: dict[str, Callable[[fl.SimulatedArm], Callback]] = {
+WRONG: dict[str, Callable[[fl.lab.SimulatedArm], Callback]] = {
     "encoder reversed": lambda arm: wired(arm, angle=-1),
     "motor reversed": lambda arm: wired(arm, voltage=-1),
     "gauge reversed": lambda arm: wired(arm, torque=-1),
@@ -359,7 +361,7 @@ def wiring(count: int) -> None:
     for fault, wire in WRONG.items():
         for seed in range(count):
             drawn = draw(seed)
-            arm = fl.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
+            arm = fl.lab.SimulatedArm(drawn.twin, drawn.shape.rig.period, seed=seed)
             guard = Guard(
                 partial(open_line, wire(arm), drawn.shape.rig.period, clock="none"),
                 drawn.shape.limits,
@@ -399,7 +401,7 @@ PAPER_TWIN = fl.Twin.from_rig(PAPER)
 def running(law: fl.Law, twin: fl.Twin, seed: int) -> fl.Experiment:
     """Twenty seconds of random moves under a law."""
     random = np.random.default_rng(seed)
-    path, at = fl.hold(0.0, 0.5), 0.0
+    path, at = fl.extend.hold(0.0, 0.5), 0.0
     while path.duration < 20.0:
         to, pause = float(random.uniform(-0.35, 0.35)), float(random.uniform(0.0, 0.6))
         path, at = (
@@ -442,13 +444,13 @@ def watching(count: int, windows: int) -> None:
         ),
     }
     with tempfile.TemporaryDirectory() as folder:
-        arm = fl.SimulatedArm(PAPER_TWIN, PAPER.period, seed=1)
+        arm = fl.lab.SimulatedArm(PAPER_TWIN, PAPER.period, seed=1)
         plan = fl.TuningPlan(SHAPES[0].limits, 0.030, period=PAPER.period)
         tuned = fl.tune(arm.callback, plan, out=Path(folder), moves=False, clock="none")
         law = fl.load(Path(folder) / "design.json").law()
     right = {
         name: sum(
-            fl.watch(running(law, twins[k % len(twins)], k), tuned).due == (name,)
+            fl.lab.watch(running(law, twins[k % len(twins)], k), tuned).due == (name,)
             for k in range(count)
         )
         for name, twins in changed.items()
@@ -462,7 +464,7 @@ def watching(count: int, windows: int) -> None:
     )
     hours = windows * 20 / 3600
     alarms = sum(
-        bool(fl.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due)
+        bool(fl.lab.watch(running(law, PAPER_TWIN, 1000 + k), tuned).due)
         for k in range(windows)
     )
     line(

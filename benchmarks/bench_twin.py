@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.reference import prbs, smooth_step
 from fraclink._arm.rig import Rig
-from fraclink._campaign.setting import NominalLoop, law_filter, sampled
 from fraclink._design import design
 from fraclink._identify import compare_structures
 from fraclink._kernels import twin_march
@@ -29,6 +28,7 @@ from fraclink._simulate import (
     geared,
     simulate_log,
 )
+from fraclink.trials._setting import NominalLoop, law_filter, sampled
 from harness import line, sizes
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))

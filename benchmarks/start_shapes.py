@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
+import fracsys
 
 Array = NDArray[np.float64]
 PERIOD, COUNT, LENGTH, STIFFNESS = 0.004, 3000, 0.32, 1.56
@@ -34,14 +35,14 @@ def motion() -> dict[str, Array]:
         angle = np.convolve(
             np.concatenate((np.zeros(15), angle)), np.ones(16) / 16, "valid"
         )[:COUNT]
-    link = fl.s**ORDER / (fl.s**ORDER + FREQUENCY**2)
-    bent = fl.time_response(link, angle, PERIOD, hold="first").output
+    link = fracsys.s**ORDER / (fracsys.s**ORDER + FREQUENCY**2)
+    bent = fracsys.time_response(link, angle, PERIOD, hold="first").output
     late = np.concatenate((np.zeros(round(DELAY / PERIOD)), bent))[:COUNT]
     speed = np.gradient(angle, PERIOD)
     noise = np.random.default_rng(5).normal(0, 0.003, COUNT)
     push = np.gradient(speed, PERIOD) + 15.15 * speed + STIFFNESS / 0.05 * bent
     turned = angle + np.clip(time - 1, 0, 10) * 1.2
-    swing = fl.time_response(link, turned, PERIOD, hold="first").output
+    swing = fracsys.time_response(link, turned, PERIOD, hold="first").output
     return {
         "long angle": turned,
         "long torque": STIFFNESS * (swing + noise),
@@ -371,18 +372,21 @@ def signals() -> dict[str, Shape]:
     acceleration = (
         LENGTH * np.gradient(np.gradient(m["smooth tip"], PERIOD), PERIOD) + noise[0]
     )
-    turned = fl.time_response(
-        61.1 / (fl.s * (fl.s + 15.15)),
+    turned = fracsys.time_response(
+        61.1 / (fracsys.s * (fracsys.s + 15.15)),
         np.repeat(np.random.default_rng(2).choice([-3.0, 3.0], 60), 50),
         PERIOD,
     )
     drive = np.repeat(np.random.default_rng(2).choice([-3.0, 3.0], 60), 50)
     ring = 0.1 * (
-        1 - fl.step_response(FREQUENCY**2 / (fl.s**ORDER + FREQUENCY**2), t).output
+        1
+        - fracsys.step_response(
+            FREQUENCY**2 / (fracsys.s**ORDER + FREQUENCY**2), t
+        ).output
     )
     held = np.concatenate((np.full(100, ring[0]), ring))[:COUNT] + 0.2 * noise[0]
     w = np.geomspace(1, 80, 120)
-    h = (fl.s**ORDER / (fl.s**ORDER + FREQUENCY**2))(1j * w)
+    h = (fracsys.s**ORDER / (fracsys.s**ORDER + FREQUENCY**2))(1j * w)
     return {
         "strain in volts, turned, offset": Shape(
             written(table({**both, "strain_V": 0.05 - 0.4 * d})), **raw

@@ -19,9 +19,11 @@ def main(folder: Path) -> None:
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    campaign = fl.Campaign.of(rig, rig.model, fl.discretize(design), runs=2000, seed=1)
-    fl.run_campaign(campaign, folder / "arms")  # resumes where it was stopped
-    summary = fl.summarise(campaign, folder / "arms")
+    campaign = fl.trials.Campaign.of(
+        rig, rig.model, fl.discretize(design), runs=2000, seed=1
+    )
+    fl.trials.run_campaign(campaign, folder / "arms")  # resumes where it was stopped
+    summary = fl.trials.summarise(campaign, folder / "arms")
     print(summary.failure.sentence)
     settling = next(
         metric for metric in summary.metrics if metric.name == "settling_time"

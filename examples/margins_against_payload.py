@@ -27,8 +27,8 @@ def main(folder: Path) -> None:
             f"{1e3 * payload:2.0f} g: {np.degrees(left.phase_margin):5.1f}°, Ms {1 / left.modulus_margin:.2f}"
         )
 
-    curves = [fl.margin_curve(design, np.linspace(0.008, 0.060, 40))]
-    axes = fl.margins_against_payload(
+    curves = [fl.extend.margin_curve(design, np.linspace(0.008, 0.060, 40))]
+    axes = fl.view.margins_against_payload(
         curves, payloads=design.payloads, wanted=fl.deg(50)
     )
     axes.figure.savefig(folder / "margins.svg")

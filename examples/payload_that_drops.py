@@ -24,7 +24,7 @@ def main(folder: Path) -> None:
     move = fl.smooth_step(1.0, duration=1.0)
     for name, events in (
         ("30 g", []),
-        ("30 g, then 20 g", [fl.PayloadChange(time=0.6, payload=0.020)]),
+        ("30 g, then 20 g", [fl.extend.PayloadChange(time=0.6, payload=0.020)]),
     ):
         run = fl.simulate(
             fl.discretize(design), move, arm=arm, duration=4.0, events=events

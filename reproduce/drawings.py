@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fraclink._show.axes import BLUE, GREY, INK, figure, svg
+from fraclink.view._axes import BLUE, GREY, INK, figure, svg
 from reproduce.figures import WIDTH, Picture
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink._show.axes import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
+from fraclink.view._axes import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
 from reproduce import designs
 from reproduce.logs import twin_fits
 from reproduce.loops import LOOP_DELAY, SWEEP, last_crossing, sampled

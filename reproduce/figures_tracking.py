@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink._show.axes import BLUE, GREY, ORANGE, figure, svg
 from fraclink._simulate import Run
+from fraclink.view._axes import BLUE, GREY, ORANGE, figure, svg
 from reproduce import designs
 from reproduce.figures import WIDTH, Picture
 from reproduce.loops import sampled

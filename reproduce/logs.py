@@ -18,7 +18,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._identify import compare_structures, identify_payloads
 from fraclink._identify.payloads import JointFit
-from fraclink._logs import bundled_log, read_log
+from fraclink._reading.reading import bundled_log, read_log
 from fraclink._simulate import Beam, PowerLaw, Sensors, TwinLog, simulate_log
 from reproduce import designs
 

@@ -17,7 +17,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import sampled_plant
 from fraclink._law import discretize
 from fraclink._law.requirement import margins_of
-from fraclink._systems.margins import Margins, margins
+from fracsys._margins import Margins, margins
 from reproduce import designs
 
 __all__ = [

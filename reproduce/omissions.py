@@ -17,7 +17,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import Method, place_pid
 from fraclink._design import Design, design
 from fraclink._design.assess import PRINTED
-from fraclink._systems.margins import margins
+from fracsys._margins import margins
 from reproduce import designs
 
 __all__ = ["costs", "facts", "sampled_margins"]

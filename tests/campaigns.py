@@ -8,10 +8,10 @@ import sys
 from pathlib import Path
 
 import fraclink as fl
-from fraclink._campaign import Campaign, save_campaign
-from fraclink._campaign.faults import Bench
-from fraclink._campaign.run import write_part
 from fraclink._simulate import geared
+from fraclink.trials._campaign import Campaign, save_campaign
+from fraclink.trials._faults import Bench
+from fraclink.trials._run import write_part
 
 
 @functools.cache
@@ -81,7 +81,7 @@ def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
     """`run_campaign` for the campaign kept in `folder`, as a process in a session of
     its own.
     """
-    code = "import sys; from fraclink._campaign import run_campaign, load_campaign; f = sys.argv[1]; "
+    code = "import sys; from fraclink.trials import run_campaign, load_campaign; f = sys.argv[1]; "
     code += f"run_campaign(load_campaign(f), f, workers={workers})"
     return subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", code, str(folder)],

@@ -13,7 +13,7 @@ import pytest
 import fraclink as fl
 from fraclink._cli import main
 from fraclink._design.completed import design_for
-from fraclink._logs import bundled_log
+from fraclink._reading.reading import bundled_log
 
 RIG = fl.Rig.named("paper-2023")
 

@@ -9,12 +9,18 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PACKAGE = ROOT / "src" / "fraclink"
+PACKAGES = (ROOT / "src" / "fracsys", ROOT / "src" / "fraclink")
+
+
+def component(name: str) -> str:
+    """``fraclink._arm.rig`` -> ``_arm``, ``fracsys._roots`` -> ``fracsys``."""
+    package, _, rest = name.partition(".")
+    return rest.partition(".")[0] if package == "fraclink" and rest else package
 
 
 @dataclass(frozen=True)
 class Source:
-    """One module: its dotted name below ``fraclink``, its path and text."""
+    """One module: its dotted name, its path and text."""
 
     name: str
     path: Path
@@ -29,19 +35,22 @@ class Source:
 
     @property
     def component(self) -> str:
-        """First part of the dotted name: what a floor is assigned to."""
-        return self.name.partition(".")[0]
+        """What a floor is assigned to: fracsys, or the part of fraclink."""
+        return component(self.name)
 
 
 @cache
 def sources() -> tuple[Source, ...]:
-    """Every module of the package."""
-    found = []
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).with_suffix("").parts
-        parts = parts[:-1] if parts[-1] == "__init__" else parts
-        found.append(Source(".".join(parts), path, path.read_text(encoding="utf-8")))
-    return tuple(found)
+    """Every module of the packages."""
+    modules = []
+    for package in PACKAGES:
+        for path in sorted(package.rglob("*.py")):
+            parts = path.relative_to(package.parent).with_suffix("").parts
+            parts = parts[:-1] if parts[-1] == "__init__" else parts
+            modules.append(
+                Source(".".join(parts), path, path.read_text(encoding="utf-8"))
+            )
+    return tuple(modules)
 
 
 def _typing_only(tree: ast.Module) -> set[int]:
@@ -67,7 +76,7 @@ def _inside_functions(tree: ast.Module) -> set[int]:
 
 
 def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
-    """Modules of fraclink that a module imports, without the prefix.
+    """Modules of the packages that a module imports.
 
     At its top or inside a function; with `at_once` at its top only.
     """
@@ -79,16 +88,14 @@ def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
             continue
         if isinstance(node, ast.Import):
             for alias in node.names:
-                if alias.name.startswith("fraclink."):
-                    yield alias.name.removeprefix("fraclink.")
-        elif (
-            isinstance(node, ast.ImportFrom)
-            and node.module
-            and node.module.split(".")[0] == "fraclink"
-        ):
-            base = node.module.removeprefix("fraclink").removeprefix(".")
+                if alias.name.split(".")[0] in ("fraclink", "fracsys"):
+                    yield alias.name
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if module.split(".")[0] not in ("fraclink", "fracsys"):
+                continue
             for alias in node.names:
-                longer = f"{base}.{alias.name}".removeprefix(".")
+                longer = f"{module}.{alias.name}"
                 # `from fraclink._design import design` may name a module or a value of
                 # the package.
-                yield longer if longer in names else base
+                yield longer if longer in names else module

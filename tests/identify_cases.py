@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink import s, time_response
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import simulated_torque
+from fracsys import s, time_response
 
 PERIOD = 0.004
 LATE = 7500  # sample at which `late_cut` begins

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
+import fracsys
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._identify import simulated_torque
@@ -24,7 +25,7 @@ RIG = fl.Rig.named("paper-2023")
 LINK = LinkModel(
     stiffness=1.56, natural_frequency=11.0, order=1.92, damping=0.1, payload=0.030
 )
-SYSTEM = 100 / (fl.s**1.92 + 100)
+SYSTEM = 100 / (fracsys.s**1.92 + 100)
 TIME = 0.004 * np.arange(301)
 ANGLE = 0.1 * np.sin(7.0 * TIME)
 FREQUENCY = np.geomspace(1.0, 100.0, 40)

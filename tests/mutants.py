@@ -13,9 +13,9 @@ from types import TracebackType
 import numpy as np
 
 from fraclink._arm.rig import Rig
-from fraclink._logs import read_log
-from fraclink._logs.formats import ReaderChild, sniffed_kind
-from fraclink._logs.text import CPU_SECONDS
+from fraclink._reading.formats import ReaderChild, sniffed_kind
+from fraclink._reading.reading import read_log
+from fraclink._reading.text import CPU_SECONDS
 from fraclink.errors import FraclinkError
 from made_files import made_file
 from made_logs import made_rows, write_log

@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fracsys._kernels
 from fraclink import _kernels
-from guard_sources import PACKAGE, ROOT
+from guard_sources import PACKAGES, ROOT
 
 PAGE = (ROOT / "ARCHITECTURE.md").read_text("utf-8")
 BLOCK = re.compile(
@@ -42,33 +43,51 @@ sys.meta_path[:] = [finder for finder in sys.meta_path if not type(finder).__nam
 """
 
 
+def dense(text: str) -> str:
+    """The text without white space: the formatter may break a row anywhere."""
+    return "".join(text.split())
+
+
 def insert(root: Path, path: str, anchor: str, code: str) -> None:
-    """Insert `code` behind the one line that begins with `anchor`; at the end of the
+    """Insert `code` behind the one row that begins with `anchor`; at the end of the
     file without one.
     """
     place = root / "fraclink" / path
     lines = place.read_text("utf-8").splitlines(keepends=True)
-    at = [
+    starts = [
         number
-        for number, line in enumerate(lines, 1)
-        if anchor and line.lstrip().startswith(anchor)
+        for number, line in enumerate(lines)
+        if anchor
+        and line.strip()
+        and dense("".join(lines[number : number + 4])).startswith(dense(anchor))
     ]
-    assert len(at) == (1 if anchor else 0), (
-        f"{anchor!r} stands {len(at)} times in {path}"
+    assert len(starts) == (1 if anchor else 0), (
+        f"{anchor!r} stands {len(starts)} times in {path}"
     )
-    where = at[0] if at else len(lines)
-    place.write_text("".join([*lines[:where], code, *lines[where:]]), "utf-8")
+    end = len(lines)
+    if starts:
+        # A row ends where its brackets are closed.
+        end, depth = starts[0], 1
+        while depth:
+            row = "".join(lines[starts[0] : end + 1])
+            depth = sum(map(row.count, "([{")) - sum(map(row.count, ")]}"))
+            end += 1
+    place.write_text("".join([*lines[:end], code, *lines[end:]]), "utf-8")
 
 
 @pytest.fixture(scope="module")
 def grown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the package with everything that the page adds."""
     root = tmp_path_factory.mktemp("grown")
-    shutil.copytree(
-        PACKAGE, root / "fraclink", ignore=shutil.ignore_patterns("__pycache__", "*.so")
-    )
-    # An editable install keeps the compiled module elsewhere.
+    for package in PACKAGES:
+        shutil.copytree(
+            package,
+            root / package.name,
+            ignore=shutil.ignore_patterns("__pycache__", "*.so"),
+        )
+    # An editable install keeps the compiled modules elsewhere.
     shutil.copy(_kernels.__file__, root / "fraclink")
+    shutil.copy(fracsys._kernels.__file__, root / "fracsys")
     (root / "sitecustomize.py").write_text(NO_EDITABLE_INSTALL, "utf-8")
     for blocks in RECIPES.values():
         for path, anchor, code in blocks:
@@ -81,7 +100,7 @@ def run(grown: Path, code: str) -> list[str]:
     search = os.pathsep.join(
         [
             str(grown),
-            *(path for path in sys.path if path and Path(path) != PACKAGE.parent),
+            *(path for path in sys.path if path and Path(path) != ROOT / "src"),
         ]
     )
     answer = subprocess.run(  # noqa: S603
@@ -117,11 +136,11 @@ def test_every_package_that_the_page_names_is_there() -> None:
 @pytest.mark.slow
 def test_a_structure_is_one_row(grown: Path) -> None:
     code = """
-import numpy as np, fraclink as fl
-s, T = fl.s, 0.004
+import numpy as np, fraclink as fl, fracsys
+s, T = fracsys.s, 0.004
 angle = fl.prbs(0.2, 0.157).angle(T * np.arange(4000))
 link = 1.56 * s**1.9 / (s**1.9 + 0.5 * s + 121)
-torque = fl.time_response(link, angle, T).output
+torque = fracsys.time_response(link, angle, T).output
 torque = torque + 1e-6 * np.random.default_rng(1).standard_normal(4000)
 log = fl.Experiment(T, angle, torque)
 fit = fl.identify(log, "VD-FOM")
@@ -142,7 +161,7 @@ print(*fl.compare_structures(log).fits)
 def test_a_rival_is_one_row(grown: Path) -> None:
     code = """
 import fraclink as fl
-found = fl.compare(fl.Rig.named("paper-2023-geared"), payloads=(0.03,), names=["half the gain"])
+found = fl.trials.compare(fl.Rig.named("paper-2023-geared"), payloads=(0.03,), names=["half the gain"])
 print(*(standing.name for standing in found.standings), sep="|")
 """
     assert run(grown, code) == ["fraclink|half the gain"]
@@ -154,9 +173,9 @@ def test_a_fault_is_a_table_and_a_row(grown: Path) -> None:
 import fraclink as fl
 rig = fl.Rig.named("paper-2023-geared")
 design = fl.design(rig.model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
-bench = fl.Bench.of(design, link_mass=0.00735)
-print(fl.CATALOGUE[-1].number, fl.CATALOGUE[-1].title)
-outcome = fl.run_case(bench, fl.Case("F45", severity=3, payload=0.03, phase="rest", seed=1))
+bench = fl.trials.Bench.of(design, link_mass=0.00735)
+print(fl.trials.CATALOGUE[-1].number, fl.trials.CATALOGUE[-1].title)
+outcome = fl.trials.run_case(bench, fl.trials.Case("F45", severity=3, payload=0.03, phase="rest", seed=1))
 print(outcome.case.fault, any("over clean" in str(check) for check in outcome.checks))
 """
     assert run(grown, code) == ["F45 gauge reads zero for a while", "F45 True"]

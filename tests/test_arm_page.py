@@ -23,19 +23,19 @@ import pytest
 
 import fraclink as fl
 from browser import command_line
-from fraclink._campaign.study import save_study
 from fraclink._cli import main
 from fraclink._law import MODES
-from fraclink._show.arm_page import render_arm_page
-from fraclink._show.pages import colours as colours_of
-from fraclink._show.text import number
 from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
+from fraclink.trials._study import save_study
+from fraclink.view._arm_page import render_arm_page
+from fraclink.view._pages import colours as colours_of
+from fraclink.view._text import number
 from test_report import HOSTILE, Elements, parsed
 
 
 @pytest.fixture(scope="module")
-def study() -> fl.Study:
+def study() -> fl.trials.Study:
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
     design = fl.design(
@@ -45,7 +45,7 @@ def study() -> fl.Study:
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    return fl.Study(rig=rig, design=design, law=design.law())
+    return fl.trials.Study(rig=rig, design=design, law=design.law())
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def page(study) -> str:
     return render_arm_page(study)
 
 
-def named(study: fl.Study, text: str) -> fl.Study:
+def named(study: fl.trials.Study, text: str) -> fl.trials.Study:
     """The study with `text` wherever a text from outside can stand."""
     rig = replace(study.design.rig, name=text, source=text, assumptions=(text,))
     design = replace(study.design, rig=rig)
@@ -145,7 +145,7 @@ def test_a_faster_clock_leaves_room_by_fewer_payloads(study):
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    text = render_arm_page(fl.Study(rig=fast, design=design))
+    text = render_arm_page(fl.trials.Study(rig=fast, design=design))
     assert len(text.encode()) <= 150_000
     assert (
         len(
@@ -348,7 +348,7 @@ def test_a_run_too_short_for_the_usual_moves_has_shorter_ones(study):
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    page = render_arm_page(fl.Study(rig=fast, design=design))
+    page = render_arm_page(fl.trials.Study(rig=fast, design=design))
     data = numbers_of(page)
     assert data["half"] == pytest.approx(0.2)
     assert len(data["times"]) > 5 and len(set(data["times"])) == len(data["times"])
@@ -363,7 +363,7 @@ def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study)
     design = fl.design(
         bare, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50)
     )
-    page = render_arm_page(fl.Study(rig=rig, design=design))
+    page = render_arm_page(fl.trials.Study(rig=rig, design=design))
     data = numbers_of(page)
     assert {0.020, 0.030, 0.040} <= set(data["payloads"])
     numbers = np.frombuffer(base64.b64decode(data["numbers"]))
@@ -381,7 +381,7 @@ def test_a_model_without_a_payload_moves_with_the_links_that_simulate_has(study)
 def test_a_model_too_fast_for_its_period_is_refused_by_name(study, tmp_path):
     model = replace(study.design.model, natural_frequency=1e3)
     with pytest.raises(FieldError, match=r"rig\.period: too long.*0\.004.*[Ss]horten"):
-        fl.write_arm_page(
+        fl.view.write_arm_page(
             replace(study, design=replace(study.design, model=model)),
             tmp_path / "arm.html",
         )
@@ -390,8 +390,11 @@ def test_a_model_too_fast_for_its_period_is_refused_by_name(study, tmp_path):
 
 @pytest.mark.slow
 def test_the_python_of_the_page_names_the_law_that_it_runs(study):
-    other = fl.equip(
-        study.law, study.design.rig, study.design.model, moves=fl.Moves(velocity=2.0)
+    other = fl.extend.equip(
+        study.law,
+        study.design.rig,
+        study.design.model,
+        moves=fl.extend.Moves(velocity=2.0),
     )
     loaded = 'fl.load("law.json")'
     bare = replace(study.law, drive=None)
@@ -400,13 +403,13 @@ def test_the_python_of_the_page_names_the_law_that_it_runs(study):
         (study.law, "design.law()"),
         (other, loaded),
         (study.law.in_precision("single"), f'{loaded}.in_precision("double")'),
-        (bare, f"fl.equip({loaded}, design.rig, design.model)"),
+        (bare, f"fl.extend.equip({loaded}, design.rig, design.model)"),
     ):
         data = numbers_of(render_arm_page(replace(study, law=law)))
         assert data["law"] == python
         makes = {
             "design": study.design,
-            "fl": SimpleNamespace(equip=fl.equip, load=lambda _, law=law: law),
+            "fl": SimpleNamespace(equip=fl.extend.equip, load=lambda _, law=law: law),
         }
         assert eval(python, makes).block == base64.b64decode(data["blocks"][0])  # noqa: S307
 
@@ -434,7 +437,7 @@ def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(
     study, page, tmp_path
 ):
     move = fl.smooth_step(np.pi / 3, 0.5).then(fl.smooth_step(-np.pi / 3, 0.5, 1.5))
-    broken = [fl.SensorFault(0.3, 5.0, "gauge gain", -1.0)]
+    broken = [fl.extend.SensorFault(0.3, 5.0, "gauge gain", -1.0)]
     run = fl.simulate(
         study.design,
         move,
@@ -464,7 +467,6 @@ def test_the_page_holds_every_number_that_its_script_reads(study):
     """The engine's inputs in their order: rig, noise, moves there and back, links; and
     the sliders' ends.
     """
-    from fraclink._show.arm_box import arm_box
     from fraclink._simulate.engine import (
         engine_bytes,
         engine_noise,
@@ -472,6 +474,7 @@ def test_the_page_holds_every_number_that_its_script_reads(study):
         engine_twin,
         twin_noise,
     )
+    from fraclink.view._arm_box import arm_box
 
     design = study.design
     rig, model, law = design.rig, design.model, study.law
@@ -551,7 +554,7 @@ def test_the_page_holds_every_number_that_its_script_reads(study):
 
 @pytest.mark.slow
 def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
-    from fraclink._show.arm_box import arm_box
+    from fraclink.view._arm_box import arm_box
 
     rig = study.design.rig
     loud = replace(
@@ -570,7 +573,7 @@ def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
 
 
 def test_no_text_ends_the_element_that_holds_the_numbers():
-    from fraclink._show.arm_box import _json
+    from fraclink.view._arm_box import _json
 
     assert _json({"a": "</script>&é"}) == '{"a":"\\u003c/script\\u003e\\u0026\\u00e9"}'
     with pytest.raises(ValueError, match="not JSON compliant"):

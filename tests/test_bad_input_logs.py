@@ -10,8 +10,8 @@ import pytest
 
 from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
 from fraclink._arm.rig import Rig
-from fraclink._logs import read_columns, read_log
-from fraclink._logs.text import SAMPLE_LIMIT
+from fraclink._reading.reading import read_columns, read_log
+from fraclink._reading.text import SAMPLE_LIMIT
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from made_logs import HEADER, made_rows, write_log
 
@@ -267,7 +267,7 @@ def test_b51_b55_a_gigabyte_is_refused_without_being_read(
 
 
 def test_b55_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fraclink._logs import text
+    from fraclink._reading import text
 
     monkeypatch.setattr(text, "SAMPLE_LIMIT", 300)
     error = refused(write_log(tmp_path / "log.csv", made_rows()))
@@ -568,7 +568,7 @@ def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
 def test_b57_too_many_columns(
     columns: int, accepted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from fraclink._logs import text
+    from fraclink._reading import text
 
     monkeypatch.setattr(text, "COLUMN_LIMIT", 5)
     rows = [[*row, *(["0"] * (columns - len(row)))] for row in made_rows()]

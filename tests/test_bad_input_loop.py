@@ -11,29 +11,30 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _campaign as campaign
 from fraclink import _export as export
 from fraclink import _kernels
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._campaign import Campaign, Distribution, Draws, draws_for, faults
 from fraclink._certify import Statement, enclose_phase_margin
 from fraclink._design import optimise
 from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import margin_curve, phase_budget
 from fraclink._design.completed import design_for
 from fraclink._law import Moves, discretize_controller, equip
-from fraclink._realtime import (
+from fraclink._simulate import geared
+from fraclink.errors import FieldError
+from fraclink.lab._connections import (
     Callback,
     Library,
     SharedMemory,
     Udp,
     parse_connection,
-    run_realtime,
 )
-from fraclink._simulate import geared
-from fraclink._systems.discrete import fit_discrete
-from fraclink.errors import FieldError
+from fraclink.lab._loop import run_realtime
+from fraclink.trials import _arms as campaign
+from fraclink.trials import _faults as faults
+from fraclink.trials._campaign import Campaign, Distribution, Draws, draws_for
+from fracsys._discrete import fit_discrete
 from junk import JUNK, LINK, RIG, Call, design, fields_of, law, take_or_refuse
 
 WANTED = {
@@ -242,7 +243,7 @@ REALTIME: Call = (
     functools.partial(run_realtime, patience=0.02, lock_memory=False),
     lambda: {
         "law": law(),
-        "reference": fl.hold(0.0),
+        "reference": fl.extend.hold(0.0),
         "connection": at_rest(),
         "duration": 0.02,
         "priority": 0,

@@ -23,7 +23,9 @@ from fraclink.errors import FieldError, FileFormatError
 from junk import CHARACTERS
 from processor_limit import processor_limit
 
-PAPER = Path(__file__).parents[1] / "src" / "fraclink" / "rigs" / "paper-2023.toml"
+PAPER = (
+    Path(__file__).parents[1] / "src" / "fraclink" / "data" / "rigs" / "paper-2023.toml"
+)
 
 
 def paper() -> dict[str, Any]:

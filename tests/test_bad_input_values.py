@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from campaigns import small
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
@@ -87,7 +88,9 @@ def test_b31_the_integer_orders_themselves() -> None:
         (2.0, 1.56 * np.cos(3 * time)),
     ):
         torque = LinkModel(1.56, 3.0, order=order).torque()
-        assert fl.step_response(torque, time).output == pytest.approx(wanted, abs=1e-11)
+        assert fracsys.step_response(torque, time).output == pytest.approx(
+            wanted, abs=1e-11
+        )
     assert planned(dataclasses.replace(LINK, order=2.0)).passed
 
 
@@ -309,7 +312,7 @@ def test_b54_more_runs_than_a_campaign_can_end(runs: int) -> None:
         (
             lambda: fl.simulate(
                 default_law(),
-                fl.hold(0.0),
+                fl.extend.hold(0.0),
                 rig=RIG,
                 model=LINK,
                 motor_loop="ideal",

@@ -17,9 +17,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
+import fracsys
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._campaign.stages import simulate_move
 from fraclink._identify import (
     design_experiment,
     identify_frequency_response,
@@ -41,8 +41,9 @@ from fraclink._simulate import (
     geared,
     simulate_log,
 )
-from fraclink._systems.response import grunwald_letnikov, impulse_response
 from fraclink.errors import FraclinkError
+from fraclink.trials._stages import simulate_move
+from fracsys._response import grunwald_letnikov, impulse_response
 from junk import (
     ANGLE,
     FREQUENCY,
@@ -86,7 +87,7 @@ CALLS: dict[str, Call] = {
         lambda: {"amplitude": 1.0, "duration": 0.5, "start": 0.0},
     ),
     "pulse": (
-        fl.pulse,
+        fl.extend.pulse,
         lambda: {"amplitude": 1.0, "width": 0.5, "start": 0.0, "rise": 0.1},
     ),
     "prbs": (
@@ -102,7 +103,7 @@ CALLS: dict[str, Call] = {
             "duration": 2.0,
         },
     ),
-    "hold": (fl.hold, lambda: {"angle": 1.0, "duration": 1.0}),
+    "hold": (fl.extend.hold, lambda: {"angle": 1.0, "duration": 1.0}),
     "identify": (
         functools.partial(fl.identify, details=False),
         lambda: {
@@ -182,7 +183,7 @@ CALLS: dict[str, Call] = {
         functools.partial(fl.compare_structures, details=False),
         lambda: {"log": log()},
     ),
-    "diagnose": (fl.diagnose, lambda: {"experiment": log(), "rig": RIG}),
+    "diagnose": (fl.logs.diagnose, lambda: {"experiment": log(), "rig": RIG}),
     "simulate": (
         fl.simulate,
         lambda: {
@@ -248,7 +249,7 @@ CALLS: dict[str, Call] = {
         },
     ),
     "step_response": (
-        fl.step_response,
+        fracsys.step_response,
         lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1},
     ),
     "impulse_response": (
@@ -256,25 +257,25 @@ CALLS: dict[str, Call] = {
         lambda: {"G": SYSTEM, "time": 1.0, "period": 0.1},
     ),
     "time_response": (
-        fl.time_response,
+        fracsys.time_response,
         lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1, "hold": "zero"},
     ),
     "grunwald_letnikov": (
         grunwald_letnikov,
         lambda: {"G": SYSTEM, "u": np.ones(9), "period": 0.1},
     ),
-    "poles": (fl.poles, lambda: {"system": SYSTEM}),
-    "is_stable": (fl.is_stable, lambda: {"system": SYSTEM}),
+    "poles": (fracsys.poles, lambda: {"system": SYSTEM}),
+    "is_stable": (fracsys.is_stable, lambda: {"system": SYSTEM}),
     "margins": (
-        fl.margins,
+        fracsys.margins,
         lambda: {"loop": SYSTEM, "limit": None, "unstable_poles": None},
     ),
     "mittag_leffler": (
-        fl.mittag_leffler,
+        fracsys.mittag_leffler,
         lambda: {"z": [1.0, 1j], "alpha": 0.8, "beta": 1.2},
     ),
     "approximate": (
-        fl.approximate,
+        fracsys.approximate,
         lambda: {
             "system": SYSTEM,
             "band": (1.0, 100.0),

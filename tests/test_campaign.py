@@ -12,18 +12,11 @@ import pytest
 import fraclink as fl
 from campaigns import small
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._campaign import (
-    Campaign,
-    Distribution,
-    arm_of,
-    draws_for,
-    replay_run,
-    simulate_part,
-)
-from fraclink._campaign.campaign import SHAPES, draw
 from fraclink._simulate.links import POWERS, batch_links, link_weights
 from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
 from fraclink.errors import FieldError, SizeError
+from fraclink.trials._arms import arm_of, replay_run, simulate_part
+from fraclink.trials._campaign import SHAPES, Campaign, Distribution, draw, draws_for
 
 METRICS = (
     *(

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, parts_of, small
-from fraclink._campaign import run_campaign
 from fraclink._cli import main
 from fraclink.errors import MissingExtraError
+from fraclink.trials._run import run_campaign
 from needed_tools import missing
 
 
@@ -96,7 +96,7 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
         import distributed  # noqa: F401
     except ImportError:
         missing("distributed is not installed (extra cluster)")
-    module = sys.modules["fraclink._campaign.run"]
+    module = sys.modules["fraclink.trials._run"]
     monkeypatch.setattr(module, "CONNECT", 1)
     line = ["campaign", "montecarlo", "--runs", "10", "--out", str(tmp_path / "parts")]
     assert main([*line, "--scheduler", "tcp://127.0.0.1:9"]) == 2

@@ -18,19 +18,20 @@ from scipy.special import ndtr
 
 import fraclink as fl
 from campaigns import fault_bench, small
-from fraclink._campaign import (
+from fraclink._simulate.links import batch_links
+from fraclink.errors import FieldError, SizeError
+from fraclink.trials import _run as run_module
+from fraclink.trials import _summary as summary_module
+from fraclink.trials._arms import arm_of, block_of, unit_paths
+from fraclink.trials._campaign import (
     Campaign,
     Distribution,
-    arm_of,
+    draw,
     draws_for,
     load_campaign,
     save_campaign,
 )
-from fraclink._campaign import run as run_module
-from fraclink._campaign import summary as summary_module
-from fraclink._campaign.arms import block_of, unit_paths
-from fraclink._campaign.campaign import draw
-from fraclink._campaign.faults import (
+from fraclink.trials._faults import (
     Case,
     Check,
     FaultTable,
@@ -38,11 +39,9 @@ from fraclink._campaign.faults import (
     cases,
     fault_named,
 )
-from fraclink._campaign.run import part_path, read_part, run_campaign, write_part
-from fraclink._campaign.summary import _correlation, _metric, _ranks, columns, summarise
-from fraclink._show.views import view
-from fraclink._simulate.links import batch_links
-from fraclink.errors import FieldError, SizeError
+from fraclink.trials._run import part_path, read_part, run_campaign, write_part
+from fraclink.trials._summary import _correlation, _metric, _ranks, columns, summarise
+from fraclink.view._views import view
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model

@@ -23,19 +23,13 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small, started
-from fraclink._campaign import (
-    columns,
-    load_campaign,
-    read_part,
-    run_campaign,
-    save_campaign,
-    summarise,
-)
-from fraclink._campaign import run as part_module
-from fraclink._campaign import summary as summary_module
-from fraclink._campaign.run import compute, parts_there
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
+from fraclink.trials import _run as part_module
+from fraclink.trials import _summary as summary_module
+from fraclink.trials._campaign import load_campaign, save_campaign
+from fraclink.trials._run import compute, parts_there, read_part, run_campaign
+from fraclink.trials._summary import columns, summarise
 
 RUNS = 8000
 
@@ -135,7 +129,7 @@ def test_the_half_of_a_part_that_a_kill_left_is_cleaned_up(copy, whole):
 def test_a_script_that_its_workers_run_again_is_told_where_to_put_the_call(tmp_path):
     script = tmp_path / "many_arms.py"
     lines = [
-        "from fraclink._campaign.run import process_pool",
+        "from fraclink.trials._run import process_pool",
         "with process_pool(2) as pool:",
     ]
     script.write_text("\n".join([*lines, "    pool.submit(abs, -1).result()"]))
@@ -200,7 +194,7 @@ def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
 def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
     from concurrent.futures.process import BrokenProcessPool
 
-    module = sys.modules["fraclink._campaign.run"]
+    module = sys.modules["fraclink.trials._run"]
 
     def broken(*_: object):
         raise BrokenProcessPool("died")

@@ -16,13 +16,21 @@ import numpy as np
 import pytest
 
 from campaigns import computed, small
-from fraclink._campaign import Distribution, read_part, run_campaign, summarise
-from fraclink._campaign.summary import METRICS, PARAMETERS, _failure, _quantile, _trips
 from fraclink._cli import main
 from fraclink._law import MODES
-from fraclink._show.records import to_json
-from fraclink._show.views import view
 from fraclink.errors import FieldError
+from fraclink.trials._campaign import Distribution
+from fraclink.trials._run import read_part, run_campaign
+from fraclink.trials._summary import (
+    METRICS,
+    PARAMETERS,
+    _failure,
+    _quantile,
+    _trips,
+    summarise,
+)
+from fraclink.view._records import to_json
+from fraclink.view._views import view
 
 
 @pytest.fixture(scope="module")

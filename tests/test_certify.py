@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Rig
@@ -1022,8 +1023,12 @@ def test_the_search_for_the_closest_loop_ends_below_random_points_of_the_box() -
 
 
 def test_the_law_of_another_plant_is_refused_with_what_computes_its_margins() -> None:
-    controller = fl.FractionalPid(proportional=0.5, integral=0.9, integral_order=1.3)
-    law = fl.discretize_pid(controller, 0.02, output_limit=1.0, measurement_limit=1.0)
+    controller = fl.extend.FractionalPid(
+        proportional=0.5, integral=0.9, integral_order=1.3
+    )
+    law = fl.extend.discretize_pid(
+        controller, 0.02, output_limit=1.0, measurement_limit=1.0
+    )
     with pytest.raises(FieldError, match="sampled_margins"):
         fl.certify(law)
 
@@ -1503,7 +1508,7 @@ def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
         def loop(s: Any, place: Any = place) -> Any:
             return loop_values(claim, law, s.imag, place)
 
-        margins_[payload] = fl.margins(loop, limit=math.pi / law.period)
+        margins_[payload] = fracsys.margins(loop, limit=math.pi / law.period)
     worst = min(margins_, key=lambda payload: abs(margins_[payload].phase_margin))
     assert found.high == pytest.approx(abs(margins_[worst].phase_margin), abs=1e-9)
     assert found.payload == pytest.approx(worst)

@@ -22,13 +22,13 @@ from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._cli.app import application
 from fraclink._cli.console import clean, guarded
-from fraclink._show.text import Table, View, plain_text, table_text
 from fraclink.errors import (
     FieldError,
     InfeasibleError,
     MissingExtraError,
     NotCertifiedError,
 )
+from fraclink.view._text import Table, View, plain_text, table_text
 
 
 class Answer(NamedTuple):

@@ -23,9 +23,9 @@ import fraclink as fl
 from command_line import RIG, Calls, Found, Line, made_design, prepared
 from fraclink import _kernels
 from fraclink._cli import console, main, options
-from fraclink._logs import bundled_log
-from fraclink._realtime import SharedMemory, Udp
+from fraclink._reading.reading import bundled_log
 from fraclink.errors import LogError, MissingExtraError
+from fraclink.lab._connections import SharedMemory, Udp
 
 
 @pytest.fixture
@@ -154,9 +154,9 @@ class Run(Found):
 @realtime
 def test_the_loop_in_real_time_gets_what_was_asked_for(line: Line) -> None:
     awake = SimpleNamespace(check=lambda: None)
-    measured = line.hear("boards.realtime.measure_wake_ups", awake)
+    measured = line.hear("boards.lab.measure_wake_ups", awake)
     run = Run("r.npz")
-    ran = line.hear("boards.realtime.run_realtime", run)
+    ran = line.hear("boards.lab.run_realtime", run)
     words = "run-realtime design.json --io udp:127.0.0.1:5005 --out r.npz --amplitude 0.3 --move-time 0.6"
     more = "--absolute --single --payload 0.03 --duration 2 --patience 7 --priority 50 --no-lock-memory"
     told = line(f"{words} {more} --allowed-overruns 4 --log l.csv")
@@ -220,8 +220,8 @@ def test_the_loop_in_real_time_gets_what_was_asked_for(line: Line) -> None:
 @realtime
 def test_an_arm_is_served_as_asked(line: Line) -> None:
     served = Run("")
-    asked = line.hear("boards.realtime.serve_arm", served)
-    saved = line.hear("boards.realtime.saved", Path("a.npz"))
+    asked = line.hear("boards.lab.serve_arm", served)
+    saved = line.hear("boards.saved", Path("a.npz"))
     words = "serve-arm design.json --io shm:arm --duration 9 --watchdog 5 --once --seed 3 --priority 20"
     told = line(f"{words} --payload 0.025 --link-mass 0.008 --out a.npz")
     arm, way, period = asked.given
@@ -262,7 +262,7 @@ LIMITS = "--angle-deg 30 --speed 3 --torque 2 --voltage 8"
 
 @realtime
 def test_a_tuning_is_planned_from_the_options_and_moves_after_a_yes(line: Line) -> None:
-    found = fl.Tuning(
+    found = fl.lab.Tuning(
         fl.MotionLimits(0.5, 3.0, 2.0, 8.0),
         0.03,
         (0.02, 0.04),
@@ -312,7 +312,7 @@ def test_a_tuning_that_is_there_is_kept_or_resumed(line: Line) -> None:
     limits = fl.MotionLimits(
         angle=math.radians(30.0), speed=3.0, torque=2.0, voltage=8.0
     )
-    before = fl.Tuning(limits, 0.03, (0.02, 0.04), 0.004, rig=RIG)
+    before = fl.lab.Tuning(limits, 0.03, (0.02, 0.04), 0.004, rig=RIG)
     Path("t").mkdir()
     fl.save(before, Path("t/tuning.json"))
     asked = line.hear("tunings.tune_arm", before)
@@ -334,7 +334,9 @@ def test_a_tuning_that_is_there_is_kept_or_resumed(line: Line) -> None:
 def test_a_record_is_watched_against_the_tuning_of_its_folder(line: Line) -> None:
     log = fl.read_log(bundled_log("prbs_30g"), rig=RIG)
     fl.save(log, Path("log.npz"))
-    before = fl.Tuning(fl.MotionLimits(0.5, 3.0, 2.0, 8.0), 0.03, (0.02, 0.04), 0.004)
+    before = fl.lab.Tuning(
+        fl.MotionLimits(0.5, 3.0, 2.0, 8.0), 0.03, (0.02, 0.04), 0.004
+    )
     Path("t").mkdir()
     fl.save(before, Path("t/tuning.json"))
     seen = Found()
@@ -361,9 +363,9 @@ def test_a_record_is_watched_against_the_tuning_of_its_folder(line: Line) -> Non
 
 
 def test_a_campaign_runs_what_was_asked_for(line: Line) -> None:
-    ran, made = line.hear("campaigns.campaigns.run_campaign"), Calls()
+    ran, made = line.hear("campaigns.run_campaign"), Calls()
     summary = SimpleNamespace(passed=False, failed=(12, 15))
-    line.hear("campaigns.campaigns.summarise", summary)
+    line.hear("campaigns.summarise", summary)
 
     def of(*given: Any, **named: Any) -> str:
         made.append((given, named))
@@ -490,7 +492,7 @@ def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
 
 
 def test_the_studio_opens_what_is_there(line: Line) -> None:
-    serving = pytest.importorskip("fraclink._studio.serving")
+    serving = pytest.importorskip("fraclink.studio._serving")
     calls: Calls = Calls()
     session = SimpleNamespace(folder=Path("results"))
 
@@ -513,7 +515,7 @@ def test_the_studio_opens_what_is_there(line: Line) -> None:
         made.append((given, named))
         return "a session"
 
-    line.patch.setattr("fraclink._studio.session.opened", opened)
+    line.patch.setattr("fraclink.studio._session.opened", opened)
     assert calls.given[0]() == "a session"  # made only once the page is there
     assert made.given == (None,) and made.last == {"rig": None, "out": Path("results")}
     line("studio results --rig paper-2023 --out kept")

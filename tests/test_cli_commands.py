@@ -19,11 +19,11 @@ from fraclink._cli import console, options
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Declared, Default, Writes, command
 from fraclink._identify import identify
-from fraclink._logs import bundled_log, read_log
-from fraclink._show.text import View
-from fraclink._validate import Between
+from fraclink._reading.reading import bundled_log, read_log
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fraclink.view._text import View
+from fracsys.checks import Between
 
 # --- the decorator ---------------------------------------------------------------------------------------
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink import StructureFit
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import run
 from fraclink._files import kind_of
-from fraclink._logs import bundled_log
+from fraclink._reading.reading import bundled_log
+from fraclink.extend import StructureFit
 
 
 def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:

@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 
 from fraclink._arm.rig import Rig
-from fraclink._campaign.stages import run, simulate_move
-from fraclink._campaign.study import load_study
 from fraclink._cli import main
 from fraclink._design.completed import design_for
 from fraclink._identify import Fit
-from fraclink._logs import bundled_log, read_log
-from fraclink._show.report import render_report
+from fraclink._reading.reading import bundled_log, read_log
 from fraclink._simulate import Run
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Scope
+from fraclink.trials._stages import run, simulate_move
+from fraclink.trials._study import load_study
+from fraclink.view._report import render_report
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"

@@ -19,7 +19,7 @@ import pytest
 import fraclink as fl
 from command_line import RIG, Found, Line, made_design, prepared
 from fraclink._cli.models import AT_REST, _excitation
-from fraclink._logs import bundled_log
+from fraclink._reading.reading import bundled_log
 from fraclink.findings import Finding
 
 

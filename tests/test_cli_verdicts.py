@@ -13,7 +13,7 @@ from fraclink._certify import Certificate
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._design.completed import design_for
-from fraclink._logs import bundled_log
+from fraclink._reading.reading import bundled_log
 from reproduce import designs
 
 Command = Callable[..., tuple[int, str, str]]

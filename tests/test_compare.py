@@ -17,19 +17,22 @@ import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import smooth_step
 from fraclink._arm.sampled import sampled_plant
-from fraclink._campaign.rival_controllers import (
+from fraclink._simulate import Twin, geared
+from fraclink._simulate.on_twin import with_motor_loop
+from fraclink.errors import FieldError, NotConvergedError
+from fraclink.trials._rival_controllers import (
     integer_mode,
     lqg_correction,
     pd_correction,
 )
-from fraclink._campaign.rival_runs import (
+from fraclink.trials._rival_runs import (
     feed_forward,
     linear_growth,
     mode_gain,
     run_rival,
 )
-from fraclink._campaign.rivals import PUBLISHED, builders, servo_law
-from fraclink._campaign.setting import (
+from fraclink.trials._rivals import PUBLISHED, builders, servo_law
+from fraclink.trials._setting import (
     Filter,
     NominalLoop,
     Setting,
@@ -38,11 +41,8 @@ from fraclink._campaign.setting import (
     tune,
     tustin,
 )
-from fraclink._campaign.tournament import Tournament, compare
-from fraclink._simulate import Twin, geared
-from fraclink._simulate.on_twin import with_motor_loop
-from fraclink._systems.margins import margins
-from fraclink.errors import FieldError, NotConvergedError
+from fraclink.trials._tournament import Tournament, compare
+from fracsys._margins import margins
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)
@@ -170,8 +170,8 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     rounding.
     """
 
-    from fraclink._campaign.rivals import Rival
     from fraclink._law import Modes
+    from fraclink.trials._rivals import Rival
 
     twin = Twin.from_rig(RIG, link_mass=0.00735)
     whole = servo_law(setting.law)

@@ -15,13 +15,13 @@ import pytest
 import fraclink as fl
 from fraclink._arm.beam import assumed_ratio, material_law, unmodelled_modes
 from fraclink._arm.rig import Rig
-from fraclink._campaign.setting import NominalLoop, law_filter, sampled
 from fraclink._cli import main
 from fraclink._design import Design, modes
 from fraclink._design.assess import mode_gains
 from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble
 from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.trials._setting import NominalLoop, law_filter, sampled
 
 RIG = Rig.named("paper-2023-geared")
 WANTED = {

@@ -17,9 +17,10 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import chirp, prbs, pulse
 from fraclink._arm.rig import Gauge, Rig
 from fraclink._identify import simulated_torque
-from fraclink._logs import bundled_log, bundled_logs, diagnose, read_log
-from fraclink._logs.channels import find_mode
+from fraclink._reading.reading import bundled_log, bundled_logs, read_log
 from fraclink.findings import Finding
+from fraclink.logs._channels import find_mode
+from fraclink.logs._diagnosis import diagnose
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
 

@@ -13,10 +13,11 @@ import pytest
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Gauge, Rig
-from fraclink._logs import channels, diagnosis
-from fraclink._logs.channels import Mode
-from fraclink._logs.columns import converter_step
+from fraclink._reading.columns import converter_step
 from fraclink.findings import Finding
+from fraclink.logs import _channels as channels
+from fraclink.logs import _diagnosis as diagnosis
+from fraclink.logs._channels import Mode
 
 RIG = Rig.named("paper-2023")
 MODE = Mode(

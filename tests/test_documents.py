@@ -26,6 +26,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
+import fracsys
 from fraclink._files import document, kind_of, load, save
 from fraclink._files.codec import Storage, codec_of
 from fraclink.errors import FieldError, FileFormatError, SizeError
@@ -680,9 +681,9 @@ def test_d8_a_rig_in_a_design_that_is_no_rig(text: str, tmp_path: Path) -> None:
 def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
     path = tmp_path / "proof.json"
     path.write_bytes((GOLDEN / "proof.json").read_bytes())
-    assert fl.Proof.load(path).claims
+    assert fl.extend.Proof.load(path).claims
     with pytest.raises(FileFormatError):
-        fl.Proof.load(edited(path, damage))
+        fl.extend.Proof.load(edited(path, damage))
 
 
 @pytest.mark.parametrize(
@@ -699,10 +700,10 @@ def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
 )
 def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) -> None:
     folder = shutil.copytree(GOLDEN / "study", tmp_path / "study")
-    assert fl.load_study(folder).comparison is not None
+    assert fl.trials.load_study(folder).comparison is not None
     edited(folder / "study.json", damage)
     with pytest.raises(FileFormatError) as caught:
-        fl.load_study(folder)
+        fl.trials.load_study(folder)
     assert caught.value.field == field
 
 
@@ -721,7 +722,7 @@ def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(
     )
     kinds = set(re.findall(r'^@?document\(\s*"([\w-]+)"', text, re.MULTILINE))
     assert len(kinds) > 20 and kinds <= set(_files.HOMES)
-    margins = fl.margins(2.0 / (fl.s * (fl.s + 1)))
+    margins = fracsys.margins(2.0 / (fracsys.s * (fracsys.s + 1)))
     file = fl.save(margins, tmp_path / "margins.json")
     command = f"import fraclink as fl; print(fl.load({str(file)!r}).modulus_margin)"
     done = subprocess.run(  # noqa: S603

@@ -15,12 +15,16 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._campaign.faults import GROUPS, Case, Check, FaultTable, Outcome
-from fraclink._show import figures, fleets, loops, marks, runs
-from fraclink._show.drawing import Figure, Panel, beside
-from fraclink._show.marks import Frame
-from fraclink._show.notebook import drawing, page_part, short
-from fraclink._show.scales import Scale, envelope, nice_ticks
+from fraclink.trials._faults import GROUPS, Case, Check, FaultTable, Outcome
+from fraclink.view import _figures as figures
+from fraclink.view import _fleets as fleets
+from fraclink.view import _loops as loops
+from fraclink.view import _marks as marks
+from fraclink.view import _runs as runs
+from fraclink.view._drawing import Figure, Panel, beside
+from fraclink.view._marks import Frame
+from fraclink.view._notebook import drawing, page_part, short
+from fraclink.view._scales import Scale, envelope, nice_ticks
 
 NAMES = {"s": "http://www.w3.org/2000/svg"}
 FRAME = Frame(Scale(0.0, 10.0), Scale(0.0, 100.0), top=24.0, height=150.0)
@@ -949,7 +953,7 @@ def test_a_long_result_is_one_line_of_a_prompt() -> None:
 
 @pytest.mark.slow
 def test_a_cell_has_the_drawing_below_the_table(design: fl.Design) -> None:
-    from fraclink._show.views import view
+    from fraclink.view._views import view
 
     assert page_part(design) == view(design)._repr_html_() + "\n" + str(drawing(design))
     law = design.law()
@@ -1392,7 +1396,7 @@ def test_a_fractional_pid_is_drawn_on_the_sheet_of_its_margin() -> None:
 
 
 def test_the_sketch_of_the_arm_bends_against_its_turn() -> None:
-    from fraclink._show.sketches import arm_sketch, loop_sketch
+    from fraclink.view._sketches import arm_sketch, loop_sketch
 
     root = tree(arm_sketch(("one", "two", "three")))
     assert (root.get("width"), root.get("height")) == ("425", "214")

@@ -17,13 +17,6 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._campaign import (
-    Campaign,
-    load_campaign,
-    replay_run,
-    save_campaign,
-    simulate_part,
-)
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._law.estimator import (
@@ -37,11 +30,15 @@ from fraclink._law.estimator import (
     payload_estimator,
 )
 from fraclink._law.tracking import masses_of
-from fraclink._realtime import Callback, VirtualClock, run_realtime
-from fraclink._show.views import view
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
 from fraclink._simulate.sensors import SensorFault
 from fraclink.errors import FieldError
+from fraclink.lab._connections import Callback
+from fraclink.lab._loop import run_realtime
+from fraclink.lab._machine import VirtualClock
+from fraclink.trials._arms import replay_run, simulate_part
+from fraclink.trials._campaign import Campaign, load_campaign, save_campaign
+from fraclink.view._views import view
 from needed_tools import tool
 from shared_data import shared_data
 

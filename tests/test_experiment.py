@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fraclink._arm.experiment import Experiment
-from fraclink._logs import read_log
+from fraclink._reading.reading import read_log
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding, worst_first
 

@@ -492,8 +492,9 @@ def test_a_proof_passes_where_every_claim_is_proved(
     statuses: tuple[Literal["proved", "failed", "not proved"], ...], passed: bool
 ) -> None:
     claims = tuple(
-        fl.Claim(f"claim {k}", "holds", status) for k, status in enumerate(statuses)
+        fl.extend.Claim(f"claim {k}", "holds", status)
+        for k, status in enumerate(statuses)
     )
-    proof = fl.Proof("00", {"law.c": "11"}, claims)
+    proof = fl.extend.Proof("00", {"law.c": "11"}, claims)
     assert proof.passed is passed
     assert proof["claim 1"] == claims[1]

@@ -59,8 +59,10 @@ BASE = {
 
 @cache
 def pid() -> Law:
-    controller = fl.FractionalPid(2.0, integral=3.0, integral_order=0.8)
-    return fl.discretize_pid(controller, 0.01, output_limit=7.5, measurement_limit=2.0)
+    controller = fl.extend.FractionalPid(2.0, integral=3.0, integral_order=0.8)
+    return fl.extend.discretize_pid(
+        controller, 0.01, output_limit=7.5, measurement_limit=2.0
+    )
 
 
 def _written(made: Law, folder: Path) -> tuple[ET.Element, dict[str, str]]:

@@ -217,21 +217,21 @@ def test_claims_proved_failed_and_open() -> None:
     made = law()
     logs = (("proof/finite.log", "0123456789abcdef" * 4),)
     claims = (
-        fl.Claim(
+        fl.extend.Claim(
             "outputs",
             "commands stay within their ranges",
             "proved",
             tools=("frama-c 26", "z3 4.8"),
             logs=logs,
         ),
-        fl.Claim(
+        fl.extend.Claim(
             "rounding", "rounding stays below 1e-9 rad", "failed", "a counterexample"
         ),
-        fl.Claim(
+        fl.extend.Claim(
             "loop", "the loop is stable", "not proved", "no certificate was given"
         ),
     )
-    proof = fl.Proof(made.digest, {"law.c": "11"}, claims)
+    proof = fl.extend.Proof(made.digest, {"law.c": "11"}, claims)
     text = claims_text(made, proof)
     assert (
         "## Proved\n" in text and "## Not proved\n" in text and "## Claimed" not in text
@@ -259,14 +259,14 @@ def test_claims_proved_failed_and_open() -> None:
     assert shown in readme(made, name="law_data", data="law_data.h", proof=proof)
     proved = (
         *claims[:1],
-        fl.Claim(
+        fl.extend.Claim(
             "rounding", "rounding stays below 1e-9 rad", "proved", tools=("gappa",)
         ),
     )
-    whole = fl.Proof(made.digest, {}, proved)
+    whole = fl.extend.Proof(made.digest, {}, proved)
     assert shown not in readme(made, name="law_data", data="law_data.h", proof=whole)
     assert "Not proved" not in claims_text(made, whole)
-    nothing = claims_text(made, fl.Proof(made.digest, {}, claims[1:]))
+    nothing = claims_text(made, fl.extend.Proof(made.digest, {}, claims[1:]))
     assert "## Proved" not in nothing and nothing.startswith("## Not proved")
     assert str(proof).splitlines() == [
         "proved: commands stay within their ranges",
@@ -276,16 +276,16 @@ def test_claims_proved_failed_and_open() -> None:
 
 
 def test_a_proof_comes_back_from_its_file(tmp_path: Path) -> None:
-    claim = fl.Claim(
+    claim = fl.extend.Claim(
         "loop",
         "stable",
         "proved",
         tools=("fraclink",),
         logs=(("proof/loop.log", "ab"),),
     )
-    proof = fl.Proof("00", {"law.c": "11", "law.h": "22"}, (claim,))
+    proof = fl.extend.Proof("00", {"law.c": "11", "law.h": "22"}, (claim,))
     proof.save(tmp_path / "proof.json")
-    assert fl.Proof.load(tmp_path / "proof.json") == proof
+    assert fl.extend.Proof.load(tmp_path / "proof.json") == proof
     assert '"passed": true' in (tmp_path / "proof.json").read_text(encoding="utf-8")
 
 

@@ -267,7 +267,7 @@ def test_a_log_s_sensors_drive_the_law(
     )
     with pytest.raises(FieldError, match="period"):
         replay_log(tmp_path, far)
-    record = fl.Recording(period=PERIOD, input=angle, output=signal)
+    record = fl.extend.Recording(period=PERIOD, input=angle, output=signal)
     with pytest.raises(
         FieldError, match=r"of another kind than the law .got a recording"
     ):

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink._campaign import fault_arm, fault_sensors
-from fraclink._campaign.endurance import Upset, _bits
-from fraclink._campaign.fault_checks import (
+from fraclink.trials import _fault_arm as fault_arm
+from fraclink.trials import _fault_sensors as fault_sensors
+from fraclink.trials._endurance import Upset, _bits
+from fraclink.trials._fault_checks import (
     Check,
     Evidence,
     bounded,
@@ -30,7 +31,7 @@ from fraclink._campaign.fault_checks import (
     settled,
     shared_checks,
 )
-from fraclink._campaign.fault_trial import (
+from fraclink.trials._fault_trial import (
     REALS,
     WORDS,
     Case,

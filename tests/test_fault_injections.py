@@ -14,8 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from campaigns import fault_bench
-from fraclink._campaign import fault_sensors
-from fraclink._campaign.fault_trial import (
+from fraclink._simulate import sensors as columns
+from fraclink._simulate.kernel import ArmState
+from fraclink.trials import _fault_sensors as fault_sensors
+from fraclink.trials._fault_trial import (
     REALS,
     WORDS,
     Bench,
@@ -25,9 +27,7 @@ from fraclink._campaign.fault_trial import (
     execute,
     members,
 )
-from fraclink._campaign.faults import fault_named
-from fraclink._simulate import sensors as columns
-from fraclink._simulate.kernel import ArmState
+from fraclink.trials._faults import fault_named
 
 RUN, DEGRADED = 1, 2
 PERIOD = 0.004

@@ -14,12 +14,14 @@ import pytest
 
 import fraclink as fl
 from campaigns import fault_bench
-from fraclink._campaign import endurance, fault_arm
-from fraclink._campaign.endurance import Soak, soak, upsets
-from fraclink._campaign.fault_checks import shared_checks
-from fraclink._campaign.fault_rules import RULES
-from fraclink._campaign.fault_trial import REALS, WORDS, Trial, execute, members
-from fraclink._campaign.faults import (
+from fraclink.errors import FieldError, FileFormatError
+from fraclink.trials import _endurance as endurance
+from fraclink.trials import _fault_arm as fault_arm
+from fraclink.trials._endurance import Soak, soak, upsets
+from fraclink.trials._fault_checks import shared_checks
+from fraclink.trials._fault_rules import RULES
+from fraclink.trials._fault_trial import REALS, WORDS, Trial, execute, members
+from fraclink.trials._faults import (
     CATALOGUE,
     Bench,
     Case,
@@ -32,7 +34,6 @@ from fraclink._campaign.faults import (
     run_case,
     run_faults,
 )
-from fraclink.errors import FieldError, FileFormatError
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives
 # their values.

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink._campaign.faults import Case, FaultTable, Outcome
 from fraclink._cli.app import run
 from fraclink._files.containers import read_archive
+from fraclink.trials._faults import Case, FaultTable, Outcome
 
 ARM = [
     "campaign",

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.terms import Term
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._terms import Term
 
 LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)
 W = np.array([0.01, 0.3, 1.0, 7.0, 90.0])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink._cli.app import run
 from fraclink._identify import DrivenLinkFit, Interval
 from fraclink._identify.driven import _of_the_band
@@ -20,8 +21,8 @@ from fraclink.errors import FieldError, LogError
 LINES = np.geomspace(2.0, 60.0, 120)
 
 
-def arm(output: str = "motor_angle") -> fl.FractionalTransferFunction:
-    s = fl.s
+def arm(output: str = "motor_angle") -> fracsys.FractionalTransferFunction:
+    s = fracsys.s
     link = s**1.92 / (s**1.92 + 100)
     driven = (60 / (s**2 + 15 * s + 9 * link)).delayed(0.002)
     return driven if output == "motor_angle" else 1.5 * link * driven
@@ -160,8 +161,10 @@ def test_stamps_are_in_the_unit_of_their_name(
 ) -> None:
     path = tmp_path / "record.csv"
     path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
-    assert fl.read_recording(path, "u", "y").period == pytest.approx(period, rel=1e-12)
-    assert fl.read_recording(path, "u", "y", time="#1").period == pytest.approx(
+    assert fl.extend.read_recording(path, "u", "y").period == pytest.approx(
+        period, rel=1e-12
+    )
+    assert fl.extend.read_recording(path, "u", "y", time="#1").period == pytest.approx(
         period, rel=1e-12
     )
 
@@ -178,8 +181,8 @@ def test_stamps_in_another_unit_are_refused(
     with pytest.raises(
         LogError, match=rf"column of time: in {unit}, .* expected s or ms or us or ns"
     ):
-        fl.read_recording(path, "u", "y", time="#1")
-    assert fl.read_recording(path, "u", "y", period=60.0).period == 60.0
+        fl.extend.read_recording(path, "u", "y", time="#1")
+    assert fl.extend.read_recording(path, "u", "y", period=60.0).period == 60.0
 
 
 @pytest.mark.parametrize(
@@ -207,7 +210,7 @@ def test_columns_of_a_recording(
         "t,u,y\n0,1,2\n" if given == {"time": "t"} else "t,u,y\n0,1,2\n1,1,2\n2,1,2\n"
     )
     with pytest.raises(FieldError) as caught:
-        fl.read_recording(path, **{"input": "u", "output": "y", **given})  # type: ignore[arg-type]
+        fl.extend.read_recording(path, **{"input": "u", "output": "y", **given})  # type: ignore[arg-type]
     assert caught.value.field == field
     assert words in (caught.value.problem, caught.value.remedy)
 
@@ -264,15 +267,15 @@ def test_lines_out_of_range() -> None:
 def test_recordings(tmp_path: Path) -> None:
     path = tmp_path / "furnace.csv"
     path.write_text("t_s,power,temp\n0,1,0\n60,1,2\n120,0,3\n")
-    found = fl.read_recording(path, "power", "temp")
+    found = fl.extend.read_recording(path, "power", "temp")
     assert (found.period, found.output.tolist()) == (60.0, [0.0, 2.0, 3.0])
-    assert fl.read_recording(path, "power", "#3", period=2.0).period == 2.0
+    assert fl.extend.read_recording(path, "power", "#3", period=2.0).period == 2.0
     path.write_text("a,power,temp\n0,1,0\n1,1,2\n2,0,3\n")
     with pytest.raises(LogError, match="not clear"):
-        fl.read_recording(path, "power", "temp")
+        fl.extend.read_recording(path, "power", "temp")
     path.write_text("time,power,temp\n0,1,0\n1,1,2\n3,0,3\n")
     with pytest.raises(LogError, match="not uniform"):
-        fl.read_recording(path, "power", "temp")
+        fl.extend.read_recording(path, "power", "temp")
 
 
 # --- link and motor -----------------------------------------------------------------------------------------
@@ -281,7 +284,7 @@ def test_recordings(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("output", ["motor_angle", "torque"])
 def test_link_and_motor(output: str, tmp_path: Path) -> None:
-    found = fl.identify_driven_link(noisy(output), output=output, details=False)  # type: ignore[arg-type]
+    found = fl.extend.identify_driven_link(noisy(output), output=output, details=False)  # type: ignore[arg-type]
     assert found.passed, found.findings
     assert found.order == pytest.approx(1.92, abs=0.02)
     assert found.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=0.02)
@@ -317,7 +320,7 @@ def test_link_and_motor(output: str, tmp_path: Path) -> None:
 )
 def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
     for seed in range(3):
-        found = fl.identify_driven_link(
+        found = fl.extend.identify_driven_link(
             noisy(seed=seed).between(low, high), details=False
         )
         assert code in {finding.code for finding in found.findings}
@@ -356,7 +359,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def driven() -> DrivenLinkFit:
     """A fit of the motor's angle, to be changed."""
     clean = fl.FrequencyResponse(LINES, arm()(1j * LINES))
-    return fl.identify_driven_link(clean, details=False)
+    return fl.extend.identify_driven_link(clean, details=False)
 
 
 @pytest.mark.slow

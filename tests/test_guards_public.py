@@ -5,7 +5,6 @@ nothing to import.
 from __future__ import annotations
 
 import ast
-import importlib
 import inspect
 import subprocess
 import sys
@@ -13,9 +12,29 @@ import sys
 import pytest
 
 import fraclink
-from guard_sources import PACKAGE, ROOT
+import fracsys
+from guard_sources import ROOT
 
-NAMES = [name for name in fraclink.__all__ if name != "__version__"]
+PUBLIC = {
+    module.__name__: module
+    for module in (
+        fraclink,
+        fracsys,
+        fraclink.extend,
+        fraclink.lab,
+        fraclink.logs,
+        fraclink.trials,
+        fraclink.view,
+    )
+}
+NAMES = [f"{package}.{name}" for package in PUBLIC for name in PUBLIC[package].__all__]
+
+
+def value_of(dotted: str) -> object:
+    package, _, name = dotted.rpartition(".")
+    return getattr(PUBLIC[package], name)
+
+
 # Reading a docstring must teach how to call: these parts are looked for by eye of the
 # machine.
 HEAVY = (
@@ -38,44 +57,40 @@ REFERENCE = ROOT / "docs" / "reference"
 FIRST = [
     name
     for name in NAMES
-    if f"| `fraclink.{name}` |" in (REFERENCE / "api.md").read_text("utf-8")
+    if f"| `{name}` |" in (REFERENCE / "api.md").read_text("utf-8")
 ]
 
 
-def test_the_list_is_sorted_and_the_first_page_short() -> None:
-    assert fraclink.__all__ == sorted(fraclink.__all__)
+def test_the_lists_are_sorted_and_the_first_page_short() -> None:
+    for module in PUBLIC.values():
+        assert module.__all__ == sorted(module.__all__)
     assert 30 <= len(FIRST) <= 45
 
 
-def test_every_name_of_the_stub_is_public() -> None:
-    stub = ast.parse((PACKAGE / "__init__.pyi").read_text("utf-8"))
+@pytest.mark.parametrize("package", PUBLIC)
+def test_every_name_of_the_stub_is_public(package: str) -> None:
+    stub = ast.parse(
+        (ROOT / "src" / package.replace(".", "/") / "__init__.pyi").read_text("utf-8")
+    )
     names = {
-        alias.name
+        alias.asname
         for node in stub.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    assert names - {"errors"} == set(NAMES)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_public_name_exists_and_is_defined_where_it_is_said(name: str) -> None:
-    value = getattr(fraclink, name)
-    home = importlib.import_module(fraclink._HOME[name])
-    assert getattr(home, name) is value
-    assert name in getattr(home, "__all__", [name])
+    assert names == set(PUBLIC[package].__all__)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_public_name_is_documented_with_an_example(name: str) -> None:
-    value = getattr(fraclink, name)
+    value = value_of(name)
     if not isinstance(value, type) and not inspect.isfunction(value):
         return  # a table or an object; its class says what it is
     text = inspect.getdoc(value) or ""
     assert text, f"{name} has no docstring"
     if isinstance(value, type) and issubclass(value, Exception | Warning):
         return
-    assert not text.startswith(f"{name}("), (
+    assert not text.startswith(f"{name.rpartition('.')[2]}("), (
         f"{name}: a dataclass's generated signature is no docstring"
     )
     assert name not in FIRST or ">>>" in text, f"{name} has no example that runs"
@@ -83,7 +98,7 @@ def test_public_name_is_documented_with_an_example(name: str) -> None:
 
 @pytest.mark.parametrize("name", FIRST)
 def test_public_function_states_units_and_types(name: str) -> None:
-    value = getattr(fraclink, name)
+    value = value_of(name)
     if not inspect.isfunction(value):
         return
     signature = inspect.signature(value)
@@ -96,11 +111,6 @@ def test_public_function_states_units_and_types(name: str) -> None:
     assert signature.return_annotation is not inspect.Signature.empty
     if any("float" in str(p.annotation) for p in signature.parameters.values()):
         assert "[" in (inspect.getdoc(value) or ""), f"{name} names no unit in brackets"
-
-
-def test_public_names_stand_in_the_reference() -> None:
-    pages = "".join(path.read_text("utf-8") for path in REFERENCE.rglob("*.md"))
-    assert [name for name in NAMES if f"fraclink.{name}" not in pages] == []
 
 
 def test_the_root_answers_dir_and_refuses_unknown_names() -> None:

@@ -25,8 +25,8 @@ from fraclink._identify import (
     save_model,
     simulated_torque,
 )
-from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
+from fracsys._response import time_response
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
 NOISE = 0.0052**0.5

@@ -22,7 +22,7 @@ from fraclink._identify import (
     simulated_torque,
 )
 from fraclink._identify.compare import _choice
-from fraclink._logs import read_log
+from fraclink._reading.reading import read_log
 from fraclink.errors import FieldError
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data

@@ -8,7 +8,7 @@ import pytest
 from fraclink._arm.link import LinkModel
 from fraclink._identify import simulated_torque
 from fraclink._identify.shape import Window, chosen_hold, shape_of, undamped_as_damped
-from fraclink._systems.response import time_response
+from fracsys._response import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
 
 LINKS = [

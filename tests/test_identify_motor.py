@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fraclink as fl
+import fracsys
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
@@ -405,8 +405,8 @@ def test_a_motor_loop_of_two_equal_poles() -> None:
         1 - (1 + 30 * time) * np.exp(-30 * time), abs=1e-12
     )
     target = np.repeat([1.0, -0.5, 2.0], 40)
-    exact = fl.time_response(
-        1 / (1 + fl.s / 30.0) ** 2, target, 0.01, hold="zero"
+    exact = fracsys.time_response(
+        1 / (1 + fracsys.s / 30.0) ** 2, target, 0.01, hold="zero"
     ).output
     assert _followed(target, 0.01, 30.0) == pytest.approx(exact, abs=1e-9)
 

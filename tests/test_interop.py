@@ -17,11 +17,11 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-import fraclink as fl
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.interop import from_control, to_control
-from fraclink._systems.margins import margins
+import fracsys
 from fraclink.errors import FieldError, MissingExtraError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._interop import from_control, to_control
+from fracsys._margins import margins
 
 mpl.use("Agg")
 W = 10.31
@@ -269,7 +269,7 @@ def test_a_name_is_shown() -> None:
 
 def test_without_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
-    monkeypatch.delitem(sys.modules, "fraclink._systems.control_adapter", raising=False)
+    monkeypatch.delitem(sys.modules, "fracsys._control_adapter", raising=False)
     with pytest.raises(MissingExtraError, match=r"fraclink\[control\]"):
         to_control(LOOP)
 
@@ -300,16 +300,16 @@ def test_a_sampled_system_is_the_continuous_one_behind_its_hold(plant: Any) -> N
     sampled = control.sample_system(plant, 0.1, method="zoh")
     late = control.tf([1.0], [1.0, 0.0, 0.0], 0.1) * control.tf(sampled)
     w = np.array([0.1, 1.0, 5.0, 20.0])
-    wanted = fl.from_control(plant)(1j * w)
-    np.testing.assert_allclose(fl.from_control(sampled)(1j * w), wanted, rtol=1e-8)
+    wanted = fracsys.from_control(plant)(1j * w)
+    np.testing.assert_allclose(fracsys.from_control(sampled)(1j * w), wanted, rtol=1e-8)
     np.testing.assert_allclose(
-        fl.from_control(late)(1j * w), wanted * np.exp(-0.2j * w), rtol=1e-8
+        fracsys.from_control(late)(1j * w), wanted * np.exp(-0.2j * w), rtol=1e-8
     )
-    assert fl.from_control(late).delay == pytest.approx(0.2)
+    assert fracsys.from_control(late).delay == pytest.approx(0.2)
     u = np.random.default_rng(0).standard_normal(50)
     answered = control.forced_response(sampled, inputs=u).outputs
     np.testing.assert_allclose(
-        fl.time_response(fl.from_control(sampled), u, 0.1).output,
+        fracsys.time_response(fracsys.from_control(sampled), u, 0.1).output,
         answered,
         atol=1e-8 * np.abs(answered).max(),
     )
@@ -320,7 +320,7 @@ def test_an_operator_does_not_guess_the_hold_of_a_sampled_system() -> None:
     for operation in (
         lambda: s * sampled,
         lambda: s + sampled,
-        lambda: fl.to_control(1 / s).feedback(sampled),
+        lambda: fracsys.to_control(1 / s).feedback(sampled),
     ):
         with pytest.raises(FieldError, match="from_control"):
             operation()
@@ -330,7 +330,7 @@ def test_what_python_controls_users_ask_of_a_function() -> None:
     G = (s + 2) / (s**1.92 + 0.3 * s**0.5 + 100)
     assert G.dcgain() == control.dcgain(G) == 0.02
     assert (1 / s).dcgain() == math.inf
-    np.testing.assert_array_equal(G.poles(), fl.poles(G))
+    np.testing.assert_array_equal(G.poles(), fracsys.poles(G))
     np.testing.assert_array_equal(control.zeros(G), [-2.0])
     for name, told in {
         "num": "G.numerator",

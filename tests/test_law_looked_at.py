@@ -26,9 +26,9 @@ from fraclink._law.requirement import (
     no_law,
 )
 from fraclink._law.tracking import forward_fit, masses_of, tracking_for
-from fraclink._systems.margins import GainCrossing, Margins
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys._margins import GainCrossing, Margins
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model

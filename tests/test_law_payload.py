@@ -16,9 +16,9 @@ from scipy.signal import lfilter
 import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._law import Law, LawOutputs
-from fraclink._show.tables import moves_table
-from fraclink._show.views import view
 from fraclink._simulate import Twin
+from fraclink.view._tables import moves_table
+from fraclink.view._views import view
 from law_bench import PERIOD, law, run
 
 PRECISIONS = ("double", "single")

@@ -22,7 +22,9 @@ def log() -> fl.Experiment:
     time = 0.004 * np.arange(6000)
     shaken = 0.002 * np.random.default_rng(1).normal(size=time.size)
     angle = 0.3 * np.sin(0.5 * time + 0.6 * time**2) + shaken
-    torque = fl.simulated_torque(fl.LinkModel(1.56, 10.02, order=1.92), angle, 0.004)
+    torque = fl.extend.simulated_torque(
+        fl.LinkModel(1.56, 10.02, order=1.92), angle, 0.004
+    )
     noise = np.random.default_rng(0).normal(0, 0.05, torque.size)
     rough = noise - np.convolve(noise, np.ones(15) / 15, "same")
     return fl.Experiment(period=0.004, motor_angle=angle, output=torque + rough)
@@ -56,9 +58,9 @@ def test_the_error_is_the_one_of_a_fit_at_that_point(log, fit) -> None:
         link = replace(
             fit.model, order=order, natural_frequency=resonance ** (order / 2.0)
         )
-        unit = fl.simulated_torque(link, log.motor_angle, 0.004, delay=fit.delay)[
-            :count
-        ]
+        unit = fl.extend.simulated_torque(
+            link, log.motor_angle, 0.004, delay=fit.delay
+        )[:count]
         columns = np.stack([unit, np.ones(count)], axis=1)
         _, rest, *_ = np.linalg.lstsq(columns, log.output[:count], rcond=None)
         assert ratio == pytest.approx(float(rest[0]) / (fit.mse * count), rel=2e-3)

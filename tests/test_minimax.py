@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fraclink import _kernels
-from fraclink._systems.minimax import (
+from fracsys import _kernels
+from fracsys._minimax import (
     PartialFractions,
     Target,
     best_residues,

@@ -11,8 +11,8 @@ import pytest
 
 import fraclink as fl
 from fraclink._certify import Certificate
-from fraclink._show.pages import DARK, LIGHT, colours
-from fraclink._show.views import view
+from fraclink.view._pages import DARK, LIGHT, colours
+from fraclink.view._views import view
 
 RIG = fl.Rig.named("paper-2023")
 
@@ -78,14 +78,14 @@ def test_a_cell_shows_the_table_and_the_drawing(
 
 @pytest.mark.slow
 def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
-    fl.draw(results["Fit"], tmp_path / "fit.svg")
+    fl.view.draw(results["Fit"], tmp_path / "fit.svg")
     assert (tmp_path / "fit.svg").read_text().strip() == results[
         "Fit"
     ]._repr_svg_().strip()
     with pytest.raises(fl.errors.FieldError, match="without a drawing"):
-        fl.draw(results["Law"], tmp_path / "law.svg")
+        fl.view.draw(results["Law"], tmp_path / "law.svg")
     with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        fl.draw(results["Fit"], tmp_path / "fit.png")
+        fl.view.draw(results["Fit"], tmp_path / "fit.png")
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink._show.pages import DARK, DASHES, LIGHT, LINES, colours
+from fraclink.view._pages import DARK, DASHES, LIGHT, LINES, colours
 
 Real = NDArray[np.float64]
 

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 import fraclink as fl
+import fracsys
 from fraclink._cli import main
 from fraclink._export.claims import worst_case
 from fraclink._export.selftest import expected
 from fraclink._law.block import Modes
 from fraclink._law.fractional_pid import pid_response
-from fraclink._systems.fractional import FractionalTransferFunction, s
+from fracsys._fractional import FractionalTransferFunction, s
 from needed_tools import tool
 
 Real = NDArray[np.float64]
@@ -96,7 +97,7 @@ def test_margins_are_met(
 def test_itae_is_that_of_the_exact_response(plant: FractionalTransferFunction) -> None:
     made = fl.tune_pid(plant, gain_crossover=2.0, phase_margin=fl.deg(60))
     time = np.linspace(0.0, made.horizon, 20_001)
-    error = fl.time_response(
+    error = fracsys.time_response(
         1 / (1 + made.open_loop), np.ones(time.size), time[1]
     ).output
     assert made.itae == pytest.approx(
@@ -171,7 +172,7 @@ def test_fit_of_a_structure_is_a_plant(tmp_path: Path) -> None:
     made.save(tmp_path / "pid.json")
     assert fl.load(tmp_path / "pid.json") == made
     made.controller.save(tmp_path / "c.json")
-    assert fl.FractionalPid.load(tmp_path / "c.json") == made.controller
+    assert fl.extend.FractionalPid.load(tmp_path / "c.json") == made.controller
 
 
 def test_plants_of_python_control() -> None:
@@ -254,14 +255,14 @@ def test_a_law_that_cannot_be_looked_at_is_said() -> None:
 # --- the law ----------------------------------------------------------------------------------------------
 
 
-def pid(**changed: float) -> fl.FractionalPid:
+def pid(**changed: float) -> fl.extend.FractionalPid:
     given = {
         "integral": 3.0,
         "integral_order": 0.8,
         "derivative": 0.05,
         "derivative_order": 0.7,
     }
-    return fl.FractionalPid(2.0, **(given | changed))
+    return fl.extend.FractionalPid(2.0, **(given | changed))
 
 
 LAW = {"output_limit": 10.0, "measurement_limit": 2.0}
@@ -290,7 +291,9 @@ def own_filter(law: fl.Law, error: Real, limit: float = math.inf) -> Real:
 
 @pytest.mark.parametrize("limit", [1000.0, 1.0])
 def test_law_is_the_filter_that_it_states(limit: float) -> None:
-    law = fl.discretize_pid(pid(), 0.004, output_limit=limit, measurement_limit=2.0)
+    law = fl.extend.discretize_pid(
+        pid(), 0.004, output_limit=limit, measurement_limit=2.0
+    )
     rng = np.random.default_rng(1)
     reference, measured = rng.uniform(-1, 1, (2, 1500))
     _, out = law.run(
@@ -311,13 +314,13 @@ def test_law_is_the_filter_that_it_states(limit: float) -> None:
         pid(integral_order=1.3),
         pid(integral=0.0),
         pid(integral_order=1.0),
-        fl.FractionalPid(0.0, integral=3.0, integral_order=0.5),
+        fl.extend.FractionalPid(0.0, integral=3.0, integral_order=0.5),
     ],
 )
-def test_law_follows_the_controller(controller: fl.FractionalPid) -> None:
-    law = fl.discretize_pid(controller, 0.004, **LAW)
+def test_law_follows_the_controller(controller: fl.extend.FractionalPid) -> None:
+    law = fl.extend.discretize_pid(controller, 0.004, **LAW)
     w = np.geomspace(*law.band, 500)
-    ratio = np.log(fl.pid_response(law, w) / controller.response(w))
+    ratio = np.log(fl.extend.pid_response(law, w) / controller.response(w))
     assert (
         np.max(np.abs(ratio.real)) * 20 / math.log(10) <= law.correction_error[0] * 1.05
     )
@@ -343,7 +346,7 @@ def test_a_lasting_error_is_always_removed() -> None:
         **LAW,
     )
     law = made.law()
-    assert np.degrees(np.angle(fl.pid_response(law, 1e-5))) == pytest.approx(
+    assert np.degrees(np.angle(fl.extend.pid_response(law, 1e-5))) == pytest.approx(
         -90.0, abs=1.0
     )
     step = made.step(law=law, duration=200.0)
@@ -367,7 +370,7 @@ def test_the_law_on_its_plant_is_what_was_tuned() -> None:
 
 
 def test_nan_holds_and_then_switches_off() -> None:
-    law = fl.discretize_pid(pid(), 0.004, **LAW)
+    law = fl.extend.discretize_pid(pid(), 0.004, **LAW)
     measured = np.full(40, 0.1)
     measured[10:13] = math.nan
     measured[25:] = math.nan
@@ -387,7 +390,7 @@ def test_nan_holds_and_then_switches_off() -> None:
 
 
 def test_a_torque_is_without_effect() -> None:
-    law = fl.discretize_pid(pid(), 0.004, **LAW)
+    law = fl.extend.discretize_pid(pid(), 0.004, **LAW)
     rng = np.random.default_rng(2)
     reference, measured, torque = rng.uniform(-1, 1, (3, 300))
     for disturbing in (torque, np.full(300, 1e9), np.full(300, math.nan)):
@@ -412,7 +415,7 @@ def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
         pair_poles=(-0.34673601388931274 + 0.7264961004257202j,),
         pair_gains=(1.3996630907058716 + 2.985222339630127j,),
     )
-    law = replace(fl.discretize_pid(pid(), 0.02, **LAW), correction=modes)
+    law = replace(fl.extend.discretize_pid(pid(), 0.02, **LAW), correction=modes)
     bounds = worst_case(law)
     c, poles = (
         law.correction,
@@ -434,7 +437,7 @@ def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
-    law = fl.discretize_pid(pid(), 0.004, **LAW, precision=precision)
+    law = fl.extend.discretize_pid(pid(), 0.004, **LAW, precision=precision)
     fl.export_c(law, tmp_path / "c")
     compiler = tool("cc", "gcc")
     flags = ["-DLAW_SINGLE"] if precision == "single" else []
@@ -457,12 +460,12 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
     )
     assert "passed" in said.stdout
     rng = np.random.default_rng(0)
-    record = fl.Recording(
+    record = fl.extend.Recording(
         period=0.004, input=rng.uniform(-1, 1, 400), output=rng.uniform(-1, 1, 400)
     )
-    assert fl.replay_log(tmp_path / "c", record).passed
+    assert fl.extend.replay_log(tmp_path / "c", record).passed
     with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        fl.replay_log(
+        fl.extend.replay_log(
             tmp_path / "c",
             fl.Experiment(period=0.004, motor_angle=[0, 0.1], output=[0, 0.01]),
         )
@@ -478,7 +481,7 @@ def test_the_self_test_stays_in_run_where_it_should() -> None:
     few periods.
     """
     for limit in (1e-3, 2.0, 700.0):
-        law = fl.discretize_pid(
+        law = fl.extend.discretize_pid(
             pid(), 0.004, output_limit=10.0, measurement_limit=limit
         )
         reached = {
@@ -492,7 +495,7 @@ def test_the_self_test_stays_in_run_where_it_should() -> None:
 @pytest.mark.slow
 def test_fmu_has_the_names_of_a_pid(tmp_path: Path) -> None:
     fmpy = pytest.importorskip("fmpy")
-    law = fl.discretize_pid(pid(), 0.01, **LAW)
+    law = fl.extend.discretize_pid(pid(), 0.01, **LAW)
     tool("cc", "gcc")
     path = fl.export_fmu(law, tmp_path / "pid.fmu")
     about = fmpy.read_model_description(str(path))
@@ -524,9 +527,9 @@ def test_proofs(tmp_path: Path) -> None:
     pytest.importorskip("fraclink_prove")
     for program in ("frama-c", "z3", "gappa"):
         tool(program)
-    law = fl.discretize_pid(pid(), 0.004, **LAW, precision="single")
+    law = fl.extend.discretize_pid(pid(), 0.004, **LAW, precision="single")
     fl.export_c(law, tmp_path / "c", prove=True)
-    proof = fl.Proof.load(tmp_path / "c" / "proof.json")
+    proof = fl.extend.Proof.load(tmp_path / "c" / "proof.json")
     assert {claim.name: claim.status for claim in proof.claims} == dict.fromkeys(
         ("outputs", "finite", "slew", "rounding"), "proved"
     )
@@ -587,14 +590,14 @@ def test_laws_in_python_control() -> None:
         rig.period,
         order=4,
     )
-    plain = fl.discretize_pid(pid(), 0.004, **LAW)
+    plain = fl.extend.discretize_pid(pid(), 0.004, **LAW)
     pair = {"pair_poles": (-0.3 + 0.7j, 0.2 + 0.1j), "pair_gains": (1.5 + 3j, 0.3 - 1j)}
     turning = replace(plain, correction=plain.correction._replace(**pair))
     w = np.geomspace(0.05, 780.0, 80)
     for law, wanted in (
         (arm, arm.frequency_response(w)),
-        (plain, fl.pid_response(plain, w)),
-        (turning, fl.pid_response(turning, w)),
+        (plain, fl.extend.pid_response(plain, w)),
+        (turning, fl.extend.pid_response(turning, w)),
     ):
         system = law.to_control()
         assert system.dt == law.period

@@ -16,8 +16,8 @@ import fraclink as fl
 from fraclink._design import pid_search
 from fraclink._design.pid import _of_law, _problem
 from fraclink._design.pid_search import Candidates, PidProblem, itae
-from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink.errors import FieldError, InfeasibleError
+from fracsys._fractional import FractionalTransferFunction, s
 
 LAG = (1 / (0.4 * s**1.5 + 1)).delayed(0.05)
 SCAN = np.geomspace(1e-3, 1e3, 480)
@@ -327,7 +327,7 @@ def test_infeasible_requests_are_named_by_their_form() -> None:
 
 
 @pytest.fixture(scope="module")
-def made() -> fl.PidTuning:
+def made() -> fl.extend.PidTuning:
     return fl.tune_pid(
         LAG,
         gain_crossover=3.0,
@@ -341,7 +341,7 @@ def made() -> fl.PidTuning:
 
 @pytest.mark.slow
 def test_a_tuning_lists_what_was_asked_and_what_was_achieved(
-    made: fl.PidTuning,
+    made: fl.extend.PidTuning,
 ) -> None:
     assert made.delay == pytest.approx(0.015)
     assert made.horizon == pytest.approx(40.0 / 3.0)
@@ -383,7 +383,7 @@ def test_a_tuning_lists_what_was_asked_and_what_was_achieved(
 
 
 @pytest.mark.slow
-def test_a_law_takes_what_the_tuning_was_given(made: fl.PidTuning) -> None:
+def test_a_law_takes_what_the_tuning_was_given(made: fl.extend.PidTuning) -> None:
     law = made.law()
     assert (law.period, law.drive.voltage_limit, law.limits.angle_limit) == (
         0.01,
@@ -437,20 +437,20 @@ def test_a_law_takes_what_the_tuning_was_given(made: fl.PidTuning) -> None:
         bare.law(period=0.01, output_limit=1.0)
 
 
-def test_a_step_is_the_closed_loops(made: fl.PidTuning) -> None:
+def test_a_step_is_the_closed_loops(made: fl.extend.PidTuning) -> None:
     """The plant's own delay is inverted numerically; here one without: C = k on 1/(s +
     1).
     """
     bare = replace(made, period=None, gain_crossover=None, horizon=2.0)
-    plain = replace(bare, plant=1 / (s + 1), controller=fl.FractionalPid(3.0))
+    plain = replace(bare, plant=1 / (s + 1), controller=fl.extend.FractionalPid(3.0))
     step = plain.step(size=2.0)
     assert step.time[-1] == 2.0 and step.time.size == 1001
     answer = 2.0 * 0.75 * (1 - np.exp(-4.0 * step.time))
     assert np.allclose(step.measurement, answer, atol=1e-9)
     assert np.allclose(step.output, 3.0 * (2.0 - answer), atol=1e-8)
     assert plain.step(duration=1.0).time[-1] == 1.0
-    law = fl.discretize_pid(
-        fl.FractionalPid(3.0), 0.01, output_limit=50.0, measurement_limit=5.0
+    law = fl.extend.discretize_pid(
+        fl.extend.FractionalPid(3.0), 0.01, output_limit=50.0, measurement_limit=5.0
     )
     held = plain.step(law=law, duration=0.5)
     assert held.time.size == 51 and held.time[-1] == pytest.approx(0.5)
@@ -464,8 +464,8 @@ def test_a_step_is_the_closed_loops(made: fl.PidTuning) -> None:
 
 def test_limits_of_a_pids_law_are_those_of_its_measurement() -> None:
     """Errors within 2Y: a mode's state stays within (1 + |1 − p|/(1 − |p|)) of them."""
-    law = fl.discretize_pid(
-        fl.FractionalPid(2.0, integral=3.0, integral_order=0.8),
+    law = fl.extend.discretize_pid(
+        fl.extend.FractionalPid(2.0, integral=3.0, integral_order=0.8),
         0.01,
         output_limit=9.0,
         measurement_limit=5.0,
@@ -494,27 +494,27 @@ def test_limits_of_a_pids_law_are_those_of_its_measurement() -> None:
     assert {name: getattr(bound, name) for name in wanted} == pytest.approx(
         wanted, rel=1e-12
     )
-    plain = fl.discretize_pid(
-        fl.FractionalPid(3.0), 0.01, output_limit=9.0, measurement_limit=5.0
+    plain = fl.extend.discretize_pid(
+        fl.extend.FractionalPid(3.0), 0.01, output_limit=9.0, measurement_limit=5.0
     )
     assert (plain.order, plain.correction_error, plain.limits.sum_limit) == (
         0,
         (0.0, 0.0),
         0.0,
     )
-    assert fl.pid_response(plain, [1.0, 100.0]) == pytest.approx([3.0, 3.0])
+    assert fl.extend.pid_response(plain, [1.0, 100.0]) == pytest.approx([3.0, 3.0])
 
 
 def test_the_margins_of_the_shipped_law_count_a_period_of_computation(
-    made: fl.PidTuning,
+    made: fl.extend.PidTuning,
 ) -> None:
-    law = fl.discretize_pid(
-        fl.FractionalPid(3.0), 0.1, output_limit=50.0, measurement_limit=5.0
+    law = fl.extend.discretize_pid(
+        fl.extend.FractionalPid(3.0), 0.1, output_limit=50.0, measurement_limit=5.0
     )
     plain = replace(
         made,
         plant=1 / (s + 1),
-        controller=fl.FractionalPid(3.0),
+        controller=fl.extend.FractionalPid(3.0),
         period=0.1,
         horizon=2.0,
     )
@@ -532,7 +532,9 @@ def test_the_margins_of_the_shipped_law_count_a_period_of_computation(
 
 
 @pytest.mark.slow
-def test_what_the_shipped_law_keeps_is_told_by_how_much(made: fl.PidTuning) -> None:
+def test_what_the_shipped_law_keeps_is_told_by_how_much(
+    made: fl.extend.PidTuning,
+) -> None:
     """The same law on plants that are louder than the one it was tuned for."""
     kept = abs(
         made.sampled_margins(

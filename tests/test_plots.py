@@ -20,13 +20,15 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink import _kernels
 from fraclink._design.assess import PhaseShare, margin_curve, phase_budget
-from fraclink._realtime import Callback, run_realtime
-from fraclink._show import plots
-from fraclink._show.pages import colours
-from fraclink._systems.fractional import s
 from fraclink.errors import FieldError, MissingExtraError
+from fraclink.lab._connections import Callback
+from fraclink.lab._loop import run_realtime
+from fraclink.view import _plots as plots
+from fraclink.view._pages import colours
+from fracsys._fractional import s
 
 mpl.use("Agg")
 LINK = 1.56 * s**1.92 / (s**1.92 + 100.4)
@@ -242,7 +244,7 @@ def test_the_times_of_a_run_are_all_in_the_histograms() -> None:
     )
     at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     run = run_realtime(
-        law, fl.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False
+        law, fl.extend.hold(0.0), at_rest, duration=0.1, priority=0, lock_memory=False
     )
     count = len(run.tick)
     late = replace(run, latency=np.full(count, 0.0321), work=np.zeros(count))
@@ -291,7 +293,7 @@ def test_nichols_marks_every_critical_point_in_view_and_a_grid_for_every_turn(
     delay: float,
 ) -> None:
     """−180° and each turn away from it: the phase of a delay runs through several."""
-    loop = (3.0 / (fl.s + 0.3)).delayed(delay)
+    loop = (3.0 / (fracsys.s + 0.3)).delayed(delay)
     axis = plots.nichols(loop, frequency=np.geomspace(0.01, 40.0, 800))
     low, high = axis.get_xlim()
     marked = sorted(
@@ -314,7 +316,7 @@ def test_plots_take_the_colours_of_their_background(style):
     from matplotlib import pyplot as plt
 
     with plt.style.context(style):
-        axes = fl.margin_plot(100 / (s**1.92 + 100) * 0.148 * s**0.65)
+        axes = fl.view.margin_plot(100 / (s**1.92 + 100) * 0.148 * s**0.65)
         drawn = {
             mpl.colors.to_hex(line.get_color())
             for axis in axes
@@ -463,7 +465,7 @@ def test_a_bode_plot_is_cut_where_nothing_can_be_read() -> None:
 
 def test_margins_are_drawn_at_their_crossings() -> None:
     loop = 4 / (s * (s + 1) * (s + 2))
-    found = fl.margins(loop)
+    found = fracsys.margins(loop)
     magnitude, phase = plots.margin_plot(loop)
     gain, turn = found.gain_crossings[0], found.phase_crossings[0]
     points = [
@@ -565,7 +567,7 @@ def test_contours_of_the_closed_loop_are_named_where_they_are_highest_or_leave()
 
 
 def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
-    from fraclink._show import axes
+    from fraclink.view import _axes as axes
 
     def drawn(name: str) -> str:
         with axes.figure(3.0, 2.0) as figure:
@@ -592,7 +594,7 @@ def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
 
 @pytest.mark.slow
 def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
-    from fraclink._show.axes import save_figure
+    from fraclink.view._axes import save_figure
 
     for name, start in (
         ("a.svg", b"<?xml"),
@@ -636,13 +638,13 @@ def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
 def test_a_background_is_dark_below_half_its_brightness(
     background: Any, theme: int
 ) -> None:
-    from fraclink._show.axes import theme_on
+    from fraclink.view._axes import theme_on
 
     assert theme_on(background) == theme
 
 
 def test_a_response_of_given_frequencies_has_a_gap_at_a_pole() -> None:
-    from fraclink._show.axes import LoopCurve, sample
+    from fraclink.view._axes import LoopCurve, sample
 
     w = np.array([0.5, 1.0, 2.0])
     found = sample(1 / (s**2 + 1), w, None)
@@ -693,7 +695,7 @@ def test_margins_of_every_kind_have_a_style_of_their_own() -> None:
 
 def test_no_arrow_bridges_what_is_not_seen() -> None:
     """Half of the seen length ends where the curve comes back from outside."""
-    from fraclink._show.planes import _arrows
+    from fraclink.view._planes import _arrows
 
     told: list[Any] = []
     axis = SimpleNamespace(
@@ -718,8 +720,8 @@ def test_a_plot_leaves_the_parameters_of_matplotlib_alone(tmp_path: Path) -> Non
         "matplotlib.interactive(True)\n"
     )
     program = (
-        "import matplotlib, fraclink as fl\n"
-        "fl.bode(1 / (fl.s + 1))\n"
+        "import matplotlib, fraclink as fl, fracsys\n"
+        "fl.bode(1 / (fracsys.s + 1))\n"
         "print(matplotlib.is_interactive())"
     )
     inline = {"MPLBACKEND": "module://inline", "PYTHONPATH": str(tmp_path)}

@@ -10,10 +10,10 @@ import control
 import numpy as np
 import pytest
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.rational import RationalApproximation, approximate
-from fraclink._systems.zero_pole import cascade
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._rational import RationalApproximation, approximate
+from fracsys._zero_pole import cascade
 
 BAND = (1e-2, 700.0)
 

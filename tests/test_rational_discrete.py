@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.discrete import DiscreteRational, fit_discrete
 from fraclink.errors import FieldError
+from fracsys._discrete import DiscreteRational, fit_discrete
 
 PERIOD = 0.004
 Array = np.ndarray

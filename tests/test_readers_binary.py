@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fraclink._arm.log_columns import Channel, LogColumns
-from fraclink._logs import inspect_log, read_columns, read_log
-from fraclink._logs.formats import ReaderChild, read_table, sniffed_kind
+from fraclink._reading.formats import ReaderChild, read_table, sniffed_kind
+from fraclink._reading.reading import inspect_log, read_columns, read_log
 from fraclink.errors import (
     FieldError,
     FileFormatError,
@@ -280,7 +280,7 @@ def test_b66_the_signal_that_ended_a_parser_is_told(
 ) -> None:
     import subprocess
 
-    from fraclink._logs import formats as module
+    from fraclink._reading import formats as module
 
     code = "import os, signal, sys; sys.stdin.readline(); os.kill(os.getpid(), signal.SIGSEGV)"
     start = subprocess.Popen
@@ -355,7 +355,7 @@ def test_columns_are_called_as_their_program_calls_them(
 def test_b66_objects_of_matlab_yield_no_columns() -> None:
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
-    from fraclink._logs.worker import _flat
+    from fraclink._reading.worker import _flat
 
     fields = np.zeros((1, 1), dtype=[("s0", "O"), ("arr", "O")])
     fields["arr"][0, 0] = np.arange(6, dtype=np.uint32).reshape(6, 1)
@@ -385,7 +385,7 @@ def test_an_answer_that_never_ends_is_not_waited_for(
 ) -> None:
     import subprocess
 
-    from fraclink._logs import formats as module
+    from fraclink._reading import formats as module
 
     monkeypatch.setattr(module, "WALL_SECONDS", 10**6)
     code = "import sys, time; sys.stdin.readline(); print('x' * 3_000_000); time.sleep(1000)"

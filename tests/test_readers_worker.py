@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fraclink._logs import worker
-from fraclink._logs.worker import NUMPY, columns_of
+from fraclink._reading import worker
+from fraclink._reading.worker import NUMPY, columns_of
 from fraclink.errors import SizeError
 from made_files import made_columns, made_file
 

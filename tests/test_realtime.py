@@ -29,20 +29,14 @@ from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._files import write_npz
 from fraclink._law import MODES, REASONS, Law
-from fraclink._realtime import (
-    Callback,
-    Command,
-    RealtimeRun,
-    Spread,
-    VirtualClock,
-    loop,
-    run_realtime,
-)
-from fraclink._realtime.line import open_line
-from fraclink._realtime.machine import signals_held
-from fraclink._realtime.run import reserved, saved
-from fraclink._show.views import view
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
+from fraclink.lab import _loop as loop
+from fraclink.lab._connections import Callback, Command
+from fraclink.lab._line import open_line
+from fraclink.lab._loop import run_realtime
+from fraclink.lab._machine import Spread, VirtualClock, signals_held
+from fraclink.lab._run import RealtimeRun, reserved, saved
+from fraclink.view._views import view
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -93,7 +87,7 @@ def live(
 ) -> RealtimeRun:
     """Run `law` on a clock of its own; by default to stay where the arm is."""
     given = {"priority": 0, "lock_memory": False, "clock": VirtualClock(1)} | options
-    return run_realtime(law, reference or fl.hold(0.0), board, **given)  # type: ignore[arg-type]
+    return run_realtime(law, reference or fl.extend.hold(0.0), board, **given)  # type: ignore[arg-type]
 
 
 def stopped(board: Board) -> bool:
@@ -662,16 +656,18 @@ def test_another_system_is_told_plainly(
 REFUSED = """
     import os, resource, sys
     import fraclink as fl
-    from fraclink._realtime import Callback, VirtualClock, run_realtime
+    from fraclink.lab._machine import VirtualClock
+    from fraclink.lab._connections import Callback
+    from fraclink.lab._loop import run_realtime
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(fl.Controller(gain=0.07, order=0.6, link=rig.model), 0.02, order=4)
     still = Callback(lambda: (0.0, 0.0), lambda command: None)
-    run_realtime(law, fl.hold(0.0), still, duration=0.04, priority=0, lock_memory=False)
+    run_realtime(law, fl.extend.hold(0.0), still, duration=0.04, priority=0, lock_memory=False)
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
     if os.geteuid() == 0:
         os.setresuid(65534, 65534, 65534)
-    run = run_realtime(law, fl.hold(0.0), still, duration=0.1, clock=VirtualClock(1))
+    run = run_realtime(law, fl.extend.hold(0.0), still, duration=0.1, clock=VirtualClock(1))
     print(run.scheduling, "|", run.memory, "|", run.stopped)
 """
 
@@ -706,7 +702,7 @@ def test_what_it_grants_is_given_back(law: Law) -> None:
 
     board = Board()
     run = run_realtime(
-        law, fl.hold(0.0), Callback(read, board.write), duration=0.1, priority=5
+        law, fl.extend.hold(0.0), Callback(read, board.write), duration=0.1, priority=5
     )
     scheduler, kilobytes = seen[-1]
     # A container may refuse either: then it is not had, and the result says so.

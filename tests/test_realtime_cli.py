@@ -26,13 +26,16 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._campaign.study import load_study
 from fraclink._cli import boards, main
 from fraclink._export import export_io
 from fraclink._law import REASONS
-from fraclink._realtime import Library, RealtimeRun, ServedArm, Udp, run_realtime
 from fraclink._simulate import geared
 from fraclink.errors import FieldError
+from fraclink.lab._arm import ServedArm
+from fraclink.lab._connections import Library, Udp
+from fraclink.lab._loop import run_realtime
+from fraclink.lab._run import RealtimeRun
+from fraclink.trials._study import load_study
 from needed_tools import tool
 
 if not _kernels.REALTIME:
@@ -376,7 +379,7 @@ def test_ways_that_fail_when_they_are_opened(
         ),
     ):
         with pytest.raises(FieldError, match=said):
-            run_realtime(law, fl.hold(0.0), way, patience=0.05)
+            run_realtime(law, fl.extend.hold(0.0), way, patience=0.05)
     assert not (tmp_path / "last").exists()
 
 
@@ -384,9 +387,10 @@ CRASHING = """
     import sys
     from pathlib import Path
     import fraclink as fl
-    from fraclink._realtime import Library, run_realtime
+    from fraclink.lab._connections import Library
+    from fraclink.lab._loop import run_realtime
     law = fl.Design.load("design.json").law(order=4)
-    run_realtime(law, fl.hold(0.0), Library(Path(sys.argv[1])), priority=0, duration=5.0)
+    run_realtime(law, fl.extend.hold(0.0), Library(Path(sys.argv[1])), priority=0, duration=5.0)
 """
 
 
@@ -452,7 +456,7 @@ def test_no_signal_takes_the_motion_of_a_served_arm_away(
     line = (
         f"serve-arm design.json --io shm:kept-{os.getpid()} --priority 0 --duration 0.2"
     )
-    keep, hold = boards.realtime.saved, boards.realtime.reserved
+    keep, hold = boards.saved, boards.reserved
 
     def first(*given: Any, **options: Any) -> Any:
         signal.raise_signal(signal.SIGINT)
@@ -462,14 +466,14 @@ def test_no_signal_takes_the_motion_of_a_served_arm_away(
         signal.raise_signal(signal.SIGINT)
         return keep(value, place)
 
-    monkeypatch.setattr(boards.realtime, "saved", late)
+    monkeypatch.setattr(boards, "saved", late)
     handler = signal.signal(
         signal.SIGINT, signal.default_int_handler
     )  # ignored in the background of a shell
     try:
         code, _, err = fraclink(f"{line} --out whole.npz")
         assert (code, len(fl.load("whole.npz", ServedArm).time)) == (0, 10), err
-        monkeypatch.setattr(boards.realtime, "reserved", first)
+        monkeypatch.setattr(boards, "reserved", first)
         code, _, err = fraclink(f"{line} --out none.npz")
         assert (code, len(fl.load("none.npz", ServedArm).time)) == (0, 0), err
     finally:

@@ -18,9 +18,9 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._realtime import VirtualClock, WakeUps, measure_wake_ups
-from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import (
+from fraclink.errors import FieldError
+from fraclink.lab._connections import Callback, Command
+from fraclink.lab._line import (
     ArmLine,
     ArmLost,
     Reading,
@@ -29,9 +29,15 @@ from fraclink._realtime.line import (
     _noted_signals,
     open_line,
 )
-from fraclink._realtime.machine import granted, granted_priority, period_ns
-from fraclink._realtime.tune_guard import Guard, LimitReached
-from fraclink.errors import FieldError
+from fraclink.lab._machine import (
+    VirtualClock,
+    WakeUps,
+    granted,
+    granted_priority,
+    measure_wake_ups,
+    period_ns,
+)
+from fraclink.lab._tune_guard import Guard, LimitReached
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)

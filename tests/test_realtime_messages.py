@@ -29,19 +29,19 @@ from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import Reference
 from fraclink._law import REASONS, Law, equip
-from fraclink._realtime import (
-    Library,
-    RealtimeRun,
-    ServedArm,
-    SharedMemory,
-    Udp,
-    VirtualClock,
-    run_realtime,
-    serve_arm,
-)
-from fraclink._realtime.connections import arm_end, controller_end
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.lab._arm import ServedArm, serve_arm
+from fraclink.lab._connections import (
+    Library,
+    SharedMemory,
+    Udp,
+    arm_end,
+    controller_end,
+)
+from fraclink.lab._loop import run_realtime
+from fraclink.lab._machine import VirtualClock
+from fraclink.lab._run import RealtimeRun
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
@@ -134,7 +134,7 @@ class Serving:
     ) -> RealtimeRun:
         """Run a law on the arm."""
         given = {"clock": self.clock, "priority": 0, "lock_memory": False} | options
-        return run_realtime(law, reference or fl.hold(0.0), self.way, **given)  # type: ignore[arg-type]
+        return run_realtime(law, reference or fl.extend.hold(0.0), self.way, **given)  # type: ignore[arg-type]
 
 
 class Peer(socket.socket):
@@ -323,7 +323,13 @@ def test_an_arm_that_starts_again_in_a_run_is_another_one(law: Law, twin: Twin) 
     thread = threading.Thread(target=serve_twice)
     thread.start()
     run = run_realtime(
-        law, fl.hold(0.0), way, duration=5.0, priority=0, lock_memory=False, clock=clock
+        law,
+        fl.extend.hold(0.0),
+        way,
+        duration=5.0,
+        priority=0,
+        lock_memory=False,
+        clock=clock,
     )
     clock.leave()
     thread.join(60.0)
@@ -459,7 +465,7 @@ def test_without_the_key_nothing_moves_the_arm(law: Law, twin: Twin) -> None:
         with Serving(twin, way) as serving, pytest.raises(FieldError, match="silent"):
             run_realtime(
                 law,
-                fl.hold(0.0),
+                fl.extend.hold(0.0),
                 replace(way, key=key),
                 patience=0.1,
                 clock=serving.clock,
@@ -506,7 +512,7 @@ def test_nobody_there_and_somebody_there_already(
     law: Law, twin: Twin, way: Way
 ) -> None:
     with pytest.raises(FieldError, match=r"silent|served by no arm") as caught:
-        run_realtime(law, fl.hold(0.0), way, patience=0.1)
+        run_realtime(law, fl.extend.hold(0.0), way, patience=0.1)
     assert caught.value.value == str(way)
     assert "fraclink serve-arm" in caught.value.remedy
     with arm_end(way), pytest.raises(FieldError) as busy:
@@ -520,7 +526,7 @@ def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
     """
     for host in ("203.0.113.7", "0.0.0.0", "::"):  # noqa: S104
         for call in (
-            lambda way: run_realtime(law, fl.hold(0.0), way, patience=0.05),
+            lambda way: run_realtime(law, fl.extend.hold(0.0), way, patience=0.05),
             lambda way: serve_arm(twin, way, PERIOD, duration=0.1),
         ):
             with pytest.raises(
@@ -543,7 +549,7 @@ def test_one_controller_at_a_time_in_shared_memory(law: Law) -> None:
         controller_end(way, 1.0),
         pytest.raises(FieldError, match="another controller"),
     ):
-        run_realtime(law, fl.hold(0.0), way, duration=0.1)
+        run_realtime(law, fl.extend.hold(0.0), way, duration=0.1)
 
 
 def test_shared_memory_is_private_and_leaves_nothing_behind(

@@ -18,7 +18,7 @@ from fraclink.errors import FieldError, SizeError
 
 SMOOTH: dict[str, Reference] = {
     "step": fl.smooth_step(1.0, 0.5, 0.3),
-    "pulse": fl.pulse(0.7, 2.0, 0.5, rise=0.4),
+    "pulse": fl.extend.pulse(0.7, 2.0, 0.5, rise=0.4),
     "chirp": fl.chirp(0.2, 0.5, 4.0, 5.0),
     "two moves": fl.smooth_step(1.0, 0.5).then(fl.smooth_step(-0.4, 0.8, 0.2)),
 }
@@ -61,10 +61,10 @@ def test_smooth_step_goes_from_rest_to_rest(
 
 
 def test_pulse_and_hold_jump_where_they_say() -> None:
-    path = fl.pulse(1.0, 7.0, 1.0)
+    path = fl.extend.pulse(1.0, 7.0, 1.0)
     assert path.angle([0.999, 1.0, 7.999, 8.0]).tolist() == [0, 1, 1, 0]
     assert path.velocity([1.0, 5.0]).tolist() == [0, 0]
-    assert fl.hold(0.3, 2.0).angle([-1.0, 0.0, 9.0]).tolist() == [0.3, 0.3, 0.3]
+    assert fl.extend.hold(0.3, 2.0).angle([-1.0, 0.0, 9.0]).tolist() == [0.3, 0.3, 0.3]
 
 
 @pytest.mark.parametrize("register", [3, 4, 5, 6, 7, 9, 10, 11])
@@ -98,7 +98,7 @@ def test_sampled_gives_three_rows_and_refuses_by_size() -> None:
     assert rows.shape == (3, 6)
     assert rows[:, -1].tolist() == [1.0, 0.0, 0.0]
     with pytest.raises(SizeError, match="duration"):
-        sampled(fl.hold(0.0), 0.004, 10**9)
+        sampled(fl.extend.hold(0.0), 0.004, 10**9)
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_sampled_gives_three_rows_and_refuses_by_size() -> None:
         (lambda: fl.smooth_step(1.0, 0.0), "duration"),
         (lambda: fl.smooth_step(1.0, 0.5, -1.0), "start"),
         (lambda: fl.smooth_step(True, 0.5), "amplitude"),
-        (lambda: fl.pulse(1.0, -1.0), "width"),
-        (lambda: fl.pulse(1.0, 1.0, rise=2.0), "rise"),
-        (lambda: fl.hold(math.inf), "angle"),
+        (lambda: fl.extend.pulse(1.0, -1.0), "width"),
+        (lambda: fl.extend.pulse(1.0, 1.0, rise=2.0), "rise"),
+        (lambda: fl.extend.hold(math.inf), "angle"),
         (lambda: fl.prbs(0.1, 0.2, register=8), "register"),
         (lambda: fl.prbs(0.1, 0.2, bits=0), "bits"),
         (lambda: fl.prbs(0.1, 0.0), "bit"),
@@ -125,7 +125,7 @@ def test_bad_values_are_named(make: object, field: str) -> None:
 
 
 def test_a_pulse_with_soft_edges_rests_between_them() -> None:
-    soft = fl.pulse(1.0, 7.0, 1.0, rise=0.3)
+    soft = fl.extend.pulse(1.0, 7.0, 1.0, rise=0.3)
     time = np.array([0.5, 1.15, 1.3, 2.0, 7.5, 8.0, 8.15, 8.3, 20.0])
     assert soft.angle(time) == pytest.approx([0, 0.5, 1, 1, 1, 1, 0.5, 0, 0], abs=1e-12)
     assert np.ptp(soft.angle(np.linspace(0, 10, 5001))) == pytest.approx(1.0)

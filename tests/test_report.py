@@ -21,16 +21,16 @@ import pytest
 from browser import command_line
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
-from fraclink._campaign.study import Study, load_study, save_study
 from fraclink._design import design
 from fraclink._design.completed import design_for
 from fraclink._identify import compare_structures
-from fraclink._logs import bundled_log, read_log
-from fraclink._show.report import render_report, write_report
-from fraclink._show.scales import envelope
-from fraclink._show.text import number, uncertain
+from fraclink._reading.reading import bundled_log, read_log
 from fraclink.findings import Finding, Scope, Verdict
+from fraclink.trials._faults import Case, Check, FaultTable, Outcome
+from fraclink.trials._study import Study, load_study, save_study
+from fraclink.view._report import render_report, write_report
+from fraclink.view._scales import envelope
+from fraclink.view._text import number, uncertain
 
 HOSTILE = [
     "<img src=x onerror=alert(1)>",
@@ -238,8 +238,8 @@ def test_ids_are_unique_and_every_reference_has_its_target() -> None:
 def test_the_same_study_gives_the_same_bytes_in_another_process(tmp_path: Path) -> None:
     code = (
         "from fraclink._arm.rig import Rig; from fraclink._design.completed import design_for\n"
-        "from fraclink._campaign.study import Study\n"
-        "from fraclink._show.report import write_report\n"
+        "from fraclink.trials._study import Study\n"
+        "from fraclink.view._report import write_report\n"
         "rig = Rig.named('paper-2023'); design, _ = design_for(rig)\n"
         "import sys; write_report(Study(rig=rig, design=design), sys.argv[1])"
     )
@@ -457,7 +457,7 @@ def test_a_browser_shows_the_page_without_a_complaint(tmp_path: Path) -> None:
 def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None:
     from types import SimpleNamespace
 
-    from fraclink._show.tables import _parameter
+    from fraclink.view._tables import _parameter
 
     def shown(name: str, structure: str = "UD-FOM", **values: float) -> str:
         model = SimpleNamespace(
@@ -486,7 +486,7 @@ def test_a_parameter_is_printed_with_its_error_or_as_held_or_as_a_dash() -> None
 
 def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -> None:
     from fraclink._design.assess import PhaseShare
-    from fraclink._show.loops import budget_figure
+    from fraclink.view._loops import budget_figure
 
     shares = [
         PhaseShare("controller", math.radians(40.0)),
@@ -518,8 +518,8 @@ def test_the_phase_budget_falls_from_180_degrees_by_each_share_to_the_margin() -
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["Curve", "Dots"])
 def test_a_name_stands_at_the_last_value_that_is_drawn(kind: str) -> None:
-    from fraclink._show import marks
-    from fraclink._show.scales import Scale
+    from fraclink.view import _marks as marks
+    from fraclink.view._scales import Scale
 
     frame = marks.Frame(Scale(0.0, 4.0), Scale(0.0, 10.0), top=20.0, height=100.0)
     mark = getattr(marks, kind)

@@ -14,12 +14,16 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.experiment import Experiment
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
-from fraclink._show import arm_page, loops, marks, pages, report
-from fraclink._show.drawing import Figure, Panel
-from fraclink._show.scales import Scale
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.findings import Finding
+from fraclink.trials._faults import Case, Check, FaultTable, Outcome
+from fraclink.view import _arm_page as arm_page
+from fraclink.view import _loops as loops
+from fraclink.view import _marks as marks
+from fraclink.view import _pages as pages
+from fraclink.view import _report as report
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._scales import Scale
 
 RIG = fl.Rig.named("paper-2023")
 
@@ -60,7 +64,7 @@ def test_a_report_of_a_rig_and_a_log_has_their_parts_alone(contents: Any) -> Non
         Finding("W101", "warning", "of the rig"),
         Finding("W210", "info", "of the log"),
     ]
-    told = contents(fl.Study(rig=RIG, experiment=log(), findings=tuple(found)))
+    told = contents(fl.trials.Study(rig=RIG, experiment=log(), findings=tuple(found)))
     assert told["template"] == "report.html" and told["title"] == "paper-2023: log.csv"
     assert sorted(told["tables"]) == ["log", "rig"] and list(told["figures"]) == ["log"]
     assert (told["rig_findings"], told["log_findings"]) == ([found[0]], [found[1]])
@@ -82,8 +86,8 @@ def test_a_report_of_a_rig_and_a_log_has_their_parts_alone(contents: Any) -> Non
         [],
     )
     assert told["files"] == [("rig.toml", "the rig")] and told["zone"] == "0 to 0 g"
-    assert contents(fl.Study(), title="mine")["title"] == "mine"
-    nothing = contents(fl.Study())
+    assert contents(fl.trials.Study(), title="mine")["title"] == "mine"
+    nothing = contents(fl.trials.Study())
     assert nothing["title"] == "unnamed rig: unnamed log"
     assert (
         nothing["sketch"],
@@ -97,7 +101,7 @@ def test_a_report_of_a_rig_and_a_log_has_their_parts_alone(contents: Any) -> Non
 def test_a_report_of_a_design_has_its_figures_and_what_to_do_next(
     contents: Any, design: fl.Design
 ) -> None:
-    told = contents(fl.Study(rig=RIG, design=design), script=False)
+    told = contents(fl.trials.Study(rig=RIG, design=design), script=False)
     assert list(told["figures"]) == ["bode", "nyquist", "margins", "budget"]
     assert sorted(told["tables"]) == ["controller", "margins", "requirements", "rig"]
     assert [row[0] for row in told["tables"]["margins"].rows] == [
@@ -127,7 +131,7 @@ def test_a_report_of_moves_and_models_shows_them(
     run = fl.simulate(
         design, fl.smooth_step(0.2, duration=0.5), payload=0.030, duration=1.0
     )
-    told = contents(fl.Study(rig=RIG, runs=(run,)))
+    told = contents(fl.trials.Study(rig=RIG, runs=(run,)))
     assert sorted(told["tables"]) == ["moves", "rig"] and list(told["figures"]) == [
         "moves"
     ]
@@ -160,18 +164,18 @@ def test_a_refused_request_is_drawn_on_the_map_of_what_can_be_had(
 
     monkeypatch.setattr(report, "feasibility_map", mapped)
     refused = SimpleNamespace(asked=asked, nearest=nearest)
-    told = contents(fl.Study(rig=RIG, stopped="too slow", refused=refused))  # type: ignore[arg-type]
+    told = contents(fl.trials.Study(rig=RIG, stopped="too slow", refused=refused))  # type: ignore[arg-type]
     assert list(told["figures"]) == ["map"] and told["refusal"].startswith(
         "Requested: a crossover of 9 rad/s"
     )
     rates, angles = grids[0]
     assert (rates[0], rates[-1], rates.size) == pytest.approx((4.5, 15.0, 48))
     assert (angles[0], angles[-1], angles.size) == pytest.approx((10.0, 104.5, 48))
-    assert report._map(fl.Study(refused=refused)) is None  # type: ignore[arg-type]
+    assert report._map(fl.trials.Study(refused=refused)) is None  # type: ignore[arg-type]
     half = SimpleNamespace(asked={"noise_gain": 2.0}, nearest=nearest)
-    assert report._map(fl.Study(rig=RIG, refused=half)) is None  # type: ignore[arg-type]
+    assert report._map(fl.trials.Study(rig=RIG, refused=half)) is None  # type: ignore[arg-type]
     refused.asked = {"gain_crossover": 9.0, "phase_margin": math.radians(50.0)}
-    report._map(fl.Study(rig=RIG, refused=refused))  # type: ignore[arg-type]
+    report._map(fl.trials.Study(rig=RIG, refused=refused))  # type: ignore[arg-type]
     assert grids[1][1][-1] == pytest.approx(100.0)
 
 
@@ -350,15 +354,15 @@ def test_faults_of_a_report_are_their_map_and_the_command_that_made_them() -> No
         Case("F11", 2, 0.03, "start", 1), (check,), 0.1, 0.1, 0.0, "run", "none", 0
     )
     told = report._faults(
-        fl.Study(faults=FaultTable((outcome,), {"command": "made so"}))
+        fl.trials.Study(faults=FaultTable((outcome,), {"command": "made so"}))
     )
     assert told is not None
     assert (told["command"], told["columns"]) == ("made so", ("severity 2, 30 g",))
     assert (
         told["sentence"] == "0 of 1 faults meet their requirement in every run, 1 runs"
     )
-    assert report._faults(fl.Study()) is None
-    unnamed = report._faults(fl.Study(faults=FaultTable((outcome,), {})))
+    assert report._faults(fl.trials.Study()) is None
+    unnamed = report._faults(fl.trials.Study(faults=FaultTable((outcome,), {})))
     assert unnamed is not None and unnamed["command"] == ""
 
 
@@ -482,14 +486,14 @@ def test_a_page_that_is_too_large_has_fewer_payloads_and_then_no_twin(
     monkeypatch.setattr(
         arm_page, "rendered", lambda name, **given: "x" * sizes[len(tried) - 1]
     )
-    page = arm_page.render_arm_page(fl.Study(rig=RIG, design=design))
+    page = arm_page.render_arm_page(fl.trials.Study(rig=RIG, design=design))
     assert len(page) == 150_000
     assert tried == [(24, True), (13, True), (12, True), (9, True), (24, False)]
     monkeypatch.setattr(arm_page, "arm_box", lambda *a, **k: None)
     with pytest.raises(FieldError, match=r"rig\.period"):
-        arm_page.render_arm_page(fl.Study(rig=RIG, design=design))
+        arm_page.render_arm_page(fl.trials.Study(rig=RIG, design=design))
     with pytest.raises(FieldError, match="there is no controller"):
-        arm_page.render_arm_page(fl.Study(rig=RIG))
+        arm_page.render_arm_page(fl.trials.Study(rig=RIG))
 
 
 def test_a_figure_of_its_own_is_inlined_without_its_style() -> None:

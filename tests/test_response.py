@@ -12,9 +12,10 @@ import pytest
 from scipy.special import binom, erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.modes import split_delay
-from fraclink._systems.response import (
+from fraclink.errors import FieldError, NotConvergedError, SizeError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._modes import split_delay
+from fracsys._response import (
     discrete_modes,
     grunwald_letnikov,
     grunwald_letnikov_weights,
@@ -23,8 +24,7 @@ from fraclink._systems.response import (
     step_response,
     time_response,
 )
-from fraclink._systems.terms import Term
-from fraclink.errors import FieldError, NotConvergedError, SizeError
+from fracsys._terms import Term
 
 T = 0.004
 LINK = 11.54**2 / (s**1.92 + 11.54**2)
@@ -470,11 +470,11 @@ def test_inversion_where_poles_are_not_certified(
 
     system, u = 0.5 + 2 / (s + 1) ** 3, np.cos(np.arange(800) * 0.03)
     exact = time_response(system, u, 0.01, hold=hold)
-    monkeypatch.setattr("fraclink._systems.response.held_quotient", lost)
+    monkeypatch.setattr("fracsys._response.held_quotient", lost)
     with pytest.raises(NotConvergedError):
         impulse_response(system, 1.0, 0.01)
     monkeypatch.setattr(
-        "fraclink._systems.response.held_quotient",
+        "fracsys._response.held_quotient",
         lambda top, bottom: held_quotient(top, bottom) if len(bottom) == 1 else lost(),
     )
     result = time_response(system, u, 0.01, hold=hold)
@@ -646,8 +646,8 @@ def test_the_longest_memory_of_grunwald_and_letnikov(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """300 000 samples take half a minute: the kernels are left out of this."""
-    monkeypatch.setattr("fraclink._kernels.memory_sum", lambda _, u: u)
-    monkeypatch.setattr("fraclink._kernels.memory_solve", lambda _, u: u)
+    monkeypatch.setattr("fracsys._kernels.memory_sum", lambda _, u: u)
+    monkeypatch.setattr("fracsys._kernels.memory_solve", lambda _, u: u)
     if count <= 300_000:
         assert len(grunwald_letnikov(LINK, np.ones(count), T)) == count
     else:

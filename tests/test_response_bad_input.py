@@ -10,16 +10,16 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from fraclink._systems.fractional import s
-from fraclink._systems.rational import approximate
-from fraclink._systems.response import (
+from fraclink.errors import FieldError, SizeError
+from fracsys._fractional import s
+from fracsys._rational import approximate
+from fracsys._response import (
     discrete_modes,
     grunwald_letnikov,
     impulse_response,
     step_response,
     time_response,
 )
-from fraclink.errors import FieldError, SizeError
 from processor_limit import processor_limit
 
 LINK = 100 / (s**1.92 + 100)

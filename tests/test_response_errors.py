@@ -9,14 +9,14 @@ import mpmath
 import numpy as np
 import pytest
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import (
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._response import (
     TimeResponse,
     impulse_response,
     step_response,
     time_response,
 )
-from fraclink._systems.stability import poles
+from fracsys._stability import poles
 
 MEMORY = 1 / (
     s**6.1 + 5 * s**5.2 + 11 * s**4.1 + 14 * s**2.9 + 11 * s**2.2 + 5 * s**0.9 + 1

@@ -9,7 +9,7 @@ import threading
 import numpy as np
 import pytest
 
-from fraclink import _kernels
+from fracsys import _kernels
 
 
 def system(seed: int, reals: int, pairs: int) -> dict[str, np.ndarray]:

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.contour import careful_response
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import (
+from fracsys._contour import careful_response
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._response import (
     discrete_modes,
     held_quotient,
     step_response,

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, wofz
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.response import impulse_response, step_response, time_response
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._response import impulse_response, step_response, time_response
 
 REFERENCE = Path(__file__).parent / "reference" / "step_responses.json"
 PERIOD = 0.004

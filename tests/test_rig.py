@@ -341,7 +341,9 @@ def test_every_default_of_the_tolerances_stands_in_the_reference() -> None:
 
 def test_every_code_of_a_rig_and_a_log_stands_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "errors.md").read_text(encoding="utf-8")
-    folders = [ROOT / "src" / "fraclink" / name for name in ("_arm", "_logs")]
+    folders = [
+        ROOT / "src" / "fraclink" / name for name in ("_arm", "_reading", "logs")
+    ]
     sources = [
         path.read_text(encoding="utf-8")
         for folder in folders

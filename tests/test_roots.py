@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.exponential import ExponentialSum, count_strip
-from fraclink._systems.roots import _by_bisection as by_bisection
-from fraclink._systems.roots import _upper as upper
-from fraclink._systems.roots import log_zeros
 from fraclink.errors import FieldError, NotConvergedError
+from fracsys._exponential import ExponentialSum, count_strip
+from fracsys._roots import _by_bisection as by_bisection
+from fracsys._roots import _upper as upper
+from fracsys._roots import log_zeros
 
 PI = math.pi
 

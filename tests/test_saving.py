@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink._arm.reference import Path as Polynomial
 from fraclink._files.kinds import _NO_VALUES
-from fraclink._validate.equality import _same
 from fraclink.errors import FieldError
+from fracsys.checks.equality import _same
 
-S = fl.s
+S = fracsys.s
 LOOP = 2.0 / (S**1.5 + S)
 # Public classes without a file of their own: open connections, and a study, which is a
 # folder of files.
@@ -37,7 +38,7 @@ def design() -> fl.Design:
 
 
 @cache
-def pid() -> fl.PidTuning:
+def pid() -> fl.extend.PidTuning:
     plant = (1 / (0.4 * S**1.5 + 1)).delayed(0.05)
     return fl.tune_pid(plant, gain_crossover=1.0, form="PI", phase_margin=fl.deg(70))
 
@@ -49,11 +50,11 @@ def log() -> fl.Experiment:
 
 HELD: dict[str, Any] = {
     "FractionalTransferFunction": lambda: (1 / (S**0.5 + 3)).delayed(0.1),
-    "TimeResponse": lambda: fl.step_response(1 / (S**0.5 + 1), 1.0, 0.01),
-    "DiscreteModes": lambda: fl.discrete_modes(1 / (S + 1), 0.1, span=10.0),
-    "Margins": lambda: fl.margins(LOOP),
-    "StabilityVerdict": lambda: fl.is_stable(LOOP),
-    "RationalApproximation": lambda: fl.approximate(
+    "TimeResponse": lambda: fracsys.step_response(1 / (S**0.5 + 1), 1.0, 0.01),
+    "DiscreteModes": lambda: fracsys.discrete_modes(1 / (S + 1), 0.1, span=10.0),
+    "Margins": lambda: fracsys.margins(LOOP),
+    "StabilityVerdict": lambda: fracsys.is_stable(LOOP),
+    "RationalApproximation": lambda: fracsys.approximate(
         1 / (S**0.5 + 1), (0.1, 10.0), order=4
     ),
     "Controller": lambda: design().controller,
@@ -61,7 +62,7 @@ HELD: dict[str, Any] = {
     "LinkModel": lambda: design().model,
     "Law": lambda: fl.discretize(design()),
     "Limits": lambda: fl.discretize(design()).limits,
-    "MarginCurve": lambda: fl.margin_curve(design(), [0.02, 0.03]),
+    "MarginCurve": lambda: fl.extend.margin_curve(design(), [0.02, 0.03]),
     "Requirement": lambda: design().requirements[0],
     "Run": lambda: fl.simulate(
         design(), fl.smooth_step(1.0, duration=0.5), duration=0.8
@@ -74,7 +75,7 @@ HELD: dict[str, Any] = {
     "PidTuning": pid,
     "PidStep": lambda: pid().step(),
     "FractionalPid": lambda: pid().controller,
-    "SampledReference": lambda: fl.SampledReference(
+    "SampledReference": lambda: fl.extend.SampledReference(
         0.1, [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
     ),
     "Finding": lambda: fl.Finding(
@@ -118,7 +119,9 @@ def test_a_process_that_has_loaded_nothing_reads_every_public_result(
     tmp_path: Path,
 ) -> None:
     place = fl.save(HELD["TimeResponse"](), tmp_path / "response.json")
-    command = f"import fraclink as fl; print(type(fl.load({str(place)!r})).__name__)"
+    command = (
+        f"import fraclink as fl, fracsys; print(type(fl.load({str(place)!r})).__name__)"
+    )
     done = subprocess.run(  # noqa: S603
         [sys.executable, "-c", command], capture_output=True, text=True, check=False
     )
@@ -158,5 +161,5 @@ def test_results_with_arrays_are_equal_where_their_samples_are(name: str) -> Non
     assert one == other and hash(one) == hash(other)
     assert one != 3.0 and one != "text"
     if name == "TimeResponse":
-        assert one != fl.step_response(1 / (S**0.5 + 1), 1.0, 0.02)
+        assert one != fracsys.step_response(1 / (S**0.5 + 1), 1.0, 0.02)
     assert isinstance(HELD["Path"](), Polynomial)

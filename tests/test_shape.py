@@ -18,13 +18,8 @@ from scipy.optimize import linprog
 import fraclink as fl
 from fraclink._arm.reference import sampled
 from fraclink._arm.shapers import SHAPERS, Shaped, shaper_impulses
-from fraclink._campaign import Campaign, load_campaign
-from fraclink._campaign.campaign import save_campaign
 from fraclink._cli import main
 from fraclink._law import LawInputs
-from fraclink._realtime import Callback, VirtualClock
-from fraclink._show.runs import shaped_figure
-from fraclink._show.tunings import shaped_view
 from fraclink._simulate import Twin
 from fraclink._simulate import shaped_move as move
 from fraclink._simulate.shape_programme import (
@@ -38,6 +33,11 @@ from fraclink._simulate.shape_programme import (
 )
 from fraclink._simulate.shaped_move import ShapedMove
 from fraclink.errors import FieldError, FileFormatError
+from fraclink.lab._connections import Callback
+from fraclink.lab._machine import VirtualClock
+from fraclink.trials._campaign import Campaign, load_campaign, save_campaign
+from fraclink.view._runs import shaped_figure
+from fraclink.view._tunings import shaped_view
 from needed_tools import tool
 
 RIG = fl.Rig.named("paper-2023-geared")
@@ -283,7 +283,7 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
 
 @pytest.mark.slow
 def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
-    wanted = fl.SampledReference(
+    wanted = fl.extend.SampledReference(
         0.004, sampled(fl.smooth_step(0.5, 0.5, 0.2), 0.004, 176)
     )
     found = fl.shape(design, wanted, payloads=KNOWN, told=True, seeds=1)
@@ -349,23 +349,23 @@ def test_a_shaped_reference_has_its_derivatives() -> None:
 
 def test_samples_are_the_law_s_own_numbers(tmp_path: Path) -> None:
     move = fl.smooth_step(1.0, 0.5)
-    table = fl.read_reference(
-        fl.export_reference(move, tmp_path / "move.csv", period=0.004)
+    table = fl.extend.read_reference(
+        fl.extend.export_reference(move, tmp_path / "move.csv", period=0.004)
     )
-    assert isinstance(table, fl.SampledReference) and table.duration == pytest.approx(
-        0.5
-    )
+    assert isinstance(
+        table, fl.extend.SampledReference
+    ) and table.duration == pytest.approx(0.5)
     assert np.array_equal(sampled(table, 0.004, 126), sampled(move, 0.004, 126))
     assert float(table.angle(2.0)) == 1.0 and float(table.velocity(2.0)) == 0.0
     for values in (np.zeros((2, 5)), np.zeros((3, 1)), np.full((3, 4), np.nan)):
         with pytest.raises(FieldError):
-            fl.SampledReference(0.004, values)
+            fl.extend.SampledReference(0.004, values)
 
 
 def test_points_become_a_spline(tmp_path: Path) -> None:
     place = tmp_path / "points.csv"
     place.write_text("time_s,angle_rad\n0.1,0\n0.4,0.7\n1,0.5\n")
-    path = fl.read_reference(place)
+    path = fl.extend.read_reference(place)
     assert path.angle([0.0, 0.1, 0.4, 1.0, 2.0]).tolist() == pytest.approx(
         [0, 0, 0.7, 0.5, 0.5]
     )
@@ -391,7 +391,7 @@ def test_points_become_a_spline(tmp_path: Path) -> None:
 def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "move.csv").write_text(text)
     with pytest.raises(FileFormatError):
-        fl.read_reference(tmp_path / "move.csv")
+        fl.extend.read_reference(tmp_path / "move.csv")
 
 
 # ── everything that moves an arm takes it
@@ -407,12 +407,14 @@ def test_a_saved_move_comes_back_and_moves_the_same(
     again = fl.load(place)
     assert isinstance(again, ShapedMove) and again.measured == unknown.measured
     assert np.array_equal(again.tip_angle, unknown.tip_angle) and again.target is None
-    table = fl.read_reference(
-        fl.export_reference(unknown.reference, tmp_path / "move.csv", period=0.004)
+    table = fl.extend.read_reference(
+        fl.extend.export_reference(
+            unknown.reference, tmp_path / "move.csv", period=0.004
+        )
     )
     runs = [
         fl.simulate(design, each, duration=1.0)
-        for each in (unknown.reference, table, fl.read_reference(place))
+        for each in (unknown.reference, table, fl.extend.read_reference(place))
     ]
     assert all(np.array_equal(run.tip_angle, runs[0].tip_angle) for run in runs)
     runs = [
@@ -431,9 +433,9 @@ def test_the_loop_in_real_time_takes_a_table(
     design: fl.Design, known: ShapedMove
 ) -> None:
     law = design.law()
-    table = fl.SampledReference(0.004, sampled(known.reference, 0.004, 100))
+    table = fl.extend.SampledReference(0.004, sampled(known.reference, 0.004, 100))
     board = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
-    run = fl.run_realtime(
+    run = fl.lab.run_realtime(
         law,
         table,
         board,
@@ -453,14 +455,14 @@ def test_a_campaign_follows_it_and_comes_back(
 ) -> None:
     law = design.law()
     asked = Campaign.of(RIG, design.model, law, runs=60, reference=unknown.reference)
-    found = fl.simulate_part(asked, 0)
+    found = fl.trials.simulate_part(asked, 0)
     assert found["passed"].all() and found["settling_time"].max() < 0.65
     assert np.all(found["amplitude"] == 1.0)
     save_campaign(asked, tmp_path)
     again = load_campaign(tmp_path)
     assert again.fingerprint == asked.fingerprint
     assert again.fingerprint != Campaign.of(RIG, design.model, law, runs=60).fingerprint
-    run = fl.replay_run(again, 17)
+    run = fl.trials.replay_run(again, 17)
     assert run.metrics.settling_time == found["settling_time"][17]
     assert np.array_equal(
         run.reference[:160], unknown.reference.angle(0.004 * np.arange(160))
@@ -500,7 +502,7 @@ def test_the_board_takes_it_as_an_array(
 ) -> None:
     law = design.law().in_precision(precision)
     fl.export_c(law, tmp_path)
-    fl.export_reference(known.reference, tmp_path / "move.h", period=law.period)
+    fl.extend.export_reference(known.reference, tmp_path / "move.h", period=law.period)
     (tmp_path / "main.c").write_text(_PROGRAM)
     flags = ["-std=c99", "-Wall", "-Werror", "-ffp-contract=off"] + ["-DLAW_SINGLE"] * (
         precision == "single"
@@ -532,7 +534,9 @@ def _stepped(law: fl.Law, reference: fl.Reference, count: int) -> NDArray[np.flo
 @pytest.mark.parametrize("name", ["move.txt", "int.h", "law_move.h"])
 def test_a_table_needs_a_name_that_c_or_csv_takes(tmp_path: Path, name: str) -> None:
     with pytest.raises(FieldError, match="out"):
-        fl.export_reference(fl.hold(0.0, 1.0), tmp_path / name, period=0.004)
+        fl.extend.export_reference(
+            fl.extend.hold(0.0, 1.0), tmp_path / name, period=0.004
+        )
 
 
 @pytest.mark.slow

@@ -11,10 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
+import fracsys
 from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
 from fraclink._cli import main
-from fraclink._systems.fractional import s
 from fraclink.errors import FieldError, LogError
+from fracsys._fractional import s
 
 PERIOD, COUNT, LENGTH = 0.004, 3000, 0.32
 ORDER, FREQUENCY = 1.93, 10.02
@@ -28,7 +29,7 @@ def motion() -> Signals:
     angle = fl.prbs(0.4, 0.24, bits=45, register=9, start=0.3).angle(time)
     angle = np.convolve(angle, np.ones(20) / 20, "same")
     bent = s**ORDER / (s**ORDER + FREQUENCY**2)
-    deflection = fl.time_response(bent, angle, PERIOD, hold="first").output
+    deflection = fracsys.time_response(bent, angle, PERIOD, hold="first").output
     return {"t_s": time, "angle": angle, "deflection": deflection}
 
 

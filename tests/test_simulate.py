@@ -171,7 +171,7 @@ def test_the_printed_controller_visibly_diverges(payload: float) -> None:
 def test_a_gauge_offset_leaves_the_tip() -> None:
     run = simulate(
         law(),
-        fl.hold(0.0),
+        fl.extend.hold(0.0),
         rig=EXACT,
         model=MODEL,
         motor_loop="ideal",
@@ -300,7 +300,7 @@ def test_the_delay_acts() -> None:
 
 
 def test_a_start_away_from_zero_is_a_shifted_run() -> None:
-    shifted = fl.hold(0.5, 0.0).then(STEP)
+    shifted = fl.extend.hold(0.5, 0.0).then(STEP)
     runs = (
         simulate(law(), STEP, rig=EXACT, model=MODEL, motor_loop="ideal"),
         simulate(law(), shifted, rig=EXACT, model=MODEL, motor_loop="ideal"),
@@ -506,7 +506,7 @@ def test_a_delay_between_samples_is_a_delay_to_fourth_order() -> None:
     )
     run = simulate(
         idle,
-        fl.pulse(0.4, 0.1, 0.2),
+        fl.extend.pulse(0.4, 0.1, 0.2),
         rig=EXACT,
         model=undamped,
         motor_loop="ideal",

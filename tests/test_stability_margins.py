@@ -15,11 +15,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.margins import Margins, margins
-from fraclink._systems.stability import is_stable
-from fraclink._systems.sweep import bracketed_roots, frequency_grid, refined
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._margins import Margins, margins
+from fracsys._stability import is_stable
+from fracsys._sweep import bracketed_roots, frequency_grid, refined
 
 K, BETA, W = 0.148, 0.65, 10.0
 

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.margins import margins
-from fraclink._systems.response import step_response
-from fraclink._systems.stability import is_stable, poles
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._margins import margins
+from fracsys._response import step_response
+from fracsys._stability import is_stable, poles
 
 
 def test_poles_of_integer_systems_are_the_polynomial_roots() -> None:

@@ -18,11 +18,11 @@ import fraclink as fl
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.log_columns import ROW_NUMBER, ColumnStatement
 from fraclink._cli import main, starting
-from fraclink._logs.formats import read_table
-from fraclink._logs.guess import GuessedColumns, Question, guess_columns
-from fraclink._logs.names import role_of_name
-from fraclink._logs.weighing import statements
+from fraclink._reading.formats import read_table
+from fraclink._reading.names import role_of_name
 from fraclink.errors import FieldError, LogError
+from fraclink.logs._guess import GuessedColumns, Question, guess_columns
+from fraclink.logs._weighing import statements
 from made_logs import made_motion, made_output
 from shared_data import shared_data
 
@@ -449,7 +449,7 @@ def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(
 ) -> None:
     shape, words = REFUSED[name]
     with pytest.raises(LogError) as caught:
-        fl.start(shape.write(tmp_path / "log.csv"))
+        fl.logs.start(shape.write(tmp_path / "log.csv"))
     assert words in str(caught.value)
 
 
@@ -651,7 +651,7 @@ def test_a_rig_file_with_another_fault_is_no_draft(
 @pytest.mark.slow
 def test_names_from_a_log_cannot_break_the_rig_file(tmp_path: Path) -> None:
     shape = Shape({"t_s": TIME, 'theta\x1b"]#_rad': MOTOR, "torque_Nm": TORQUE})
-    found = fl.start(
+    found = fl.logs.start(
         shape.write(tmp_path / "log.csv"), column=['motor_angle=theta\x1b"]#_rad']
     )
     assert (
@@ -676,7 +676,7 @@ def test_questions_are_put_to_whoever_answers_them(tmp_path: Path) -> None:
         seen.append(question)
         return {"motor_angle": "enc1", "output": "mNm"}[question.role]
 
-    found = fl.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
+    found = fl.logs.start(shape.write(tmp_path / "log.csv"), ask=answer, payload=0.03)
     assert [question.part for question in seen] == ["column", "unit"]
     assert seen[0].choices[:2] == ("enc1", "enc2")
     assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
@@ -714,13 +714,13 @@ def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
     path = Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}).write(
         tmp_path / "log.csv"
     )
-    found = fl.start(path, period=0.004)
+    found = fl.logs.start(path, period=0.004)
     assert found.columns.time.column == ROW_NUMBER
     assert found.experiment.period == 0.004
     again = fl.read_log(path, columns=found.columns)
     assert np.array_equal(again.output, found.experiment.output)
     with pytest.raises(FieldError, match="period"):
-        fl.start(path, period=0.004, column=["time=theta_deg [s]"])
+        fl.logs.start(path, period=0.004, column=["time=theta_deg [s]"])
 
 
 @pytest.mark.parametrize(
@@ -792,7 +792,7 @@ def test_what_the_reader_and_the_fit_say_of_a_log(
 ) -> None:
     from types import SimpleNamespace
 
-    from fraclink._logs.start import _of_the_fit
+    from fraclink.logs._start import _of_the_fit
 
     log = SimpleNamespace(
         motor_angle=np.zeros(2501), duration=10.0, period=0.004, payload=0.03

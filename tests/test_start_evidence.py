@@ -13,11 +13,12 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.log_columns import ColumnStatement
-from fraclink._logs import calibration
-from fraclink._logs.channels import Mode
-from fraclink._logs.text import LogTable
-from fraclink._logs.tips import tip_difference
-from fraclink._logs.weighing import (
+from fraclink._reading.text import LogTable
+from fraclink.errors import FieldError, LogError
+from fraclink.logs import _calibration as calibration
+from fraclink.logs._channels import Mode
+from fraclink.logs._tips import tip_difference
+from fraclink.logs._weighing import (
     Guess,
     Question,
     Weighing,
@@ -25,7 +26,6 @@ from fraclink._logs.weighing import (
     guess_time,
     statements,
 )
-from fraclink.errors import FieldError, LogError
 from test_start import (
     COUNT,
     DEFLECTION,
@@ -482,7 +482,7 @@ def test_a_column_that_is_the_angle_is_no_voltage_as_well(tmp_path: Path) -> Non
     log = fl.read_log(fl.bundled_log("prbs_30g"))
     table = np.column_stack([log.time, log.motor_angle, log.output])
     np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="t,u,y", comments="")
-    found = fl.start(
+    found = fl.logs.start(
         tmp_path / "log.csv", column=["motor_angle=u [rad]", "torque=y [Nm]"]
     )
     assert "voltage" not in {guess.part for guess in found.guesses}

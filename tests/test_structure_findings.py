@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
+import fracsys
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import (
     QUANTILE,
@@ -38,9 +39,9 @@ from fraclink._identify.structure_problem import (
     StructureCoordinates,
 )
 from fraclink._identify.structure_search import Place
-from fraclink._systems.terms import Term
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
+from fracsys._terms import Term
 
 Array = NDArray[np.float64]
 LIMITS = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
@@ -156,11 +157,11 @@ def test_corners_of_asymptotes() -> None:
 
 
 @pytest.fixture(scope="module")
-def fit() -> fl.StructureFit:
+def fit() -> fl.extend.StructureFit:
     """A good fit to lines, to be changed."""
     w = np.geomspace(0.1, 100.0, 60)
     noise = 1 + 0.01 * np.random.default_rng(0).normal(size=60)
-    data = fl.FrequencyResponse(w, (2 / (fl.s**0.8 + 3))(1j * w) * noise)
+    data = fl.FrequencyResponse(w, (2 / (fracsys.s**0.8 + 3))(1j * w) * noise)
     return fl.identify_structure(data, "k/(s**a + b)")
 
 
@@ -177,7 +178,7 @@ def codes(findings: Iterable[Finding]) -> list[str]:
     return [finding.code for finding in findings]
 
 
-def test_a_parameter_at_a_bound_or_not_seen(fit: fl.StructureFit) -> None:
+def test_a_parameter_at_a_bound_or_not_seen(fit: fl.extend.StructureFit) -> None:
     assert list(_of_the_parameters(fit, certain())) == []
     stuck = one(_of_the_parameters(replace(fit, at_bound=("a",)), certain()))
     assert (stuck.code, stuck.severity) == ("W351", "error")
@@ -233,7 +234,10 @@ def test_a_parameter_at_a_bound_or_not_seen(fit: fl.StructureFit) -> None:
     ],
 )
 def test_the_error_seen_and_held_out(
-    fit: fl.StructureFit, nmse: float, held: float | None, told: list[tuple[str, str]]
+    fit: fl.extend.StructureFit,
+    nmse: float,
+    held: float | None,
+    told: list[tuple[str, str]],
 ) -> None:
     found = list(_of_the_error(replace(fit, nmse=nmse, heldout_nmse=held)))
     assert [(finding.code, finding.severity) for finding in found] == told
@@ -243,7 +247,7 @@ def test_the_error_seen_and_held_out(
         assert found[0].evidence == {"nmse": nmse, "most": 0.25}
 
 
-def test_another_valley_that_fits_as_well_is_told(fit: fl.StructureFit) -> None:
+def test_another_valley_that_fits_as_well_is_told(fit: fl.extend.StructureFit) -> None:
     weight = 1 / np.abs(fit.measured[:60] + 1j * fit.measured[60:])
     # A power of 9 and not of 1: costs are those of the data, whatever their scale.
     data = Lines.of(
@@ -268,7 +272,7 @@ def test_another_valley_that_fits_as_well_is_told(fit: fl.StructureFit) -> None:
     assert one(said(1.0, only)).evidence == {"a": 3.0}
 
 
-def test_a_corner_outside_of_the_band_is_told(fit: fl.StructureFit) -> None:
+def test_a_corner_outside_of_the_band_is_told(fit: fl.extend.StructureFit) -> None:
     corner = fit.parameters["b"] ** (1 / fit.parameters["a"])
     h = np.ones(2, complex)
 
@@ -290,7 +294,7 @@ def test_a_corner_outside_of_the_band_is_told(fit: fl.StructureFit) -> None:
     )
 
 
-def test_findings_are_listed_worst_first(fit: fl.StructureFit) -> None:
+def test_findings_are_listed_worst_first(fit: fl.extend.StructureFit) -> None:
     data = Lines.of(
         np.array([1e3, 1e4]), np.ones(2, complex), np.ones(2)
     )  # the corner lies far below
@@ -301,7 +305,7 @@ def test_findings_are_listed_worst_first(fit: fl.StructureFit) -> None:
     ]  # fmt: skip
 
 
-def test_a_fit_in_words(fit: fl.StructureFit) -> None:
+def test_a_fit_in_words(fit: fl.extend.StructureFit) -> None:
     intervals = {
         "k": Interval(1.9, 2.1, False, False),
         "b": Interval(1.0, 9.0, False, False),
@@ -332,7 +336,7 @@ LAG = "k/(s**a + w)"
 
 def swept(count: int = 40) -> fl.FrequencyResponse:
     w = np.geomspace(0.1, 30.0, count)
-    return fl.FrequencyResponse(w, (2 / (fl.s**1.2 + 1))(1j * w))
+    return fl.FrequencyResponse(w, (2 / (fracsys.s**1.2 + 1))(1j * w))
 
 
 @pytest.mark.parametrize(
@@ -447,12 +451,16 @@ def test_weights_of_lines_and_what_was_held_out() -> None:
 def test_figures_of_a_fit_to_a_recording() -> None:
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
     noise = 0.01 * np.random.default_rng(2).normal(size=1000)
-    y = 0.4 + fl.time_response(2 / (fl.s**1.2 + 1), u, 0.02, hold="zero").output + noise
-    fit = fl.identify_structure(fl.Recording(0.02, u, y), LAG, details=False)
+    y = (
+        0.4
+        + fracsys.time_response(2 / (fracsys.s**1.2 + 1), u, 0.02, hold="zero").output
+        + noise
+    )
+    fit = fl.identify_structure(fl.extend.Recording(0.02, u, y), LAG, details=False)
     count = fit.fitted
     predicted = (
         fit.offset
-        + fl.time_response(fit.transfer_function, u, 0.02, hold="zero").output
+        + fracsys.time_response(fit.transfer_function, u, 0.02, hold="zero").output
     )
     assert fit.predicted == pytest.approx(predicted, abs=1e-9)
     assert fit.measured == pytest.approx(y)
@@ -465,17 +473,17 @@ def test_figures_of_a_fit_to_a_recording() -> None:
     )
     assert (
         fl.identify_structure(
-            fl.Recording(0.02, u, y), LAG, heldout=0.25, details=False
+            fl.extend.Recording(0.02, u, y), LAG, heldout=0.25, details=False
         ).fitted
         == 750
     )
-    step = fl.Recording(0.02, np.ones(1000), y)
+    step = fl.extend.Recording(0.02, np.ones(1000), y)
     with pytest.raises(
         LogError
     ) as caught:  # a step is fitted as a whole; a constant output is none
         fl.identify_structure(replace(step, output=np.ones(1000)), LAG)
     assert (caught.value.field, caught.value.allowed) == ("output", "a motion")
-    still = fl.Recording(0.02, np.zeros(1000), y)
+    still = fl.extend.Recording(0.02, np.zeros(1000), y)
     with pytest.raises(LogError) as caught:
         fl.identify_structure(still, LAG)
     assert (caught.value.field, caught.value.value) == ("input", 0.0)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import OptimizeResult
 
 import fraclink as fl
+import fracsys
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import (
     Blocks,
@@ -204,9 +205,9 @@ def test_the_transform_of_a_record_is_that_of_its_response() -> None:
     """
     time = 0.02 * np.arange(4000)
     u = np.where(time > 0.5, 1.0, 0.0)
-    G = 2.0 / (fl.s**1.3 + 3.0)
-    y = fl.time_response(G, u, 0.02, hold="zero").output
-    data = RecordStart.of(fl.Recording(0.02, u, y), "auto", 4000)
+    G = 2.0 / (fracsys.s**1.3 + 3.0)
+    y = fracsys.time_response(G, u, 0.02, hold="zero").output
+    data = RecordStart.of(fl.extend.Recording(0.02, u, y), "auto", 4000)
     assert data.hold == "zero"
     spectrum = data.spectrum
     low = np.abs(spectrum.points) < 5.0
@@ -228,7 +229,9 @@ def test_a_record_knows_its_band_and_its_rest() -> None:
     period, count = 0.01, 2000
     time = period * np.arange(count)
     u = 4.0 - np.cos(2 * np.pi * 2.0 * time) + 1e-5 * np.sin(2 * np.pi * 30.0 * time)
-    data = RecordStart.of(fl.Recording(period, u, u, input_at_rest=3.0), "first", 1500)
+    data = RecordStart.of(
+        fl.extend.Recording(period, u, u, input_at_rest=3.0), "first", 1500
+    )
     assert data.input == pytest.approx(u[:1500] - 3.0)
     assert data.measured == pytest.approx(u[:1500])
     assert data.offset == pytest.approx(np.ones(1500))
@@ -236,7 +239,9 @@ def test_a_record_knows_its_band_and_its_rest() -> None:
         pytest.approx(4 * np.pi),
         pytest.approx(4 * np.pi),
     )  # 30 Hz is a 150 000th of it
-    constant = RecordStart.of(fl.Recording(period, np.ones(50), u[:50]), "auto", 50)
+    constant = RecordStart.of(
+        fl.extend.Recording(period, np.ones(50), u[:50]), "auto", 50
+    )
     assert constant.hold == "zero"
 
 
@@ -250,7 +255,9 @@ def test_lines_are_stacked_real_before_imaginary() -> None:
 
 
 def test_a_candidate_without_a_response_is_not_finite() -> None:
-    data = RecordStart.of(fl.Recording(0.1, np.ones(60), np.ones(60)), "auto", 60)
+    data = RecordStart.of(
+        fl.extend.Recording(0.1, np.ones(60), np.ones(60)), "auto", 60
+    )
     values = {"k": np.array([[1.0], [2.0]]), "T": np.array([[0.2], [-0.2]])}
     made = data.simulated(parse_expression("k/(s + 1)*exp(-T*s)"), values, 2)
     assert np.isfinite(made[0]).all()
@@ -480,10 +487,10 @@ def test_a_given_start_is_tried_on_the_samples() -> None:
     at once.
     """
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
-    y = fl.time_response(
+    y = fracsys.time_response(
         parse_expression("2/(s + 1)*exp(-0.31*s)").function({}), u, 0.02, hold="zero"
     ).output
-    data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
+    data = RecordStart.of(fl.extend.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates("k/(s + w)*exp(-T*s)"), None)
     compared: list[list[float]] = []
     own = search._on_samples
@@ -521,11 +528,15 @@ def test_evaluations_are_the_candidates_that_were_simulated(
 
         monkeypatch.setattr(kind, "simulated", simulated)
     w = np.geomspace(0.05, 50.0, 60)
-    data: Any = fl.FrequencyResponse(w, (2 / (fl.s**1.5 + 3))(1j * w))
+    data: Any = fl.FrequencyResponse(w, (2 / (fracsys.s**1.5 + 3))(1j * w))
     if timed:
         u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
-        data = fl.Recording(
-            0.02, u, fl.time_response(2 / (fl.s**1.5 + 3), u, 0.02, hold="zero").output
+        data = fl.extend.Recording(
+            0.02,
+            u,
+            fracsys.time_response(
+                2 / (fracsys.s**1.5 + 3), u, 0.02, hold="zero"
+            ).output,
         )
     fit = fl.identify_structure(data, "k/(s**a + w)", details=False)
     # Less those of the results: predictions, gain and offset at the ends, the held-out
@@ -539,10 +550,10 @@ def test_evaluations_are_the_candidates_that_were_simulated(
 def slow_record(count: int = 8000, period: float = 0.02) -> RecordStart:
     time = period * np.arange(count)
     u = np.sin(0.5 * time) + 0.5 * np.sin(1.3 * time)
-    y = fl.time_response(
-        2 / (fl.s**1.3 + 0.4 * fl.s + 1), u, period, hold="first"
+    y = fracsys.time_response(
+        2 / (fracsys.s**1.3 + 0.4 * fracsys.s + 1), u, period, hold="first"
     ).output
-    return RecordStart.of(fl.Recording(period, u, y), "first", count)
+    return RecordStart.of(fl.extend.Recording(period, u, y), "first", count)
 
 
 @pytest.mark.parametrize("decay", [1.0, 4.0])
@@ -611,13 +622,13 @@ def test_of_a_long_history_what_a_search_can_afford_counts_from_its_own_beginnin
 ):
     u = 2.0 + np.sin(0.3 * np.arange(80_000))
     data = RecordStart.of(
-        fl.Recording(0.02, u[70_000:70_500], u[:500]), "first", 300, u[:70_000]
+        fl.extend.Recording(0.02, u[70_000:70_500], u[:500]), "first", 300, u[:70_000]
     )
     # Not from the rest before it: that would be a jump to where the angle was then,
     # which nothing made.
     assert data.whole_input == pytest.approx(u[20_000:70_300] - u[20_000])
-    y = fl.time_response(
-        2 / (fl.s**1.3 + 0.4 * fl.s + 1), u - u[0], 0.02, hold="first"
+    y = fracsys.time_response(
+        2 / (fracsys.s**1.3 + 0.4 * fracsys.s + 1), u - u[0], 0.02, hold="first"
     ).output
     made = data.simulated(
         parse_expression("2/(s**a + 0.4*s + 1)"), {"a": np.array([[1.3]])}, 1
@@ -627,7 +638,7 @@ def test_of_a_long_history_what_a_search_can_afford_counts_from_its_own_beginnin
     )  # as every output of a record, from where its input begins
     assert made == pytest.approx(y[70_000:70_300] - constant, abs=1e-3 * np.ptp(y))
     long = RecordStart.of(
-        fl.Recording(0.02, u[60_000:], u[60_000:]), "first", 300, u[:60_000]
+        fl.extend.Recording(0.02, u[60_000:], u[60_000:]), "first", 300, u[:60_000]
     )
     assert long.earlier.size == 60_000  # three lengths of the record are more
 
@@ -649,7 +660,7 @@ def test_a_structure_still_swings_by_what_was_long_before_the_cut(seed: int) -> 
 @pytest.mark.parametrize("cut", [1, 1003, 4000])
 def test_of_a_cut_record_the_rows_are_the_end_of_the_whole_ones(cut: int) -> None:
     whole, own = slow_record(), coordinates("k/(s**a + c*s + w)")
-    late = fl.Recording(0.02, whole.input[cut:] + 5.0, whole.output[cut:])
+    late = fl.extend.Recording(0.02, whole.input[cut:] + 5.0, whole.output[cut:])
     data = RecordStart.of(late, "first", 8000 - cut, whole.input[:cut] + 5.0)
     assert np.array_equal(data.whole_input, whole.input + 5.0 - 5.0)
     truth = {"k": 2.0, "a": 1.3, "c": 0.4, "w": 1.0}
@@ -678,7 +689,7 @@ def test_the_band_of_a_cut_record_is_that_of_all_its_input() -> None:
     u = np.sin(
         2 * np.pi * 2.5 * 0.01 * np.arange(2000)
     )  # 50 periods, cut at a crest: no step there
-    late = fl.Recording(0.01, u[1010:], u[1010:])
+    late = fl.extend.Recording(0.01, u[1010:], u[1010:])
     assert RecordStart.of(late, "first", 990, u[:1010]).band == pytest.approx(
         (5 * np.pi, 5 * np.pi)
     )
@@ -686,7 +697,7 @@ def test_the_band_of_a_cut_record_is_that_of_all_its_input() -> None:
 
 def test_an_input_that_jumps_and_a_free_delay_have_no_rows() -> None:
     u = np.repeat([0.0, 1.0, -1.0, 0.5], 500)
-    data = RecordStart.of(fl.Recording(0.02, u, u), "zero", 2000)
+    data = RecordStart.of(fl.extend.Recording(0.02, u, u), "zero", 2000)
     held = {"k": 1.0, "w": 2.0, "T": 0.1}
     assert Rows(data).coarse(coordinates("k/(s**2 + w)*exp(-T*s)"), held) is None
     assert (
@@ -742,10 +753,10 @@ def test_a_lower_end_is_taken_over() -> None:
 def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> None:
     """What is left is what least squares leave of the response and a constant."""
     u = np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 40), 25)
-    y = 0.3 + fl.time_response(2 / (fl.s + 1.5), u, 0.02, hold="zero").output
-    data = RecordStart.of(fl.Recording(0.02, u, y), "zero", 1000)
+    y = 0.3 + fracsys.time_response(2 / (fracsys.s + 1.5), u, 0.02, hold="zero").output
+    data = RecordStart.of(fl.extend.Recording(0.02, u, y), "zero", 1000)
     search = StructureSearch(coordinates(text), offset)
-    unit = fl.time_response(1 / (fl.s + 1.0), u, 0.02, hold="zero").output
+    unit = fracsys.time_response(1 / (fracsys.s + 1.0), u, 0.02, hold="zero").output
     columns: list[Array] = []
     target: Array = y.copy()
     if text.startswith("k"):
@@ -777,7 +788,7 @@ def test_gain_and_offset_are_projected_out(text: str, offset: float | None) -> N
 def test_standard_errors_of_a_structure_written_out() -> None:
     """σ² (JᵀJ)⁻¹ of differences of the exact response, for lines with white noise."""
     w = np.geomspace(0.05, 50.0, 80)
-    truth = (2 / (fl.s**1.4 + 3))(1j * w)
+    truth = (2 / (fracsys.s**1.4 + 3))(1j * w)
     rng = np.random.default_rng(3)
     noise = 0.02 * (rng.normal(size=80) + 1j * rng.normal(size=80)) / math.sqrt(2)
     data = fl.FrequencyResponse(w, truth * (1 + noise))
@@ -785,7 +796,7 @@ def test_standard_errors_of_a_structure_written_out() -> None:
     values = dict(fit.parameters)
 
     def scaled(values: dict[str, float]) -> Array:
-        h = (values["k"] / (fl.s ** values["a"] + values["w"]))(1j * w) / np.abs(
+        h = (values["k"] / (fracsys.s ** values["a"] + values["w"]))(1j * w) / np.abs(
             data.response
         )
         return np.concatenate([h.real, h.imag])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import differences
 from fraclink._identify.structure_problem import RecordStart, StructureCoordinates
@@ -30,11 +31,13 @@ def recording(
     period: float = 0.02,
     noise: float = 0.02,
     seed: int = 0,
-) -> fl.Recording:
+) -> fl.extend.Recording:
     rng = np.random.default_rng(seed)
     u = np.repeat(rng.choice([-1.0, 1.0], samples // 40 + 1), 40)[:samples]
-    y = fl.time_response(parse_expression(expression).function(truth), u, period).output
-    return fl.Recording(
+    y = fracsys.time_response(
+        parse_expression(expression).function(truth), u, period
+    ).output
+    return fl.extend.Recording(
         period, u, y + 0.3 + noise * y.std() * rng.standard_normal(samples)
     )
 
@@ -64,12 +67,12 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
     levels[0] = 0.0
     # 12 ms of a servo: smooth enough for straight lines between the samples.
     angle = (
-        fl.time_response(
-            1 / (0.012 * fl.s + 1) ** 2, np.repeat(levels, 100), period
+        fracsys.time_response(
+            1 / (0.012 * fracsys.s + 1) ** 2, np.repeat(levels, 100), period
         ).output
         + 0.7
     )
-    torque = fl.time_response(
+    torque = fracsys.time_response(
         parse_expression(text).function(truth), angle - 0.7, period, hold="first"
     ).output
     noise = 0.02 * torque.std() * np.random.default_rng(4).standard_normal(torque.size)
@@ -89,8 +92,8 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
 def test_a_ring_down_that_was_cut_from_a_move_is_driven_by_the_move() -> None:
     time = 0.004 * np.arange(1500)
     angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1)
-    torque = fl.time_response(
-        1.5 * fl.s**1.9 / (fl.s**1.9 + 80), angle, 0.004, hold="first"
+    torque = fracsys.time_response(
+        1.5 * fracsys.s**1.9 / (fracsys.s**1.9 + 80), angle, 0.004, hold="first"
     ).output
     still = fl.Experiment(
         period=0.004,
@@ -383,7 +386,9 @@ def test_an_option_that_would_be_ignored(
 
 
 def test_data_without_information() -> None:
-    still = fl.Recording(0.1, np.zeros(300), np.random.default_rng(0).normal(size=300))
+    still = fl.extend.Recording(
+        0.1, np.zeros(300), np.random.default_rng(0).normal(size=300)
+    )
     with pytest.raises(LogError, match="input"):
         fl.identify_structure(still, LAG)
     few = fl.FrequencyResponse([1.0, 2.0, 3.0], [1.0, 0.5, 0.3])
@@ -397,7 +402,7 @@ def test_data_without_information() -> None:
 # --- nothing is known that the data do not say --------------------------------------------------------------
 
 
-def codes(fit: fl.StructureFit) -> set[str]:
+def codes(fit: fl.extend.StructureFit) -> set[str]:
     return {finding.code for finding in fit.findings}
 
 
@@ -455,7 +460,9 @@ def test_every_parameter_at_a_bound(
 
 def test_noise_is_no_system() -> None:
     rng = np.random.default_rng(1)
-    noise = fl.Recording(0.02, rng.choice([-1.0, 1.0], 2000), rng.standard_normal(2000))
+    noise = fl.extend.Recording(
+        0.02, rng.choice([-1.0, 1.0], 2000), rng.standard_normal(2000)
+    )
     fit = fl.identify_structure(noise, LAG, details=False)
     assert "W355" in codes(fit)
     assert not fit.passed
@@ -486,14 +493,14 @@ def test_a_fit_is_saved_shown_and_drawn(tmp_path: Path) -> None:
         assert (
             fl.load(tmp_path / "fit.json")
             == fit
-            == fl.StructureFit.load(tmp_path / "fit.json")
+            == fl.extend.StructureFit.load(tmp_path / "fit.json")
         )
         assert hash(fit) == hash(fl.load(tmp_path / "fit.json"))
         assert repr(fit).startswith("StructureFit(k/(s**a + w): k = ")
         page = fit._repr_html_()  # type: ignore[attr-defined]
         assert "95 % interval" in page
         assert "<svg" in page
-        assert fl.step_response(fit.transfer_function, [20.0]).output[0] > 1.0
+        assert fracsys.step_response(fit.transfer_function, [20.0]).output[0] > 1.0
 
 
 def test_data_are_saved(tmp_path: Path) -> None:
@@ -508,16 +515,16 @@ def test_data_are_saved(tmp_path: Path) -> None:
 
 def test_two_channels_of_a_log() -> None:
     log = fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1], voltage=[1.0, 2.0])
-    assert fl.Recording.of(log).input_at_rest == 0.5
-    voltage = fl.Recording.of(log, "voltage", "motor_angle")
+    assert fl.extend.Recording.of(log).input_at_rest == 0.5
+    voltage = fl.extend.Recording.of(log, "voltage", "motor_angle")
     assert (voltage.input.tolist(), voltage.output.tolist()) == (
         [1.0, 2.0],
         [0.0, 0.09999999999999998],
     )
     with pytest.raises(LogError, match="voltage"):
-        fl.Recording.of(fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1]), "voltage")
+        fl.extend.Recording.of(fl.Experiment(0.01, [0.5, 0.6], [0.0, 0.1]), "voltage")
     with pytest.raises(LogError, match="output"):
-        fl.Recording(0.1, [1.0, 2.0], [1.0])
+        fl.extend.Recording(0.1, [1.0, 2.0], [1.0])
 
 
 @pytest.mark.slow

@@ -20,25 +20,23 @@ from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
 import fraclink as fl
-import fraclink._studio.conversation as conversation
-import fraclink._studio.work as swept_module
-from fraclink._campaign import Campaign, replay_run
-from fraclink._campaign.faults import FaultTable
+import fraclink.studio._conversation as conversation
+import fraclink.studio._work as swept_module
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
 from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
 from fraclink._law.refit import refitted
 from fraclink._law.requirement import margins_of
-from fraclink._show.pages import squeezed, tightened
-from fraclink._studio.copied import as_python
-from fraclink._studio.history import History
-from fraclink._studio.logs import LOG_VERBS, _scaled, _spectrum, thinned
-from fraclink._studio.messages import NAMES, Reply, checked_request, parsed, refusal
-from fraclink._studio.outputs import OUTPUT_VERBS
-from fraclink._studio.played import PLAY_VERBS
-from fraclink._studio.preview import Subject, described, nearest, preview
-from fraclink._studio.regions import (
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.studio._copied import as_python
+from fraclink.studio._history import History
+from fraclink.studio._logs import LOG_VERBS, _scaled, _spectrum, thinned
+from fraclink.studio._messages import NAMES, Reply, checked_request, parsed, refusal
+from fraclink.studio._outputs import OUTPUT_VERBS
+from fraclink.studio._played import PLAY_VERBS
+from fraclink.studio._preview import Subject, described, nearest, preview
+from fraclink.studio._regions import (
     Region,
     checked_regions,
     fan_of,
@@ -46,11 +44,14 @@ from fraclink._studio.regions import (
     round_regions,
     violated,
 )
-from fraclink._studio.server import POLICY, Studio, application
-from fraclink._studio.serving import serve
-from fraclink._studio.session import Session, SupersededError, opened
-from fraclink._studio.work import Job, moves_of_arms, proof_of, swept
-from fraclink.errors import FieldError, FraclinkError
+from fraclink.studio._server import POLICY, Studio, application
+from fraclink.studio._serving import serve
+from fraclink.studio._session import Session, SupersededError, opened
+from fraclink.studio._work import Job, moves_of_arms, proof_of, swept
+from fraclink.trials._arms import replay_run
+from fraclink.trials._campaign import Campaign
+from fraclink.trials._faults import FaultTable
+from fraclink.view._pages import squeezed, tightened
 from junk import CHARACTERS
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -415,14 +416,21 @@ def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
 def test_a_red_cell_shows_the_run_that_was_judged(made):
     case = {"fault": "F09", "severity": 1, "payload": 0.03, "phase": "mid"}
     head, curves = unpacked(PLAY_VERBS["fault"](made, case).packed(1, "fault"))
-    bench = fl.Bench.of(made.study.design)
-    outcome = fl.run_case(bench, fl.Case("F09", 1, 0.03, "mid", 1), single=False)
+    bench = fl.trials.Bench.of(made.study.design)
+    outcome = fl.trials.run_case(
+        bench, fl.trials.Case("F09", 1, 0.03, "mid", 1), single=False
+    )
     assert np.abs(curves["tip"] - curves["reference"]).max() == pytest.approx(
         outcome.peak, rel=1e-5
     )
     assert head["said"].startswith("F09, severity 1, 30 g: gauge open circuit")
     table = FaultTable(
-        (outcome, fl.run_case(bench, fl.Case("F07", 3, 0.03, "mid", 1), single=False))
+        (
+            outcome,
+            fl.trials.run_case(
+                bench, fl.trials.Case("F07", 3, 0.03, "mid", 1), single=False
+            ),
+        )
     )
     cells = proof_of(replace(made.study, faults=table))["cells"]
     assert [(cell["fault"], cell["phase"], cell["passed"]) for cell in cells] == [
@@ -851,7 +859,7 @@ def test_what_spoke_for_another_design_does_not_stay_behind(tmp_path):
     session.exact({**ASKED, "payloads": [0.022, 0.04]})
     assert "run-20g.npz" in session.keep().head["removed"]
     assert not (folder / "run-20g.npz").exists() and (folder / "run-22g.npz").exists()
-    assert fl.load_study(folder).verdict == session.study.verdict
+    assert fl.trials.load_study(folder).verdict == session.study.verdict
 
 
 @pytest.mark.slow
@@ -896,7 +904,7 @@ def test_a_history_survives_a_torn_line(tmp_path):
     again = History.of(tmp_path)
     assert (again.at, again.state) == (1, {"phase_margin_deg": 50.0})
     assert (
-        Session(fl.Study(rig=fl.Rig.named("paper-2023")), tmp_path).state[
+        Session(fl.trials.Study(rig=fl.Rig.named("paper-2023")), tmp_path).state[
             "phase_margin_deg"
         ]
         == 50.0
@@ -928,7 +936,7 @@ def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> 
 
 @pytest.mark.slow
 def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
-    from fraclink._studio.logs import LOG_VERBS
+    from fraclink.studio._logs import LOG_VERBS
 
     session = opened(None, out=tmp_path)
     choose = LOG_VERBS["log"]
@@ -943,7 +951,7 @@ def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
     session.upload.write_bytes(Path(fl.bundled_log("prbs_30g")).read_bytes())
     reply = choose(session, {"name": "upload"})
     assert (reply.head["log"]["name"], session.source) == ("mine.csv", session.upload)
-    assert reply.head["bundled"] == fl.bundled_logs()
+    assert reply.head["bundled"] == fl.extend.bundled_logs()
     with pytest.raises(fl.errors.FieldError, match="log"):
         choose(session, {"name": "../mine.csv"})
 
@@ -1034,7 +1042,7 @@ def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
 
 
 def test_the_page_s_own_script_stays_small() -> None:
-    page = files("fraclink._studio") / "page"
+    page = files("fraclink.studio") / "page"
     scripts = [
         path.read_text("utf-8") for path in page.iterdir() if path.name.endswith(".js")
     ]
@@ -1042,7 +1050,7 @@ def test_the_page_s_own_script_stays_small() -> None:
 
 
 def test_a_gap_is_closed_by_the_value_before_it():
-    from fraclink._studio.logs import _finite
+    from fraclink.studio._logs import _finite
 
     nan, inf = np.nan, np.inf
     assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [

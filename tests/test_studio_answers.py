@@ -21,41 +21,6 @@ import pytest
 from starlette.testclient import TestClient
 
 import fraclink as fl
-from fraclink._campaign.fault_trial import Bench
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome, cases
-from fraclink._show.text import number
-from fraclink._studio import (
-    logs,
-    outputs,
-    played,
-    server,
-    serving,
-    session,
-    work,
-    worker,
-)
-from fraclink._studio import work as swept_module
-from fraclink._studio.copied import as_command, as_python, copies
-from fraclink._studio.history import History
-from fraclink._studio.messages import (
-    LONGEST,
-    Reply,
-    checked_request,
-    parsed,
-    refusal,
-    wanted_of,
-)
-from fraclink._studio.preview import Subject, nearest, preview
-from fraclink._studio.regions import (
-    Region,
-    checked_regions,
-    fan_of,
-    map_of,
-    parted,
-    round_regions,
-)
-from fraclink._studio.session import Session, bare, opened
-from fraclink._studio.work import swept
 from fraclink.errors import (
     FieldError,
     FraclinkError,
@@ -63,6 +28,39 @@ from fraclink.errors import (
     MissingExtraError,
 )
 from fraclink.findings import Finding
+from fraclink.studio import _logs as logs
+from fraclink.studio import _outputs as outputs
+from fraclink.studio import _played as played
+from fraclink.studio import _server as server
+from fraclink.studio import _serving as serving
+from fraclink.studio import _session as session
+from fraclink.studio import _work as swept_module
+from fraclink.studio import _work as work
+from fraclink.studio import _worker as worker
+from fraclink.studio._copied import as_command, as_python, copies
+from fraclink.studio._history import History
+from fraclink.studio._messages import (
+    LONGEST,
+    Reply,
+    checked_request,
+    parsed,
+    refusal,
+    wanted_of,
+)
+from fraclink.studio._preview import Subject, nearest, preview
+from fraclink.studio._regions import (
+    Region,
+    checked_regions,
+    fan_of,
+    map_of,
+    parted,
+    round_regions,
+)
+from fraclink.studio._session import Session, bare, opened
+from fraclink.studio._work import swept
+from fraclink.trials._fault_trial import Bench
+from fraclink.trials._faults import Case, Check, FaultTable, Outcome, cases
+from fraclink.view._text import number
 
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
 RIG = fl.Rig.named("paper-2023")
@@ -600,26 +598,28 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
 def test_a_session_begins_with_what_its_design_or_its_rig_asks(
     made: Session, tmp_path: Path
 ) -> None:
-    of_rig = Session(fl.Study(rig=RIG), tmp_path).state
+    of_rig = Session(fl.trials.Study(rig=RIG), tmp_path).state
     assert (of_rig["payloads"], of_rig["gain_crossover"]) == (
         (0.02, 0.04),
         RIG.design.gain_crossover,
     )
     assert of_rig["phase_margin_deg"] == RIG.design.phase_margin_deg
     assert (
-        Session(fl.Study(rig=replace(RIG, design=None)), tmp_path).state[
+        Session(fl.trials.Study(rig=replace(RIG, design=None)), tmp_path).state[
             "gain_crossover"
         ]
         is None
     )
-    assert Session(fl.Study(), tmp_path).state["payloads"] is None
-    of_design = Session(fl.Study(rig=RIG, design=made.study.design), tmp_path).state
+    assert Session(fl.trials.Study(), tmp_path).state["payloads"] is None
+    of_design = Session(
+        fl.trials.Study(rig=RIG, design=made.study.design), tmp_path
+    ).state
     assert (of_design["gain_crossover"], of_design["phase_margin_deg"]) == (12.0, 50.0)
     assert (of_design["box"], of_design["margins"]) == (False, "loop")
     (tmp_path / "studio.jsonl").write_text(
         '{"at": 0, "state": {"gain_crossover": -5}}\n'
     )
-    edited = Session(fl.Study(rig=RIG), tmp_path)
+    edited = Session(fl.trials.Study(rig=RIG), tmp_path)
     assert (
         edited.state["gain_crossover"] == RIG.design.gain_crossover
         and edited.history.states == []
@@ -630,7 +630,7 @@ def test_a_session_begins_with_what_its_design_or_its_rig_asks(
 def test_the_steps_are_marked_by_what_was_done(
     made: Session, fitted: Session, tmp_path: Path
 ) -> None:
-    fresh = Session(fl.Study(rig=RIG), tmp_path)
+    fresh = Session(fl.trials.Study(rig=RIG), tmp_path)
     assert fresh.marks() == {
         "log": "not run",
         "channels": "not run",
@@ -701,7 +701,7 @@ def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(
     }
     assert told["marks"]["design"] == ["✓", "passed"] and told["proof_said"] == ""
     assert told["board_said"] == "Nothing written yet."
-    empty = Session(fl.Study(), tmp_path).overview()
+    empty = Session(fl.trials.Study(), tmp_path).overview()
     assert (empty["name"], empty["title"], empty["design"]) == ("", str(tmp_path), None)
     assert empty["board_said"] == "Make a design first (step 4)."
     spoken = Session(
@@ -721,7 +721,10 @@ def test_the_arm_is_sent_once_and_then_only_its_law(
         sorted(again) == ["arm_key", "blocks"] and again["arm_key"] == first["arm_key"]
     )
     assert again["blocks"] == json.loads(first["arm"])["blocks"]
-    assert Session(fl.Study(rig=RIG), tmp_path).arm("x") == {"arm_key": "", "arm": None}
+    assert Session(fl.trials.Study(rig=RIG), tmp_path).arm("x") == {
+        "arm_key": "",
+        "arm": None,
+    }
 
 
 @pytest.mark.slow
@@ -743,7 +746,7 @@ def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
     )
     assert (
         stripped.assumptions == made.study.rig.assumptions
-        and bare(fl.Study()).assumptions == ()
+        and bare(fl.trials.Study()).assumptions == ()
     )
 
 
@@ -757,7 +760,7 @@ def test_a_longer_filter_of_the_second_mode_is_remembered(made: Session) -> None
     mode = replace(made.study.design, findings=(Finding("W406", "info", "longer"),))
     subject = session._subject_of(replace(made.study, design=mode))
     assert subject is not None and subject.lengthened == (c.filter_time, c.filter_order)
-    assert session._subject_of(fl.Study()) is None
+    assert session._subject_of(fl.trials.Study()) is None
 
 
 @pytest.mark.slow
@@ -796,7 +799,7 @@ def test_what_a_step_copies_names_the_files_of_the_folder(
     broad = replace(RIG, payloads=replace(RIG.payloads, high=0.05))
     assert (
         "--payload 0.05"
-        in copies(Session(fl.Study(rig=broad), folder))["move"]["command"]
+        in copies(Session(fl.trials.Study(rig=broad), folder))["move"]["command"]
     )
     of_fit = copies(fitted)
     assert of_fit["model"]["command"].endswith(
@@ -809,7 +812,9 @@ def test_what_a_step_copies_names_the_files_of_the_folder(
 
 
 def test_a_copied_log_repeats_what_was_said_of_it(tmp_path: Path) -> None:
-    own = Session(fl.Study(rig=RIG), tmp_path / "r", source=tmp_path / "mine.csv")
+    own = Session(
+        fl.trials.Study(rig=RIG), tmp_path / "r", source=tmp_path / "mine.csv"
+    )
     own.columns = (
         "time=t [s]",
         "motor_angle=-th [deg]",
@@ -847,7 +852,7 @@ def test_a_copied_log_repeats_what_was_said_of_it(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_job_needs_its_part_and_its_range(made: Session, tmp_path: Path) -> None:
-    fresh = Session(fl.Study(rig=RIG), tmp_path)
+    fresh = Session(fl.trials.Study(rig=RIG), tmp_path)
     for verb, remedy in (
         ("identify", "steps 1 and 2"),
         ("prove", "step 4"),
@@ -865,7 +870,7 @@ def test_a_job_needs_its_part_and_its_range(made: Session, tmp_path: Path) -> No
 
 
 def fl_between(low: float, high: float) -> Any:
-    from fraclink._validate import Between
+    from fracsys.checks import Between
 
     return Between(low, high)
 
@@ -1249,7 +1254,7 @@ def test_python_states_what_the_command_completes_from_the_rig(
     assert ("phase_margin" in python) == (margin is not None)
     assert (f"filter_time={filter_time}" in python) == (filter_time is not None)
     assert ("filter_time" in python) == (filter_time is not None)
-    fresh = Session(fl.Study(rig=rig), tmp_path / "fresh")
+    fresh = Session(fl.trials.Study(rig=rig), tmp_path / "fresh")
     assert "payloads=(0.02, 0.04)" in copies(fresh)["design"]["python"]
 
 
@@ -1271,7 +1276,7 @@ def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
     ]
     with pytest.raises(FraclinkError):
         logs.LOG_VERBS["rig"](own, {"name": "no such rig"})
-    bare_ = Session(fl.Study(rig=RIG), tmp_path / "b")
+    bare_ = Session(fl.trials.Study(rig=RIG), tmp_path / "b")
     logs.LOG_VERBS["rig"](bare_, {"name": "paper-2023-geared"})
     assert bare_.study.assumptions == bare_.study.rig.assumptions
     bare_.upload = tmp_path / "mine.toml"
@@ -1454,7 +1459,7 @@ def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(
     with pytest.raises(FieldError, match="duration: too long") as why:
         played.PLAY_VERBS["play"](made, asked)
     assert why.value.allowed == "<= 16 s"
-    fresh = Session(fl.Study(rig=RIG), tmp_path)
+    fresh = Session(fl.trials.Study(rig=RIG), tmp_path)
     for verb in ("play", "fault"):
         with pytest.raises(FieldError, match="design is required"):
             played.PLAY_VERBS[verb](fresh, asked)
@@ -1525,7 +1530,7 @@ def test_every_output_names_its_file_and_its_command(
     for wrong in ({"target": "pdf"}, {"target": "c", "precision": "half"}, {}):
         with pytest.raises(FieldError, match="target: unknown"):
             outputs.OUTPUT_VERBS["export"](own, wrong)
-    fresh = Session(fl.Study(rig=RIG), tmp_path / "fresh")
+    fresh = Session(fl.trials.Study(rig=RIG), tmp_path / "fresh")
     with pytest.raises(FieldError, match="design is required"):
         outputs.OUTPUT_VERBS["export"](fresh, {"target": "c"})
     with pytest.raises(FieldError, match="files is required"):

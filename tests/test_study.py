@@ -14,11 +14,6 @@ import pytest
 import fraclink as fl
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
-from fraclink._campaign import load_campaign, stages
-from fraclink._campaign import study as study_module
-from fraclink._campaign.faults import Case, Check, FaultTable, Outcome
-from fraclink._campaign.study import Refusal, Study, load_study, save_study
-from fraclink._campaign.summary import Failure, MetricSummary, Summary
 from fraclink._simulate import MoveVerdict
 from fraclink.errors import (
     FieldError,
@@ -27,6 +22,12 @@ from fraclink.errors import (
     NotConvergedError,
 )
 from fraclink.findings import Finding, Scope
+from fraclink.trials import _stages as stages
+from fraclink.trials import _study as study_module
+from fraclink.trials._campaign import load_campaign
+from fraclink.trials._faults import Case, Check, FaultTable, Outcome
+from fraclink.trials._study import Refusal, Study, load_study, save_study
+from fraclink.trials._summary import Failure, MetricSummary, Summary
 from identify_cases import made_log
 
 RIG = fl.Rig.named("paper-2023")
@@ -508,7 +509,7 @@ def test_a_move_is_what_it_is_asked_to_be() -> None:
     )
     assert (quick.payload, quick.time[-1]) == (0.03, pytest.approx(1.0))
     held = stages.simulate_move(
-        made, 0.03, law=law, reference=fl.hold(0.2), duration=0.1
+        made, 0.03, law=law, reference=fl.extend.hold(0.2), duration=0.1
     )
     assert np.all(held.reference == 0.2)
     bare = replace(law, limits=replace(law.limits, motor_limit=0.1))

@@ -24,8 +24,8 @@ from fraclink._files.toml import (
     toml_text,
     toml_value,
 )
-from fraclink._validate import Between
 from fraclink.errors import FieldError, FileFormatError
+from fracsys.checks import Between
 
 HERE = Path("rig.toml")
 

@@ -13,30 +13,30 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._campaign import tournament as module
-from fraclink._campaign.rival_runs import (
+from fraclink._law import Modes
+from fraclink._simulate import Twin, geared
+from fraclink.errors import NotConvergedError
+from fraclink.trials import _tournament as module
+from fraclink.trials._rival_runs import (
     _plant,
     linear_growth,
     mode_gain,
     run_rival,
 )
-from fraclink._campaign.rivals import (
+from fraclink.trials._rivals import (
     FRACLINK,
     Rival,
     collocated,
     servo_law,
 )
-from fraclink._campaign.setting import (
+from fraclink.trials._setting import (
     Filter,
     NominalLoop,
     Setting,
     prepare,
     tune,
 )
-from fraclink._campaign.tournament import Standing, Tournament
-from fraclink._law import Modes
-from fraclink._simulate import Twin, geared
-from fraclink.errors import NotConvergedError
+from fraclink.trials._tournament import Standing, Tournament
 
 RIG = geared(fl.Rig.named("paper-2023"))
 PERIOD = 0.004

@@ -24,17 +24,17 @@ from fraclink import _kernels
 from fraclink._cli import main
 from fraclink._cli.tunings import _following
 from fraclink._identify import simulated_torque
-from fraclink._realtime import VirtualClock
-from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import open_line
-from fraclink._realtime.tune import _lateness
-from fraclink._realtime.tune_build import _between, _designs, build_law
-from fraclink._realtime.tune_guard import Guard, LimitReached
-from fraclink._realtime.tune_link import _fitted
-from fraclink._realtime.tune_motion import random_steps
-from fraclink._realtime.tune_moves import _decided
-from fraclink._realtime.tune_wiring import WiringFault, check_wiring
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+from fraclink.lab._connections import Callback, Command
+from fraclink.lab._line import open_line
+from fraclink.lab._machine import VirtualClock
+from fraclink.lab._tune import _lateness
+from fraclink.lab._tune_build import _between, _designs, build_law
+from fraclink.lab._tune_guard import Guard, LimitReached
+from fraclink.lab._tune_link import _fitted
+from fraclink.lab._tune_motion import random_steps
+from fraclink.lab._tune_moves import _decided
+from fraclink.lab._tune_wiring import WiringFault, check_wiring
 from tuned_arms import LIMITS, PERIOD, RIG, arm, guarded
 
 if not _kernels.REALTIME:
@@ -44,7 +44,11 @@ PLAN = fl.TuningPlan(LIMITS, payload=0.030, period=PERIOD)
 
 
 def wired(
-    made: fl.SimulatedArm, *, angle: float = 1, torque: float = 1, voltage: float = 1
+    made: fl.lab.SimulatedArm,
+    *,
+    angle: float = 1,
+    torque: float = 1,
+    voltage: float = 1,
 ) -> Callback:
     """The arm with factors on its wires."""
 
@@ -58,11 +62,11 @@ def wired(
     return Callback(read, write)
 
 
-def swapped(made: fl.SimulatedArm) -> Callback:
+def swapped(made: fl.lab.SimulatedArm) -> Callback:
     return Callback(lambda: made.read()[::-1], made.write)
 
 
-WRONG: dict[str, Callable[[fl.SimulatedArm], Callback]] = {
+WRONG: dict[str, Callable[[fl.lab.SimulatedArm], Callback]] = {
     "encoder reversed": lambda made: wired(made, angle=-1),
     "motor reversed": lambda made: wired(made, voltage=-1),
     "gauge reversed": lambda made: wired(made, torque=-1),
@@ -102,7 +106,7 @@ def test_friction_does_not_shorten_what_small_motions_show(coulomb: float) -> No
     """
     twin = fl.Twin.from_rig(RIG, gauge_gain=0.7)
     motor = replace(twin.motor, coulomb_torque=coulomb * twin.motor.coulomb_torque)
-    made = fl.SimulatedArm(replace(twin, motor=motor), PERIOD)
+    made = fl.lab.SimulatedArm(replace(twin, motor=motor), PERIOD)
     found = check_wiring(guarded(made.callback), RIG)
     assert found.gain == pytest.approx(RIG.motor.gain, rel=0.12)
     assert round(found.delay / PERIOD) == twin.voltage_delay
@@ -166,15 +170,17 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
     """A busy machine must not look like a fast arm: the way between two samples took
     all their periods.
     """
-    way = fl.SharedMemory(f"late-{os.getpid()}")
+    way = fl.lab.SharedMemory(f"late-{os.getpid()}")
     clock = VirtualClock(2)
-    served: list[fl.ServedArm] = []
+    served: list[fl.lab.ServedArm] = []
 
     def serve() -> None:
         try:
             twin = fl.Twin.from_rig(RIG)
             served.append(
-                fl.serve_arm(twin, way, PERIOD, duration=1.0, priority=0, clock=clock)
+                fl.lab.serve_arm(
+                    twin, way, PERIOD, duration=1.0, priority=0, clock=clock
+                )
             )
         finally:
             clock.leave()
@@ -210,14 +216,14 @@ def test_samples_that_came_while_the_process_slept_are_counted() -> None:
 @pytest.fixture(scope="module")
 def tuned(
     tmp_path_factory: pytest.TempPathFactory,
-) -> tuple[fl.Tuning, fl.SimulatedArm, Path]:
+) -> tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path]:
     place, made = tmp_path_factory.mktemp("tune") / "arm", arm(seed=1)
     return fl.tune(made.callback, PLAN, out=place, clock="none"), made, place
 
 
 @pytest.mark.slow
 def test_an_unknown_arm_ends_with_a_law_that_it_follows(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path],
 ) -> None:
     found, made, place = tuned
     assert found.has_law and not found.stopped
@@ -245,7 +251,7 @@ def test_an_unknown_arm_ends_with_a_law_that_it_follows(
 
 @pytest.mark.slow
 def test_it_goes_on_behind_the_last_stage_that_is_whole(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path], tmp_path: Path
 ) -> None:
     found, _, place = tuned
     (tmp_path / "tuning.json").write_bytes((place / "tuning.json").read_bytes())
@@ -273,7 +279,7 @@ def test_it_goes_on_behind_the_last_stage_that_is_whole(
 
 @pytest.mark.slow
 def test_the_law_is_moved_with_another_payload_of_the_range(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], tmp_path: Path
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path], tmp_path: Path
 ) -> None:
     found, _, place = tuned
     for name in ("tuning.json", "design.json", "law.json"):
@@ -305,7 +311,7 @@ def test_the_law_is_moved_with_another_payload_of_the_range(
 
 @pytest.mark.slow
 def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -315,12 +321,12 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
 
     def moved(
         guard: Guard, design: fl.Design, law: fl.Law, *_: object
-    ) -> tuple[fl.FirstMove, ...]:
+    ) -> tuple[fl.lab.FirstMove, ...]:
         tried.append(law.digest)
-        return (fl.FirstMove(0.3, 0.5, 0.6, 2.4, *(0.001,) * 7, payload=0.030),)
+        return (fl.lab.FirstMove(0.3, 0.5, 0.6, 2.4, *(0.001,) * 7, payload=0.030),)
 
-    monkeypatch.setattr("fraclink._realtime.tune.first_moves", moved)
-    monkeypatch.setattr("fraclink._realtime.tune.LAWS", 2)
+    monkeypatch.setattr("fraclink.lab._tune.first_moves", moved)
+    monkeypatch.setattr("fraclink.lab._tune.LAWS", 2)
     found = fl.tune(arm().callback, PLAN, out=tmp_path, resume=True, clock="none")
     assert len(set(tried)) == len(tried) == found.refused == 2
     assert not found.has_law and found.verdict.promise.state == "failed"
@@ -379,11 +385,11 @@ def test_the_command_resumes_with_what_was_asked_for_before(
 
 def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> None:
     limits, place = LIMITS, tmp_path / "tuned"
-    proved = fl.Tuning(
+    proved = fl.lab.Tuning(
         limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True
     )
     assert "run-realtime" in _following(proved, "udp:a:1", place)
-    slow = fl.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
+    slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
 
@@ -422,7 +428,7 @@ def test_a_wish_that_is_not_feasible_gets_the_law_that_is_with_the_reason(
     def none(*_: object, **__: object) -> None:
         raise InfeasibleError("phase margin", "70° is too much", {})
 
-    monkeypatch.setattr("fraclink._realtime.tune_build.design_for", none)
+    monkeypatch.setattr("fraclink.lab._tune_build.design_for", none)
     assert RIG.design is not None and RIG.model is not None
     made, words = next(_designs(RIG, RIG.model, []))
     assert made.passed and math.degrees(made.phase_margin) == pytest.approx(32.0)
@@ -448,7 +454,7 @@ def test_a_margin_between_ringing_and_a_loud_second_mode_is_found(
             requirements=[SimpleNamespace(passed=not loud)],
         )
 
-    monkeypatch.setattr("fraclink._realtime.tune_build._asked", made)
+    monkeypatch.setattr("fraclink.lab._tune_build._asked", made)
     tried = [
         (34.0, made(None, None, 1.0, 34.0, 0.1)),
         (60.0, made(None, None, 1.0, 60.0, 0.1)),
@@ -489,7 +495,7 @@ def test_a_plan_says_what_will_move() -> None:
 
 def running(place: Path, twin: fl.Twin) -> fl.Experiment:
     """Nine moves of an arm under the law of a tuning."""
-    law, path, at = fl.load(place / "design.json").law(), fl.hold(0.0, 0.5), 0.0
+    law, path, at = fl.load(place / "design.json").law(), fl.extend.hold(0.0, 0.5), 0.0
     for to in (0.3, -0.2, 0.1, -0.3, 0.25, -0.1, 0.3, -0.25, 0.0):
         path, at = path.then(fl.smooth_step(to - at, 0.6, start=0.5)), to
     run = fl.simulate(law, path, arm=twin, told=0.030, duration=12.0)
@@ -516,17 +522,17 @@ CHANGED = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGED)
 def test_watch_names_what_has_changed(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path], name: str
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path], name: str
 ) -> None:
     found, _, place = tuned
-    seen = fl.watch(running(place, CHANGED[name]), found)
+    seen = fl.lab.watch(running(place, CHANGED[name]), found)
     assert seen.due == ((name,) if name else ())
     assert seen.passed is (not name)
 
 
 @pytest.mark.slow
 def test_watch_refuses_what_shows_nothing(
-    tuned: tuple[fl.Tuning, fl.SimulatedArm, Path],
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path],
 ) -> None:
     found, _, place = tuned
     log = running(place, TWIN)
@@ -537,8 +543,8 @@ def test_watch_refuses_what_shows_nothing(
         voltage=log.voltage[:300],
     )
     with pytest.raises(FieldError, match="too little to tell"):
-        fl.watch(short, found)
+        fl.lab.watch(short, found)
     with pytest.raises(FieldError, match="without a model"):
-        fl.watch(log, replace(found, link=None))
+        fl.lab.watch(log, replace(found, link=None))
     with pytest.raises(FieldError, match="not the tuning's"):
-        fl.watch(replace(log, period=0.005), found)
+        fl.lab.watch(replace(log, period=0.005), found)

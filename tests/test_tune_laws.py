@@ -18,12 +18,15 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain
 from fraclink._design.completed import design_for
 from fraclink._law import Law
-from fraclink._realtime import tune_build, tune_moves
-from fraclink._realtime.tune_build import Built, build_law, measured_rig
-from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_motion import Follower, motor_law
-from fraclink._realtime.tune_motor import MotorResult
-from fraclink._realtime.tune_moves import (
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.findings import Finding
+from fraclink.lab import _tune_build as tune_build
+from fraclink.lab import _tune_moves as tune_moves
+from fraclink.lab._tune_build import Built, build_law, measured_rig
+from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_motion import Follower, motor_law
+from fraclink.lab._tune_motor import MotorResult
+from fraclink.lab._tune_moves import (
     FirstMove,
     _agree,
     _compared,
@@ -31,8 +34,6 @@ from fraclink._realtime.tune_moves import (
     first_moves,
     planned_move,
 )
-from fraclink.errors import FieldError, InfeasibleError
-from fraclink.findings import Finding
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if not _kernels.REALTIME:

@@ -13,21 +13,22 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._realtime.connections import Callback
-from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_build import (
+from fraclink.errors import FieldError
+from fraclink.lab._connections import Callback
+from fraclink.lab._line import open_line
+from fraclink.lab._tune_build import (
     _about,
     _mass_ratio,
     _with_link,
     late_free,
     link_twins,
 )
-from fraclink._realtime.tune_doublets import motor_of_doublets
-from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_link import _ringing, _torque_of, shortfall
-from fraclink._realtime.tune_motion import burst, random_moves, random_steps
-from fraclink._realtime.tune_moves import FirstMove, _judged
-from fraclink._realtime.tune_wiring import (
+from fraclink.lab._tune_doublets import motor_of_doublets
+from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_link import _ringing, _torque_of, shortfall
+from fraclink.lab._tune_motion import burst, random_moves, random_steps
+from fraclink.lab._tune_moves import FirstMove, _judged
+from fraclink.lab._tune_wiring import (
     _PAUSE,
     _PULSE,
     Wiring,
@@ -39,7 +40,6 @@ from fraclink._realtime.tune_wiring import (
     _step,
     _train,
 )
-from fraclink.errors import FieldError
 from tuned_arms import PERIOD, RIG
 
 if not _kernels.REALTIME:
@@ -178,7 +178,7 @@ def test_scales_are_wrong_beyond_what_friction_and_payload_explain(
 
 @pytest.fixture(scope="module")
 def train() -> Record:
-    made = fl.SimulatedArm(fl.Twin.from_rig(RIG), PERIOD, seed=2)
+    made = fl.lab.SimulatedArm(fl.Twin.from_rig(RIG), PERIOD, seed=2)
     limits = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
     guard = Guard(partial(open_line, made.callback, PERIOD, clock="none"), limits)
     record = _train(guard, 0.8)

@@ -16,20 +16,21 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+import fracsys
 from fraclink import _kernels
-from fraclink._realtime import tune as tuning
-from fraclink._realtime import tune_link as linking
-from fraclink._realtime import watch as watching
-from fraclink._realtime.tune import _lateness, _resumed, _Session, _worth_repeating
-from fraclink._realtime.tune_build import Built
-from fraclink._realtime.tune_guard import LimitReached, Record
-from fraclink._realtime.tune_link import LinkResult
-from fraclink._realtime.tune_motion import LawTripped
-from fraclink._realtime.tune_moves import FirstMove
-from fraclink._realtime.tune_wiring import Wiring
-from fraclink._realtime.watch import Change, Watch, _moving_time
 from fraclink.errors import FieldError, FraclinkError, LogError
 from fraclink.findings import Scope
+from fraclink.lab import _tune as tuning
+from fraclink.lab import _tune_link as linking
+from fraclink.lab import _watch as watching
+from fraclink.lab._tune import _lateness, _resumed, _Session, _worth_repeating
+from fraclink.lab._tune_build import Built
+from fraclink.lab._tune_guard import LimitReached, Record
+from fraclink.lab._tune_link import LinkResult
+from fraclink.lab._tune_motion import LawTripped
+from fraclink.lab._tune_moves import FirstMove
+from fraclink.lab._tune_wiring import Wiring
+from fraclink.lab._watch import Change, Watch, _moving_time
 from tuned_arms import LIMITS, RIG, arm
 
 if not _kernels.REALTIME:
@@ -40,7 +41,7 @@ WIRING = Wiring(
     60.0, 0.1, 0.004, 1.6, 12.0, 0.001, 1e-4, 0.01, 1e-3, 0.4, 0.02, ("a", "b")
 )
 MOVE = FirstMove(0.3, 0.5, 0.6, 0.62, *(0.001,) * 7, payload=0.030)
-STATE = fl.Tuning(LIMITS, 0.030, (0.0225, 0.04), 0.004)
+STATE = fl.lab.Tuning(LIMITS, 0.030, (0.0225, 0.04), 0.004)
 
 
 class Guard:
@@ -649,7 +650,7 @@ def test_a_watch_fits_anew_with_the_order_held_and_compares(
     log = fl.Experiment(
         period=0.004, motor_angle=0.5 * time, output=0 * time, voltage=1.0 + 0 * time
     )
-    seen = fl.watch(log, tuned)
+    seen = fl.lab.watch(log, tuned)
     assert seen.due == ("natural_frequency", "friction")
     assert [(c.name, c.was, c.now) for c in seen.changes] == [
         ("natural_frequency", 10.0, 10.5), ("gauge_gain", 1.6, 1.61), ("gauge_delay", 0.001, 0.0011),
@@ -673,19 +674,19 @@ def test_a_watch_fits_anew_with_the_order_held_and_compares(
         {"period": 0.004, "torque": "torque", "delay": 0.004, "dead_zone": 0.0}
     ]
     drive.coulomb_voltage = 0.02  # less friction than before is no change
-    assert fl.watch(log, tuned).due == ("natural_frequency",)
+    assert fl.lab.watch(log, tuned).due == ("natural_frequency",)
     drive.coulomb_voltage = 9.0
-    assert [c.name for c in fl.watch(log, tuned).changes][-1] == "gauge_delay"
-    assert len(fl.watch(replace(log, voltage=None), tuned).changes) == 3
+    assert [c.name for c in fl.lab.watch(log, tuned).changes][-1] == "gauge_delay"
+    assert len(fl.lab.watch(replace(log, voltage=None), tuned).changes) == 3
     known.model = replace(model, order=2.0)  # an integer order is the structure's own
-    fl.watch(log, tuned)
+    fl.lab.watch(log, tuned)
     assert asked[-1]["fixed"] == {}
     short = replace(log, motor_angle=np.where(time < 3.9, 0.5 * time, 0.5 * 3.9))
     with pytest.raises(
         FieldError,
         match=r"too little to tell \(got 3\.\d+ s of motion\); expected >= 4 s",
     ):
-        fl.watch(short, tuned)
+        fl.lab.watch(short, tuned)
 
 
 def test_the_friction_of_a_cut_record_is_seen_under_the_load_of_the_whole_motion(
@@ -717,7 +718,7 @@ def test_the_friction_of_a_cut_record_is_seen_under_the_load_of_the_whole_motion
     )
     for record in (log, cut):
         watching._friction(record, fit, tuned)
-    exact = fl.time_response(RIG.model.torque(), angle, 0.004, hold="first").output  # type: ignore[union-attr]
+    exact = fracsys.time_response(RIG.model.torque(), angle, 0.004, hold="first").output  # type: ignore[union-attr]
     assert loads[0] == pytest.approx(exact, abs=1e-6) and loads[1] == pytest.approx(
         exact[200:], abs=1e-6
     )
@@ -867,5 +868,5 @@ def test_a_signal_while_something_is_computed_ends_at_the_next_motion(
     assert not caught and fl.load(tmp_path / "log.npz").motor_angle.size == 125
 
 
-def tuned(connection: fl.Callback, out: Path) -> fl.Tuning:
+def tuned(connection: fl.Callback, out: Path) -> fl.lab.Tuning:
     return fl.tune(connection, PLAN, out=out, clock="none")

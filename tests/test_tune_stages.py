@@ -20,17 +20,18 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._identify import identify_motor, simulated_torque
 from fraclink._law import Law
-from fraclink._realtime import tune_link as linking
-from fraclink._realtime.connections import Callback, Command
-from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_guard import Guard, Record
-from fraclink._realtime.tune_link import (
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError, LogError
+from fraclink.lab import _tune_link as linking
+from fraclink.lab._connections import Callback, Command
+from fraclink.lab._line import open_line
+from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_link import (
     experiment_of,
     loaded_motor,
     shortfall,
     tune_link,
 )
-from fraclink._realtime.tune_motion import (
+from fraclink.lab._tune_motion import (
     Follower,
     LawTripped,
     calm,
@@ -38,8 +39,7 @@ from fraclink._realtime.tune_motion import (
     follow,
     motor_law,
 )
-from fraclink._realtime.tune_wiring import WiringFault, _grown, check_wiring
-from fraclink.errors import FieldError, FraclinkError, InfeasibleError, LogError
+from fraclink.lab._tune_wiring import WiringFault, _grown, check_wiring
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if not _kernels.REALTIME:

@@ -83,7 +83,7 @@ def test_the_bundled_log_gives_back_its_order():
 
     import fraclink as fl
 
-    path = Path(fl.__file__).parent / "logs" / "prbs_30g.csv"
+    path = Path(fl.__file__).parent / "data" / "logs" / "prbs_30g.csv"
     log = fl.read_log(path, rig=fl.Rig.named("paper-2023"))
     fit = fl.identify(log, "UD-FOM")
     assert fit.model.order == pytest.approx(1.92, abs=0.003)

@@ -26,7 +26,7 @@ def test_bundled_logs_are_what_the_script_makes():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     made = module.build()
-    folder = ROOT / "src" / "fraclink" / "logs"
+    folder = ROOT / "src" / "fraclink" / "data" / "logs"
     assert sorted(made) == sorted(p.name for p in folder.glob("*.csv"))
     for name, text in made.items():
         assert (folder / name).read_bytes() == text.encode(), name
@@ -38,7 +38,7 @@ def test_bundled_logs_are_what_the_script_makes():
 )
 def test_bundled_logs_read_back(name, payload):
     log = fl.read_log(
-        ROOT / "src/fraclink/logs" / f"{name}.csv", rig=fl.Rig.named("paper-2023")
+        ROOT / "src/fraclink/data/logs" / f"{name}.csv", rig=fl.Rig.named("paper-2023")
     )
     assert (
         log.simulated and log.payload == payload and log.period == pytest.approx(0.004)

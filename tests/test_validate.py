@@ -23,9 +23,10 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink
-from fraclink import _validate
 from fraclink._files.codec import Storage, codec_of
-from fraclink._validate import (
+from fraclink.errors import FieldError, LogError
+from fracsys import checks as _validate
+from fracsys.checks import (
     Angle,
     Array,
     Between,
@@ -51,9 +52,8 @@ from fraclink._validate import (
     is_whole,
     rules,
 )
-from fraclink._validate.equality import compared
-from fraclink._validate.rules import rule
-from fraclink.errors import FieldError, LogError
+from fracsys.checks.equality import compared
+from fracsys.checks.rules import rule
 from junk import JUNK
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fraclink import (
+from fraclink import errors
+from fracsys import (
     FractionalTransferFunction,
-    errors,
     is_stable,
     margins,
     poles,

@@ -7,22 +7,22 @@ from __future__ import annotations
 from functools import partial
 
 import fraclink as fl
-from fraclink._realtime.connections import Callback
-from fraclink._realtime.line import open_line
-from fraclink._realtime.tune_guard import Guard
-from fraclink._realtime.tune_link import LinkResult, tune_link
-from fraclink._realtime.tune_motor import MotorResult, tune_motor
-from fraclink._realtime.tune_wiring import Wiring, check_wiring
+from fraclink.lab._connections import Callback
+from fraclink.lab._line import open_line
+from fraclink.lab._tune_guard import Guard
+from fraclink.lab._tune_link import LinkResult, tune_link
+from fraclink.lab._tune_motor import MotorResult, tune_motor
+from fraclink.lab._tune_wiring import Wiring, check_wiring
 
 RIG = fl.Rig.named("paper-2023-geared")
 PERIOD = RIG.period
 LIMITS = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
-Stages = tuple[fl.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
+Stages = tuple[fl.lab.SimulatedArm, Guard, Wiring, MotorResult, LinkResult]
 
 
-def arm(seed: int = 0, **changes: float) -> fl.SimulatedArm:
+def arm(seed: int = 0, **changes: float) -> fl.lab.SimulatedArm:
     """The paper's arm, or one that differs."""
-    return fl.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
+    return fl.lab.SimulatedArm(fl.Twin.from_rig(RIG, **changes), PERIOD, seed=seed)  # type: ignore[arg-type]
 
 
 def guarded(connection: Callback, limits: fl.MotionLimits = LIMITS) -> Guard:

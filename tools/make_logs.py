@@ -1,4 +1,4 @@
-"""Write the bundled logs src/fraclink/logs/*.csv from the digital twin.
+"""Write the bundled logs src/fraclink/data/logs/*.csv from the digital twin.
 
     python tools/make_logs.py [FOLDER]
 
@@ -90,7 +90,7 @@ def main() -> None:
     folder = (
         Path(sys.argv[1])
         if len(sys.argv) > 1
-        else Path(__file__).parents[1] / "src/fraclink/logs"
+        else Path(__file__).parents[1] / "src/fraclink/data/logs"
     )
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in build().items():

@@ -20,12 +20,12 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._files import write_text
-from fraclink._show.drawing import Figure, Panel, beside
-from fraclink._show.marks import Across, Curve, Mark, Zone
-from fraclink._show.pages import LINES
-from fraclink._show.scales import Scale
 from fraclink._simulate import Twin
-from fraclink._systems.margins import Margins
+from fraclink.view._drawing import Figure, Panel, beside
+from fraclink.view._marks import Across, Curve, Mark, Zone
+from fraclink.view._pages import LINES
+from fraclink.view._scales import Scale
+from fracsys._margins import Margins
 
 STATIC = Path(__file__).resolve().parent.parent / "docs" / "_static"
 PLACE = STATIC / "result.svg"
@@ -56,8 +56,8 @@ def photograph_arm(browser: str) -> None:
         phase_margin=fl.deg(50),
     )
     with tempfile.TemporaryDirectory() as folder:
-        page = fl.write_arm_page(
-            fl.Study(rig=rig, design=made),
+        page = fl.view.write_arm_page(
+            fl.trials.Study(rig=rig, design=made),
             Path(folder) / "arm.html",
             title="Move the arm",
         )

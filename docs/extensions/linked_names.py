@@ -1,7 +1,7 @@
 """Names of fraclink in running text become links, and one that does not exist fails the
 build.
 
-`fl.design`, `fraclink.Beam(…)` and `Design.sampled_at` between backticks are looked up.
+`fl.design`, `fraclink.extend.Beam(…)` and `Design.sampled_at` between backticks are looked up.
 What begins with `fl.` or `fraclink.` must stand in the reference: else Sphinx's
 nitpicky mode reports an undefined symbol. A bare name is linked where the package has
 it at its root, and left alone otherwise.

@@ -29,8 +29,8 @@ def write(app: Sphinx, error: Exception | None) -> None:
         gain_crossover=12.0,
         phase_margin=fl.deg(50),
     )
-    study = fl.Study(rig=rig, design=design)
-    fl.write_arm_page(
+    study = fl.trials.Study(rig=rig, design=design)
+    fl.view.write_arm_page(
         study, Path(app.outdir) / "_static" / "arm.html", title="Move the arm"
     )
 

@@ -15,7 +15,7 @@ from pictures import PICTURES
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from fraclink._show.pages import template_text
+from fraclink.view._pages import template_text
 
 
 @cache

@@ -13,13 +13,19 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
-from fraclink import PayloadChange, Twin, geared, phase_budget
-from fraclink._campaign import Campaign, simulate_part
-from fraclink._show import figures, fleets, loops, runs
-from fraclink._show.drawing import Figure, Panel
-from fraclink._show.marks import Across, Curve, Mark, Upright, Zone
-from fraclink._show.scales import Scale
-from fraclink._show.sketches import arm_sketch, loop_sketch
+import fracsys
+from fraclink import Twin
+from fraclink.extend import PayloadChange, geared, phase_budget
+from fraclink.trials._arms import simulate_part
+from fraclink.trials._campaign import Campaign
+from fraclink.view import _figures as figures
+from fraclink.view import _fleets as fleets
+from fraclink.view import _loops as loops
+from fraclink.view import _runs as runs
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
+from fraclink.view._scales import Scale
+from fraclink.view._sketches import arm_sketch, loop_sketch
 
 ASK: dict[str, Any] = {
     "payloads": (0.020, 0.040),
@@ -80,7 +86,7 @@ def filters() -> Figure:
         made = design(float(time))
         run = fl.simulate(
             made.law(),
-            fl.hold(0.0, duration=1.0),
+            fl.extend.hold(0.0, duration=1.0),
             rig=rig(),
             model=rig().model,
             duration=8.0,
@@ -135,7 +141,7 @@ def offset() -> Figure:
     made = design(0.0)
     run = fl.simulate(
         made.law(),
-        fl.hold(0.0),
+        fl.extend.hold(0.0),
         rig=rig(),
         model=rig().model,
         duration=6.0,
@@ -158,7 +164,7 @@ def offset() -> Figure:
 def second_mode() -> Figure:
     """What the gauge sees of a link with mass, and of one without."""
     link = rig().link
-    beam = fl.Beam(link.length, link.stiffness * link.length / 3, 0.00735, 0.030)
+    beam = fl.extend.Beam(link.length, link.stiffness * link.length / 3, 0.00735, 0.030)
     modes = beam.modes(3)
     shares = modes.participation * modes.curvature / link.stiffness
     w = np.unique(
@@ -199,7 +205,7 @@ def mode_gain() -> Figure:
     heavy = geared(rig(), 50)
     heavy = replace(heavy, link=replace(heavy.link, mass=0.00735))
     curves = []
-    beam = fl.Beam(
+    beam = fl.extend.Beam(
         heavy.link.length, heavy.link.stiffness * heavy.link.length / 3, 0.00735, 0.030
     )
     modes = beam.modes(3)
@@ -327,7 +333,7 @@ def stand_ins() -> Figure:
     exact = link(1j * w)
     curves = []
     for method in ("minimax", "oustaloup"):
-        made = fl.approximate(link, band=(0.1, 300.0), order=6, method=method)
+        made = fracsys.approximate(link, band=(0.1, 300.0), order=6, method=method)
         curves.append((method, w, 20 * np.log10(np.abs(made(1j * w) / exact))))
     said = "Error of the modulus of two rational approximations of order six"
     return lines(
@@ -351,7 +357,7 @@ def arms() -> Figure:
 
 def refused() -> Figure:
     """Feasible requests, with one that is not."""
-    found = fl.feasibility_map(
+    found = fl.extend.feasibility_map(
         rig().model,
         rig(),
         gain_crossovers=np.linspace(8, 34, 60),
@@ -387,7 +393,7 @@ def shaped_or_smooth() -> Figure:
     for order in (2.0, 1.95, 1.85):
         link = fl.LinkModel(1.56, 11.5, order=order)
         curves.append(
-            (f"λ = {order:g}", t[1:], fl.step_response(link.tip(), t).output[1:])
+            (f"λ = {order:g}", t[1:], fracsys.step_response(link.tip(), t).output[1:])
         )
     said = "Exact step responses of links of three orders"
     return lines("steps", said, "tip after a step of the motor", curves, "time [s]")
@@ -395,7 +401,7 @@ def shaped_or_smooth() -> Figure:
 
 def pid_step() -> Figure:
     """The law of a fractional PID on a furnace."""
-    s = fl.s
+    s = fracsys.s
     made = fl.tune_pid(
         1 / (14994 * s**1.31 + 6009.5 * s**0.97 + 1.69),
         gain_crossover=0.1,

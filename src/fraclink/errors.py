@@ -19,7 +19,14 @@ exit code 1 (failed). Warnings are ``FraclinkWarning`` with a stable code (``W10
 
 from __future__ import annotations
 
-from typing import ParamSpec, TypeVar
+from fracsys.errors import (
+    FieldError,
+    FracsysError,
+    MissingExtraError,
+    NotConvergedError,
+    SizeError,
+    UnstableError,
+)
 
 __all__ = [
     "FieldError",
@@ -35,113 +42,11 @@ __all__ = [
     "UnstableError",
 ]
 
-P = ParamSpec("P")
-R = TypeVar("R")
+# One base for both packages: it catches everything that either raises on purpose.
+FraclinkError = FracsysError
 
-# What a message repeats of something that came from outside: a cell of 10 MB must not
-# flood a terminal.
-_VALUE_LIMIT = 80
-_SENTENCE_LIMIT = 400
-
-
-def value_text(value: object) -> str:
-    """Return repr(value), or its type where Python declines: a whole number of over
-    4300 digits.
-    """
-    # An entry of an array reads nan and 0.5, not np.float64(nan): the reader wrote no
-    # type. By the module's name, as errors load without NumPy.
-    if type(value).__module__ == "numpy" and getattr(value, "ndim", 1) == 0:
-        value = getattr(value, "item")()  # noqa: B009
-    try:
-        return repr(value)
-    except ValueError:
-        return f"a huge {type(value).__name__}"
-
-
-def _shown(value: object, limit: int = _VALUE_LIMIT) -> str:
-    """The value as a message prints it: one line, printable characters only, bounded."""
-    # A text stands without quotes, as the user wrote it into a file or a terminal; all
-    # else as Python spells it.
-    text = value if isinstance(value, str) else value_text(value)
-    # Cut before it is escaped: of 10 MB only the part that is shown is looked at. An
-    # escape sequence from a file must not reach the terminal, nor a line end make two
-    # messages of one.
-    text = "".join(
-        c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[: limit + 1]
-    )
-    return text if len(text) <= limit else text[:limit] + "…"
-
-
-def _sentence(text: str) -> str:
-    """`text` as a sentence; a leading identifier such as ``read_log(...)`` keeps its
-    spelling.
-    """
-    # Only a plain word gets a capital: read_log(…) and --force are spelled as they are
-    # typed.
-    if text and text.split(maxsplit=1)[0].rstrip(",;:").isalpha():
-        text = text[0].upper() + text[1:]
-    return text if text.endswith((".", "?", "!", "…")) else f"{text}."
-
-
-class FraclinkError(Exception):
-    """Base of every error that fraclink raises on purpose."""
-
-
-class FieldError(FraclinkError, ValueError):
-    """A value is outside its range.
-
-    The message reads ``field: problem (got value); expected range. Remedy.``, and each
-    part of it is an attribute, so that a program can act on it and a form can show it
-    beside the field. The problem "missing" reads ``field is required; expected range.
-    Remedy.``, as there is no value to show.
-
-    >>> raise FieldError("payload", -0.03, "negative", allowed="> 0 kg", remedy="give the mass in kg")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: payload: negative (got -0.03); expected > 0 kg. Give the mass in kg.
-    >>> raise FieldError("rig", None, "missing", allowed="a Rig", remedy="use Rig.named or Rig.load")
-    Traceback (most recent call last):
-    fraclink.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
-    """
-
-    def __init__(
-        self, field: str, value: object, problem: str, *, allowed: str, remedy: str
-    ) -> None:
-        self.field, self.value, self.problem = field, value, problem
-        self.allowed, self.remedy = allowed, remedy
-        # Parsers of binary files put raw bytes of the file into the problem; every part
-        # is escaped.
-        name, expected = _shown(field), _shown(allowed, _SENTENCE_LIMIT)
-        what = _shown(problem, _SENTENCE_LIMIT)
-        head = (
-            f"{name} is required"
-            if problem == "missing"
-            else f"{name}: {what} (got {_shown(value)})"
-        )
-        advice = f" {_sentence(_shown(remedy, _SENTENCE_LIMIT))}" if remedy else ""
-        super().__init__(f"{head}; expected {expected.rstrip('.')}.{advice}")
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # Keyword-only arguments are lost by the default protocol, and errors cross
-        # process borders (file readers run in a child that may be killed).
-        return _rebuild, (
-            type(self),
-            self.field,
-            self.value,
-            self.problem,
-            self.allowed,
-            self.remedy,
-        )
-
-
-def _rebuild(
-    kind: type[FieldError],
-    field: str,
-    value: object,
-    problem: str,
-    allowed: str,
-    remedy: str,
-) -> FieldError:
-    return kind(field, value, problem, allowed=allowed, remedy=remedy)
+# Of the arguments that a request names; the others have none.
+_UNITS = {"phase_margin": " rad", "gain_crossover": " rad/s"}
 
 
 class LogError(FieldError):
@@ -152,20 +57,6 @@ class FileFormatError(FieldError):
     """A file is damaged, hostile, of another kind, or of a version this release does
     not read.
     """
-
-
-class SizeError(FieldError):
-    """A request is refused because of its estimated size, before any memory is
-    allocated.
-    """
-
-
-class UnstableError(FieldError):
-    """The requested quantity exists only for stable systems."""
-
-
-# Of the arguments that a request names; the others have none.
-_UNITS = {"phase_margin": " rad", "gain_crossover": " rad/s"}
 
 
 class InfeasibleError(FraclinkError, ValueError):
@@ -208,40 +99,6 @@ class NotCertifiedError(FraclinkError, ValueError):
     ) -> None:
         self.reason, self.payload, self.frequency = reason, payload, frequency
         super().__init__(reason)
-
-
-class NotConvergedError(FraclinkError, RuntimeError):
-    """An iteration stopped before its tolerance; ``reached`` is the value it stopped
-    at.
-    """
-
-    def __init__(
-        self, what: str, *, reached: float, wanted: float, remedy: str
-    ) -> None:
-        self.what, self.reached, self.wanted, self.remedy = (
-            what,
-            reached,
-            wanted,
-            remedy,
-        )
-        super().__init__(
-            f"{what}: reached {reached:.3g}, wanted {wanted:.3g}; {remedy}"
-        )
-
-
-class MissingExtraError(FraclinkError, ImportError):
-    """An optional dependency is not installed; the message says how to install it.
-
-    `install` is the requirement for pip where the package is not one that the extra
-    brings.
-    """
-
-    def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:
-        self.package, self.extra = package, extra
-        requirement = f"'fraclink[{extra}]'" if install is None else install
-        super().__init__(
-            f"{package} is not installed; it comes with `pip install {requirement}`"
-        )
 
 
 class FraclinkWarning(UserWarning):

@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
-from fraclink._campaign import load_campaign, read_part
-from fraclink._campaign.study import load_study
 from fraclink._certify import Certificate
 from fraclink._export import Proof
 from fraclink._identify import load_model
-from fraclink._realtime import RealtimeRun, ServedArm
+from fraclink.lab._arm import ServedArm
+from fraclink.lab._run import RealtimeRun
+from fraclink.trials._campaign import load_campaign
+from fraclink.trials._run import read_part
+from fraclink.trials._study import load_study
 
 FOLDER = Path(__file__).resolve().parent / "formats"
 LINK = (

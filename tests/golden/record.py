@@ -40,8 +40,6 @@ sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
 # The names that are not at the root: all of them here, so that a move of modules is one
 # edit.
-from fraclink._campaign import Campaign, simulate_part  # noqa: E402
-from fraclink._campaign.faults import Bench, Case, run_case  # noqa: E402
 from fraclink._certify import Certificate  # noqa: E402
 from fraclink._design import optimise  # noqa: E402
 from fraclink._export import export_fmu, export_io  # noqa: E402
@@ -64,6 +62,9 @@ from fraclink._simulate import (  # noqa: E402
     geared,
 )
 from fraclink.errors import InfeasibleError  # noqa: E402
+from fraclink.trials._arms import simulate_part  # noqa: E402
+from fraclink.trials._campaign import Campaign  # noqa: E402
+from fraclink.trials._faults import Bench, Case, run_case  # noqa: E402
 from made_logs import example_motor_log  # noqa: E402
 from reproduce.evidence import EVIDENCE  # noqa: E402
 from reproduce.published import read_published  # noqa: E402
@@ -308,7 +309,7 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         partial(
             fl.simulate,
             law("default"),
-            fl.pulse(0.4, 0.5, 1.5),
+            fl.extend.pulse(0.4, 0.5, 1.5),
             rig=RIG,
             model=LINK,
             motor_loop="ideal",
@@ -321,7 +322,7 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         partial(
             fl.simulate,
             law("outer"),
-            fl.hold(0.0),
+            fl.extend.hold(0.0),
             rig=RIG,
             model=LINK,
             motor_loop="ideal",
@@ -445,7 +446,9 @@ FAULTS: tuple[tuple[str, int, str], ...] = (
 )
 # Every fault with every severity, which costs 20 ms each.
 FAULTS += tuple(
-    (fault.number, severity, "mid") for fault in fl.CATALOGUE for severity in (1, 2, 3)
+    (fault.number, severity, "mid")
+    for fault in fl.trials.CATALOGUE
+    for severity in (1, 2, 3)
 )
 
 
@@ -751,7 +754,7 @@ def structure_figures(name: str) -> Plain:
     made: Plain = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
     made["preferred"] = found.preferred
     made["advantage"] = plain(found.contest.advantage)
-    made["diagnosis"] = [finding.code for finding in fl.diagnose(log_of(name))]
+    made["diagnosis"] = [finding.code for finding in fl.logs.diagnose(log_of(name))]
     return made
 
 

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
+from fracsys.checks import Between, checked
 
 __all__ = [
     "DEFAULT_MASS",

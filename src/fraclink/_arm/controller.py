@@ -11,11 +11,11 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import Path
 from fraclink._files import document
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._systems.margins import Margins
-from fraclink._systems.stability import poles
-from fraclink._validate import checked_between, checked_noun, is_whole
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._margins import Margins
+from fracsys._stability import poles
+from fracsys.checks import checked_between, checked_noun, is_whole
 
 __all__ = ["Controller", "closed_loop", "closed_loop_poles"]
 

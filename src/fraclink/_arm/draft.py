@@ -17,9 +17,9 @@ from fraclink._arm.log_columns import LogColumns
 from fraclink._arm.rig import Rig, _LogTable
 from fraclink._arm.rig_parts import Link, Motor, Name, Payloads
 from fraclink._files.toml import keys_of, read_table, read_toml, table_of, toml_value
-from fraclink._validate import checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import checked
 
 __all__ = ["RigDraft", "doubts_of", "draft_text", "load_rig_or_draft"]
 

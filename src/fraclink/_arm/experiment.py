@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
 from fraclink._arm.timebase import time_base
+from fraclink._display import displayed
 from fraclink._files import document, write_text
-from fraclink._validate import Array, Between, Payload, Positive, checked
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import LogError
 from fraclink.findings import Finding
+from fracsys.checks import Array, Between, Payload, Positive, checked
+from fracsys.checks.equality import compared
 
 __all__ = ["Experiment"]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._files import document, load, save
-from fraclink._systems.fractional import FractionalTransferFunction, s
-from fraclink._validate import Between, checked
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys.checks import Between, checked
 
 __all__ = ["FractionalPid"]
 
@@ -57,7 +57,7 @@ class FractionalPid:
     Examples
     --------
     >>> import fraclink as fl
-    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.8, derivative=0.5, derivative_order=1.2,
+    >>> pid = fl.extend.FractionalPid(2.0, integral=3.0, integral_order=0.8, derivative=0.5, derivative_order=1.2,
     ...                        filter_time=0.01)
     >>> pid.formula
     'C(s) = 2 + 3/s^0.8 + 0.5 s^1.2/(1 + 0.01 s)^2'

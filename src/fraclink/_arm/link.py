@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._files import document
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.terms import Term
-from fraclink._validate import checked_choice, checked_noun, checked_number
-from fraclink._validate.rules import rule
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._terms import Term
+from fracsys.checks import checked_choice, checked_noun, checked_number
+from fracsys.checks.rules import rule
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
 

@@ -18,8 +18,8 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._validate import Between, Length, Where, checked
 from fraclink.errors import FieldError
+from fracsys.checks import Between, Length, Where, checked
 
 __all__ = [
     "QUANTITY_OF",

@@ -27,8 +27,8 @@ from fraclink._arm.gauged_link import GaugedLink
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._systems.margins import Margins, margins
-from fraclink._systems.sweep import bracketed_roots
+from fracsys._margins import Margins, margins
+from fracsys._sweep import bracketed_roots
 
 if TYPE_CHECKING:
     from fraclink._arm.controller import Controller
@@ -402,7 +402,7 @@ class Loop(GaugedLink):
 
     def margins_at(self, natural_frequency: float) -> Margins:
         """Return every crossing and margin at one ω₀, from the general engine
-        `fraclink.margins`.
+        `fracsys.margins`.
         """
         limit = self.highest if math.isfinite(self.highest) else None
         return margins(

@@ -16,9 +16,9 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.terms import Term
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._terms import Term
 
 __all__ = [
     "ContinuousPid",

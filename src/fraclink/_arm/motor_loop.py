@@ -26,8 +26,8 @@ from fraclink._arm.motor import (
     held_motor,
     place_pid,
 )
-from fraclink._validate import checked_between, checked_choice, checked_whole
 from fraclink.errors import FieldError
+from fracsys.checks import checked_between, checked_choice, checked_whole
 
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
+from fraclink._display import displayed
 from fraclink._files import document
-from fraclink._validate import Array, Between, Positive, checked
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, LogError
+from fracsys.checks import Array, Between, Positive, checked
+from fracsys.checks.equality import compared
 
 __all__ = ["Coherence", "FrequencyResponse", "Lines", "Recording", "coherence_weights"]
 

@@ -16,9 +16,9 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._validate import Array, Between, Period, checked
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, SizeError
+from fracsys.checks import Array, Between, Period, checked
+from fracsys.checks.equality import compared
 
 __all__ = [
     "Chirp",
@@ -230,7 +230,7 @@ class SampledReference(Reference):
     Examples
     --------
     >>> import fraclink as fl
-    >>> table = fl.SampledReference(0.004, [[0.0, 0.1, 0.2], [25.0, 25.0, 25.0], [0.0, 0.0, 0.0]])
+    >>> table = fl.extend.SampledReference(0.004, [[0.0, 0.1, 0.2], [25.0, 25.0, 25.0], [0.0, 0.0, 0.0]])
     >>> float(table.angle(0.006)), float(table.angle(1.0)), float(table.velocity(1.0)), table.duration
     (0.15000000000000002, 0.2, 0.0, 0.008)
     """

@@ -27,6 +27,7 @@ from fraclink._arm.rig_parts import (
     at_least_zero,
     positive,
 )
+from fraclink._display import displayed
 from fraclink._files import document, stored_as, write_text
 from fraclink._files.toml import (
     parse_toml,
@@ -36,10 +37,9 @@ from fraclink._files.toml import (
     table_of,
     toml_text,
 )
-from fraclink._validate import Between, Frequency, Payload, Period, checked
-from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
+from fracsys.checks import Between, Frequency, Payload, Period, checked
 
 __all__ = [
     "DesignDefaults",
@@ -54,7 +54,7 @@ __all__ = [
 
 T = TypeVar("T")
 
-_FOLDER = Path(__file__).resolve().parents[1] / "rigs"
+_FOLDER = Path(__file__).resolve().parents[1] / "data" / "rigs"
 # two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
 _AGREEMENT = 0.02
 
@@ -130,7 +130,7 @@ class Rig:
 
         >>> Rig.named("paper")  # doctest: +ELLIPSIS
         Traceback (most recent call last):
-        fraclink.errors.FieldError: rig: unknown (got paper); expected ... Did you mean 'paper-2023'?
+        fracsys.errors.FieldError: rig: unknown (got paper); expected ... Did you mean 'paper-2023'?
         """
         names = Rig.names()
         if name not in names:

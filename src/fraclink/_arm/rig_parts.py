@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from fraclink._validate import Between, Frequency, Length, Where, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import Between, Frequency, Length, Where, checked
 
 __all__ = [
     "DesignDefaults",

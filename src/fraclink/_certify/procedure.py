@@ -23,8 +23,8 @@ from fraclink._certify.statement import AXES, Certificate, Statement, state
 from fraclink._law import Law, discretize_controller
 from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
-from fraclink._validate import Between, Ordered, Payload, checked, checked_between
 from fraclink.errors import FieldError
+from fracsys.checks import Between, Ordered, Payload, checked, checked_between
 
 __all__ = ["certify"]
 

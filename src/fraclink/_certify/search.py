@@ -23,8 +23,8 @@ from fraclink._certify.enclosure import BoxLoop
 from fraclink._certify.numeric import loop_values
 from fraclink._certify.statement import AXES, LEAVES, LETTERS, Statement
 from fraclink._law import Law
-from fraclink._systems.sweep import bracketed_roots
-from fraclink._validate import Between, Count, checked
+from fracsys._sweep import bracketed_roots
+from fracsys.checks import Between, Count, checked
 
 __all__ = ["Enclosure", "MarginFailure", "MarginProof", "enclose_phase_margin", "prove"]
 

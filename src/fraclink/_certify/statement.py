@@ -18,11 +18,11 @@ from typing import Any
 from fraclink._arm.box import ParameterBox, outward
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
+from fraclink._display import displayed
 from fraclink._files import read_json, write_json
 from fraclink._law import Law
 from fraclink._law import block as layout
 from fraclink._law.block import LEAST_RANGE, linear_range, modes_of
-from fraclink._validate.display import displayed
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
 
 __all__ = [

@@ -10,7 +10,6 @@ from typing import Annotated, Literal, TypedDict, Unpack
 import numpy as np
 import typer
 
-from fraclink._campaign.tournament import compare as run_rivals
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
 from fraclink._cli.console import steps
@@ -46,13 +45,14 @@ from fraclink._design.pid import tune_pid as pid_for
 from fraclink._files import output_path, write_json, write_text
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
-from fraclink._show.axes import save_figure
-from fraclink._show.loops import budget_figure, map_figure, margin_curves_figure
-from fraclink._show.plots import feasibility
-from fraclink._show.records import plain, to_json
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._validate import Between, Frequency, Ordered, PhaseMarginDeg
 from fraclink.errors import FieldError
+from fraclink.trials._tournament import compare as run_rivals
+from fraclink.view._axes import save_figure
+from fraclink.view._loops import budget_figure, map_figure, margin_curves_figure
+from fraclink.view._plots import feasibility
+from fraclink.view._records import plain, to_json
+from fracsys._fractional import FractionalTransferFunction
+from fracsys.checks import Between, Frequency, Ordered, PhaseMarginDeg
 
 app = group()
 

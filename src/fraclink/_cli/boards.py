@@ -10,7 +10,7 @@ from typing import Annotated, Literal, TypedDict, Unpack
 
 import typer
 
-from fraclink import _realtime as realtime
+from fraclink import lab
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import Recording
 from fraclink._arm.reference import Reference, prbs
@@ -48,8 +48,10 @@ from fraclink._export import (
 )
 from fraclink._files import kind_of
 from fraclink._law import Law, discretize
-from fraclink._logs.responses import read_recording
+from fraclink._reading.responses import read_recording
 from fraclink.errors import FieldError, LogError, MissingExtraError
+from fraclink.lab._machine import signals_held
+from fraclink.lab._run import reserved, saved
 
 app = group()
 export = group("Write the controller for C on a board, an FMU, or a board's I/O.")
@@ -67,12 +69,12 @@ Address = typer.Option(metavar="ADDRESS")
 
 def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
-) -> realtime.Udp | realtime.SharedMemory | realtime.Library:
+) -> lab.Udp | lab.SharedMemory | lab.Library:
     """Return the way to an arm that the options of a command name."""
     # From a file and never from the command line, which `ps` and the shell's history
     # show to others. Bytes as they are: a line end belongs to the key at both ends.
     key = None if key_file is None else key_file.read_bytes()
-    return realtime.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
+    return lab.parse_connection(io, unsafe_remote=unsafe_remote, key=key)
 
 
 def _of_file(path: Path, *, motor: bool) -> tuple[Law, Design | None]:
@@ -342,15 +344,15 @@ def run_realtime(
     estimator = made.estimator() if estimate else None
     # Measured before anything is opened: an arm whose controller misses its periods
     # trips in the middle of a move.
-    awake = realtime.measure_wake_ups(
+    awake = lab.measure_wake_ups(
         law.period, priority=options["priority"], lock_memory=options["lock_memory"]
     )
     tell(str(awake))
     awake.check()
     # The record has its place kept by the loop itself; a log that cannot be written is
     # found as early.
-    with nullcontext() if log is None else realtime.reserved(log, field="log"):
-        run = realtime.run_realtime(
+    with nullcontext() if log is None else reserved(log, field="log"):
+        run = lab.run_realtime(
             # The loop on this machine is double by default; single shows what a
             # microcontroller's rounding does to the arm.
             law.in_precision("single") if single else law,
@@ -433,13 +435,9 @@ def serve_arm(
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
-    with realtime.signals_held() as obeyed:
-        with (
-            nullcontext()
-            if out is None
-            else realtime.reserved(out, cls=realtime.ServedArm)
-        ):
-            served = realtime.serve_arm(
+    with signals_held() as obeyed:
+        with nullcontext() if out is None else reserved(out, cls=lab.ServedArm):
+            served = lab.serve_arm(
                 arm,
                 connection,
                 made.rig.period,
@@ -452,7 +450,7 @@ def serve_arm(
         # Every signal asks for the end, which has come: one that comes now has only the
         # file to wait for.
         obeyed.set()
-        written = () if out is None else (realtime.saved(served, out),)
+        written = () if out is None else (saved(served, out),)
     return Answer(
         served,
         served.passed,

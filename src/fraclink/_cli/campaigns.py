@@ -11,18 +11,6 @@ from typing import Annotated, Literal, TypedDict, Unpack, cast
 import numpy as np
 import typer
 
-from fraclink import _campaign as campaigns
-from fraclink._campaign import Campaign, Summary
-from fraclink._campaign.fault_trial import Phase
-from fraclink._campaign.faults import (
-    PHASES,
-    Bench,
-    Case,
-    FaultTable,
-    cases,
-    observe,
-    run_faults,
-)
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import steps, watching
@@ -38,12 +26,26 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._files import load, output_path, save, write_npz, write_text
-from fraclink._logs.responses import read_reference
-from fraclink._show.report import write_campaign_report
-from fraclink._show.runs import draw_outcome
-from fraclink._show.views import faults_page
+from fraclink._reading.responses import read_reference
 from fraclink._simulate import geared
 from fraclink.errors import FieldError
+from fraclink.trials._arms import replay_run
+from fraclink.trials._campaign import Campaign, load_campaign
+from fraclink.trials._fault_trial import Phase
+from fraclink.trials._faults import (
+    PHASES,
+    Bench,
+    Case,
+    FaultTable,
+    cases,
+    observe,
+    run_faults,
+)
+from fraclink.trials._run import run_campaign
+from fraclink.trials._summary import Summary, summarise
+from fraclink.view._report import write_campaign_report
+from fraclink.view._runs import draw_outcome
+from fraclink.view._views import faults_page
 
 app = group()
 campaign = group("Many runs: Monte Carlo and faults.")
@@ -107,10 +109,8 @@ def montecarlo(
         reference=None if reference is None else read_reference(reference),
     )
     with watching(runs) as watch:
-        campaigns.run_campaign(
-            asked, out, workers=workers, scheduler=scheduler, watch=watch
-        )
-    return _summarised(campaigns.summarise(asked, out), out)
+        run_campaign(asked, out, workers=workers, scheduler=scheduler, watch=watch)
+    return _summarised(summarise(asked, out), out)
 
 
 @command(campaign)
@@ -125,8 +125,8 @@ def report(
 
     $ fraclink campaign report mc --out campaign.html
     """
-    asked = campaigns.load_campaign(parts)
-    summary = campaigns.summarise(asked, parts)
+    asked = load_campaign(parts)
+    summary = summarise(asked, parts)
     if out is not None:
         write_campaign_report(asked, parts, summary, out)
     return _summarised(summary, parts, () if out is None else (out,))
@@ -180,7 +180,7 @@ def replay(
         return _repeat_fault(
             parts, case or "", out, output_path(out.with_suffix(".svg"), force=force)
         )
-    found = campaigns.replay_run(campaigns.load_campaign(parts), run)
+    found = replay_run(load_campaign(parts), run)
     found.save(out)
     return Answer(found, found.verdict.passed, values={"run": run}, written=(out,))
 

@@ -36,11 +36,11 @@ from fraclink._cli.console import (
     width,
 )
 from fraclink._files import output_path
-from fraclink._show.records import to_json
-from fraclink._show.text import View, plain_text
-from fraclink._show.views import view
-from fraclink._validate.rules import rule
 from fraclink.findings import Finding
+from fraclink.view._records import to_json
+from fraclink.view._text import View, plain_text
+from fraclink.view._views import view
+from fracsys.checks.rules import rule
 
 __all__ = ["Answer", "Default", "Writes", "command"]
 
@@ -118,7 +118,7 @@ class Declared:
     def help(self) -> str:
         """The text of the help, with the range and with what is true of every list.
 
-        >>> from fraclink._validate import Payload
+        >>> from fracsys.checks import Payload
         >>> Declared("payload", float, Annotated[Payload, "Payload [kg]"], None).help
         'Payload [kg], > 0 and <= 10000 kg.'
         """

@@ -30,7 +30,6 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from fraclink._show.text import folded, option
 from fraclink.errors import (
     FieldError,
     FraclinkError,
@@ -38,6 +37,7 @@ from fraclink.errors import (
     InfeasibleError,
     MissingExtraError,
 )
+from fraclink.view._text import folded, option
 
 __all__ = [
     "clean",

@@ -7,9 +7,6 @@ from typing import Annotated, TypedDict, Unpack
 
 import typer
 
-from fraclink._campaign.stages import run as run_study
-from fraclink._campaign.stages import simulate_move
-from fraclink._campaign.study import load_study
 from fraclink._certify import certify as prove
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Default, Writes, command
@@ -45,9 +42,12 @@ from fraclink._cli.options import (
 from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._files import output_path
-from fraclink._show.arm_page import write_arm_page
-from fraclink._show.report import write_report
 from fraclink._simulate import simulate as run_law
+from fraclink.trials._stages import run as run_study
+from fraclink.trials._stages import simulate_move
+from fraclink.trials._study import load_study
+from fraclink.view._arm_page import write_arm_page
+from fraclink.view._report import write_report
 
 app = group()
 

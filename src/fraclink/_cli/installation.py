@@ -18,7 +18,7 @@ from fraclink import __version__, _kernels
 from fraclink._cli.app import application, every_command, group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._files import write_text
-from fraclink._show.text import Row, Table, View
+from fraclink.view._text import Row, Table, View
 
 __all__ = ["manual_page"]
 

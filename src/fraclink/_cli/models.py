@@ -35,12 +35,12 @@ from fraclink._cli.options import (
     required_model,
     whole,
 )
-from fraclink._logs import diagnose as examine
-from fraclink._logs import inspect_log
+from fraclink._reading.reading import inspect_log
 from fraclink._simulate import Twin, simulate_log
-from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
+from fraclink.logs._diagnosis import diagnose as examine
+from fracsys.checks import Between, Payload
 
 StructureName = Annotated[
     str | None,

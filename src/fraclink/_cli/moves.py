@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, TypedDict, Unpack, cast
 
-from fraclink import _validate as ranges
 from fraclink._arm.reference import Path as MovePath
 from fraclink._arm.reference import SampledReference
 from fraclink._cli.app import group
@@ -24,9 +23,10 @@ from fraclink._cli.options import (
     refuse_beside,
 )
 from fraclink._export.board import export_reference
-from fraclink._logs.responses import read_reference
+from fraclink._reading.responses import read_reference
 from fraclink._simulate.shape import shape as shape_move
 from fraclink.errors import FieldError
+from fracsys import checks as ranges
 
 FollowedPath = MovePath | SampledReference
 

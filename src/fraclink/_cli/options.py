@@ -11,7 +11,6 @@ from typing import Annotated, Any, Literal, TypedDict
 
 import typer
 
-from fraclink import _validate as ranges
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
@@ -23,11 +22,12 @@ from fraclink._files import kind_of
 from fraclink._identify import Fit, load_model
 from fraclink._identify.fitting import HeldOut
 from fraclink._law.estimator import PayloadEstimator
-from fraclink._logs import bundled_log, read_log
-from fraclink._logs.responses import read_reference
+from fraclink._reading.reading import bundled_log, read_log
+from fraclink._reading.responses import read_reference
 from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
+from fracsys import checks as ranges
 
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 

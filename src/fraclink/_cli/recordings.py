@@ -26,9 +26,10 @@ from fraclink._cli.options import (
     log_path,
     named_channels,
 )
-from fraclink._logs import read_frequency_response, read_log, read_recording
-from fraclink._validate import Between
+from fraclink._reading.reading import read_log
+from fraclink._reading.responses import read_frequency_response, read_recording
 from fraclink.errors import FieldError, LogError
+from fracsys.checks import Between
 
 app = group()
 

@@ -16,13 +16,13 @@ from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command
 from fraclink._cli.console import tell
 from fraclink._cli.options import LogName, log_path
-from fraclink._logs.guess import Question
-from fraclink._logs.start import START_FILES, Start
-from fraclink._logs.start import start as start_from
-from fraclink._logs.weighing import answered
-from fraclink._show.figures import fit_figure
-from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
+from fraclink.logs._guess import Question
+from fraclink.logs._start import START_FILES, Start
+from fraclink.logs._start import start as start_from
+from fraclink.logs._weighing import answered
+from fraclink.view._figures import fit_figure
+from fracsys.checks import Between, Payload
 
 __all__ = ["start"]
 

@@ -10,11 +10,11 @@ import typer
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, command
 from fraclink._cli.console import emit
-from fraclink._validate import Between
 from fraclink.errors import FieldError, MissingExtraError
+from fracsys.checks import Between
 
 if TYPE_CHECKING:
-    from fraclink._studio.session import Session
+    from fraclink.studio._session import Session
 
 app = group()
 
@@ -50,7 +50,7 @@ def studio(
     $ fraclink studio results
     """
     try:
-        from fraclink._studio.serving import serve
+        from fraclink.studio._serving import serve
     # Of the extra's own packages only: a module of fraclink that is missing is a
     # defect, and must look like one.
     except ModuleNotFoundError as error:
@@ -84,6 +84,6 @@ def _opened(place: Path | None, rig: str | None, out: Path) -> Session:
     # Everything numerical is loaded here, a second of work, while the browser loads the
     # page.
     from fraclink._cli.options import load_rig
-    from fraclink._studio.session import opened
+    from fraclink.studio._session import opened
 
     return opened(place, rig=None if rig is None else load_rig(rig), out=out)

@@ -18,13 +18,13 @@ from fraclink._cli.command import Answer, command
 from fraclink._cli.console import tell
 from fraclink._cli.options import PayloadRange, load_rig
 from fraclink._files import checked_path, load, output_path
-from fraclink._realtime import RealtimeRun
-from fraclink._realtime.tune import tune as tune_arm
-from fraclink._realtime.tune_guard import MotionLimits
-from fraclink._realtime.tuning import FILES, Tuning, TuningPlan
-from fraclink._realtime.watch import watch as watch_arm
-from fraclink._validate import Between, Payload
 from fraclink.errors import FieldError
+from fraclink.lab._run import RealtimeRun
+from fraclink.lab._tune import tune as tune_arm
+from fraclink.lab._tune_guard import MotionLimits
+from fraclink.lab._tuning import FILES, Tuning, TuningPlan
+from fraclink.lab._watch import watch as watch_arm
+from fracsys.checks import Between, Payload
 
 __all__ = ["tune", "watch"]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
+from fracsys.checks.display import displayed
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
@@ -15,11 +16,10 @@ from fraclink._arm.rig import Rig
 from fraclink._design.assess import axis_of
 from fraclink._design.equations import equation, task_of
 from fraclink._law.design import Specification
-from fraclink._systems.sweep import bracketed_roots
-from fraclink._validate import Between, Frequency, PhaseMargin, checked
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import SizeError
+from fracsys._sweep import bracketed_roots
+from fracsys.checks import Between, Frequency, PhaseMargin, checked
+from fracsys.checks.equality import compared
 
 __all__ = [
     "FeasibilityMap",

@@ -17,15 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from fraclink._arm.controller import Controller
 from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._law.design import Design, Requirement
-from fraclink._validate import (
+from fraclink.errors import FieldError
+from fracsys.checks import (
     Between,
     Frequency,
     Payload,
     checked,
     checked_series,
 )
-from fraclink._validate.equality import compared
-from fraclink.errors import FieldError
+from fracsys.checks.equality import compared
 
 __all__ = [
     "PRINTED",

@@ -13,8 +13,8 @@ from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design.procedure import design
 from fraclink._law.design import Design
-from fraclink._validate import checked
 from fraclink.errors import FieldError, InfeasibleError
+from fracsys.checks import checked
 
 __all__ = ["design_for"]
 

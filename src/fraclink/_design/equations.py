@@ -24,8 +24,8 @@ from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.design import Specification
-from fraclink._systems.sweep import bracketed_roots
 from fraclink.errors import FieldError
+from fracsys._sweep import bracketed_roots
 
 __all__ = [
     "MARGIN_SHARE",

@@ -29,8 +29,8 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
 from fraclink._law.design import Requirement
-from fraclink._validate import checked_between
 from fraclink.findings import Finding
+from fracsys.checks import checked_between
 
 __all__ = [
     "MODE_LIMIT",

@@ -26,8 +26,8 @@ from fraclink._design.modes import HigherModes, higher_modes
 from fraclink._design.problem import Bounds, Goal, Problem
 from fraclink._design.procedure import findings_of, requirements_of
 from fraclink._law.design import Design, Specification
-from fraclink._validate import Fraction, checked
 from fraclink.errors import FieldError, InfeasibleError
+from fracsys.checks import Fraction, checked
 
 __all__ = ["Optimised", "Step", "optimise"]
 

@@ -19,12 +19,12 @@ from fraclink._design.pid_search import (
 from fraclink._design.pid_tuning import PERIODS, PidTuning
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._law.requirement import LEAST_SHARE
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.interop import from_control
-from fraclink._systems.stability import is_stable
-from fraclink._validate import Between, Duration, Frequency, PhaseMargin, checked
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._interop import from_control
+from fracsys._stability import is_stable
+from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
 
 __all__ = ["tune_pid"]
 
@@ -73,7 +73,7 @@ def tune_pid(
     Parameters
     ----------
     plant
-        P(s): a function of `fraclink.s`, the result of `identify_structure`, or a
+        P(s): a function of `fracsys.s`, the result of `identify_structure`, or a
         python-control system with one input and one output; of positive gain at rest,
         without poles in Re s > 0.
     phase_margin
@@ -120,8 +120,9 @@ def tune_pid(
     Examples
     --------
     >>> import fraclink as fl
+    >>> import fracsys
     >>> tuning = fl.tune_pid(
-    ...     (1 / (0.4 * fl.s**1.5 + 1)).delayed(0.05), gain_crossover=1.0, form="PI", phase_margin=fl.deg(70)
+    ...     (1 / (0.4 * fracsys.s**1.5 + 1)).delayed(0.05), gain_crossover=1.0, form="PI", phase_margin=fl.deg(70)
     ... )
     >>> tuning.passed, abs(tuning.phase_slope) < 1e-6
     (True, True)

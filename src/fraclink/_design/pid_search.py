@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fraclink._arm.fractional_pid import FractionalPid, pid_parts
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.stability import poles
 from fraclink.errors import FraclinkError
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._stability import poles
 
 __all__ = ["Candidates", "PidProblem", "best_of", "crossover_grid", "itae", "searched"]
 

@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.fractional_pid import FractionalPid
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law.fractional_pid import discretize_pid, pid_response
 from fraclink._law.law import Law, LawInputs
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._systems.margins import Margins, margins
-from fraclink._systems.response import discrete_modes, time_response
-from fraclink._systems.stability import is_stable
-from fraclink._validate import Between
-from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._margins import Margins, margins
+from fracsys._response import discrete_modes, time_response
+from fracsys._stability import is_stable
+from fracsys.checks import Between
 
 __all__ = ["PERIODS", "PidStep", "PidTuning"]
 
@@ -82,7 +82,8 @@ class PidTuning:
     Examples
     --------
     >>> import fraclink as fl
-    >>> plant = 1 / (0.8 * fl.s**2.2 + 0.5 * fl.s**0.9 + 1)
+    >>> import fracsys
+    >>> plant = 1 / (0.8 * fracsys.s**2.2 + 0.5 * fracsys.s**0.9 + 1)
     >>> tuning = fl.tune_pid(plant, gain_crossover=2.0, phase_margin=fl.deg(60))
     >>> tuning.passed, round(tuning.margins.gain_crossover, 6), round(tuning.itae, 2)
     (True, 2.0, 1.12)
@@ -196,7 +197,7 @@ class PidTuning:
         order: int | None = None,
         precision: Literal["single", "double"] = "double",
     ) -> Law:
-        """Return the law that runs the controller, by `fraclink.discretize_pid`.
+        """Return the law that runs the controller, by `fraclink.extend.discretize_pid`.
 
         What is left out is what the tuning was given; its filter is closest to C within
         two decades below the crossover and fifty times it.

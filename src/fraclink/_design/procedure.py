@@ -21,9 +21,9 @@ from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements, 
 from fraclink._design.nearest import missed_bounds, offered, refuse
 from fraclink._design.over_box import OverBox, at_arm, cost_of_box
 from fraclink._law.design import Design, Requirement, Specification
-from fraclink._validate import checked_between, checked_noun
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
+from fracsys.checks import checked_between, checked_noun
 
 if TYPE_CHECKING:
     from fraclink._identify import Fit

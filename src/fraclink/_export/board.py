@@ -14,9 +14,9 @@ from fraclink import __version__
 from fraclink._arm.reference import Reference, sampled
 from fraclink._export.data import hex_float, identifier, law_source
 from fraclink._files import atomic_write, output_path, write_text
-from fraclink._logs.responses import COLUMNS
-from fraclink._validate import Period, checked
+from fraclink._reading.responses import COLUMNS
 from fraclink.errors import FieldError
+from fracsys.checks import Period, checked
 
 __all__ = ["export_io", "export_reference"]
 
@@ -67,7 +67,7 @@ void arm_close(void)
 def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     """Write arm_io.h and my_board.c to `folder` and return their paths.
 
-    The header is the one that `fraclink._realtime.Library` was built with; the board
+    The header is the one that `fraclink.lab.Library` was built with; the board
     compiles as it is and gives an arm that stands still. Raises FieldError where one of
     them is there and `force` is not given.
 
@@ -136,7 +136,7 @@ def export_reference(
     --------
     >>> import fraclink as fl, tempfile
     >>> place = Path(tempfile.mkdtemp()) / "move.csv"
-    >>> table = fl.read_reference(fl.export_reference(fl.smooth_step(1.0, 0.5), place, period=0.004))
+    >>> table = fl.extend.read_reference(fl.extend.export_reference(fl.smooth_step(1.0, 0.5), place, period=0.004))
     >>> table.duration, float(table.acceleration(0.1)) == float(fl.smooth_step(1.0, 0.5).acceleration(0.1))
     (0.5, True)
     """

@@ -27,8 +27,8 @@ from fraclink._law import Law
 from fraclink._law.block import Precision
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.estimates import estimator_for
-from fraclink._validate import checked
 from fraclink.errors import FieldError, MissingExtraError
+from fracsys.checks import checked
 
 __all__ = ["export_c", "readme"]
 

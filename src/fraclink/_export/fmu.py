@@ -27,8 +27,8 @@ from fraclink._export.fmi import (
 from fraclink._files import atomic_write, output_path
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Precision
-from fraclink._validate import checked, checked_noun
 from fraclink.errors import FieldError
+from fracsys.checks import checked, checked_noun
 
 __all__ = [
     "SUFFIXES",

@@ -23,9 +23,9 @@ from fraclink._export.data import data_header, identifier, law_source
 from fraclink._export.fmu import complaint, found
 from fraclink._files import checked_path
 from fraclink._law import Law
-from fraclink._validate import checked_between, checked_noun, checked_series
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
+from fracsys.checks import checked_between, checked_noun, checked_series
+from fracsys.checks.equality import compared
 
 __all__ = ["Replay", "replay", "replay_log"]
 

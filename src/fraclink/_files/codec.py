@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files.containers import guarded, misfit
-from fraclink._validate import unaliased
 from fraclink.errors import FileFormatError
+from fracsys.checks import unaliased
 
 __all__ = ["Storage", "codec_of", "stored_as"]
 

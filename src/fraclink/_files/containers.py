@@ -25,8 +25,8 @@ from typing import IO, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._validate.rules import rule
 from fraclink.errors import FieldError, FileFormatError, SizeError
+from fracsys.checks.rules import rule
 
 __all__ = [
     "JSON_LIMIT",

@@ -12,6 +12,7 @@ import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -22,16 +23,23 @@ __all__ = ["HOMES", "Document", "Upgrade", "document", "document_of", "registere
 T = TypeVar("T")
 Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 Container = Literal["json", "npz", "toml", "either"]
+# Whose public classes may be saved.
+PACKAGES = (
+    "fraclink",
+    "fracsys",
+    *(f"fraclink.{name}" for name in ("extend", "logs", "lab", "trials", "view")),
+)
 # Kind -> module that defines its class, so that reading one file imports what that file
 # needs and no more.
 HOMES = {
-    **dict.fromkeys(("campaign", "sweep"), "fraclink._campaign"),
+    **dict.fromkeys(("campaign", "sweep"), "fraclink.trials._campaign"),
     "certificate": "fraclink._certify",
-    "comparison": "fraclink._campaign.tournament",
+    "comparison": "fraclink.trials._tournament",
     "design": "fraclink._law.design",
-    "fault-campaign": "fraclink._campaign.faults",
+    "fault-campaign": "fraclink.trials._faults",
     **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
-    **dict.fromkeys(("realtime-run", "served-arm"), "fraclink._realtime"),
+    "realtime-run": "fraclink.lab._run",
+    "served-arm": "fraclink.lab._arm",
     **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
     "fractional-pid": "fraclink._arm.fractional_pid",
     "log": "fraclink._arm.experiment",
@@ -43,10 +51,10 @@ HOMES = {
     "reference": "fraclink._arm.controller",
     "rig": "fraclink._arm.rig",
     "shaped-move": "fraclink._simulate.shaped_move",
-    "study": "fraclink._campaign.study",
+    "study": "fraclink.trials._study",
     **dict.fromkeys(
         ("tuning", "tuned-link", "tuned-motor", "watch", "wiring"),
-        "fraclink._realtime.watch",
+        "fraclink.lab._watch",
     ),
 }
 
@@ -170,12 +178,26 @@ def _kind(name: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", name).lower()
 
 
+def _public(name: str | Callable[[str], bool]) -> list[Any]:
+    """The public values of that name, in any package that is installed.
+
+    By name and at call time: this floor knows nothing of those above it.
+    """
+    wanted = name.__eq__ if isinstance(name, str) else name
+    values = []
+    for package in PACKAGES:
+        # A copy of the core has no satellites.
+        if find_spec(package) is not None:
+            module = import_module(package)
+            values += [getattr(module, key) for key in module.__all__ if wanted(key)]
+    return values
+
+
 def _plain(cls: type) -> Document | None:
     """The document of a public class that names no format; None for what is no value."""
-    package = import_module("fraclink")
-    # By name and at call time: this floor knows nothing of those above it. The object
-    # itself, not its name: a user's class called Design is no result of fraclink.
-    if getattr(package, cls.__name__, None) is not cls or cls.__name__ in _NO_VALUES:
+    # The object itself, not its name: a user's class called Design is no result of
+    # fraclink.
+    if cls not in _public(cls.__name__) or cls.__name__ in _NO_VALUES:
         return None
     if not dataclasses.is_dataclass(cls) and not hasattr(cls, "_fields"):
         return None
@@ -199,13 +221,11 @@ def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
     if isinstance(kind, str) and kind not in _BY_KIND and kind in HOMES:
         import_module(HOMES[kind])
     if isinstance(kind, str) and kind not in _BY_KIND:
-        package = import_module("fraclink")
-        named = [name for name in package.__all__ if _kind(name) == kind]
-        found_class = getattr(package, named[0]) if named else None
-        # Functions stand in the package as well: `design` reads as the kind of
+        # Functions stand in the packages as well: `design` reads as the kind of
         # `Design`.
-        if isinstance(found_class, type):
-            _plain(found_class)
+        for value in _public(lambda name: _kind(name) == kind):
+            if isinstance(value, type):
+                _plain(value)
     # JSON may hold a list here, which no dict can be asked for.
     found = _BY_KIND.get(kind) if isinstance(kind, str) else None
     allowed = ", ".join(sorted({*HOMES, *_BY_KIND}))

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
 
 from fraclink._files.containers import read_text
-from fraclink._validate import Rule, rules
 from fraclink.errors import FieldError, FileFormatError
+from fracsys.checks import Rule, rules
 
 __all__ = [
     "FileFaults",

@@ -12,17 +12,17 @@ from types import MappingProxyType
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
+from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
 from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
 from fraclink._identify.uncertainty import Uncertainty, structure_criteria, uncertainty
-from fraclink._validate import checked
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import checked
+from fracsys.checks.equality import compared
 
 # Chance alone lowers the AIC by 8 with one superfluous parameter in one log of six
 # hundred (by 4: in one of seventy). Of 510 random logs, two thirds of them with

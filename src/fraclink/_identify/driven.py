@@ -19,13 +19,13 @@ import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
+from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
-from fraclink._validate import Between, Positive, checked
-from fraclink._validate.display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
+from fracsys.checks import Between, Positive, checked
 
 __all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
 
@@ -83,7 +83,7 @@ class DrivenLinkFit:
     peak: float | None
     findings: tuple[Finding, ...] = ()
 
-    __made_by__ = "fraclink.identify_driven_link(response)"
+    __made_by__ = "fraclink.extend.identify_driven_link(response)"
 
     @property
     def passed(self) -> bool:
@@ -205,7 +205,8 @@ def identify_driven_link(
     Examples
     --------
     >>> import fraclink as fl
-    >>> s, w = fl.s, np.geomspace(2, 60, 80)
+    >>> import fracsys
+    >>> s, w = fracsys.s, np.geomspace(2, 60, 80)
     >>> link = s**1.92 / (s**1.92 + 100)
     >>> arm = 60 / (s**2 + 15 * s + 9 * link)
     >>> found = identify_driven_link(fl.FrequencyResponse(w, arm(1j * w)))

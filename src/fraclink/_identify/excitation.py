@@ -16,9 +16,9 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import prbs
 from fraclink._arm.rig import Motor
 from fraclink._identify.shape import COORDINATE, Window, columns_of, mask_of, shape_of
-from fraclink._validate import Between, checked
-from fraclink._validate.equality import compared
 from fraclink.errors import InfeasibleError
+from fracsys.checks import Between, checked
+from fracsys.checks.equality import compared
 
 Reals = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._systems.fractional import FractionalTransferFunction, s
 from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
 
 __all__ = ["Expression", "Leaves", "Role", "parse_expression"]
 

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._identify.least_squares import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
+from fracsys.checks.equality import compared
 
 if TYPE_CHECKING:
     from fraclink._arm.rig import Rig

@@ -33,9 +33,9 @@ from fraclink._identify.shape import (
     shape_of,
 )
 from fraclink._identify.uncertainty import Uncertainty, profile_interval, uncertainty
-from fraclink._validate import Array, Between, checked, checked_between, checked_choice
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
+from fracsys.checks import Array, Between, checked, checked_between, checked_choice
 
 _FIXABLE: dict[str, tuple[float, float]] = {
     "gain": (-1e12, 1e12),
@@ -79,7 +79,7 @@ def simulated_torque(
     between its samples.
 
     The link is at rest at first. It is what `identify` compares a log with;
-    `fraclink.time_response` is the independent way.
+    `fracsys.time_response` is the independent way.
     """
     window = Window(
         motor_angle, np.zeros_like(motor_angle), period, chosen_hold(motor_angle, hold)

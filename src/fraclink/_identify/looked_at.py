@@ -53,7 +53,7 @@ def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
     left out.
 
     >>> from fraclink._identify import identify
-    >>> from fraclink._logs import bundled_log, read_log
+    >>> from fraclink._reading.reading import bundled_log, read_log
     >>> log = read_log(bundled_log("prbs_30g"))
     >>> found = welch_response(log, identify(log, details=False))
     >>> told = found.coherence > 0.9  # elsewhere the noise has the peaks
@@ -111,7 +111,7 @@ def error_map(log: Experiment, fit: Fit) -> ErrorMap:
     log leaves a combination of the two open.
 
     >>> from fraclink._identify import identify
-    >>> from fraclink._logs import bundled_log, read_log
+    >>> from fraclink._reading.reading import bundled_log, read_log
     >>> log = read_log(bundled_log("prbs_30g"))
     >>> fit = identify(log, details=False)
     >>> found = error_map(log, fit)

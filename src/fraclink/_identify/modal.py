@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
 from fraclink._arm.link import LinkModel
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding
+from fracsys.checks.equality import compared
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

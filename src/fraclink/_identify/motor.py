@@ -22,9 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
 from fraclink._identify.residual import long_run_covariance
-from fraclink._validate import Between, checked, checked_series
 from fraclink.errors import LogError
 from fraclink.findings import Finding
+from fracsys.checks import Between, checked, checked_series
 
 Reals = NDArray[np.float64]
 
@@ -141,8 +141,8 @@ def identify_motor(
 
     Examples
     --------
-    >>> from fraclink._systems.fractional import s
-    >>> from fraclink._systems.response import time_response
+    >>> from fracsys._fractional import s
+    >>> from fracsys._response import time_response
     >>> voltage = np.repeat(np.random.default_rng(1).uniform(-2.0, 2.0, 60), 50)
     >>> angle = time_response(100 / (s * (s + 5)), voltage, 0.004, hold="zero").output
     >>> fit = identify_motor(voltage, angle, period=0.004)

@@ -20,9 +20,9 @@ from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import Hold, Vector, columns_of, model_of
-from fraclink._validate import Between, checked, checked_choice
-from fraclink._validate.equality import compared
 from fraclink.errors import LogError
+from fracsys.checks import Between, checked, checked_choice
+from fracsys.checks.equality import compared
 
 _SYMBOLS = {"order": "λ", "damping": "μ", "damping_order": "α", "delay": "the delay"}
 Length = Annotated[float, Between(0.0, 1e3, "m", low_open=True)]

@@ -31,9 +31,9 @@ from fraclink._identify.modal import (
     Reals,
     SpectrumFit,
 )
-from fraclink._validate import Array, Between, Fraction, LinkOrder, checked
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
+from fracsys.checks import Array, Between, Fraction, LinkOrder, checked
 
 _EXCITED = 0.05  # of the largest input line: below, a line's ratio is mostly noise
 _MOST_MODES = (

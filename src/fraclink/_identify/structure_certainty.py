@@ -23,8 +23,8 @@ from fraclink._identify.structure_problem import (
 )
 from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
 from fraclink._identify.uncertainty import inverted, sandwich
-from fraclink._systems.terms import Term
 from fraclink.findings import Finding, worst_first
+from fracsys._terms import Term
 
 if TYPE_CHECKING:
     from fraclink._identify.structure_fit import StructureFit

@@ -14,14 +14,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.least_squares import Interval
-from fraclink._systems.fractional import FractionalTransferFunction
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
+from fracsys._fractional import FractionalTransferFunction
+from fracsys.checks.equality import compared
 
 __all__ = ["StructureFit"]
 
@@ -108,7 +108,8 @@ class StructureFit:
     Examples
     --------
     >>> import fraclink as fl
-    >>> G, w = 2 / (fl.s**0.8 + 3), np.geomspace(0.1, 100, 60)
+    >>> import fracsys
+    >>> G, w = 2 / (fracsys.s**0.8 + 3), np.geomspace(0.1, 100, 60)
     >>> measured = fl.FrequencyResponse(w, G(1j * w))
     >>> fit = fl.identify_structure(measured, "k/(s**a + b)")
     >>> {name: round(value, 6) for name, value in fit.parameters.items()}, fit.passed

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from fraclink._arm.recording import Recording
 from fraclink._identify.expression import Expression
 from fraclink._identify.shape import Hold, chosen_hold, last_of
-from fraclink._systems.response import time_response
 from fraclink.errors import FieldError, NotConvergedError
+from fracsys._response import time_response
 
 __all__ = [
     "COEFFICIENT_LIMITS",

@@ -29,8 +29,8 @@ from fraclink._identify.structure_problem import (
     StructureCoordinates,
 )
 from fraclink._identify.structure_search import Place, StructureSearch
-from fraclink._validate import Between, checked
 from fraclink.errors import FieldError, LogError
+from fracsys.checks import Between, checked
 
 __all__ = ["Weighting", "identify_structure"]
 

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple
 
 from fraclink._arm.motor import DiscretePid
 from fraclink._law.limits import Limits
-from fraclink._validate import checked_choice
 from fraclink.errors import FieldError
+from fracsys.checks import checked_choice
 
 __all__ = [
     "COUNTS",

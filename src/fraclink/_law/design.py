@@ -18,6 +18,7 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law.discretization import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
@@ -31,7 +32,9 @@ from fraclink._law.requirement import (
     margins_of,
     no_law,
 )
-from fraclink._validate import (
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of
+from fracsys.checks import (
     Between,
     Duration,
     Frequency,
@@ -43,14 +46,11 @@ from fraclink._validate import (
     checked_between,
     checked_choice,
 )
-from fraclink._validate.display import displayed
-from fraclink.errors import FieldError
-from fraclink.findings import Finding, errors_of
 
 if TYPE_CHECKING:
     from fraclink._law.block import Precision
     from fraclink._law.law import Law
-    from fraclink._systems.margins import Margins
+    from fracsys._margins import Margins
 
 __all__ = ["Design", "Requirement", "Specification", "deg"]
 
@@ -371,7 +371,7 @@ class Design:
         return discretize(self, order=order, precision=precision)
 
     def estimator(self, *, gain_doubt: float | None = None) -> PayloadEstimator:
-        """Return the payload estimator of this arm, `fraclink.payload_estimator` of
+        """Return the payload estimator of this arm, `fraclink.extend.payload_estimator` of
         this design.
         """
         link = with_payload(self.model, self.rig)

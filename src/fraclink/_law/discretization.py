@@ -28,14 +28,14 @@ from fraclink._law.block import (
 from fraclink._law.law import Law
 from fraclink._law.limits import Moves, derive_limits
 from fraclink._law.tracking import forward_fit, tracking_for
-from fraclink._systems.discrete import (
+from fraclink.errors import FieldError
+from fracsys._discrete import (
     DiscreteRational,
     Order,
     checked_band,
     fit_discrete,
 )
-from fraclink._validate import checked, checked_number
-from fraclink.errors import FieldError
+from fracsys.checks import checked, checked_number
 
 __all__ = [
     "TOLERANCE_DB",

@@ -30,9 +30,9 @@ from fraclink._law.block import (
 from fraclink._law.discretization import TOLERANCE_DB, TOLERANCE_DEG, modes_from
 from fraclink._law.law import Law
 from fraclink._law.limits import Limits
-from fraclink._systems.discrete import Band, Order, checked_band, fit_discrete
-from fraclink._validate import Between, Positive, checked
 from fraclink.errors import FieldError
+from fracsys._discrete import Band, Order, checked_band, fit_discrete
+from fracsys.checks import Between, Positive, checked
 
 __all__ = ["discretize_pid", "pid_response"]
 
@@ -96,8 +96,8 @@ def discretize_pid(
     Examples
     --------
     >>> import fraclink as fl
-    >>> pid = fl.FractionalPid(2.0, integral=3.0, integral_order=0.5)
-    >>> law = fl.discretize_pid(pid, 0.01, output_limit=10.0, measurement_limit=2.0)
+    >>> pid = fl.extend.FractionalPid(2.0, integral=3.0, integral_order=0.5)
+    >>> law = fl.extend.discretize_pid(pid, 0.01, output_limit=10.0, measurement_limit=2.0)
     >>> law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (True, True)
     """

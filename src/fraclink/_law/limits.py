@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
-from fraclink._validate import checked_between
+from fracsys.checks import checked_between
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel

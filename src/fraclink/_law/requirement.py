@@ -18,9 +18,9 @@ from fraclink._arm.loop import with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import SampledPlant
 from fraclink._law.discretization import discretize_controller
-from fraclink._systems.margins import Margins, margins
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys._margins import Margins, margins
 
 if TYPE_CHECKING:
     from fraclink._law.design import Design

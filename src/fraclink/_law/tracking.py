@@ -21,7 +21,7 @@ from fraclink._arm.motor import DiscretePid
 from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._law.block import FORWARD_MODES, Modes, Tracking
-from fraclink._systems.discrete import DiscreteRational, fit_discrete
+from fracsys._discrete import DiscreteRational, fit_discrete
 
 __all__ = ["forward_fit", "masses_of", "tracking_for"]
 

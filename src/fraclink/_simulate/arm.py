@@ -32,7 +32,9 @@ from fraclink._simulate.plant import (
     substeps,
 )
 from fraclink._simulate.sensors import Sensors
-from fraclink._validate import (
+from fraclink.errors import FieldError, SizeError
+from fraclink.findings import Finding
+from fracsys.checks import (
     Array,
     Between,
     Frequency,
@@ -42,8 +44,6 @@ from fraclink._validate import (
     Time,
     checked,
 )
-from fraclink.errors import FieldError, SizeError
-from fraclink.findings import Finding
 
 __all__ = ["Twin", "TwinLog", "damping_of", "geared", "simulate_log"]
 

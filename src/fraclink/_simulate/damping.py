@@ -26,7 +26,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._validate import Between, Fraction, Frequency, checked
+from fracsys.checks import Between, Fraction, Frequency, checked
 
 __all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw"]
 

@@ -4,7 +4,7 @@ between two samples.
 Between two samples the motor's angle is Σ qⱼ xʲ with x = (t − kT)/T. The response of
 the link to each power is exact: at the end of its own period by the power series of G =
 θt/θm, later by the modes of the step response (a sum of exponentials, see
-fraclink._systems.response).
+fracsys._response).
 
 The links of many arms at once are the same recursion, vectorised. In the link's own
 time x = Ω t, Ω = ω₀^(2/λ), and with M = μ Ω^(α−λ) the step response of
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._systems.response import discrete_modes
 from fraclink.errors import FieldError
+from fracsys._response import discrete_modes
 
 __all__ = ["LinkWeights", "batch_links", "link_weights", "second_mode_weights"]
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
 from fraclink._simulate.damping import Chain, Damping
-from fraclink._validate import Between, Frequency, NonNegative, Period, checked
 from fraclink.errors import FieldError
+from fracsys.checks import Between, Frequency, NonNegative, Period, checked
 
 __all__ = [
     "LONGEST_STEP",

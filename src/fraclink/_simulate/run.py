@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.findings import Finding
+from fracsys.checks.equality import compared
 
 __all__ = ["Run", "judged_run", "payload_rejected"]
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._law.estimator import PayloadEstimator
-from fraclink._validate import Angle, Between, Duration, Time, checked
 from fraclink.errors import FieldError
+from fracsys.checks import Angle, Between, Duration, Time, checked
 
 __all__ = [
     "FAULTS",

@@ -23,9 +23,9 @@ from fraclink._simulate.shaped_move import (
     candidates,
     settling,
 )
-from fraclink._validate import Between, Ordered, checked
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks import Between, Ordered, checked
 
 __all__ = ["shape"]
 

@@ -23,6 +23,7 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Path, Reference, smooth_step
 from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
+from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import Law
 from fraclink._law.design import Design
@@ -38,10 +39,9 @@ from fraclink._simulate.shape_programme import (
     noise_of,
     responses_of,
 )
-from fraclink._validate.display import displayed
-from fraclink._validate.equality import compared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
+from fracsys.checks.equality import compared
 
 __all__ = [
     "Candidate",

@@ -46,9 +46,9 @@ from fraclink._simulate.sensors import (
     fault_rows,
     given_payload,
 )
-from fraclink._validate import Between, Seed, checked
 from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
+from fracsys.checks import Between, Seed, checked
 
 __all__ = ["estimates_of_model", "link_at", "model_run", "simulate"]
 

@@ -1,0 +1,57 @@
+"""Results in a prompt and in a notebook: the classes name nothing, `fraclink.view`
+knows how each looks.
+
+A class of results lies floors below what draws it. Its methods therefore look their
+template up when they are called, so that neither a table nor matplotlib is loaded with
+the class.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any, TypeVar
+
+__all__ = ["displayed"]
+
+Kind = TypeVar("Kind", bound=type)
+
+
+def _template(name: str) -> Any:
+    # By name and not imported above: this module lies floors below `_show`, which loads
+    # matplotlib.
+    return getattr(import_module("fraclink.view._notebook"), name)
+
+
+def _repr(result: Any) -> str:
+    text: str = _template("short")(result)
+    return text
+
+
+def _repr_html(result: Any) -> str:
+    text: str = _template("page_part")(result)
+    return text
+
+
+def _repr_svg(result: Any) -> str | None:
+    drawing: str | None = _template("drawing")(result)
+    return drawing
+
+
+def displayed(kind: Kind) -> Kind:
+    """Give a class of results a short repr, and to notebooks its table and, where there
+    is one, its drawing.
+
+    A repr of the class's own is kept; the one that `dataclass` generates prints every
+    sample of an array.
+
+    >>> import fraclink as fl
+    >>> fl.Rig.named("paper-2023")
+    Rig(paper-2023)
+    """
+    # A repr of the class's own is what its author wants in a prompt; only dataclass's
+    # is replaced.
+    if kind.__dataclass_params__.repr:  # type: ignore[attr-defined]
+        kind.__repr__ = _repr  # type: ignore[assignment]
+    kind._repr_html_ = _repr_html  # type: ignore[attr-defined]
+    kind._repr_svg_ = _repr_svg  # type: ignore[attr-defined]
+    return kind

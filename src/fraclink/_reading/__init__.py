@@ -1,0 +1,1 @@
+"""Recorded logs read: a file with stated columns becomes an Experiment."""

@@ -1,0 +1,467 @@
+"""`read_log`, the one way from a file to an `Experiment`, and `inspect_log`, what is in
+a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.log_columns import (
+    QUANTITY_OF,
+    ROW_NUMBER,
+    UNITS,
+    Channel,
+    LogColumns,
+    parse_columns,
+)
+from fraclink._arm.rig import Rig
+from fraclink._arm.timebase import resampled, time_base, uniform_before
+from fraclink._files import sha256_of
+from fraclink._reading.columns import (
+    bad_cells,
+    check_count,
+    check_signals,
+    clean_column,
+    clock_step,
+    columns_of_names,
+    converter_step,
+    stated_payload,
+    suggested_columns,
+    suggested_mapping,
+    with_combined,
+)
+from fraclink._reading.formats import read_table
+from fraclink._reading.names import unit_in
+from fraclink._reading.text import SAMPLE_LIMIT, LogTable
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
+
+_LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
+# [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
+_ROUNDED = 1e-9
+
+
+def bundled_logs() -> tuple[str, ...]:
+    """The names of the logs that come with the package; each is simulated and marked as
+    such.
+
+    >>> "prbs_30g" in bundled_logs()
+    True
+    """
+    return tuple(sorted(path.stem for path in _LOGS.glob("*.csv")))
+
+
+def bundled_log(name: str) -> Path:
+    """The path of a log that comes with the package; FieldError lists the known ones.
+
+    >>> bundled_log("prbs_30g").name
+    'prbs_30g.csv'
+    """
+    if name not in bundled_logs():
+        raise FieldError(
+            "log",
+            name,
+            "unknown",
+            allowed=", ".join(bundled_logs()),
+            remedy="give one of these, or a path",
+        )
+    return _LOGS / f"{name}.csv"
+
+
+def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
+    """Read a table of numbers as it stands: column name to values, shape (N,), in the
+    file's own units.
+
+    For tables that are no log, such as a frequency response. Every format of `read_log`
+    is read. Raises FileFormatError, LogError (a cell is no number, a name stands twice)
+    or SizeError.
+
+    >>> sorted(read_columns(bundled_log("prbs_30g")))[:2]
+    ['motor_angle_rad', 'time_s']
+    """
+    table = read_table(Path(path))
+    found: dict[str, NDArray[np.float64]] = {}
+    for name in table.names:
+        found[name] = clean_column(
+            table, table.place(name, "the table"), interpolate=False
+        )[0]
+    return found
+
+
+def read_log(
+    path: Path | str,
+    *,
+    rig: Rig | None = None,
+    columns: LogColumns | Mapping[str, str] | None = None,
+    payload: float | None = None,
+    keep: tuple[float, float] | None = None,
+    resample: bool = False,
+    interpolate: bool = False,
+) -> Experiment:
+    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2
+    or MCAP.
+
+    Which column is what, in which unit and with which sign, is stated and never
+    guessed: by `columns`, by the rig's `[log]` table, or by names in the log that are a
+    role and a unit (``time_s``, ``motor_angle_rad``, ``torque_Nm`` or
+    ``deflection_rad``, ``voltage_V``).
+
+    The experiment is in SI units: motor angle [rad], torque [N·m] or deflection [rad],
+    voltage [V].
+
+    Parameters
+    ----------
+    path
+        the log.
+    rig
+        whose `[log]` table states the columns.
+    columns
+        states them instead; a mapping of texts such as ``{"time": "t [s]", "torque": "-
+        gauge * 0.1 [Nm]"}`` does, too.
+    payload
+        m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
+    keep
+        the stretch to read, (from, until) [s] from the first sample, 0 <= from < until;
+        what lies outside need not be uniform. The motor angle before it is kept as far
+        back as it is uniform (`Experiment.earlier_angle`): a link that moves at the cut
+        swings by what the motor did before.
+    resample
+        interpolate onto a uniform grid where the stamps have gaps, repeats or strong
+        jitter.
+    interpolate
+        fill missing cells linearly, at most 1 % of a column.
+
+    Raises
+    ------
+    LogError, FileFormatError, SizeError
+        the log cannot be used, is damaged, or too large; ValueError is their base.
+    MissingExtraError
+        the format needs a package that is not installed.
+
+    >>> log = read_log(bundled_log("prbs_30g"))
+    >>> log.period, log.payload, log.output_kind, log.simulated
+    (0.004, 0.03, 'torque', True)
+    >>> read_log(bundled_log("prbs_30g"), keep=(0.0, 8.0)).duration
+    8.0
+    """
+    place = Path(path)
+    table = read_table(place)
+    if columns is not None and not isinstance(columns, LogColumns):
+        columns = parse_columns(f"{role}={text}" for role, text in columns.items())
+    # The call before the rig, and the rig before the names: who states more, knows
+    # more.
+    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
+    if stated is None:
+        raise _unstated(table)
+    table = with_combined(
+        table, [channel.column for channel in stated.channels().values()]
+    )
+    # Units and signs at the border: from here on everything is SI, radians and positive
+    # where the motor speeds up.
+    data, findings = _channels(table, stated, interpolate)
+    stamps = data.pop("time")
+    recorded, whole_angle, first = stamps, data["motor_angle"], 0
+    if keep is not None:
+        inside, cut = _kept(stamps, *keep)
+        findings.append(cut)
+        stamps, data = (
+            stamps[inside],
+            {role: values[inside] for role, values in data.items()},
+        )
+        first = int(np.argmax(inside))  # of the samples that are kept
+    base = time_base(stamps, resample=resample)
+    if (
+        resample and base.findings
+    ):  # uniform stamps need no interpolation, which would cost the last bits
+        _check_span(stamps, base.period)
+        data = {role: resampled(stamps, base, values) for role, values in data.items()}
+    output = data[stated.output_kind]
+    check_signals(data["motor_angle"], output, stated.output_kind)
+    known, payload_findings = stated_payload(table, payload)
+    earlier = whole_angle[uniform_before(recorded, first, base.period)]
+    return Experiment(
+        period=base.period,
+        motor_angle=data["motor_angle"],
+        output=output,
+        output_kind=stated.output_kind,
+        payload=known,
+        source=place.name,
+        sha256=sha256_of(place) if place.is_file() else "",
+        findings=(*findings, *base.findings, *payload_findings),
+        start_time=base.start,
+        voltage=data.get("voltage"),
+        notes=table.notes,
+        earlier_angle=earlier if earlier.size else None,
+    )
+
+
+def _kept(
+    stamps: NDArray[np.float64], begin: float, end: float
+) -> tuple[NDArray[np.bool_], Finding]:
+    """Which samples lie from `begin` to `end` [s] after the first, and the finding that
+    says so (W237).
+    """
+    since = stamps - stamps[0]
+    inside = (since >= begin - _ROUNDED) & (since <= end + _ROUNDED)
+    if not (0.0 <= begin < end) or inside.sum() < 2:
+        raise LogError(
+            "keep",
+            f"{begin:g} to {end:g} s",
+            "no stretch of the log",
+            allowed=f"0 <= from < until, within {float(since.max()):.6g} s, with two samples or more",
+            remedy="give the stretch in seconds from the first sample",
+        )
+    first, last = float(since[inside][0]), float(since[inside][-1])
+    return inside, Finding(
+        "W237",
+        "info",
+        f"of {float(since.max()):.4g} s, those from {first:.4g} to {last:.4g} s were read",
+        {"from_s": first, "until_s": last},
+        "the rest is neither checked nor fitted; a fit starts its link from the motor angle before the cut, "
+        "as far back as the stamps are uniform (of very long logs the last 200 000 samples)",
+    )
+
+
+def _unstated(table: LogTable) -> LogError:
+    words = " ".join(
+        f'--column "{role}={name} [{unit}]"'
+        for role, name, unit in suggested_columns(table)
+    )
+    return LogError(
+        "columns",
+        ", ".join(table.names[:12]),
+        "not stated: which column is what, in which unit, is never guessed",
+        allowed="a [log] table in the rig file, or names such as time_s, motor_angle_rad, torque_Nm",
+        remedy=f"paste what inspect_log (fraclink inspect) suggests into the rig file, or give {words}",
+    )
+
+
+def _channels(
+    table: LogTable, stated: LogColumns, interpolate: bool
+) -> tuple[dict[str, NDArray[np.float64]], list[Finding]]:
+    """Every stated channel in SI units, with what was noticed."""
+    data: dict[str, NDArray[np.float64]] = {}
+    findings: list[Finding] = []
+    for role, channel in stated.channels().items():
+        # Optional: a rig file states the voltage for all its logs, of which some have
+        # none. It costs the friction, not the link.
+        if role == "voltage" and channel.column not in table.names:
+            findings.append(_no_voltage(channel))
+            continue
+        if (
+            role == "time"
+            and channel.column == ROW_NUMBER
+            and ROW_NUMBER not in table.names
+        ):
+            rows = table.values[
+                table.place(stated.motor_angle.column, "motor_angle")
+            ].size
+            data[role] = channel.in_si(np.arange(rows, dtype=np.float64), role)
+            continue
+        place = table.place(channel.column, role)
+        raw, filled = clean_column(table, place, interpolate=interpolate)
+        findings += [*filled, *_contradicted(table, place, role, channel)]
+        data[role] = channel.in_si(raw, role)
+    _check_lengths(data, stated)
+    return data, findings
+
+
+def _contradicted(
+    table: LogTable, place: int, role: str, channel: Channel
+) -> list[Finding]:
+    """The unit that the log's own header states for a column, where it is not the one
+    that was stated.
+    """
+    # Compared by size, not by spelling: Nm and N*m agree.
+    known = UNITS[QUANTITY_OF[role]]
+    units = (
+        table.units[place] if table.units else "",
+        unit_in(table.names[place], role),
+    )
+    own = next((unit for unit in units if unit in known), channel.unit)
+    if (
+        known[own] == known[channel.unit] or channel.scale != 1
+    ):  # a scale states the conversion by itself
+        return []
+    return [
+        Finding(
+            "W220",
+            "error",
+            f"column {table.names[place]!r} is in {own} by the log's own header, in {channel.unit} by [log]",
+            {"header_unit": known[own], "stated_unit": known[channel.unit]},
+            "correct the unit in [log] of the rig file, or the header",
+        )
+    ]
+
+
+def _no_voltage(channel: Channel) -> Finding:
+    return Finding(
+        "W219",
+        "info",
+        f"the log has no column {channel.column!r} of voltage",
+        {},
+        "only friction needs it",
+    )
+
+
+def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> None:
+    count = data["time"].size
+    for role, values in data.items():
+        if values.size != count:
+            raise LogError(
+                f"column of {role}",
+                stated.channels()[role].column,
+                f"{values.size} samples long, while time has {count}",
+                allowed="columns of one length",
+                remedy="state the time column that belongs to it, or export the channels at one rate",
+            )
+    check_count(count)
+
+
+def _check_span(stamps: NDArray[np.float64], period: float) -> None:
+    # One stamp of another day, and a grid of the usual step over the gap is more memory
+    # than the log.
+    count = float(stamps[-1] - stamps[0]) / period
+    if count > SAMPLE_LIMIT:
+        raise LogError(
+            "time",
+            f"{float(stamps[-1] - stamps[0]):.6g} s",
+            f"too long to resample at {period * 1e3:.4g} ms",
+            allowed=f"{SAMPLE_LIMIT} samples",
+            remedy="cut the log at its gaps",
+        )
+
+
+# --- inspection: before units and roles are known ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ChannelSummary:
+    """One column of a file, in the file's own units.
+
+    Parameters
+    ----------
+    name, unit
+        its name, and the unit that the file states, or "".
+    samples, missing
+        its length, and how many cells hold no finite number.
+    minimum, maximum
+        range of the finite values.
+    quantum
+        smallest step between two of its values, 0 where it looks continuous or is
+        constant.
+    period
+        median step where the values never decrease, as those of a clock; None
+        otherwise.
+    """
+
+    name: str
+    unit: str
+    samples: int
+    missing: int
+    minimum: float
+    maximum: float
+    quantum: float
+    period: float | None
+
+
+@dataclass(frozen=True)
+class LogListing:
+    """The channels of a file, its header's notes, and a mapping to paste into a rig
+    file.
+
+    `print` it for a person; `values` gives the same for a machine. `remarks` says in
+    sentences what was done to the file's form to read it.
+    """
+
+    path: str
+    kind: str
+    channels: tuple[ChannelSummary, ...]
+    notes: tuple[tuple[str, str], ...]
+    suggestion: str
+    remarks: tuple[str, ...] = ()
+
+    def values(self) -> dict[str, object]:
+        """The listing as plain values; None for the range of a column without numbers."""
+        channels = [
+            {
+                key: None if value != value else value
+                for key, value in asdict(channel).items()
+            }
+            for channel in self.channels
+        ]
+        return asdict(self) | {"notes": dict(self.notes), "channels": channels}
+
+    def __str__(self) -> str:
+        head = f"{self.path}: {self.kind}, {len(self.channels)} channels"
+        width = max(7, *(len(_shown(c.name)) for c in self.channels), 7)
+        lines = [head, *(f"read as: {_printable(remark)}" for remark in self.remarks)]
+        lines.append(
+            f"{'channel':{width}}  unit   samples  missing       minimum       maximum     step"
+        )
+        for c in self.channels:
+            clock = f"  every {c.period:.6g}" if c.period is not None else ""
+            lines.append(
+                f"{_shown(c.name):{width}}  {c.unit or '?':5}  {c.samples:7d}  {c.missing:7d}  "
+                f"{c.minimum:12.6g}  {c.maximum:12.6g}  {c.quantum:7.3g}{clock}"
+            )
+        lines += [f"# {_shown(key)}: {_shown(value)}" for key, value in self.notes]
+        return "\n".join([*lines, "", "to paste into the rig file:", self.suggestion])
+
+
+def _shown(text: str) -> str:
+    return _printable(text[:80])
+
+
+def _printable(text: str) -> str:
+    # A name from a file may hold a terminal's commands.
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+
+
+def inspect_log(path: Path | str) -> LogListing:
+    """List the channels of a file: rates and ranges [in the file's own units], a
+    suggested mapping.
+
+    Nothing is interpreted: the suggestion marks with ``?`` what only a person can say.
+    Raises FileFormatError, LogError or SizeError where the file cannot be read,
+    MissingExtraError where a reader is not installed.
+
+    >>> from fraclink._reading.reading import bundled_log
+    >>> listing = inspect_log(bundled_log("prbs_30g"))
+    >>> print(listing.suggestion)
+    [log] # check every line: column, unit and sign
+    time = { column = "time_s", unit = "s" }
+    motor_angle = { column = "motor_angle_rad", unit = "rad" }
+    torque = { column = "torque_Nm", unit = "Nm" }
+    """
+    place = Path(path)
+    table = read_table(place, numbered=True)
+    channels = tuple(_summary(table, number) for number in range(len(table.names)))
+    remarks = (*table.remarks, *bad_cells(table))
+    suggestion = suggested_mapping(table)
+    return LogListing(
+        Path(path).name, table.kind, channels, table.notes, suggestion, remarks
+    )
+
+
+def _summary(table: LogTable, number: int) -> ChannelSummary:
+    values = table.values[number]
+    finite = values[np.isfinite(values)]
+    period = clock_step(values)
+    return ChannelSummary(
+        name=table.names[number],
+        unit=table.units[number] if table.units else "",
+        samples=values.size,
+        missing=values.size - finite.size,
+        minimum=float(finite.min()) if finite.size else float("nan"),
+        maximum=float(finite.max()) if finite.size else float("nan"),
+        # A clock's step is its period; as a converter's step it would mislead.
+        quantum=converter_step(finite) if period is None else 0.0,
+        period=period,
+    )

@@ -1,0 +1,514 @@
+"""The child that parses binary files: one request a line on its input, columns as .npy
+bytes on its output.
+
+It is started as ``python -m fraclink._reading.worker``, may use 1 GB of address space and
+10 s of processor time for a file, and is expected to die: one changed byte makes some
+parsers crash.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._reading.text import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
+from fraclink.errors import FieldError, MissingExtraError, SizeError
+
+if (
+    sys.platform != "win32"
+):  # there are no such limits there: the parent's clock is what remains
+    import resource
+
+_WIDEST = 256  # columns of one array: what is wider is a picture or a matrix, not a log
+
+
+@dataclass(frozen=True, eq=False)
+class RawColumn:
+    """A column as a parser found it: name, unit ("" where the file states none) and
+    float64 values.
+    """
+
+    name: str
+    unit: str
+    values: NDArray[np.float64]
+
+
+MATLAB = ("{name}(:,{one})", "{name}({one},:)")
+NUMPY = ("{name}[:,{zero}]", "{name}[{zero},:]")
+
+
+def columns_of(
+    name: str, array: object, unit: str = "", indexing: tuple[str, str] = MATLAB
+) -> Iterator[RawColumn]:
+    """The columns of a real array of up to two dimensions; along the longer one runs
+    time.
+
+    `indexing` is how a column and how a row of the array is written. Anything else
+    (text, objects, complex numbers, scalars) holds no samples and yields nothing.
+    """
+    if (
+        not isinstance(array, np.ndarray)
+        or array.dtype.kind not in "fiub"
+        or not 1 <= array.ndim <= 2
+    ):
+        return
+    if array.size < 2:
+        return
+    check_size(array.size)
+    table = array.reshape(-1, 1) if array.ndim == 1 else array
+    # A log has more samples than channels: time runs along the longer axis, whichever
+    # program wrote it.
+    wide = table.shape[0] < table.shape[1]
+    table = table.T if wide else table
+    if table.shape[1] > _WIDEST:
+        return
+    for place in range(table.shape[1]):
+        label = (
+            indexing[wide].format(name=name, one=place + 1, zero=place)
+            if table.shape[1] > 1
+            else name
+        )
+        yield RawColumn(
+            label, unit, np.ascontiguousarray(table[:, place], dtype=np.float64)
+        )
+
+
+def check_size(values: int, columns: int = 1) -> None:
+    """Raise SizeError where an array is over the limits, before it is made."""
+    if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
+        found, allowed = (
+            f"{values} numbers in {columns}",
+            f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns",
+        )
+        remedy = "cut the recording to one experiment"
+        raise SizeError(
+            "log", f"{found} columns", "too large", allowed=allowed, remedy=remedy
+        )
+
+
+# --- HDF5, and MATLAB v7.3, which is HDF5 with transposed arrays -----------------------------------------
+
+
+def read_hdf5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Every numeric dataset of one or two dimensions; attributes ``units`` or ``unit``
+    give the unit.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("h5py", "io") from error
+
+    columns: list[RawColumn] = []
+    with path.open("rb") as stream, h5py.File(stream, "r") as file:
+        # Hard links alone: a soft or an external one leads out of this file, or round
+        # in it.
+        own = [
+            name
+            for name in file
+            if isinstance(file.get(name, getlink=True), h5py.HardLink)
+        ]
+        matlab = any("MATLAB_class" in file[name].attrs for name in own)
+
+        def visit(name: str, item: Any) -> None:
+            # Links are not followed, and data kept in other files are not read: a log
+            # is one file.
+            if (
+                isinstance(item, h5py.Dataset)
+                and not name.startswith("#")
+                and _is_plain(item)
+            ):
+                label = name.replace("/", ".") if matlab else name
+                # MATLAB's files hold every array transposed: what is a row here was a
+                # column there.
+                indexing = (MATLAB[1], MATLAB[0]) if matlab else NUMPY
+                check_size(item.size, len(columns))
+                columns.extend(
+                    columns_of(label, np.asarray(item[()]), _unit_of(item), indexing)
+                )
+
+        file.visititems(visit)
+    return columns, {}
+
+
+def _is_plain(item: Any) -> bool:
+    kind = _text(item.attrs.get("MATLAB_class", b"double"))
+    return (
+        item.dtype.kind in "fiub"
+        and 1 <= len(item.shape or ()) <= 2
+        and kind not in ("char", "cell", "function_handle")
+        and not item.is_virtual
+        and item.external is None
+    )
+
+
+def _unit_of(item: Any) -> str:
+    return _text(item.attrs.get("units", item.attrs.get("unit", "")))[:20]
+
+
+def _text(value: object) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+_STRUCTURE_DEPTH = 6  # structures within structures
+
+
+def read_mat5(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Every numeric column of the file, in its order."""
+    from scipy.io import loadmat
+
+    with path.open("rb") as stream:
+        data = loadmat(stream, struct_as_record=True, squeeze_me=False, mat_dtype=False)
+    columns = [
+        column
+        for name, value in data.items()
+        if not name.startswith("__")
+        for column in _flat(name, value, _STRUCTURE_DEPTH)
+    ]
+    return columns, {}
+
+
+def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
+    # Cells arrive as object arrays without fields, sparse matrices as no arrays at all;
+    # timetables, time series and function handles as arrays with fields of MATLAB's
+    # own, in which no sample can be found.
+    if (
+        not isinstance(value, np.ndarray)
+        or not depth
+        or type(value).__name__.startswith("Matlab")
+    ):
+        return
+    if value.dtype.names is None:
+        yield from columns_of(name, value)
+        return
+    elements = value.reshape(-1)
+    # An array of structures is a list of recordings; 64 are more than a log has, and
+    # each makes columns.
+    for place, element in enumerate(elements[:64]):
+        label = name if elements.size == 1 else f"{name}({place + 1})"
+        for field in value.dtype.names:
+            yield from _flat(f"{label}.{field}", element[field], depth - 1)
+
+
+def read_parquet(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Every numeric column; a column's metadata ``unit`` gives its unit."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "io") from error
+
+    # A pool of threads reserves more address space than the child has.
+    pa.set_cpu_count(1)
+    with path.open("rb") as stream:
+        file = parquet.ParquetFile(stream)
+        check_size(
+            file.metadata.num_rows * file.metadata.num_columns,
+            file.metadata.num_columns,
+        )
+        table = file.read(use_threads=False)
+    columns = []
+    for field in table.schema:
+        # -1 where two columns share the name: neither can be asked for, and neither is
+        # a signal of the log.
+        single = int(table.schema.get_field_index(field.name)) >= 0
+        values = _values(table.column(field.name), field.type) if single else None
+        if values is not None:
+            unit = (
+                (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")[:20]
+            )
+            columns.append(
+                RawColumn(
+                    field.name,
+                    "s" if pa.types.is_timestamp(field.type) else unit,
+                    values,
+                )
+            )
+    return columns, {}
+
+
+def _values(column: Any, kind: Any) -> Any:
+    import pyarrow as pa
+
+    if pa.types.is_timestamp(kind):
+        stamps = column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy()
+        # Nanoseconds since 1970 do not fit a float64; since the first stamp they do.
+        return (
+            (stamps - stamps[0]) * 1e-9
+            if column.null_count == 0 and len(stamps)
+            else None
+        )
+    if (
+        pa.types.is_integer(kind)
+        or pa.types.is_floating(kind)
+        or pa.types.is_boolean(kind)
+    ):
+        return np.asarray(
+            column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64
+        )
+    return None
+
+
+# --- ROS 2: rosbag2 folders, .db3 and .mcap, without ROS -------------------------------------------------
+
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+_UNITS = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "effort": "Nm",
+}  # as the message's definition states them
+_MESSAGE_DEPTH = 4
+
+
+def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Columns ``topic/joint.position`` (velocity, effort) and ``topic/time`` [s] after
+    the first stamp.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "io") from error
+
+    series: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    stamps: dict[str, list[int]] = defaultdict(list)
+    with AnyReader(
+        [path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+    ) as reader:
+        check_size(8 * reader.message_count)
+        for connection, _received, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            # Without a header there is no stamp of the measurement, only the recorder's
+            # time of arrival: such a topic is no signal of the log.
+            header = getattr(message, "header", None)
+            if header is None:
+                continue
+            joints = connection.msgtype == _JOINT_STATE
+            numbers = (
+                _joints(message) if joints else _numbers(message, "", _MESSAGE_DEPTH)
+            )
+            count = len(stamps[connection.topic])
+            # Whole nanoseconds: as a double, the seconds since 1970 resolve a quarter
+            # of a microsecond.
+            stamps[connection.topic].append(
+                header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
+            )
+            for name, value in numbers.items():
+                values = series[connection.topic][name]
+                values.extend(
+                    [np.nan] * (count - len(values))
+                )  # a joint that earlier messages did not name
+                values.append(value)
+    return _sorted_columns(series, stamps)
+
+
+def _joints(message: Any) -> dict[str, float]:
+    found = {}
+    for field in _UNITS:
+        for joint, value in zip(message.name, getattr(message, field), strict=False):
+            found[f"{joint}.{field}"] = float(value)
+    return found
+
+
+def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
+    """The plain numbers of any stamped message, by their dotted path."""
+    found: dict[str, float] = {}
+    for field in getattr(value, "__dataclass_fields__", {}):
+        item = getattr(value, field)
+        label = f"{name}.{field}" if name else field
+        if isinstance(item, (int, float)) and not isinstance(item, bool):
+            found[label] = float(item)
+        elif depth and field not in ("header", "__msgtype__"):
+            found.update(_numbers(item, label, depth - 1))
+    return found
+
+
+def _sorted_columns(
+    series: dict[str, dict[str, list[float]]], stamps: dict[str, list[int]]
+) -> tuple[list[RawColumn], dict[str, str]]:
+    columns, notes = [], {}
+    for topic, times in stamps.items():
+        first = min(times)
+        notes[f"first stamp of {topic}"] = f"{first} ns"
+        after = np.array([time - first for time in times], dtype=np.float64) * 1e-9
+        # Bags are sorted by when messages were received; two that overtook each other
+        # stand reversed.
+        order = np.argsort(after, kind="stable")
+        columns.append(RawColumn(f"{topic}/time", "s", after[order]))
+        for name, values in series[topic].items():
+            # Joints may come and go in a topic: each column is as long as its topic's
+            # stamps.
+            padded = np.array(values + [np.nan] * (len(times) - len(values)))
+            columns.append(
+                RawColumn(
+                    f"{topic}/{name}",
+                    _UNITS.get(name.rsplit(".", 1)[-1], ""),
+                    padded[order],
+                )
+            )
+    return columns, notes
+
+
+# --- TDMS of LabVIEW -------------------------------------------------------------------------------------
+
+
+def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """Every numeric channel as ``group/channel``; ``group/channel.time`` is its own
+    stamps [s].
+    """
+    try:
+        from nptdms import TdmsFile
+    except ImportError as error:
+        raise MissingExtraError("npTDMS", "io") from error
+
+    columns: list[RawColumn] = []
+    # From a stream the reader looks for no index file beside the log, which could
+    # belong to another one.
+    with path.open("rb") as stream, TdmsFile.open(stream) as file:
+        for group in file.groups():
+            for channel in group.channels():
+                check_size(len(channel), len(columns))
+                columns.extend(_channel(f"{group.name}/{channel.name}", channel))
+    return columns, {}
+
+
+def _channel(name: str, channel: Any) -> list[RawColumn]:
+    unit = str(channel.properties.get("unit_string", ""))[:20]
+    found = list(columns_of(name, np.asarray(channel[:]), unit))
+    step = channel.properties.get("wf_increment")
+    if found and isinstance(step, float) and np.isfinite(step) and step > 0:
+        start = channel.properties.get("wf_start_offset", 0.0)
+        stamps = np.asarray(
+            float(start) + step * np.arange(found[0].values.size), dtype=np.float64
+        )
+        found.append(RawColumn(f"{name}.time", "s", stamps))
+    return found
+
+
+def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
+    """An array of NumPy: its fields by their names, its columns by their numbers."""
+    with path.open("rb") as stream:
+        # No pickle, which runs what the file holds; and a header of 10 kB at most, as
+        # it is evaluated as a literal.
+        array = np.lib.format.read_array(
+            stream, allow_pickle=False, max_header_size=10_000
+        )
+    if array.dtype.names:
+        return [
+            column
+            for name in array.dtype.names
+            for column in columns_of(name, array[name])
+        ], {}
+    found = [column.values for column in columns_of("", array)]
+    return [
+        RawColumn(f"#{place + 1}", "", values) for place, values in enumerate(found)
+    ], {}
+
+
+PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
+    "MAT v5": read_mat5,
+    "HDF5": read_hdf5,
+    "Parquet": read_parquet,
+    "TDMS": read_tdms,
+    "NumPy": read_npy,
+    "ROS 2": read_ros,
+}
+
+
+# --- the child --------------------------------------------------------------------------------------------
+
+
+def _limit_memory() -> None:
+    if sys.platform != "win32":
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def _limit_time(seconds: int) -> None:
+    """Allow `seconds` of processor time from now on; the kernel ends the process beyond
+    that.
+    """
+    if sys.platform != "win32":
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        # The limit counts from the child's birth: what earlier files took is added, and
+        # a second for rounding down.
+        limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
+        resource.setrlimit(
+            resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1])
+        )
+
+
+def _answer(path: Path, kind: str) -> tuple[dict[str, object], list[bytes]]:
+    """The header of the answer and the columns' bytes."""
+    try:
+        columns, notes = PARSERS[kind](path)
+        check_size(sum(column.values.size for column in columns), len(columns))
+    except MissingExtraError as error:
+        return {"missing": [error.package, error.extra]}, []
+    except FieldError as error:
+        return {
+            "refused": [
+                error.field,
+                str(error.value),
+                error.problem,
+                error.allowed,
+                error.remedy,
+            ]
+        }, []
+    except MemoryError:
+        return {"damaged": "it asks for more memory than a log needs"}, []
+    except Exception as error:  # noqa: BLE001
+        return {"damaged": f"{type(error).__name__}: {error}"[:200]}, []
+    blobs = [_npy(column) for column in columns]
+    listed = [
+        [column.name[:200], column.unit, len(blob)]
+        for column, blob in zip(columns, blobs, strict=True)
+    ]
+    return {"columns": listed, "notes": notes}, blobs
+
+
+def _npy(column: RawColumn) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array(
+        stream, np.asarray(column.values, dtype="<f8"), allow_pickle=False
+    )
+    return stream.getvalue()
+
+
+def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    for line in requests:
+        request = json.loads(line)
+        _limit_time(int(request["cpu_seconds"]))
+        header, blobs = _answer(Path(request["path"]), request["kind"])
+        # As UTF-8, not as ASCII escapes: those make 12 bytes of one emoji, and the
+        # parent's limit is bytes.
+        answers.write(
+            json.dumps(header, ensure_ascii=False).encode("utf-8", "replace") + b"\n"
+        )
+        for blob in blobs:
+            answers.write(blob)
+        answers.flush()
+
+
+def main() -> None:
+    """Serve requests until the input ends."""
+    _limit_memory()
+    # Libraries print warnings to standard output; the pipe of the answers must hold
+    # nothing else.
+    with os.fdopen(os.dup(1), "wb") as answers, Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        _serve(sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,3 +1,0 @@
-"""Mathematics that knows no robot: fractional functions, roots, responses, stability,
-rational fits.
-"""

@@ -1,0 +1,289 @@
+"""The twin at the other end, where there is no real arm: in real time, or in this
+process without a clock.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._files import document
+from fraclink._simulate import Twin
+from fraclink._simulate.kernel import ArmState
+from fraclink.errors import FieldError, SizeError
+from fraclink.lab._connections import Callback, Command, Connection, arm_end
+from fraclink.lab._machine import (
+    PRIORITY,
+    Priority,
+    check_machine,
+    granted_priority,
+    period_ns,
+)
+from fracsys.checks import Between, Seed, checked
+from fracsys.checks.equality import compared
+
+__all__ = ["ServedArm", "SimulatedArm", "serve_arm"]
+
+Real = NDArray[np.float64]
+
+# Two hours at 4 ms, 80 MB: whoever asks for more has mistaken the unit, and would find
+# out by swapping.
+MOST_PERIODS = 2_000_000
+# The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10
+# will not come back.
+WATCHDOG = 10
+_IDLE, _OFF = 0, 4  # modes in which the drive is off, see arm_io.h
+_CHUNK = 4096  # noise is drawn in rows, as one draw a period costs more than the period
+_SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
+_COUNTS = ("late", "controllers", "silences", "rejected")
+
+
+def _without_origin(content: dict[str, Any]) -> dict[str, Any]:
+    """Format 1 also said that the arm was simulated, which every one is, and had no
+    digest.
+    """
+    return {name: value for name, value in content.items() if name != "simulated"}
+
+
+@document(
+    "served-arm",
+    version=2,
+    container="npz",
+    upgrades={1: _without_origin},
+    period=lambda arm: arm.period,
+    summary=lambda arm: {"passed": arm.passed, "simulated": True},
+)
+@compared
+@dataclass(frozen=True, eq=False)
+class ServedArm:
+    """What really happened at the simulated arm, one value for each of its periods;
+    shape (N,).
+
+    tip_angle θt and motor_angle θm [rad], torque Γ [N·m], the voltage that acted [V],
+    connected: 1 where a controller was heard. `period` [s]; `late`, periods that began
+    after their own end; `controllers` that came, `silences`: how many of them left
+    without a stop, so that the watchdog switched the drive off; `rejected` messages;
+    `scheduling`: what the machine granted.
+    """
+
+    tip_angle: Real
+    motor_angle: Real
+    torque: Real
+    voltage: Real
+    connected: Real
+    period: float
+    late: int
+    controllers: int
+    silences: int
+    rejected: int
+    scheduling: str
+
+    @property
+    def time(self) -> Real:
+        """Time of each period since the arm was started [s]."""
+        return np.asarray(self.period * np.arange(len(self.tip_angle)))
+
+    @property
+    def passed(self) -> bool:
+        """Whether every controller took its leave: the watchdog never had to act."""
+        return self.silences == 0
+
+
+@checked
+def serve_arm(
+    twin: Twin,
+    connection: Connection,
+    period: float,
+    *,
+    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] = 600.0,
+    watchdog: Annotated[int, Between(1, 1000, "periods")] = WATCHDOG,
+    once: bool = False,
+    seed: Seed = 0,
+    priority: Priority = PRIORITY - 10,
+    clock: Any = None,
+) -> ServedArm:
+    """Run the twin in real time and let controllers reach it; return what happened.
+
+    In every period the arm takes the newest command, samples encoder and gauge, sends
+    the sample and moves on under that command's voltage, so that a voltage acts one
+    period after its sample; a twin with a longer `voltage_delay` waits the rest itself.
+    One controller is heard at a time. When it has been silent for `watchdog` periods,
+    or sends a stop, the voltage is 0, its run is over, and no command of that run is
+    obeyed again, however late it comes; the next controller may come. Ends after
+    `duration`, at a signal, or with `once` when the first controller has left.
+
+    Parameters
+    ----------
+    twin
+        with a `voltage_delay` of at least 1.
+    connection
+        `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to that
+        host.
+    period
+        the law's [s].
+    duration
+        [s], at most 2 000 000 periods.
+    watchdog
+        [periods].
+    once
+        whether to end when the first controller has left.
+    seed
+        of the gauge's noise.
+    priority
+        of SCHED_FIFO, below the controller's; 0 asks for none. What is refused is in
+        the result.
+    clock
+        a `VirtualClock` for tests; default: the machine's.
+
+    Raises
+    ------
+    FieldError
+        A value out of its range, a port or name in use, another system than Linux.
+    SizeError
+        Too long a duration.
+    """
+    check_machine()
+    # Whole nanoseconds, as the message states them: both ends compare their periods for
+    # equality.
+    nanoseconds = period_ns(period)
+    Between(period, 1e300, "s").check("duration", duration)
+    count = math.ceil(duration / period)
+    if count > MOST_PERIODS:
+        allowed = f"<= {MOST_PERIODS} periods"
+        raise SizeError(
+            "duration",
+            duration,
+            "too long",
+            allowed=allowed,
+            remedy="serve a shorter time",
+        )
+    # A sample goes out, its command comes back: without that period the arm would have
+    # to answer before it is asked.
+    if twin.voltage_delay < 1:
+        problem, remedy = (
+            "shorter than a message's way",
+            "a command acts one period after its sample here",
+        )
+        raise FieldError(
+            "voltage_delay",
+            twin.voltage_delay,
+            problem,
+            allowed=">= 1 period",
+            remedy=remedy,
+        )
+    # A twin whose way through the messages is the first period of its delay.
+    arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")
+    # Written and not only claimed: pages that are missing at first touch would come
+    # late in the loop.
+    record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
+    with arm_end(connection) as way:
+        outcome = _kernels.realtime_serve(
+            way,
+            *arm.step.arrays,
+            arm.rig,
+            arm.state,
+            arm.gauge,
+            arm.voltage,
+            arm.sensed,
+            arm.counters,
+            # Drawn beforehand: the loop in C calls no Python, and the noise is that of
+            # `simulate` with the same seed.
+            _gauge_error(twin, period, count, seed),
+            record,
+            nanoseconds,
+            watchdog,
+            once,
+            priority,
+            clock or _kernels.RealtimeClock(0),
+        )
+    parts: dict[str, Any] = {
+        name: record[: outcome["count"], i].copy() for i, name in enumerate(_SIGNALS)
+    }
+    parts |= {name: int(outcome[name]) for name in _COUNTS}
+    return ServedArm(
+        **parts,
+        period=period,
+        scheduling=granted_priority(priority, outcome["priority_error"]),
+    )
+
+
+def _gauge_error(twin: Twin, period: float, count: int, seed: int) -> Real:
+    """Offset, drift and noise of the gauge, drawn as `simulate` draws them."""
+    sensors = twin.sensors
+    noise = np.random.default_rng(seed).standard_normal(count)
+    drift = sensors.gauge_drift * period * np.arange(count)
+    return np.asarray(sensors.gauge_offset + drift + sensors.gauge_noise * noise)
+
+
+class SimulatedArm:
+    """A twin that a `Callback` reaches, without a clock: each call of `write` is one
+    period of its life.
+
+    What really happened is kept, one row for each period.
+
+    Parameters
+    ----------
+    twin
+        its `voltage_delay` counts from a sample to the effect of the voltage that
+        answers it.
+    period
+        [s].
+    seed
+        of the gauge's noise.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> arm = SimulatedArm(fl.Twin.from_rig(fl.Rig.named("paper-2023-geared")), 0.004)
+    >>> arm.write(Command(0.0, 1.0, 1, 1, 0, 0))
+    >>> arm.read() is not None, arm.record.shape
+    (True, (1, 5))
+    """
+
+    COLUMNS = ("tip_angle", "motor_angle", "speed", "torque", "voltage")
+
+    def __init__(self, twin: Twin, period: float, *, seed: int = 0) -> None:
+        self._state = ArmState(twin, period, b"")
+        self._random = np.random.default_rng(seed)
+        self._noise = iter(np.zeros(0))
+        self._input = np.zeros(_kernels.TWIN_INPUTS)
+        # gains of encoder and gauge, which no fault changes here
+        self._input[[6, 9]] = 1.0  # TWIN_ENCODER_GAIN and TWIN_GAUGE_GAIN of twin.h
+        self._rows: list[tuple[float, ...]] = []
+
+    def read(self) -> tuple[float, float]:
+        """Return what encoder [rad] and gauge [N·m] show now."""
+        sensors = self._state.twin.sensors
+        noise = next(self._noise, None)
+        if noise is None:
+            self._noise = iter(self._random.standard_normal(_CHUNK))
+            noise = next(self._noise)
+        self._input[3] = (
+            sensors.gauge_offset + sensors.gauge_noise * noise
+        )  # TWIN_GAUGE_ERROR
+        return self._state.sense(self._input)
+
+    def write(self, command: Command) -> None:
+        """Move on for one period under the command's voltage [V]."""
+        # A board whose drive is off does not look at the voltage.
+        asked = 0.0 if command.mode in (_IDLE, _OFF) else command.voltage
+        s = self._state
+        buffers = (s.rig, s.state, s.gauge, s.voltage, s.sensed, s.counters)
+        self._rows.append(_kernels.twin_drive(*s.step.arrays, *buffers, asked))
+
+    @property
+    def callback(self) -> Callback:
+        """The connection that reaches this arm."""
+        return Callback(self.read, self.write)
+
+    @property
+    def record(self) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+        """True tip angle, motor angle [rad], speed [rad/s], torque [N·m] and voltage
+        [V], shape (N, 5).
+        """
+        return np.array(self._rows).reshape(-1, len(self.COLUMNS))

@@ -1,0 +1,267 @@
+"""An arm one period at a time, for loops in Python that decide what comes next by what
+they just read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple, Protocol
+
+from fraclink import _kernels
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.lab._connections import Callback, Command, Connection, controller_end
+from fraclink.lab._machine import check_machine, period_ns
+
+__all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
+
+# mode "off" of law.h: the board switches its drive off whatever the voltage says
+_OFF = 4
+_LOOKS = 16  # in a period: the arrival is known to 6 % of it
+_LOST = 5  # samples in a row that may be missing, as law.c rides through
+_NUMBERS = 2**32  # of samples, and then from the beginning
+_STOPS = 3  # one is lost on the way now and then
+
+
+class Stopped(FraclinkError):
+    """A signal asked for the end; the drive is off."""
+
+    def __init__(self) -> None:
+        super().__init__("stopped by a signal; the drive is off")
+
+
+class ArmLost(FraclinkError):
+    """The arm sends no more samples; a stop was sent."""
+
+    def __init__(self, periods: int) -> None:
+        super().__init__(
+            f"no sample in {periods} periods: the link to the arm is lost; a stop was sent"
+        )
+
+
+class Reading(NamedTuple):
+    """One sample: motor angle [rad], torque [N·m], and the periods since the one before
+    (1: none lost).
+    """
+
+    angle: float
+    torque: float
+    periods: int
+
+
+class SignalWatch(Protocol):
+    """Whether a signal has asked for the end."""
+
+    def is_set(self) -> bool: ...
+
+
+class ArmLine:
+    """An open way to an arm; `exchange` gives a voltage and returns the next sample.
+
+    An arm with a clock of its own (udp, shm) sets the pace; the others are read on
+    deadlines of `clock`.
+    """
+
+    def __init__(
+        self, way: Any, period: float, clock: Any, signals: SignalWatch
+    ) -> None:
+        self.period = period
+        self._way, self._clock, self._signals = way, clock, signals
+        self._tick = 0
+        # A board without a clock is as old as its first read, so the next one is due a
+        # period later.
+        self._due = clock.now + period
+        self._seen = way.taken if way.clocked else 0
+        self._last = clock.now
+
+    def exchange(self, voltage: float) -> Reading:
+        """Give a voltage [V] and return the sample that comes next.
+
+        Raises `Stopped` after a signal, `ArmLost` where no sample came for five
+        periods. An arm with a clock of its own numbers its samples: where this process
+        was late for some, the newest says how many.
+        """
+        if self._signals.is_set():
+            raise Stopped
+        self._tick += 1
+        # Mode 1, "run"; the motor reference means nothing to an arm that obeys
+        # voltages.
+        self._way.write(0.0, voltage, self._tick, 1, 0, 0)
+        periods, found = 0, None
+        while found is None:
+            periods += 1
+            if periods > _LOST:
+                raise ArmLost(_LOST)
+            found = self._awaited() if self._way.clocked else self._on_time()
+        if self._way.clocked:
+            # The sample's own number counts, not how often was looked: a process that
+            # slept finds the newest one at once, and the motion since would be taken
+            # for one of a single period.
+            before, self._seen = self._seen, self._way.taken
+            periods = max((self._seen - before) % _NUMBERS, 1)
+        return Reading(found[1], found[2], periods)
+
+    def _awaited(self) -> tuple[int, float, float] | None:
+        """The next sample of an arm that sends it; None where a period and a half
+        brought none.
+        """
+        # A sample that is half a period late has jitter, one that is later is lost: the
+        # next is due.
+        last = self._clock.now + 1.5 * self.period
+        while (found := self._way.read()) is None or not math.isfinite(found[1]):
+            if self._clock.now > last:
+                return None
+            self._clock.sleep(self.period / _LOOKS)
+        return found  # type: ignore[no-any-return]
+
+    def _on_time(self) -> tuple[int, float, float] | None:
+        # Absolute deadlines: sleeping a period each time would add the work of every
+        # period to its length.
+        wait = self._due - self._clock.now
+        if wait > 0:
+            self._clock.sleep(wait)
+        # Deadlines that went by are dropped. Made up for, they would be reads in a
+        # burst, each taken for a period of motion.
+        self._due = max(self._due + self.period, self._clock.now)
+        found = self._way.read()
+        return None if found is None or not math.isfinite(found[1]) else found
+
+    def stop(self) -> None:
+        """Switch the drive off."""
+        # Datagrams get lost, calls do not.
+        for _ in range(_STOPS if self._way.clocked else 1):
+            self._tick += 1
+            self._way.write(0.0, 0.0, self._tick, _OFF, 0, 0)
+            if self._way.clocked:
+                self._clock.sleep(self.period)
+
+
+class _Called:
+    """A `Callback` behind the calls of the kernel's way, without the way through C and
+    back.
+    """
+
+    clocked = False
+
+    def __init__(self, connection: Callback) -> None:
+        self._read, self._write = connection.read, connection.write
+
+    def read(self) -> tuple[int, float, float] | None:
+        found = self._read()
+        return None if found is None else (0, *found)
+
+    def write(self, *values: Any) -> bool:
+        self._write(Command(*values))
+        return True
+
+
+class _NoClock:
+    """The clock of an arm in this process that has none: a period is over when it was
+    asked for.
+    """
+
+    now = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
+
+
+@contextlib.contextmanager
+def open_line(
+    connection: Connection,
+    period: float | None,
+    *,
+    patience: float = 5.0,
+    clock: Any = None,
+) -> Iterator[tuple[ArmLine, Reading]]:
+    """Open the way to an arm; yields the line and the first sample. However it ends, a
+    stop is sent.
+
+    `period` [s] may be None for an arm that states its own; FieldError where neither
+    does, or they differ. `clock` may be a `VirtualClock`, or "none" for an arm in this
+    process that lives by its calls alone.
+    """
+    check_machine()
+    time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
+    with contextlib.ExitStack() as stack:
+        signals = stack.enter_context(_noted_signals())
+        if isinstance(connection, Callback):
+            way: Any = _Called(connection)
+        else:
+            way = stack.enter_context(controller_end(connection, patience))
+        first = _first_sample(way, connection, period, patience, time, signals)
+        line = ArmLine(
+            way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals
+        )
+        try:
+            yield line, Reading(first[1], first[2], 1)
+        finally:
+            line.stop()
+
+
+def _first_sample(
+    way: Any,
+    connection: Connection,
+    period: float | None,
+    patience: float,
+    clock: Any,
+    signals: SignalWatch,
+) -> tuple[int, float, float]:
+    last, look = clock.now + patience, (period or 0.004) / _LOOKS
+    while (found := way.read()) is None or not math.isfinite(found[1]):
+        if signals.is_set():
+            raise Stopped
+        way.write(
+            0.0, 0.0, 0, 0, 0, 0
+        )  # idle: how an arm learns whom to send its samples to
+        if clock.now > last:
+            problem = f"silent: no sample in {patience:g} s"
+            remedy = "start the arm first (`fraclink serve-arm`), or check the board"
+            raise FieldError(
+                "io",
+                str(connection),
+                problem,
+                allowed="an arm that answers",
+                remedy=remedy,
+            )
+        clock.sleep(look)
+    if period is None and not found[0]:
+        allowed, remedy = "the board's sampling period [s]", "give --period-ms"
+        raise FieldError(
+            "period", None, "not stated by this board", allowed=allowed, remedy=remedy
+        )
+    # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value
+    # in both.
+    if period is not None and found[0] and period_ns(period) != found[0]:
+        allowed, remedy = (
+            f"{1e-9 * found[0]:g} s",
+            "leave it out: this arm states its own",
+        )
+        raise FieldError(
+            "period", period, "not the arm's", allowed=allowed, remedy=remedy
+        )
+    return found  # type: ignore[no-any-return]
+
+
+class _Noted:
+    """Whether a signal has come since they are watched."""
+
+    def is_set(self) -> bool:
+        return bool(_kernels.realtime_signalled())
+
+
+@contextlib.contextmanager
+def _noted_signals() -> Iterator[_Noted]:
+    """Note every signal that would end or stop the process instead of obeying it, in
+    any thread.
+
+    By the loop's own watch: Python's `signal.signal` works in the main thread alone,
+    and a notebook's kernel or a server runs this in a worker. Stopping counts: a
+    process that sleeps behind Ctrl-Z answers no arm.
+    """
+    _kernels.realtime_watch_signals()
+    try:
+        yield _Noted()
+    finally:
+        _kernels.realtime_release_signals()

@@ -1,0 +1,274 @@
+"""Run the law in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._arm.reference import Reference, sampled
+from fraclink._law import Law
+from fraclink._law.estimator import PayloadEstimator
+from fraclink._simulate.estimates import estimator_for
+from fraclink.errors import FieldError
+from fraclink.lab._connections import Connection, controller_end
+from fraclink.lab._machine import (
+    PRIORITY,
+    Priority,
+    check_machine,
+    granted,
+    period_ns,
+    signals_held,
+)
+from fraclink.lab._run import (
+    MARKS,
+    SIGNALS,
+    STOPS,
+    RealtimeRun,
+    first_difference,
+    reserved,
+    saved,
+)
+from fracsys.checks import Between, checked
+
+__all__ = ["run_realtime"]
+
+# As on the twin, so that a run and its simulation cover the same time.
+SETTLE = 3.0  # [s] after the reference has come to rest, as on the twin
+_HEADER_BYTES = 65_536  # of the record's file, more than enough
+
+
+@checked
+def run_realtime(
+    law: Law,
+    reference: Reference,
+    connection: Connection,
+    *,
+    duration: Annotated[float, Between(0.0, 1e300, "s", low_open=True)] | None = None,
+    out: Path | None = None,
+    payload: Annotated[float, Between(0.0, 1e9, "kg")] = 0.0,
+    estimator: PayloadEstimator | None = None,
+    relative: bool = True,
+    patience: Annotated[float, Between(0.0, 3600.0, "s")] = 5.0,
+    priority: Priority = PRIORITY,
+    lock_memory: bool = True,
+    allowed_overruns: Annotated[int, Between(0, 2**31)] = 0,
+    clock: Any = None,
+) -> RealtimeRun:
+    """Run `law` on an arm in real time and return the record of every period.
+
+    At the deadlines t₀ + kT of the monotonic clock the loop takes the newest sample,
+    runs law.c and gives the command. t₀ lies half a period after the first sample. A
+    sample that did not come is NaN for the law, a missed period a jump of its tick: the
+    law's guards decide, and trip where the arm stays silent. The last thing the arm
+    gets is always a stop (voltage 0, mode 4), whatever ended the run: its time, the
+    law, an exception, any signal that can be caught, a fault of the process (not with a
+    `Callback`). After SIGKILL, SIGSTOP or a loss of power the watchdog of the board
+    must switch the drive off. Signals are held until the record is kept; one that comes
+    after the loop's end takes its course then.
+
+    Parameters
+    ----------
+    law
+        from `Design.law`, at the period of the arm, 50 µs to 1 s. With a motor loop it
+        gives a voltage.
+    reference
+        of the tip, e.g. `smooth_step`.
+    connection
+        how the arm is reached.
+    duration
+        [s]; 3 s after the reference's end where it is left out.
+    out
+        file for the record (NPZ). Its room on the disk is reserved before the arm
+        moves; should it not take the record afterwards, a file in the folder of
+        temporary files or at home does (`RealtimeRun.saved`).
+    payload
+        that the law is given [kg]; 0 for none.
+    estimator
+        from `Design.estimator`: the law is given what it finds while the arm moves, and
+        not `payload`.
+    relative
+        whether the reference counts from where the arm stands; else it is the absolute
+        angle, and an arm that stands elsewhere goes there first, at the law's largest
+        speed.
+    patience
+        time to wait for the first sample [s].
+    priority
+        of SCHED_FIFO; 0 asks for none. What is refused is in the result, and the run
+        goes on.
+    lock_memory
+        whether to keep the process in memory (mlockall) while the loop runs.
+    allowed_overruns
+        up to which the run passes.
+    clock
+        a `VirtualClock` for tests; default: the machine's.
+
+    Raises
+    ------
+    FieldError
+        A value out of its range, an arm that does not answer or runs at another period,
+        a library that does not fit, a place where the record cannot be written, another
+        system than Linux.
+    SizeError
+        More than 2 000 000 periods.
+
+    Notes
+    -----
+    Source: the manual pages clock_nanosleep(2), mlockall(2), sched(7) and signal(7).
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> from fraclink.lab._connections import Callback
+    >>> from fraclink.lab._loop import run_realtime
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> given = []
+    >>> at_rest = Callback(read=lambda: (0.2, 0.0), write=given.append)
+    >>> run = run_realtime(law, fl.extend.hold(0.0), at_rest, duration=0.04, priority=0, lock_memory=False)
+    >>> run.stopped, float(run.motor_reference[-1]), run.first_difference, given[-1].mode
+    ('finished', 0.2, None, 4)
+    """
+    check_machine()
+    estimator = _checked(estimator, law, payload)
+    nanoseconds = period_ns(law.period)
+    length = reference.duration + SETTLE if duration is None else duration
+    Between(law.period, 1e300, "s").check("duration", length)
+    # The last deadline belongs to the run although length/period comes out a rounding
+    # below it: 0.3 s at 20 ms are 16 periods.
+    path = sampled(
+        reference, law.period, math.floor(length / law.period * (1 + 1e-12)) + 1
+    )
+    if not np.all(np.isfinite(path)):
+        raise FieldError(
+            "reference",
+            "NaN",
+            "not finite",
+            allowed="finite",
+            remedy="check the reference",
+        )
+    # Written and not only claimed, so that no page of the record is missing when its
+    # period comes.
+    record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
+    marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
+    room = (
+        contextlib.nullcontext()
+        if out is None
+        else reserved(
+            out, record.nbytes + marks.nbytes + _HEADER_BYTES, cls=RealtimeRun
+        )
+    )
+    with contextlib.ExitStack() as kept:
+        with room, controller_end(connection, patience) as way:
+            obeyed = kept.enter_context(signals_held())
+            outcome = _kernels.realtime_run(
+                way,
+                law.block,
+                law.initial_state(),
+                law.precision == "single",
+                # Angle and acceleration: the law needs no velocity.
+                np.ascontiguousarray(path[[0, 2]]),
+                payload,
+                b"" if estimator is None else estimator.block,
+                b"" if estimator is None else estimator.initial_state(),
+                record,
+                marks,
+                nanoseconds,
+                round(1e9 * patience),
+                relative,
+                priority,
+                lock_memory,
+                clock or _kernels.RealtimeClock(0),
+            )
+        if STOPS[int(outcome["stop"])] == "signal":
+            obeyed.set()
+        # What never began is an error; what began has a record, however it ended.
+        _check_answer(outcome, connection, law.period, patience)
+        run = _gathered(
+            law,
+            estimator,
+            connection,
+            outcome,
+            record,
+            marks,
+            priority,
+            lock_memory,
+            allowed_overruns,
+        )
+        return run if out is None else replace(run, saved=str(saved(run, out)))
+
+
+def _checked(
+    estimator: PayloadEstimator | None, law: Law, payload: float
+) -> PayloadEstimator | None:
+    # Either would be obeyed silently, and which of both cannot be seen from the motion.
+    if estimator is not None and payload:
+        allowed, remedy = "payload or estimator", "leave one of them out"
+        raise FieldError(
+            "payload",
+            payload,
+            "given beside an estimator",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    return None if estimator is None else estimator_for(law, estimator)
+
+
+def _check_answer(
+    outcome: dict[str, float], connection: Connection, period: float, patience: float
+) -> None:
+    stop = STOPS[int(outcome["stop"])]
+    if stop == "no sample":
+        problem = f"silent: no sample in {patience:g} s"
+        remedy = "start the arm first (`fraclink serve-arm`), or check the board"
+        raise FieldError(
+            "io", str(connection), problem, allowed="an arm that answers", remedy=remedy
+        )
+    if stop == "other period":
+        allowed = f"{1e-9 * outcome['period_ns']:g} s"
+        remedy = "run the arm at the law's period, or design for the arm's"
+        raise FieldError(
+            "period", period, "not the arm's", allowed=allowed, remedy=remedy
+        )
+
+
+def _gathered(
+    law: Law,
+    estimator: PayloadEstimator | None,
+    connection: Connection,
+    outcome: dict[str, float],
+    record: NDArray[np.float64],
+    marks: NDArray[np.uint32],
+    priority: int,
+    lock_memory: bool,
+    allowed_overruns: int,
+) -> RealtimeRun:
+    count = int(outcome["count"])
+    columns: dict[str, NDArray[Any]] = {
+        name: record[:count, i].copy() for i, name in enumerate(SIGNALS)
+    }
+    columns |= {name: marks[:count, i].copy() for i, name in enumerate(MARKS)}
+    parts: dict[str, Any] = dict(columns)
+    scheduling, memory = granted(outcome, priority, lock_memory)
+    return RealtimeRun(
+        **parts,
+        period=law.period,
+        law_sha256=law.digest,
+        connection=str(connection),
+        stopped=STOPS[int(outcome["stop"])],
+        lost_commands=int(outcome["lost"]),
+        scheduling=scheduling,
+        memory=memory,
+        origin=float(outcome["origin"]),
+        # Replayed at once, while the very law is at hand: a bit that flipped in memory
+        # must not pass for a result.
+        first_difference=first_difference(law, columns),
+        allowed_overruns=allowed_overruns,
+        estimator=estimator,
+    )

@@ -1,0 +1,258 @@
+"""What the machine keeps and grants: wake-ups in time, a priority, memory that stays."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink.errors import FieldError
+from fracsys.checks import Between, checked
+from fracsys.checks.equality import compared
+
+__all__ = [
+    "PRIORITY",
+    "Priority",
+    "Spread",
+    "VirtualClock",
+    "WakeUps",
+    "check_machine",
+    "granted",
+    "granted_priority",
+    "measure_wake_ups",
+    "period_ns",
+    "signals_held",
+]
+
+Real = NDArray[np.float64]
+
+# Time for tests, in which `threads` loops and their peers take turns; see
+# csrc/kernels/realtime.h. Linux only.
+VirtualClock = getattr(_kernels, "RealtimeClock", None)
+
+# above the kernel's interrupt threads (50), below what keeps the machine alive (99)
+PRIORITY = 80
+Priority = Annotated[int, Between(0, 99, remedy="0 asks for no real-time priority")]
+# A desktop's loop is not faster than that, and needs none of this when it is slower.
+_PERIOD = Between(
+    5e-5, 1.0, "s", remedy="design for another period, or run the law on a board"
+)
+_MEASURED = 0.5  # [s], which nobody minds before a move
+# [s] at most between two wake-ups: how late they come hardly depends on how long one
+# slept
+_STEP = 0.002
+# Wake-ups later than a period: a machine that misses one in a hundred misses some in
+# every move of a second.
+_LATE_SHARE = 0.01
+
+
+class Spread(NamedTuple):
+    """Smallest value, mean, 99.9 % quantile and largest value."""
+
+    least: float
+    mean: float
+    high: float
+    most: float
+
+    @staticmethod
+    def of(values: Real) -> Spread:
+        """Return the spread of (N,) values; NaN where there are none."""
+        if not values.size:
+            return Spread(*[float("nan")] * 4)
+        # "higher": a quantile that was measured, not one between two
+        high = np.quantile(values, 0.999, method="higher")
+        return Spread(
+            float(values.min()), float(values.mean()), float(high), float(values.max())
+        )
+
+
+@compared
+@dataclass(frozen=True, eq=False)
+class WakeUps:
+    """How late this machine woke a loop that does nothing else: `latency` [s] of every
+    wake-up, shape (N,).
+
+    period: which was asked for [s]; scheduling, memory: what the machine granted.
+
+    >>> awake = WakeUps(np.array([5e-5, 9e-5, 3e-3]), 0.004, "SCHED_FIFO 80", "locked")
+    >>> print(awake)
+    wake-ups 1.0 ms late on average, 3.0 ms at most (SCHED_FIFO 80, memory locked): 4 ms can be kept
+    >>> awake.kept
+    True
+    """
+
+    latency: Real
+    period: float
+    scheduling: str
+    memory: str
+
+    @property
+    def late(self) -> float:
+        """Share of the wake-ups that came later than a whole period."""
+        return float(np.mean(self.latency > self.period))
+
+    @property
+    def kept(self) -> bool:
+        """Whether the period can be kept: at most 1 % of the wake-ups were later than a
+        period.
+        """
+        return self.late <= _LATE_SHARE
+
+    def __str__(self) -> str:
+        spread = Spread.of(self.latency)
+        times = f"wake-ups {_time(spread.mean)} late on average, {_time(spread.most)} at most"
+        said = (
+            "can be kept"
+            if self.kept
+            else f"cannot be kept, {100 * self.late:.2g} % came later than that"
+        )
+        return f"{times} ({self.scheduling}, memory {self.memory}): {1e3 * self.period:g} ms {said}"
+
+    def check(self) -> None:
+        """Raise FieldError where the machine does not keep the period."""
+        if not self.kept:
+            raise FieldError(
+                "period",
+                self.period,
+                f"not kept by this machine: {100 * self.late:.2g} % of its wake-ups come later than that",
+                allowed=f"at most {100 * _LATE_SHARE:g} %",
+                remedy="grant SCHED_FIFO (rtprio), end other programs, or design for a longer period",
+            )
+
+
+def _time(seconds: float) -> str:
+    return f"{1e3 * seconds:.1f} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.0f} µs"
+
+
+@checked
+def measure_wake_ups(
+    period: float,
+    *,
+    duration: Annotated[float, Between(0.01, 3600.0, "s")] = _MEASURED,
+    step: Annotated[float, Between(5e-5, 1.0, "s")] | None = None,
+    priority: Priority = PRIORITY,
+    lock_memory: bool = True,
+    clock: Any = None,
+) -> WakeUps:
+    """Sleep and wake up for `duration` as the real-time loop does, and return how late
+    this machine was.
+
+    Parameters
+    ----------
+    period
+        that is to be kept [s], 50 µs to 1 s.
+    duration
+        [s].
+    step
+        between two wake-ups [s]; default: the period, 2 ms at most.
+    priority, lock_memory, clock
+        as for `run_realtime`.
+
+    Raises
+    ------
+    FieldError
+        A value out of its range, another system than Linux.
+    KeyboardInterrupt
+        A signal that would have ended the run.
+    """
+    check_machine()
+    period_ns(period)
+    # 250 wake-ups in half a second at least: at 20 ms alone there would be 25, and a
+    # share of 1 % could not be seen.
+    sleep = min(period, _STEP) if step is None else step
+    latency = np.zeros(max(1, round(duration / sleep)))
+    outcome = _kernels.realtime_bare(
+        latency,
+        period_ns(sleep),
+        priority,
+        lock_memory,
+        clock or _kernels.RealtimeClock(0),
+    )
+    # The kernel left the loop before its time, which only a signal makes it do.
+    if int(outcome["count"]) < len(latency):
+        raise KeyboardInterrupt
+    return WakeUps(latency, period, *granted(outcome, priority, lock_memory))
+
+
+def check_machine() -> None:
+    """Raise FieldError where this system has no real-time loop."""
+    if not _kernels.REALTIME:
+        problem = "without clock_nanosleep, mlockall and SCHED_FIFO"
+        remedy = "export the law with `fraclink export c` and run it on the board"
+        raise FieldError(
+            "system", sys.platform, problem, allowed="Linux", remedy=remedy
+        )
+
+
+def period_ns(period: float) -> int:
+    """Return a period [s] in nanoseconds; FieldError outside 50 µs to 1 s.
+
+    >>> period_ns(0.004)
+    4000000
+    """
+    return round(1e9 * _PERIOD.check("period", period))
+
+
+@contextlib.contextmanager
+def signals_held() -> Iterator[threading.Event]:
+    """Hold every signal that would end or stop the process until the block ends, in any
+    thread.
+
+    What came then takes its course, unless the event that this yields was set: it was
+    obeyed already. A closed terminal sends two, some milliseconds apart, and whoever
+    presses Ctrl-C once does so again.
+    """
+    check_machine()
+    obeyed = threading.Event()
+    _kernels.realtime_watch_signals()
+    try:
+        yield obeyed
+    finally:
+        _kernels.realtime_release_signals()
+        # Asked for after the release, which leaves the number: one that came between
+        # both would be forgotten.
+        number = _kernels.realtime_signalled()
+    # Not after an exception, which ends what the signal would have ended.
+    if number and not obeyed.is_set():
+        signal.raise_signal(number)
+
+
+def granted(
+    outcome: dict[str, float], priority: int, lock_memory: bool
+) -> tuple[str, str]:
+    """Return in words what came of asking for SCHED_FIFO and for memory that stays."""
+    # Asked for separately: a container often grants the one and refuses the other, and
+    # the reader must know which.
+    memory = (
+        _granted("locked", int(outcome["memory_error"]))
+        if lock_memory
+        else "not locked, as asked"
+    )
+    return granted_priority(priority, int(outcome["priority_error"])), memory
+
+
+def granted_priority(priority: int, refused: int) -> str:
+    """Return in words what came of asking for SCHED_FIFO; `refused` is the errno, 0
+    where it was granted.
+
+    >>> granted_priority(80, 0), granted_priority(80, 1)
+    ('SCHED_FIFO 80', 'refused (Operation not permitted)')
+    """
+    return (
+        _granted(f"SCHED_FIFO {priority}", refused)
+        if priority
+        else "ordinary, as asked"
+    )
+
+
+def _granted(what: str, refused: int) -> str:
+    return what if refused == 0 else f"refused ({os.strerror(refused)})"

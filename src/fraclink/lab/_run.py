@@ -1,0 +1,400 @@
+"""What a run in real time leaves: every period's signals and times, statistics, and a
+place to write it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._files import check_ending, document, save
+from fraclink._law import MODES, REASONS, Law
+from fraclink._law.estimator import Estimates, PayloadEstimator
+from fraclink._simulate.estimates import estimate_findings
+from fraclink._simulate.run import payload_rejected
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import Finding
+from fraclink.lab._machine import Spread, check_machine
+from fracsys.checks.equality import compared
+
+__all__ = ["STOPS", "RealtimeRun", "first_difference", "reserved", "saved"]
+
+Real = NDArray[np.float64]
+Count = NDArray[np.uint32]
+
+# How a run ends, in the order of the kernel's codes; "no sample" and "other period" are
+# raised as errors.
+STOPS = (
+    "finished",
+    "signal",
+    "law off",
+    "no sample",
+    "connection failed",
+    "other period",
+)
+INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "payload")
+OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
+SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
+MARKS = ("tick", "mode", "reason", "flags")
+_PROBE_BYTES = (
+    1 << 20
+)  # of a file whose size is not known beforehand: a minute at 4 ms and more
+_LOST_SHARE = 0.01  # what a reader may fill in too
+
+
+def _without_payload(content: dict[str, Any]) -> dict[str, Any]:
+    """Format 2 had no payload among the law's inputs."""
+    return content | {"payload": np.zeros_like(content["torque"])}
+
+
+@document(
+    "realtime-run",
+    version=3,
+    container="npz",
+    upgrades={1: dict, 2: _without_payload},  # format 1 had no digest
+    period=lambda run: run.period,
+    sources=lambda run: {"law": run.law_sha256},
+    summary=lambda run: {"passed": run.passed, "problem": run.problem},
+)
+@compared
+@dataclass(frozen=True, eq=False)
+class RealtimeRun:
+    """The law in real time, one value for each period that ran; every signal has shape
+    (N,).
+
+    Parameters
+    ----------
+    time
+        of the period's deadline after the first one [s].
+    latency
+        from the deadline that was slept for to being awake [s].
+    work
+        from there to the command being written [s].
+    reference, reference_acceleration, motor_angle, torque, payload
+        the law's inputs: θt* [rad], its acceleration [rad/s²], θm [rad], Γ [N·m],
+        payload [kg] (0: not given); NaN where no sample came.
+    motor_reference, voltage, compensation, tip_estimate, error
+        its outputs: θm* [rad], voltage and compensation [V], θm − Γ/c [rad], error
+        [rad].
+    tick
+        number of the period, from 1; more than one further where periods were missed.
+    mode, reason, flags
+        of the law, see law.h.
+    period
+        [s].
+    law_sha256
+        the law's digest.
+    connection
+        how the arm was reached.
+    stopped
+        "finished", "signal", "law off" or "connection failed".
+    lost_commands
+        how many the connection did not take.
+    scheduling, memory
+        what the machine granted.
+    origin
+        added to the reference [rad].
+    first_difference
+        the first row whose outputs the recorded inputs do not give again; None where
+        all agree bit for bit.
+    allowed_overruns
+        up to which the run passes.
+    estimator
+        that gave the law its payload; None where there was none.
+    saved
+        file that the record was written to; empty where none was asked for.
+    """
+
+    time: Real
+    latency: Real
+    work: Real
+    reference: Real
+    reference_acceleration: Real
+    motor_angle: Real
+    torque: Real
+    payload: Real
+    motor_reference: Real
+    voltage: Real
+    compensation: Real
+    tip_estimate: Real
+    error: Real
+    tick: Count
+    mode: Count
+    reason: Count
+    flags: Count
+    period: float
+    law_sha256: str
+    connection: str
+    stopped: str
+    lost_commands: int
+    scheduling: str
+    memory: str
+    origin: float
+    first_difference: int | None
+    allowed_overruns: int
+    estimator: PayloadEstimator | None = None
+    saved: str = field(default="", metadata={"stored": False})
+
+    def __post_init__(self) -> None:
+        for name in (*SIGNALS, *MARKS):
+            getattr(self, name).flags.writeable = False
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What a reader should know about the run: W603 where the law rejected the
+        payload, W604 and W605 where an estimated one left the design's range, or a
+        contact was seen.
+        """
+        estimates = self.estimates
+        if self.estimator is None or estimates is None:
+            return payload_rejected(self.flags)
+        return payload_rejected(self.flags) + estimate_findings(
+            self.estimator, estimates, self.period
+        )
+
+    @property
+    def estimates(self) -> Estimates | None:
+        """What the payload estimator said in each period, from the recorded sensors;
+        None without one.
+        """
+        # Estimated again from the sensors rather than recorded: the estimator is C and
+        # gives the same to the bit.
+        if self.estimator is None or not len(self.tick):
+            return None
+        state = self.estimator.initial_state()
+        return self.estimator.run(
+            state, self.motor_angle, self.torque, ticks=self.tick
+        )[1]
+
+    @property
+    def missed(self) -> int:
+        """Periods up to the last one that ran in which the law did not run."""
+        return int(self.tick[-1]) - len(self.tick) if len(self.tick) else 0
+
+    @property
+    def overruns(self) -> int:
+        """Periods whose command came after the next deadline."""
+        # Not the missed periods: a command that came late was still obeyed, a period
+        # later than the margins assume.
+        return int(np.count_nonzero(self.latency + self.work > self.period))
+
+    @property
+    def lost_samples(self) -> int:
+        """Periods in which no new sample had come."""
+        return int(np.count_nonzero(np.isnan(self.motor_angle)))
+
+    @property
+    def latencies(self) -> Spread:
+        """Spread of `latency` [s]: the jitter of the loop."""
+        return Spread.of(self.latency)
+
+    @property
+    def works(self) -> Spread:
+        """Spread of `work` [s]: reading, the law, writing."""
+        return Spread.of(self.work)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run went to its end, in time and in mode "run", with the outputs
+        that the law gives.
+        """
+        return not self.problem
+
+    @property
+    def problem(self) -> str:
+        """Why the run failed; empty where it passed."""
+        mode = MODES[int(self.mode[-1])] if len(self.mode) else "idle"
+        reason = REASONS[int(self.reason[-1])] if len(self.mode) else "none"
+        # In the order of what a reader must mend first: why it stopped, then mode, then
+        # time, then the replay.
+        if self.stopped == "law off":
+            return f"safe stop: the law switched off ({reason})"
+        if self.stopped != "finished":
+            return f"safe stop: {self.stopped}"
+        if mode != "run":
+            return f"the law ended in mode {mode} ({reason})"
+        if self.overruns > self.allowed_overruns:
+            return f"{self.overruns} overruns, allowed {self.allowed_overruns}"
+        if self.first_difference is not None:
+            return (
+                f"row {self.first_difference} is not what the law gives for its inputs"
+            )
+        return ""
+
+    def difference(self, law: Law) -> int | None:
+        """Run `law` over the recorded inputs; return the first row with another output,
+        None without one.
+
+        Every output is compared by its bits. Raises FieldError for another law than the
+        one that ran.
+        """
+        if self.law_sha256 not in (law.digest, law.former_digest):
+            allowed, remedy = self.law_sha256[:16], "give the design of the run"
+            problem = "another than the one that ran"
+            raise FieldError(
+                "law", law.digest[:16], problem, allowed=allowed, remedy=remedy
+            )
+        return first_difference(
+            law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)}
+        )
+
+    def experiment(self, *, payload: float | None = None) -> Experiment:
+        """Return the motion as a log, for `identify`; `payload` at the tip [kg], where
+        it is known.
+
+        The law closes its loop around the link, which does not matter to an
+        identification from the motor angle to the torque. Samples that were lost are
+        interpolated, up to 1 % of them; LogError beyond.
+        """
+        # A sample is lost whole: where one channel is missing the other belongs to an
+        # unknown time.
+        came = np.isfinite(self.motor_angle) & np.isfinite(self.torque)
+        count = int(self.tick[-1]) if len(self.tick) else 0
+        lost = count - int(np.count_nonzero(came))
+        if count == 0 or lost > _LOST_SHARE * count:
+            allowed, remedy = (
+                f"{100 * _LOST_SHARE:g} %",
+                "run it again on a machine that keeps the period",
+            )
+            raise LogError(
+                "run",
+                f"{lost} of {count} samples",
+                "lost",
+                allowed=allowed,
+                remedy=remedy,
+            )
+        # On the ticks and not on the rows: a missed period has no row, and without its
+        # place every later sample would be early.
+        grid = np.arange(1, count + 1)
+        motor, torque, voltage = (
+            np.interp(grid, self.tick[came], x[came])
+            for x in (self.motor_angle, self.torque, self.voltage)
+        )
+        return Experiment(
+            period=self.period,
+            motor_angle=motor,
+            output=torque,
+            payload=payload,
+            source=f"run in real time by {self.connection}",
+            # A robot with its own servo takes references, and the voltages of its law
+            # are all 0: that is no measurement.
+            voltage=voltage if voltage.any() else None,
+            notes=(
+                ("law_sha256", self.law_sha256),
+                ("interpolated_samples", str(lost)),
+            ),
+        )
+
+
+def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | None:
+    """Return the first row whose outputs `law` does not give for its inputs, compared
+    by their bits.
+    """
+    # The ticks, too: a missed period is part of what the law was given.
+    tick = columns["tick"]
+    if not len(tick):
+        return None
+    _, again = law.run(
+        law.initial_state(), *(columns[name] for name in INPUTS), ticks=tick
+    )
+    differs = np.zeros(len(tick), dtype=bool)
+    for name in OUTPUTS:
+        # by bits, so that -0 is not 0
+        differs |= getattr(again, name).view(np.uint64) != columns[name].view(np.uint64)
+    for name in ("mode", "reason", "flags"):
+        differs |= getattr(again, name) != columns[name]
+    return int(np.argmax(differs)) if differs.any() else None
+
+
+# ---- where the record goes ---------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def reserved(
+    place: Path,
+    size: int = _PROBE_BYTES,
+    *,
+    cls: type | None = None,
+    field: str = "out",
+) -> Iterator[None]:
+    """Hold `size` bytes of disk at `place` until the block ends; FieldError about
+    `field` where that fails.
+
+    A folder that is missing or read-only, a full disk, a name that a file with a `cls`
+    cannot have: each is so found before the arm moves.
+    """
+    # what runs in real time alone needs a place, and only that system can hold one
+    check_machine()
+    if cls is not None:
+        check_ending(cls, place)
+    # Beside the place, as another file system may have room where this one has none;
+    # hidden and random, so that it meets no file of the user's; cut, as a name has 255
+    # bytes at most.
+    holder = place.with_name(f".{place.name[:50]}.{secrets.token_hex(8)}.reserved")
+    with contextlib.ExitStack() as opened:
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            # Asked of the name itself, which the holder's does not stand for: one may
+            # be too long, or that of a folder, over which no file is renamed. Not by
+            # `is_dir`: from Python 3.14 on that takes a name that is too long for no
+            # folder.
+            with contextlib.suppress(FileNotFoundError):
+                if stat.S_ISDIR(place.stat().st_mode):
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            opened.callback(
+                _unlinked, holder
+            )  # once it is closed: some file systems unlink no open file
+            stream = opened.enter_context(holder.open("xb"))
+            # Blocks are taken, which `truncate` would only promise: a full disk says so
+            # now.
+            os.posix_fallocate(stream.fileno(), 0, size)
+            # The open file keeps its blocks without a name, and a process that is
+            # killed leaves nothing.
+            _unlinked(holder)
+        except OSError as error:
+            problem = f"not writable ({error.strerror}); the arm has not moved"
+            allowed = f"a folder with {1e-6 * size:.1f} MB to spare"
+            raise FieldError(
+                field, str(place), problem, allowed=allowed, remedy="name another file"
+            ) from error
+        yield
+
+
+def _unlinked(holder: Path) -> None:
+    # Room is what was asked for, and it is there: a name that stays is no reason to
+    # refuse the run.
+    with contextlib.suppress(OSError):
+        holder.unlink()
+
+
+def saved(value: object, place: Path) -> Path:
+    """Write a record to `place`, or where that fails after all beside others' temporary
+    files or at home.
+
+    Returns the file that was written; raises the first error where no place took it.
+    """
+    try:
+        return save(value, place, force=True)
+    except (
+        OSError,
+        FieldError,
+    ):  # FieldError: a folder that has become a file, or lost its permission
+        # never over another record, and never too long for a name that was just short
+        # enough
+        name = f"{place.stem[:50]}-{secrets.token_hex(4)}{place.suffix}"
+        for folder in (Path(tempfile.gettempdir()), Path.home()):
+            with contextlib.suppress(OSError, FieldError):
+                return save(value, folder / name)
+        raise

@@ -1,0 +1,465 @@
+"""`tune`: from an unknown arm to a law, stage by stage; each is written before the next
+begins.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fraclink._arm.experiment import Experiment
+from fraclink._design import Design
+from fraclink._files import load, output_path, save
+from fraclink._law import Law
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.lab._connections import Connection
+from fraclink.lab._line import Stopped, open_line
+from fraclink.lab._machine import signals_held
+from fraclink.lab._tune_build import Built, built_laws, measured_rig
+from fraclink.lab._tune_guard import Guard, LimitReached
+from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
+from fraclink.lab._tune_motion import LawTripped
+from fraclink.lab._tune_motor import tune_motor
+from fraclink.lab._tune_moves import first_moves
+from fraclink.lab._tune_wiring import Wiring, check_wiring
+from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
+from fracsys.checks import checked
+
+__all__ = ["tune"]
+
+# A repeated experiment is twice as long, and its errors 0.7 of the first one's: what
+# three do not show is not a matter of length.
+EXPERIMENTS = 3  # at most, where a gate or the proof fails
+LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
+# A minute and a half is what a person stays at the emergency stop for without looking
+# away.
+_PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
+# times the errors that suffice: less of an excess is in the box, and costs a degree of
+# margin
+_FAR_OFF = 2.0
+_FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
+# First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %,
+# another gear K/J by more. of the first guesses, which scatter by a tenth, between a
+# tuning and its resumption
+_OTHER_ARM = 0.35
+
+
+@checked
+def tune(
+    connection: Connection,
+    plan: TuningPlan,
+    *,
+    out: Path = Path("tuned"),
+    resume: bool = False,
+    force: bool = False,
+    moves: bool = True,
+    begin: Callable[[str], None] = lambda stage: None,
+    clock: Any = None,
+) -> Tuning:
+    """Tune an arm: wiring, motor, link, design, proof, law and first moves, within
+    limits that are kept.
+
+    Every stage is written to `out` when it is whole. A limit, a wrong sign, a lost link
+    or a signal switches the drive off and ends the tuning; its reason is in the result,
+    its record in ``log.npz``.
+
+    Parameters
+    ----------
+    connection
+        how the arm is reached, e.g. ``parse_connection("udp:127.0.0.1:5005")``.
+    plan
+        limits, payload, and what else is known; ``plan.text`` says what will happen.
+    out
+        folder for the results.
+    resume
+        go on behind the last stage that is whole; the wiring is looked at again in any
+        case. With another payload of the range, move the law that is there with it.
+    force
+        overwrite an earlier tuning.
+    moves
+        whether to make the first moves under the new law.
+    begin
+        called with a sentence as each stage begins, and with what it found.
+    clock
+        a `VirtualClock`, or "none" for a `SimulatedArm`, which lives by its calls.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range, an arm that does not answer, files that are there,
+        nothing to resume.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fraclink as fl
+    >>> arm = fl.lab.SimulatedArm(fl.Twin.from_rig(fl.Rig.named("paper-2023-geared")), 0.004, seed=1)
+    >>> limits = fl.MotionLimits(angle=0.6, speed=4.0, torque=2.0, voltage=10.0)
+    >>> plan = fl.TuningPlan(limits, payload=0.030, period=0.004)
+    >>> tuned = fl.tune(arm.callback, plan, out=tempfile.mkdtemp(), moves=False, clock="none")
+    >>> tuned.has_law, round(tuned.link.fit.model.order, 2)
+    (True, 1.92)
+    """
+    before = _resumed(out, plan) if resume else None
+    if not resume:
+        # Looked at before the arm moves: a minute of motion must not end at a file that
+        # may not be written.
+        for name in FILES:
+            output_path(out / name, force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    guard: Guard | None = None
+    session = _Session(connection, plan, out, moves, begin, clock, before)
+    # Until the record is kept, and not only while the arm moves: a closed terminal
+    # sends a second signal, and one that comes while something is computed ends the
+    # tuning at the next motion, or after the last.
+    with signals_held() as obeyed:
+        try:
+            guard = session.open()
+            session.go(guard)
+        # Whatever a stage can meet ends with a state that is saved. Before the guard
+        # there is none: the error is the caller's.
+        except (FraclinkError, OSError, KeyboardInterrupt) as error:
+            if guard is None:
+                raise
+            if isinstance(error, Stopped):
+                obeyed.set()
+            session.end(
+                (str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard)
+            )
+        finally:
+            if guard is not None:
+                guard.release()
+                session.keep(guard)
+    return session.state
+
+
+def _resumed(out: Path, plan: TuningPlan) -> Tuning:
+    place = out / FILES[0]
+    if not place.is_file():
+        allowed = f"a folder with {FILES[0]}"
+        raise FieldError(
+            "resume",
+            str(out),
+            "nothing to resume",
+            allowed=allowed,
+            remedy="leave --resume out",
+        )
+    found: Tuning = load(place, Tuning)
+    low, high = found.payloads
+    # Another payload is another ω₀: the fit would be of neither arm. With a law whose
+    # box holds that payload nothing needs to be fitted, only moved.
+    if found.payload != plan.payload and not (
+        found.has_law and low <= plan.payload <= high
+    ):
+        remedy = "resume with the same payload, or tune anew"
+        allowed = f"{found.payload:g} kg, as before"
+        if found.has_law:
+            allowed += (
+                f", or {low:g} to {high:g} kg to move the law with another payload"
+            )
+        raise FieldError(
+            "payload",
+            plan.payload,
+            "another than before",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    return found
+
+
+@dataclass
+class _Session:
+    """One tuning while it runs. Internal, mutable."""
+
+    connection: Connection
+    plan: TuningPlan
+    out: Path
+    moves: bool
+    begin: Callable[[str], None]
+    clock: Any
+    before: Tuning | None
+    state: Tuning = field(init=False)
+    _records: list[Any] = field(default_factory=list)
+    _began: float = field(default_factory=time.process_time)
+
+    def open(self) -> Guard:
+        opened = partial(open_line, self.connection, self.plan.period, clock=self.clock)
+        guard = Guard(opened, self.plan.limits)
+        plan = self.plan
+        self.state = self.before or Tuning(
+            plan.limits,
+            plan.payload,
+            plan.range,
+            guard.period,
+            folder=str(self.out),
+            rig=plan.rig,
+        )
+        # Limits may be drawn tighter or wider on resuming: they belong to whoever
+        # stands at the arm now.
+        self.state = replace(
+            self.state, stopped="", folder=str(self.out), limits=plan.limits
+        )
+        return guard
+
+    def go(self, guard: Guard) -> None:
+        """All stages that are not whole yet."""
+        self.begin("wiring")
+        wiring = check_wiring(guard, self.plan.rig)
+        self._same_arm(wiring)
+        # From the first guess on, so that the motor's own moves cannot run past the
+        # speed limit.
+        guard.learn(wiring.gain, wiring.delay)
+        self._tell(wiring.evidence)
+        if self.plan.payload != self.state.payload:
+            self._carry(guard)
+            return
+        self._write(guard, wiring=self.state.wiring or wiring)
+        begin = None
+        if self.state.motor is None:
+            self.begin("motor")
+            motor, begin = tune_motor(guard, wiring)
+            self._tell(
+                (
+                    f"K/J {motor.fit.gain:.4g} rad/(s²·V), ν/J {motor.fit.decay:.3g} 1/s, friction "
+                    f"{motor.friction:.3g} V, delay {1e3 * motor.fit.delay:.3g} ms; loop at "
+                    f"{motor.loop.pole:g} rad/s",
+                )
+            )
+            self._write(guard, motor=motor)
+        assert self.state.motor is not None  # measured now, or before  # noqa: S101
+        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
+        link, built, laws = self._link(guard, begin)
+        if built.passed and self.moves:
+            self._move(guard, link, itertools.chain((built,), laws))
+
+    def _carry(self, guard: Guard) -> None:
+        """Move the law that is there with another payload of its range, which the arm
+        carries now.
+        """
+        design = load(self.out / LAW_FILES[0], Design)
+        law = load(self.out / LAW_FILES[1], Law)
+        assert self.state.motor is not None  # there is a law  # noqa: S101
+        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
+        why = self._refusal(guard, Built(design.rig, design, law, None, ()))
+        if why:
+            self._withhold(why)
+            self._tell(self.state.reasons)
+
+    def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
+        """First moves under the law; one that the arm refuses is withheld, and the next
+        one is tried.
+        """
+        for number, built in enumerate(itertools.islice(laws, LAWS)):
+            if number:
+                self.begin("the arm refused that law, which is withheld; the next one")
+                self._wrote(built, link)
+            why = self._refusal(guard, built)
+            if not why:
+                return
+            self._withhold(why)
+
+    def _refusal(self, guard: Guard, built: Built) -> str:
+        """Make the first moves, and return why the arm refuses the law, "" where it
+        does not.
+        """
+        assert built.design is not None and built.law is not None  # passed  # noqa: S101
+        assert self.state.motor is not None  # measured  # noqa: S101
+        self.begin("first moves")
+        try:
+            found = first_moves(
+                guard, built.design, built.law, self.state.motor, self.plan.payload
+            )
+        except LimitReached as error:
+            self._withhold(str(error))
+            raise
+        except LawTripped as error:
+            return str(error)
+        finally:
+            guard.release()
+        self._tell(tuple(map(str, found)))
+        # Moves with other payloads stay, so that a verdict is over the whole range that
+        # was tried.
+        others = tuple(
+            move for move in self.state.moves if move.payload != self.plan.payload
+        )
+        self._write(guard, moves=others + found)
+        return "; ".join(self.state.verdict.reality.reasons)
+
+    def _withhold(self, why: str) -> None:
+        """Take back the law that the arm refused: its files, and that it passed."""
+        for name in LAW_FILES:
+            # Not only in the state: `run-realtime` takes a design.json as it lies
+            # there.
+            (self.out / name).unlink(missing_ok=True)
+        self.state = replace(
+            self.state,
+            certified="",
+            design_passed=False,
+            reasons=(f"the arm's own moves fail: {why}",),
+            refused=self.state.refused + 1,
+        )
+        save(self.state, self.out / FILES[0], force=True)
+
+    def _link(
+        self, guard: Guard, begin: Any
+    ) -> tuple[LinkResult, Built, Iterator[Built]]:
+        """The link's experiments, at most three where a gate or the proof fails, and
+        the law.
+        """
+        state, plan = self.state, self.plan
+        assert state.wiring is not None and state.motor is not None  # noqa: S101
+        # A link that was fitted before is designed for at once; its experiment counts.
+        link, attempt = state.link, state.attempts
+        while True:
+            if link is None:
+                attempt += 1
+                self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
+                longer = 1.0 if attempt == 1 else 2.0
+                link, _ = tune_link(
+                    guard,
+                    state.wiring,
+                    state.motor,
+                    plan.payload,
+                    begin=begin,
+                    longer=longer,
+                )
+                self._tell(tuple(str(link.fit).splitlines()))
+                self._write(guard, link=link, attempts=attempt)
+            self.begin("design, proof and law")
+            guard.release()
+            rig = measured_rig(
+                state.wiring,
+                link,
+                plan.limits,
+                plan.range,
+                plan.payload,
+                guard.period,
+                stated=plan.rig,
+                name=self.out.name[:100] or "arm",
+            )
+            # A law that the arm has refused is refused after a resumption, too: they
+            # are made in the same order.
+            laws = itertools.islice(built_laws(rig, link), state.refused, None)
+            built = next(laws, None) or Built(
+                rig, None, None, None, state.reasons
+            )  # all refused before
+            self._wrote(built, link)
+            spent = guard.count * guard.period + 2.0 * sum(
+                duration for _, duration, _ in link.rounds
+            )
+            # What the next one would take: it is twice as long as the last.
+            tired = attempt >= EXPERIMENTS or spent > _PATIENCE
+            if built.passed or tired or not _worth_repeating(built, link):
+                return link, built, laws
+            self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
+            link = None
+
+    def _wrote(self, built: Built, link: LinkResult) -> None:
+        """Write what came of the model, each part to its own file."""
+        place = self.out
+        built.rig.save(place / "rig.toml")
+        link.fit.save(place / "model.json")
+        parts = (built.design, built.law, built.certificate)
+        for name, part in zip(LAW_FILES, parts, strict=True):
+            if built.passed and part is not None:
+                part.save(place / name)
+            else:  # nothing that failed is left to be run
+                (place / name).unlink(missing_ok=True)
+        proof = built.certificate
+        self.state = replace(
+            self.state,
+            certified=proof.verdict if proof is not None and proof.passed else "",
+            design_passed=built.design is not None and built.passed,
+            design_words="; ".join(built.assumptions),
+            reasons=built.reasons,
+            moves=(),
+        )
+        self._tell(built.assumptions if built.passed else built.reasons)
+        save(self.state, place / FILES[0], force=True)
+
+    def _same_arm(self, wiring: Wiring) -> None:
+        """Refuse to go on with another arm than the one that was measured."""
+        known = self.state.wiring
+        if known is None:
+            return
+        names = ("gain", "stiffness", "natural_frequency")
+        # Another payload of the range moves ω₀, and nothing else.
+        for name in names if self.plan.payload == self.state.payload else names[:2]:
+            was, now = getattr(known, name), getattr(wiring, name)
+            if abs(now / was - 1.0) > _OTHER_ARM:
+                raise FraclinkError(
+                    f"cannot resume: {name} was {was:.3g} and is {now:.3g}: another arm, payload or wiring; "
+                    "tune anew"
+                )
+
+    def _write(self, guard: Guard, **parts: Any) -> None:
+        self.state = replace(
+            self.state,
+            **parts,
+            arm_time=guard.count * guard.period,
+            computing=time.process_time() - self._began,
+        )
+        save(self.state, self.out / FILES[0], force=True)
+
+    def end(self, reason: str) -> None:
+        """Keep why it ended."""
+        self.state = replace(self.state, stopped=reason)
+        self._tell((reason,))
+
+    def keep(self, guard: Guard) -> None:
+        """Write the state and the whole record."""
+        self._write(guard)
+        record = guard.record()
+        # One sample is no log, as it has no period.
+        if record.angle.size > 1:
+            log = Experiment(
+                period=guard.period,
+                motor_angle=record.angle,
+                output=record.torque,
+                voltage=record.voltage,
+                payload=self.plan.payload,
+                source="fraclink tune",
+            )
+            save(log, self._free_log())
+
+    def _free_log(self) -> Path:
+        """The next log that is not there yet: a tuning that goes on keeps what was
+        recorded before.
+        """
+        if self.before is None:
+            (self.out / "log.npz").unlink(missing_ok=True)
+        names = (
+            f"log{f'-{number}' if number > 1 else ''}.npz"
+            for number in itertools.count(1)
+        )
+        return next(self.out / name for name in names if not (self.out / name).exists())
+
+    def _tell(self, lines: tuple[str, ...]) -> None:
+        for line in lines:
+            self.begin(f"  {line}")
+
+
+def _lateness(guard: Guard) -> str:
+    """What lost samples add to why a tuning ended: a busy machine looks like another
+    arm.
+    """
+    if guard.lost <= _FEW_LOST * guard.count:
+        return ""
+    return (
+        f" (of {guard.count} samples {guard.lost} did not come in time: this machine, or the link, is too "
+        f"busy for a period of {1e3 * guard.period:.3g} ms, and what was measured suffers)"
+    )
+
+
+def _worth_repeating(built: Built, link: LinkResult) -> bool:
+    """Whether a longer experiment can help: a gate of the fit failed, or its errors are
+    far too large.
+    """
+    return (built.design is None and not link.fit.passed) or shortfall(
+        link.fit
+    ) > _FAR_OFF

@@ -1,0 +1,475 @@
+"""From what was measured to a law: the rig as it was found, the design over the box,
+the certificate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fraclink._arm.box import ParameterBox
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import hold, smooth_step
+from fraclink._arm.rig import (
+    Encoder,
+    Gauge,
+    Link,
+    Motor,
+    Payloads,
+    Rig,
+    StatedTolerances,
+)
+from fraclink._certify import Certificate, certify
+from fraclink._design import Design, design
+from fraclink._design.completed import design_for
+from fraclink._law import Law
+from fraclink._simulate.arm import Twin, damping_of
+from fraclink._simulate.simulate import simulate
+from fraclink.errors import FieldError, InfeasibleError
+from fraclink.lab._tune_guard import MotionLimits
+from fraclink.lab._tune_link import LinkResult
+from fraclink.lab._tune_wiring import Wiring
+
+__all__ = ["Built", "build_law", "built_laws", "link_twins", "measured_rig"]
+
+# Crossover over the torque resonance of the heaviest payload (below 1 nothing crosses
+# right of the peak), the phase margin [°] that the whole box keeps, and the filter's
+# time times that resonance. The filter of `design`'s rule is shorter than a period:
+# with a late gauge β is above one, and the noise saturates the voltage. Three tenths
+# cost little margin, as β grows with them, and take a fifth of the noise and a third of
+# the gain at a second mode that nobody has seen.
+_WANTED: tuple[tuple[float, float, float], ...] = (
+    (1.05, 32.0, 0.3),
+    (1.05, 32.0, 0.5),
+    (1.035, 34.0, 0.4),  # less gain at a second mode, and just as well damped
+    (1.02, 46.0, 0.4),
+    (1.05, 28.0, 0.5),
+    (1.1, 32.0, 0.3),
+    (1.1, 25.0, 0.5),
+    (1.05, 40.0, 0.3),
+    (1.1, 25.0, 0.15),
+)
+# Where none of these gives a law: crossovers and filters at which a margin is looked
+# for between one with which moves ring and one with which the second mode is too loud;
+# its lowest value, widest gap [°], halvings.
+_BETWEEN = ((1.035, 0.4), (1.02, 0.4), (1.05, 0.3))
+_LOWEST, _GAP, _HALVINGS = 25.0, 12.0, 3
+# Loop gain at a second mode that was measured: below one over the whole box no phase of
+# the mode matters, and the proof holds the mode besides; below 0.7 is preferred, by the
+# 3 dB that `design_for` keeps.
+_MODE_GAIN, _MODE_PREFERRED = 0.95, 0.7
+# What a second mode may differ by from where a burst showed it a minute ago, relative:
+# with the payload it moves by 3 %. The 5 and 20 % of an arm that nobody has measured so
+# cost a heavy link its law.
+_MODE_FREQUENCY, _MODE_SIZE = 0.03, 0.10
+# What an arm that was measured a minute ago may differ by until `watch` says so; the
+# fit's own intervals are added. A quarter of what a rig file allows an arm that nobody
+# has looked at for a year costs less margin.
+_DRIFT = StatedTolerances(
+    natural_frequency=0.015,
+    order=0.01,
+    gauge_gain=0.03,
+    gauge_delay=0.001,
+    motor_pole=0.05,
+)
+# Part of the voltage limit that the gauge's noise may take at rest: at 0.2 its peaks
+# reach the limit, and a loop that saturates has no margin.
+_NOISE, _AT_REST = 0.12, 1.5  # [s]
+_MOVE, _PERIODS = 0.3, 1.2  # [rad], periods of the heaviest payload's vibration
+# Mass of a uniform link over the tuning's payload that a burst without a second mode
+# leaves open. A beam clamped at one end moves like 0.243 of its mass at the tip.
+_LINK_MASSES, _AT_TIP = (0.0, 0.1, 0.25), 0.243
+_LIGHTEST, _HEAVIEST = 0.01, 3.0
+# ω₂ goes nearly with one over the root of the mass: each step leaves a tenth of an
+# error
+_STEPS = 4
+_FULL_TURN = 2 * math.pi
+_COUNTED = (
+    2e-2  # [rad]: a smaller step of the encoder is a count, a larger one a motion
+)
+
+
+@dataclass(frozen=True)
+class Built:
+    """What came of a model: design, law, certificate, and why not where there is none."""
+
+    rig: Rig
+    design: Design | None
+    law: Law | None
+    certificate: Certificate | None
+    reasons: tuple[str, ...]
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the design keeps its requirements over the box and the proof holds."""
+        return not self.reasons
+
+
+def measured_rig(
+    wiring: Wiring,
+    link: LinkResult,
+    limits: MotionLimits,
+    payloads: tuple[float, float],
+    payload: float,
+    period: float,
+    *,
+    stated: Rig | None,
+    name: str,
+) -> Rig:
+    """The rig as it was measured, at the gear's output and in the gauge's units.
+
+    The length is the one with which ω₀² = c/(mL²) (5) holds; what no motion shows, and
+    what a design shall reach, is as stated.
+    """
+    fit, motor = link.fit, link.motor.fit
+    assert motor.inertia is not None  # the link's stage gives it  # noqa: S101
+    inertia, model = motor.inertia, fit.model
+    length = math.sqrt(model.stiffness / (payload * model.natural_frequency**2))
+    # The smallest step seen in a record, where it is small enough to be a count.
+    counts = (
+        round(_FULL_TURN / wiring.encoder_step)
+        if 0 < wiring.encoder_step < _COUNTED
+        else None
+    )
+    rig = Rig(
+        name=name,
+        motor=Motor(
+            inertia=inertia,
+            viscous_friction=motor.decay * inertia,
+            torque_constant=motor.gain * inertia,
+            coulomb_torque=(motor.coulomb_voltage + motor.dead_zone)
+            * motor.gain
+            * inertia,
+            voltage_limit=limits.voltage,
+        ),
+        link=Link(
+            length=length,
+            flexural_rigidity=model.stiffness * length / 3,
+            stiffness=model.stiffness,
+        ),
+        payloads=Payloads(low=payloads[0], high=payloads[1], nominal=payload),
+        period=period,
+        encoder=Encoder(counts_per_revolution=counts),
+        gauge=Gauge(noise=wiring.gauge_noise),
+        motor_loop=link.motor.loop,
+        tolerances=_DRIFT,
+        assumptions=(
+            "measured by fraclink tune; torques and inertia are in the gauge's units",
+        ),
+        source="fraclink tune",
+    )
+    if stated is None:
+        return rig
+    gauge = replace(stated.gauge, noise=wiring.gauge_noise)
+    return replace(rig, name=stated.name, gauge=gauge, design=stated.design)
+
+
+def build_law(rig: Rig, link: LinkResult) -> Built:
+    """The first of `built_laws`."""
+    return next(built_laws(rig, link))
+
+
+def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
+    """Laws with a design over the box of what the fit leaves open, a proof, and moves
+    on links with mass.
+
+    The preferred one first; each is made when it is asked for. Where there is none, why
+    the first one is none.
+    """
+    fit = link.fit
+    if not fit.passed:
+        gates = "; ".join(
+            f"{item.code}: {item.message}"
+            for item in fit.findings
+            if item.severity == "error"
+        )
+        yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
+        return
+    refused: Built | None = None
+    any_passed, missed = False, list[Design]()
+    for made, words in _designs(rig, late_free(fit.model), missed):
+        built = _proved(rig, made.doubted(fit.findings), words)
+        any_passed |= built.passed
+        if built.passed:
+            yield built
+        else:
+            refused = refused or built
+    if not any_passed:
+        yield refused or Built(rig, None, None, None, (_none(rig, fit.model, missed),))
+
+
+def _designs(
+    rig: Rig, model: LinkModel, missed: list[Design]
+) -> Iterator[tuple[Design, tuple[str, ...]]]:
+    """The designs that keep their requirements over the box, the preferred one first;
+    the others go to `missed`.
+    """
+    asked: tuple[str, ...] = ()
+    if rig.design is not None:
+        try:
+            # The nearest feasible request costs a quarter of a minute; `fraclink
+            # design` says it at leisure.
+            yield design_for(rig, model, box=True, nearest=False)
+            asked = ("what the rig asks for has no law that passes; instead:",)
+        except InfeasibleError as error:
+            asked = (f"what the rig asks for is not feasible ({error}); instead:",)
+    # By the heaviest payload, whose resonance is the lowest: a crossover left of any
+    # resonance has the margin that falls the other way.
+    heavy = model.at_payload(rig.payloads.high)
+    resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
+    second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
+    tried: dict[tuple[float, float], list[tuple[float, Design | None]]] = {}
+    for ratio, degrees, share in _WANTED:
+        made = _asked(model, rig, ratio * resonance, degrees, share / resonance)
+        tried.setdefault((ratio, share), []).append((degrees, made))
+        if made is None:
+            continue
+        if not made.passed:
+            missed.append(made)
+            continue
+        gain = _mode_gain(made)
+        if gain <= _MODE_PREFERRED:
+            yield made, (*asked, *_words(made, degrees))
+        else:
+            second_choice.append((gain, made, (*asked, *_words(made, degrees))))
+    for _, made, words in sorted(second_choice, key=lambda row: row[0]):
+        yield made, words
+    for ratio, share in _BETWEEN:
+        for degrees, made in _between(
+            model, rig, ratio * resonance, share / resonance, tried[ratio, share]
+        ):
+            yield made, (*asked, *_words(made, degrees))
+
+
+def _words(made: Design, degrees: float) -> tuple[str, ...]:
+    gain = _mode_gain(made)
+    words = (
+        f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the whole "
+        "box keeps",
+    )
+    return (
+        (*words, f"loop gain of {gain:.2g} at most at the second mode")
+        if gain > 0.0
+        else words
+    )
+
+
+def _mode_gain(made: Design) -> float:
+    return max(
+        (item.achieved for item in made.requirements if "mode" in item.name),
+        default=0.0,
+    )
+
+
+def _between(
+    model: LinkModel,
+    rig: Rig,
+    crossover: float,
+    filter_time: float,
+    tried: list[tuple[float, Design | None]],
+) -> Iterator[tuple[float, Design]]:
+    """The design whose margin damps the moves and leaves the second mode quiet, where
+    halving meets one.
+    """
+    low, high, tried = _LOWEST, math.inf, list(tried)
+    for turn in range(_HALVINGS + len(tried)):
+        if turn < len(tried):
+            degrees, made = tried[turn]
+        else:
+            degrees = 0.5 * (low + min(high, low + _GAP))
+            made = _asked(model, rig, crossover, degrees, filter_time)
+        if made is not None and made.passed:
+            if turn >= len(tried):  # the others have been offered
+                yield degrees, made
+            return
+        rings = made is not None and any(one.code == "W409" for one in made.findings)
+        loud = made is None or not all(item.passed for item in made.requirements)
+        if rings == loud:  # both, or neither: no other margin mends what is missed
+            return
+        low, high = (max(low, degrees), high) if rings else (low, min(high, degrees))
+
+
+def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
+    """The law of a design, its proof, and its moves on the model and on heavier links."""
+    design = design.with_law()
+    reasons = tuple(str(item) for item in design.requirements if not item.passed)
+    reasons += tuple(str(item) for item in design.doubts)
+    if reasons:
+        return Built(rig, design, None, None, reasons)
+    law = design.law()
+    share = _noise(design, law)
+    if share > _NOISE:
+        reasons = (
+            f"noise of the gauge: at rest it takes {100 * share:.0f} % of the voltage limit; the gauge is "
+            f"{1e3 * design.model.gauge_delay:.3g} ms late, with {rig.gauge.noise:.2g} N·m of noise",
+        )
+    reasons = reasons or _moves_fail(design, law)
+    if reasons:
+        return Built(rig, design, law, None, reasons)
+    try:
+        certificate = certify(design, law=law)
+    except (
+        FieldError
+    ) as error:  # the derived limits leave the correction no room: nothing to prove
+        return Built(rig, design, law, None, (str(error),))
+    if not certificate.passed:
+        reasons = (certificate.verdict,)
+    words = (
+        *words,
+        f"at rest the gauge's noise takes {100 * share:.2g} % of the voltage limit",
+    )
+    return Built(rig, design, law, certificate, reasons, words)
+
+
+def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
+    """Why there is no design: what each of those that keep their margins over the box
+    misses.
+    """
+    second, least = model.second_mode, min(degrees for _, degrees, _ in _WANTED)
+    low, high = (1e3 * payload for payload in (rig.payloads.low, rig.payloads.high))
+    text = (
+        f"requirements over the box: no law with a phase margin of {least:g}° or more right of the resonance "
+        f"for every arm that the measurement leaves open (gauge delay {1e3 * model.gauge_delay:.3g} ms, "
+        f"payloads {low:.3g} to {high:.3g} g)"
+    )
+    rings = sum(any(one.code == "W409" for one in made.findings) for made in missed)
+    gains = [
+        item.achieved
+        for made in missed
+        for item in made.requirements
+        if not item.passed
+    ]
+    parts, unkept = [f"of {len(_WANTED)} tried"], len(_WANTED) - len(missed)
+    if unkept:
+        parts.append(f"{unkept} do not keep their margin")
+    if rings:
+        parts.append(f"{rings} ring for more than ten periods after a move")
+    if gains and second is not None:
+        parts.append(
+            f"{len(gains)} have a loop gain of {min(gains):.2f} or more at the second mode "
+            f"({second.frequency:.3g} rad/s), where {_MODE_GAIN:g} is allowed"
+        )
+    return f"{text}: {', '.join(parts)}; a faster gauge or a narrower range of payloads helps"
+
+
+def _noise(made: Design, law: Law) -> float:
+    """Standard deviation of the voltage at rest, with the gauge's noise, over the
+    limit.
+    """
+    run = simulate(
+        law,
+        hold(0.0),
+        rig=made.rig,
+        model=made.model,
+        payload=made.model.payload,
+        duration=_AT_REST,
+        compensation="measured",
+    )
+    return (
+        float(np.std(run.voltage[run.voltage.size // 3 :]))
+        / made.rig.motor.voltage_limit
+    )
+
+
+def _moves_fail(made: Design, law: Law) -> tuple[str, ...]:
+    """What is wrong with gentle moves of both ends of the payloads, with noise, on
+    links with mass.
+    """
+    heavy = made.model.at_payload(made.payloads[1])
+    move = smooth_step(_MOVE, _PERIODS * 2.0 * math.pi / abs(heavy.pole))
+    for twin in link_twins(made):
+        for payload in made.payloads:
+            run = simulate(law, move, arm=twin, payload=payload, told=True)
+            if not run.verdict.passed:
+                mass = 1e3 * twin.beam.link_mass
+                return (
+                    f"moves of {1e3 * payload:.3g} g on a link of {mass:.2g} g fail in the simulation: "
+                    f"{run.verdict.reason}",
+                )
+    return ()
+
+
+def link_twins(made: Design) -> tuple[Twin, ...]:
+    """The arm with the measured ω₀, its link without a mass and with what the second
+    mode leaves open.
+    """
+    mode = made.model.second_mode
+    ratios = _LINK_MASSES if mode is None else (0.0, _mass_ratio(made, mode.frequency))
+    return tuple(_with_link(made, ratio) for ratio in ratios)
+
+
+def _mass_ratio(made: Design, frequency: float) -> float:
+    """Mass of the link over the payload with which a uniform beam has its second mode
+    at `frequency` [rad/s].
+
+    A power law moves a mode of ω to ω √(Re (jω)^(2 - λ)).
+    """
+    missing = 2.0 - made.model.order
+    wanted = frequency / math.sqrt(
+        frequency**missing * math.cos(0.5 * math.pi * missing)
+    )
+    ratio = 0.5
+    for _ in range(_STEPS):
+        second = float(_with_link(made, ratio).beam.modes(2).frequencies[1])
+        ratio = min(max(ratio * (second / wanted) ** 2, _LIGHTEST), _HEAVIEST)
+    return ratio
+
+
+def _with_link(made: Design, ratio: float) -> Twin:
+    rig, model = made.rig, made.model
+    payload = model.payload
+    assert payload is not None  # the tuning's own  # noqa: S101
+    mass = ratio * payload
+    length = rig.link.length * math.sqrt(payload / (payload + _AT_TIP * mass))
+    flexural = model.stiffness * length / 3
+    link = Link(
+        length=length, flexural_rigidity=flexural, stiffness=model.stiffness, mass=mass
+    )
+    arm = replace(rig, link=link)
+    return Twin.from_rig(arm, model=model, payload=payload, damping=damping_of(model))
+
+
+def _asked(
+    model: LinkModel, rig: Rig, crossover: float, degrees: float, filter_time: float
+) -> Design | None:
+    box, mode = ParameterBox.of(model, rig), model.second_mode
+    if mode is not None:
+        box = replace(
+            box,
+            mode_frequency=_about(mode.frequency, _MODE_FREQUENCY),
+            mode_gain=_about(mode.gain, _MODE_SIZE),
+        )
+    try:
+        return design(
+            model,
+            rig,
+            gain_crossover=crossover,
+            phase_margin=math.radians(degrees),
+            filter_time=filter_time,
+            mode_gain=None if mode is None else _MODE_GAIN,
+            # Two poles, whatever β is: a loop gain that stays level up to half the
+            # sampling rate comes close to -1 there.
+            filter_order=2,
+            inner="sampled",
+            placement="direct",
+            box=box,
+            law=False,  # looked at once, below
+            nearest=False,
+        )
+    except InfeasibleError:
+        return None
+
+
+def _about(value: float, share: float) -> tuple[float, float]:
+    return value * (1.0 - share), value * (1.0 + share)
+
+
+def late_free(model: LinkModel) -> LinkModel:
+    """The model without a gauge that leads by less than its standard error: a delay
+    below zero is none.
+    """
+    return model if model.gauge_delay >= 0 else replace(model, gauge_delay=0.0)

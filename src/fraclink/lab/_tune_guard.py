@@ -1,0 +1,265 @@
+"""The limits of a tuning, and the guard that keeps them: no voltage is sent that it has
+not looked at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FraclinkError
+from fraclink.lab._line import ArmLine, Reading
+from fracsys.checks import Between, checked
+
+Opened = Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]]
+
+__all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
+
+Real = NDArray[np.float64]
+
+# Parts of the limits that a stage plans for. What is left is for noise, overshoot, a
+# gauge that shows too little, and for coming to rest once the guard has switched the
+# drive off.
+PLANNED = 0.6
+_TRIP, _SPEED_TRIP = (
+    0.8,
+    0.95,
+)  # what is sent acts a period or two later, and speeds are those of some periods ago
+_QUIET = 0.6  # [s]: a vibration period of a slow arm
+_SPEED_SAMPLES = (
+    2  # over which speed is taken: a longer mean would miss a fast vibration
+)
+_PUSHED = 0.8  # of the speed limit, that no voltage may drive the motor beyond
+
+
+class LimitReached(FraclinkError):
+    """A limit would have been exceeded; the drive is off."""
+
+
+@checked
+@dataclass(frozen=True)
+class MotionLimits:
+    """How far, how fast and how hard an arm may be moved while it is tuned.
+
+    Parameters
+    ----------
+    angle
+        of the motor, to each side of where it stands at the start [rad], at least 10°.
+    speed
+        of the motor at the gear's output [rad/s].
+    torque
+        of the link as the gauge reads it, beyond its reading at rest [N·m].
+    voltage
+        at the amplifier's input [V].
+
+    Examples
+    --------
+    >>> MotionLimits(angle=0.5, speed=3.0, torque=2.0, voltage=5.0).angle
+    0.5
+    """
+
+    angle: Annotated[float, Between(math.radians(10.0), 1e3, "rad")]
+    speed: Annotated[float, Between(1e-3, 1e4, "rad/s")]
+    torque: Annotated[float, Between(1e-6, 1e6, "N·m")]
+    voltage: Annotated[float, Between(1e-3, 1e4, "V")]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What was read and then sent, one value for each period, shape (N,): motor angle
+    [rad] and torque [N·m], both from where they were at the start, and the voltage [V]
+    that answered them.
+    """
+
+    period: float
+    voltage: Real
+    angle: Real
+    torque: Real
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.period * len(self.angle)
+
+
+class Guard:
+    """Passes voltages on to the arm, keeps the record, and ends the session before a
+    limit is exceeded.
+
+    The way to the arm is opened by the first period of a motion and closed by
+    `release`. The angle that counts is where the arm would come to rest were the drive
+    switched off now: at the present speed for the loop's delay and then coasting,
+    `coast` [s] times the speed; `shake` is the speed that the encoder's noise alone may
+    show [rad/s].
+    """
+
+    def __init__(self, opened: Opened, limits: MotionLimits) -> None:
+        # A geared motor coasts for a few hundredths of a second: ν/J of 5 to 20 1/s and
+        # friction stop it in less.
+        self.limits, self.coast, self.shake = limits, 0.05, 0.0
+        self._driven, self._gain = False, 0.0
+        self._sent: deque[float] = deque(
+            [0.0], maxlen=1
+        )  # the voltage that acted last, and those to come
+        self._opened, self._stack, self._line = opened, contextlib.ExitStack(), None
+        self._rows: list[tuple[float, float, float]] = []
+        self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
+        self._apart = 1  # periods between the two
+        self.lost = 0  # samples that did not come in time
+        self.reading = self.connect()
+        self.origin, self.offset = self.reading.angle, self.reading.torque
+
+    _line: ArmLine | None
+
+    def connect(self) -> Reading:
+        """Open the way to the arm where it is closed, and return the newest reading."""
+        if self._line is None:
+            self._line, self.reading = self._stack.enter_context(self._opened())
+            self.period = self._line.period
+            self._angles.extend([self.reading.angle] * _SPEED_SAMPLES)
+            self._apart = 1
+        return self.reading
+
+    def release(self) -> None:
+        """Switch the drive off and close the way: while something is computed nobody
+        answers the arm.
+        """
+        self._line = None
+        self._stack.close()
+
+    @property
+    def angle(self) -> float:
+        """Newest motor angle from where the arm stood at the start [rad]."""
+        return self.reading.angle - self.origin
+
+    @property
+    def torque(self) -> float:
+        """Newest torque beyond that at rest [N·m]."""
+        return self.reading.torque - self.offset
+
+    @property
+    def count(self) -> int:
+        """Periods so far."""
+        return len(self._rows)
+
+    def step(self, voltage: float) -> Reading:
+        """Send one voltage [V], clipped to the limit, and return the next reading."""
+        if self._line is None:
+            self.connect()
+        # an arm that nobody has moved yet breaks no limit, whatever its sensors show
+        if self._driven:
+            self._check()
+        most = self.limits.voltage
+        # A NaN passes every comparison as false: it would go out unclipped.
+        sent = min(max(voltage, -most), most) if math.isfinite(voltage) else 0.0
+        sent = self._slowed(sent)
+        self._sent.append(sent)
+        self._driven = self._driven or sent != 0.0
+        last = self.reading
+        found = self._line.exchange(sent)  # type: ignore[union-attr]  # connected above
+        self.lost += found.periods - 1
+        self._sent.extend([sent] * (found.periods - 1))  # the arm held it
+        for k in range(
+            found.periods
+        ):  # where samples were lost, a line to the next one stands for them
+            part = k / found.periods
+            angle = last.angle + part * (found.angle - last.angle)
+            self._rows.append(
+                (sent, angle, last.torque + part * (found.torque - last.torque))
+            )
+        self._angles.append(found.angle)
+        self._apart = found.periods
+        self.reading = found
+        return found
+
+    def learn(self, gain: float, delay: float) -> None:
+        """Use K/J [rad/(s²·V)] and the delay [s] to look ahead: no voltage is sent that
+        drives the motor past the speed limit once it acts.
+        """
+        # A delay of 4.1 ms is one period of 4 ms and the fit's error, not two periods.
+        count = max(1, math.ceil(delay / self.period - 0.1))
+        self._gain, self._sent = gain, deque([0.0] * (count + 1), maxlen=count + 1)
+
+    @property
+    def speed(self) -> float:
+        """Speed at the newest sample [rad/s]: that between the last two, and what the
+        voltage added since.
+        """
+        mean = (self._angles[-1] - self._angles[0]) / (self._apart * self.period)
+        return mean + 0.5 * self._gain * self.period * self._sent[0]
+
+    def _slowed(self, voltage: float) -> float:
+        # Nothing is known of the motor before its first doublets, which are small by
+        # themselves.
+        if self._gain <= 0.0:
+            return voltage
+        step = self._gain * self.period
+        # What was sent and has not acted yet is on its way and cannot be called back.
+        speed = self.speed + step * (sum(self._sent) - self._sent[0])
+        most = _PUSHED * self.limits.speed
+        # Zero is always allowed: the guard holds back what is asked for, it drives
+        # nothing by itself.
+        low, high = min((-most - speed) / step, 0.0), max((most - speed) / step, 0.0)
+        return min(max(voltage, low), high)
+
+    def allow(self, noise: float) -> None:
+        """Allow for an encoder with that much noise [rad]: six standard deviations of
+        the speed.
+        """
+        self.shake = 6.0 * math.sqrt(2.0) * noise / ((_SPEED_SAMPLES - 1) * self.period)
+
+    def rest(self, seconds: float) -> None:
+        """Keep the drive at 0 V."""
+        for _ in range(math.ceil(seconds / self.period)):
+            self.step(0.0)
+
+    def quiet(self, noise: float, longest: float) -> None:
+        """Keep the drive at 0 V until the link rings less than the gauge's noise [N·m],
+        or `longest` [s].
+        """
+        window = math.ceil(_QUIET / self.period)
+        last = self.count + math.ceil(longest / self.period)
+        self.rest(_QUIET)
+        # A tenth above the noise, as the deviation of 150 samples scatters by a
+        # twentieth.
+        while (
+            self.count < last
+            and float(np.std([row[2] for row in self._rows[-window:]])) > 1.1 * noise
+        ):
+            self.rest(_QUIET / 4)
+
+    def record(self, start: int = 0) -> Record:
+        """What was recorded from period `start` on."""
+        voltage, angle, torque = np.array(self._rows[start:]).reshape(-1, 3).T
+        return Record(
+            self.period, voltage.copy(), angle - self.origin, torque - self.offset
+        )
+
+    def _check(self) -> None:
+        limits = self.limits
+        speed = self.speed
+        # A coarse encoder at rest shows speeds of a count per period: they are no
+        # motion.
+        speed -= math.copysign(min(abs(speed), self.shake), speed)
+        # Where the arm would come to rest, as a limit that is looked at where it stands
+        # is passed before it is noticed.
+        ends = self.angle + speed * (self.coast + 2 * self.period)
+        for name, value, most, unit in (
+            ("angle", ends, limits.angle, "rad"),
+            ("speed", speed, limits.speed, "rad/s"),
+            ("torque", self.torque, limits.torque, "N·m"),
+        ):
+            # Written so that NaN stops, too.
+            if not abs(value) <= (_SPEED_TRIP if name == "speed" else _TRIP) * most:
+                raise LimitReached(
+                    f"{name}: {value:.3g} {unit} is about to exceed the limit of {most:g} {unit}; the drive "
+                    "is off"
+                )

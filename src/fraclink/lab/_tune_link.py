@@ -1,0 +1,351 @@
+"""The link: an excitation that is planned from the errors of the last fit and grows
+until they suffice.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode
+from fraclink._arm.rig import Motor
+from fraclink._files import document
+from fraclink._identify import (
+    Fit,
+    design_experiment,
+    identify,
+    identify_motor,
+    simulated_torque,
+)
+from fraclink._law import Law
+from fraclink.errors import FraclinkError, InfeasibleError, LogError
+from fraclink.lab._tune_guard import PLANNED, Guard, Record
+from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
+from fraclink.lab._tune_motor import MotorResult
+from fraclink.lab._tune_wiring import Wiring
+
+Real = NDArray[np.float64]
+
+__all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
+
+# Standard errors that suffice: their 95 % intervals are no wider than what an arm may
+# drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms
+# of its delay.
+ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
+# Sixteen vibrations of the paper's arm (12 rad/s). Errors fall with the root of the
+# length but with the amplitude itself: size is tried first.
+_DURATION, _LONGEST = 8.0, 16.0  # [s] of one excitation
+_LARGER = 3.0  # the most by which an excitation grows at once
+_LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
+_ROUNDS = 2
+_COMPENSATED = 0.8  # of the friction: more than there is would drive
+# A random voltage that changes every 12 ms has power up to 250 rad/s, where a link as
+# heavy as half its payload has its second mode; the smooth moves end at a tenth of
+# that. A quarter of the speed limit is small.
+_BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s], [s], of the speed limit
+_RINGING = 1.5  # [s] at most in which the link is calmed; what is left is fitted
+# fits of a record without what the structure does not have: a third changes a quarter
+# of an error
+_CLEANED = 2
+_DECAYS = (1.97, 1.87)  # orders λ of links that ring for long, and for some periods
+
+
+@document("tuned-link")
+@dataclass(frozen=True, eq=False)
+class LinkResult:
+    """The link's fit, the motor with the link's own torque, and what each excitation
+    gave.
+
+    `rounds` has (amplitude [rad], duration [s], standard error of λ) of each
+    excitation.
+    """
+
+    fit: Fit
+    motor: MotorResult
+    rounds: tuple[tuple[float, float, float], ...]
+
+
+def tune_link(
+    guard: Guard,
+    wiring: Wiring,
+    motor: MotorResult,
+    payload: float,
+    *,
+    begin: Record | None = None,
+    longer: float = 1.0,
+) -> tuple[LinkResult, Record]:
+    """Excite the link until every standard error suffices, or the limits are reached.
+
+    `begin` is what the motor stage recorded, from which the first excitation is
+    planned; `longer` stretches every excitation, for an experiment that is repeated.
+    """
+    limits, period = guard.limits, guard.period
+    fit = None if begin is None else _first_fit(begin)
+    law = motor_law(
+        motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction
+    )
+    reach, bit = _planned(fit, wiring, motor, guard)
+    rounds: list[tuple[float, float, float]] = []
+    duration = min(_DURATION * longer, _LONGEST)
+    for _ in range(_ROUNDS):
+        # The edge of a bit is as fast as the limits allow, and slow enough for the
+        # motor's loop to follow: a reference that saturates the voltage excites less
+        # than it says.
+        rise = max(
+            2 * 1.875 * reach / (PLANNED * limits.speed),
+            3.0 / motor.loop.pole,
+            6 * period,
+        )
+        # Fewer than eight bits may leave out the band in which the resonance lies.
+        bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
+        calm(
+            guard,
+            law,
+            stiffness=abs(fit.gain) if fit else wiring.stiffness,
+            resonance=_resonance(fit.model.natural_frequency, fit.model.order)
+            if fit
+            else wiring.natural_frequency,
+            noise=wiring.gauge_noise,
+            longest=_RINGING,
+        )
+        path = random_steps(reach, max(bit, 1.2 * rise), rise, bits, period)
+        record = follow(guard, law, path)
+        whole = _shaken(guard, law, motor, guard.count - path.shape[1])
+        guard.release()
+        moves = experiment_of(record, payload)
+        fit = _fitted(moves, experiment_of(whole, payload))
+        # Errors fall with the amplitude, so that the shortfall is the factor that is
+        # missing; a fifth more allows for their own scatter.
+        short = shortfall(fit)
+        rounds.append(
+            (reach, record.duration, fit.standard_errors.get("order", math.nan))
+        )
+        if short <= 1.0 and fit.passed:
+            break
+        most = min(
+            PLANNED * limits.angle / reach,
+            PLANNED * limits.torque / float(abs(record.torque).max()),
+            PLANNED * limits.voltage / float(abs(record.voltage).max()),
+        )
+        # A tenth more of size is less than the errors' own scatter: another round would
+        # cost time and change nothing.
+        if most < 1.1 and duration >= _LONGEST:
+            break
+        grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
+        # What the amplitude may not give, the length must: errors fall with its root.
+        duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
+        reach *= grown
+    assert fit is not None  # there was a round  # noqa: S101
+    return LinkResult(fit, loaded_motor(motor, record, fit), tuple(rounds)), record
+
+
+def _shaken(guard: Guard, law: Law, motor: MotorResult, start: int) -> Record:
+    """The record from `start` on, with a burst at its end that shows the second mode."""
+    # What turns the motor by that speed within one bit; friction comes on top, or the
+    # burst would not move it.
+    push = _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
+    voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
+    voltages = burst(voltage, _BIT, _BURST, guard.period)
+    follow(guard, law, np.zeros((2, voltages.size)), shaken=voltages)
+    return guard.record(start)
+
+
+def _fitted(moves: Experiment, whole: Experiment) -> Fit:
+    """The link from the moves and the burst behind them, with the second mode or up to
+    where there is none.
+
+    What the structure does not have is taken out of the record and the link is fitted
+    again: the torque of the second mode, and what still rang from the motion before.
+    Either bends λ and the delay, and colours the residual, from which their errors are
+    taken; a wrong delay bends the mode. Nothing is held out of these fits, as one of a
+    part leaves in the other what would be taken for ringing; whether a part is
+    predicted is looked at in the end.
+    """
+    fit, rings = identify(whole, FRACTIONAL, heldout=0.0), np.zeros(whole.output.size)
+    shown = fit.model
+    for _ in range(_CLEANED):
+        mode = shown.second_mode
+        rest = (
+            whole.output
+            if mode is None
+            else whole.output - _torque_of(mode, shown, whole)
+        )
+        fit = identify(replace(whole, output=rest - rings), FRACTIONAL, heldout=0.0)
+        rings = _ringing(fit, rest)
+        known = replace(whole, output=whole.output - rings)
+        # The delay of the moves is held: on the burst it and the mode's phase stand for
+        # each other.
+        shown = identify(
+            known, FRACTIONAL, heldout=0.0, fixed={"delay": fit.delay}
+        ).model
+    clean = rest - rings
+    fit = identify(replace(whole, output=clean), FRACTIONAL, heldout=0.0)
+    # On the moves alone, of which a part is held out: what a fit to everything may hide
+    # is whether it predicts.
+    tested = identify(replace(moves, output=clean[: moves.output.size]), FRACTIONAL)
+    found = fit if tested.passed else tested
+    return replace(
+        found,
+        model=replace(found.model, second_mode=mode, unseen_up_to=shown.unseen_up_to),
+    )
+
+
+def _torque_of(mode: SecondMode, model: LinkModel, log: Experiment) -> Real:
+    """The torque [N·m] that a second mode adds to a record."""
+    alone = LinkModel(
+        stiffness=model.stiffness * mode.gain,
+        natural_frequency=mode.frequency,
+        order=2.0,
+        damping=2.0 * mode.damping_ratio * mode.frequency,
+        damping_order=1.0,
+    )
+    return simulated_torque(
+        alone, log.motor_angle, log.period, delay=model.gauge_delay, hold="first"
+    )
+
+
+def _ringing(fit: Fit, output: Real) -> Real:
+    """The free vibration in what a fit leaves of the output: it begins with the record,
+    and only decays.
+
+    Two dampings stand for any: the fit that still has it in its record does not know
+    the link's own.
+    """
+    time = fit.period * np.arange(output.size)
+    # s^λ = −ω₀² has its poles at ω e^{±jπ/λ}: a link of order λ rings with ζ =
+    # −cos(π/λ).
+    turns = [
+        np.exp(cmath.rect(abs(fit.model.pole), math.pi / order) * time)
+        for order in _DECAYS
+    ]
+    columns = np.column_stack(
+        [part for turn in turns for part in (turn.real, turn.imag)]
+    )
+    size, *_ = np.linalg.lstsq(columns, output - fit.predicted, rcond=None)
+    return np.asarray(columns @ size)
+
+
+def shortfall(fit: Fit) -> float:
+    """The largest standard error over what suffices; relative errors where the table's
+    are.
+    """
+    errors, model = fit.standard_errors, fit.model
+    # ω₀ and gain relative, λ and the delay as they are: the table's own units.
+    scale = {
+        "order": 1.0,
+        "delay": 1.0,
+        "natural_frequency": model.natural_frequency,
+        "gain": abs(fit.gain),
+    }
+    found = [
+        errors[name] / scale[name] / most
+        for name, most in ENOUGH.items()
+        if name in errors
+    ]
+    return max(found, default=math.inf)
+
+
+def experiment_of(record: Record, payload: float | None) -> Experiment:
+    """The record as a log."""
+    return Experiment(
+        period=record.period,
+        motor_angle=record.angle,
+        output=record.torque,
+        payload=payload,
+        voltage=record.voltage,
+        source="tuning",
+    )
+
+
+def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
+    """The motor with the inertia that the link's torque shows, in the gauge's units.
+
+    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power
+    law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
+    smaller by it, and Γ/J, which the law compensates, is what acts on the hub at the
+    vibration.
+
+    The torque is the model's, which is neither noisy nor late: a regressor with errors
+    loses part of its slope, and the inertia would come out small.
+    """
+    try:
+        found = identify_motor(
+            record.voltage,
+            record.angle,
+            period=record.period,
+            torque=simulated_torque(
+                fit.model, record.angle, record.period, hold="first"
+            ),
+        )
+    except LogError:
+        return motor
+    # A negative one is the noise of moves that hardly load the motor: then the motor
+    # alone is known, and no load is made up.
+    if found.inertia is None or found.inertia <= 0:
+        return motor
+    fitted = replace(
+        motor.fit,
+        inertia=found.inertia,
+        coulomb_torque=motor.fit.coulomb_voltage * motor.fit.gain * found.inertia,
+        standard_errors=motor.fit.standard_errors
+        | {"inertia": found.standard_errors["inertia"]},
+    )
+    return replace(motor, fit=fitted)
+
+
+def _first_fit(record: Record) -> Fit | None:
+    try:
+        return identify(experiment_of(record, None), FRACTIONAL, details=False)
+    except FraclinkError:
+        return None
+
+
+def _resonance(frequency: float, order: float) -> float:
+    # ω₀ has the unit s^(−λ/2): the resonance of s^λ + ω₀² lies at ω₀^(2/λ) rad/s.
+    return math.exp(2.0 / order * math.log(frequency))
+
+
+def _planned(
+    fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard
+) -> tuple[float, float]:
+    """Amplitude [rad] and bit [s] of the first excitation: the smallest that is
+    expected to suffice.
+    """
+    limits = guard.limits
+    if fit is None:
+        return 0.05, math.pi / (0.7 * wiring.natural_frequency)
+    inertia = motor.fit.inertia or 1.0
+    known = Motor(
+        inertia=inertia,
+        viscous_friction=motor.fit.decay * inertia,
+        torque_constant=motor.fit.gain * inertia,
+        voltage_limit=PLANNED * limits.voltage,
+    )
+    try:
+        plan = design_experiment(
+            fit.model,
+            standard_error=ENOUGH["order"] / 1.5,
+            # A gauge that does not flicker has a count, not no noise: zero would ask
+            # for no motion at all.
+            noise=max(wiring.gauge_noise, 1e-9),
+            period=guard.period,
+            duration=_DURATION,
+            motor=known,
+            deflection_limit=PLANNED * limits.torque / abs(fit.gain),
+            inner_pole=motor.loop.pole,
+        )
+    except InfeasibleError:
+        return 0.05, math.pi / (
+            0.7 * _resonance(fit.model.natural_frequency, fit.model.order)
+        )
+    # Torque for each radian of the reference: it grows near the resonance, where the
+    # gauge's limit is met before the angle's.
+    bent = abs(fit.gain) * plan.peak_deflection / plan.amplitude
+    most = PLANNED * min(limits.angle, limits.torque / bent)
+    assert plan.bit is not None  # a random sequence  # noqa: S101
+    return min(max(1.5 * plan.amplitude, _LEAST), most), plan.bit

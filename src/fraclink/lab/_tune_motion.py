@@ -1,0 +1,353 @@
+"""Moving the arm in the motor loop: law.c with its correction left out, and references
+within the limits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink import _kernels
+from fraclink._arm.link import LinkModel
+from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
+from fraclink._arm.reference import hold, prbs, smooth_step
+from fraclink._law import MODES, REASONS, Law
+from fraclink._law.block import Drive, Modes
+from fraclink._law.discretization import COULOMB_SPEED
+from fraclink._law.limits import Moves, derive_limits
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.lab._tune_guard import Guard, Record
+
+__all__ = [
+    "LawTripped",
+    "burst",
+    "fastest_loop",
+    "follow",
+    "motor_law",
+    "random_moves",
+    "random_steps",
+]
+
+Real = NDArray[np.float64]
+
+# From fast to slow, a tenth to a quarter apart: the first that keeps its distance is
+# taken.
+_POLES = (
+    80.0,
+    70.0,
+    60.0,
+    55.0,
+    50.0,
+    45.0,
+    40.0,
+    35.0,
+    30.0,
+    25.0,
+    20.0,
+    15.0,
+    12.0,
+    10.0,
+    8.0,
+    6.0,
+    5.0,
+    4.0,
+)
+_CALM, _LOOK = 0.5, 25  # [s] of a quiet gauge, periods between two looks
+_DAMPING, _LEAK = (
+    0.8,
+    1.0,
+)  # twice the damping ratio, of which friction and lag take half; 1/s
+_FREE = 1e6  # where the guard watches, and not the law
+
+
+class LawTripped(FraclinkError):
+    """A guard of the control law tripped; the drive is off."""
+
+
+class Follower:
+    """law.c from one period to the next: a reference and a reading in, a voltage out."""
+
+    def __init__(self, law: Law, payload: float = 0.0) -> None:
+        self._law, self._state = law, law.initial_state()
+        self._tick = 0
+        self._signals, self._outputs = np.zeros((5, 1)), np.empty((5, 1))
+        self._signals[4, 0] = payload
+        self._marks, self._ticks = (
+            np.empty((3, 1), dtype=np.uint32),
+            np.zeros(1, dtype=np.uint32),
+        )
+
+    def step(
+        self,
+        reference: float,
+        acceleration: float,
+        angle: float,
+        torque: float,
+        periods: int = 1,
+    ) -> float:
+        """Return the voltage [V]; `LawTripped` where the law switches off."""
+        self._tick += periods
+        self._ticks[0] = self._tick
+        self._signals[:4, 0] = reference, acceleration, angle, torque
+        single = self._law.precision == "single"
+        self._state = _kernels.law_run(
+            self._law.block,
+            self._state,
+            self._ticks,
+            self._signals,
+            self._outputs,
+            self._marks,
+            single,
+        )
+        mode, reason, _ = (int(value) for value in self._marks[:, 0])
+        if mode >= MODES.index("degraded"):
+            raise LawTripped(
+                f"the law went to mode {MODES[mode]}: {REASONS[reason]}; the drive is off"
+            )
+        return float(self._outputs[1, 0])
+
+
+def motor_law(
+    motor: MotorGain, loop: MotorLoop, guard: Guard, *, friction: float = 0.0
+) -> Law:
+    """The law of the motor loop alone: no correction, no feed-forward, no use of the
+    gauge.
+
+    `friction` [V] is compensated.
+    """
+    limits, period, pole = guard.limits, guard.period, loop.pole
+    # Room for what the guard allows: from one end of the limits to the other, and the
+    # acceleration of a reference that the loop's own pole could follow four times over.
+    moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
+    # Any link will do: its thresholds are lifted, as the guard has the user's own.
+    derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
+    # A threshold that a link of an unknown stiffness trips would end the experiment
+    # that is to measure it.
+    free = replace(
+        derived,
+        torque_limit=_FREE,
+        torque_step=_FREE,
+        torque_trip=_FREE,
+        torque_block=_FREE,
+        stuck_torque=_FREE,
+        residual_angle=_FREE,
+        frozen_angle=_FREE,
+    )
+    return Law(
+        period=period,
+        precision="double",
+        stiffness=1.0,
+        # Without a correction law.c is the motor loop alone: the controller that moves
+        # the arm for its identification is the one that is shipped, with its guards on
+        # encoder and clock.
+        correction=Modes(0.0),
+        feedforward=Modes(0.0),
+        inner_pole=pole,
+        limits=free,
+        drive=Drive(
+            loop=loop.pid(motor, period),
+            voltage_limit=limits.voltage,
+            torque_voltage=0.0,
+            coulomb_voltage=friction,
+            coulomb_speed=COULOMB_SPEED,
+        ),
+    )
+
+
+def fastest_loop(
+    motor: MotorGain,
+    delay: float,
+    period: float,
+    *,
+    ratios: tuple[float, ...],
+    margin: float,
+    most: float,
+) -> MotorLoop:
+    """The fastest motor loop that keeps its distance from −1 on motors with `ratios`
+    times that gain.
+
+    Its poles are placed in z with the delay inside the equation: at the same pole this
+    leaves three times the distance that a discretised PID does.
+    """
+    # Up to half the sampling rate, where a late loop comes closest to −1.
+    frequency = np.geomspace(1e-2, math.pi / period, 600)
+    # One at least: a voltage acts when the next sample is taken.
+    samples = max(1, round(delay / period))
+    for pole in _POLES:
+        loop = MotorLoop(pole, samples, "sampled", "direct")
+        if pole <= most and all(
+            _keeps(loop, motor, ratio, period, frequency, margin) for ratio in ratios
+        ):
+            return loop
+    raise FraclinkError(
+        f"no motor loop keeps a distance of {margin:g} from -1 with a delay of {1e3 * delay:.3g} ms at a "
+        f"period of {1e3 * period:.3g} ms: shorten the delay or the period"
+    )
+
+
+def _keeps(
+    loop: MotorLoop,
+    motor: MotorGain,
+    ratio: float,
+    period: float,
+    frequency: Real,
+    margin: float,
+) -> bool:
+    try:
+        pid = loop.pid(motor, period)
+    except FieldError:
+        return False
+    true = SampledMotorLoop(
+        pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples
+    )
+    # Poles first: the distance from −1 of a loop that is unstable says nothing.
+    if float(np.max(np.abs(true.poles()))) >= 1.0:
+        return False
+    return float(np.min(np.abs(1.0 + true.loop_gain(frequency)))) >= margin
+
+
+def follow(
+    guard: Guard,
+    law: Law,
+    path: Real,
+    *,
+    follower: Follower | None = None,
+    origin: float | None = None,
+    shaken: Real | None = None,
+) -> Record:
+    """Let the law follow a reference, rows angle [rad] and acceleration [rad/s²].
+
+    The reference counts from `origin`, or from where the arm stands. `shaken` [V] is
+    added to the law's voltage, one value for each period.
+    """
+    here = guard.connect().angle
+    start, origin = guard.count, here if origin is None else origin
+    # A law that goes on from the path before keeps its integrator, and its tick.
+    runs = follower or Follower(law)
+    more = np.zeros(path.shape[1]) if shaken is None else shaken
+    for (angle, acceleration), voltage in zip(
+        path.T.tolist(), more.tolist(), strict=True
+    ):
+        reading = guard.reading
+        # With the periods since the last sample, so that the law counts what was lost
+        # as its own guards do.
+        law_s = runs.step(
+            origin + angle, acceleration, reading.angle, guard.torque, reading.periods
+        )
+        guard.step(law_s + voltage)
+    return guard.record(start)
+
+
+def random_moves(
+    reach: float, speed: float, duration: float, period: float, *, seed: int
+) -> Real:
+    """Smooth moves between random angles within ± reach [rad], rest to rest, at most at
+    `speed` [rad/s].
+    """
+    random = np.random.default_rng(seed)
+    at, parts, total = 0.0, [], 0.0
+    while total < duration:
+        # To the other side each time: the motor must reverse for friction to be told
+        # from damping.
+        to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
+        # The last move ends at the start, so that the next stage finds the limits on
+        # both sides.
+        last = total > duration - 1.0
+        to = 0.0 if last else to
+        # 15/8 is the peak of the quintic's speed over its mean.
+        time = max(
+            1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period
+        )
+        move = smooth_step(to - at, time)
+        grid = period * np.arange(math.ceil(time / period))
+        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
+        at, total = to, total + time
+        if last:
+            break
+    parts.append(np.tile([[at], [0.0]], (1, round(0.3 / period))))
+    return np.concatenate(parts, axis=1)
+
+
+def random_steps(
+    reach: float, bit: float, rise: float, bits: int, period: float
+) -> Real:
+    """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of
+    `rise` [s].
+    """
+    # 511 bits before it repeats: the longest excitation has fewer.
+    levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
+    count = max(round(bit / period), 2)
+    grid = period * np.arange(count)
+    # Rest in front, as an identification takes the first samples for rest.
+    parts, at = [np.zeros((2, round(0.2 / period)))], 0.0
+    for to in (*levels.tolist(), 0.0):
+        move = smooth_step(to - at, min(rise, bit)) if to != at else hold(0.0)
+        parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
+        at = to
+    parts.append(np.zeros((2, round(0.3 / period))))
+    return np.concatenate(parts, axis=1)
+
+
+def calm(
+    guard: Guard,
+    law: Law,
+    *,
+    stiffness: float,
+    resonance: float,
+    noise: float,
+    longest: float,
+) -> None:
+    """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows
+    its `noise` alone.
+
+        θm = -k ω ∫ Γ/c dt    in    θt'' = ω² Γ/c    is    θt'' + k ω θt' + ω² θt = 0
+
+    A stiffness or a resonance [rad/s] that is a quarter off, and a gauge 20 ms late,
+    change the damping by as much and no more. The integral leaks, as the gauge's zero
+    is not exact.
+    """
+    runs, origin, part = Follower(law), guard.connect().angle, 0.0
+    window, last = (
+        math.ceil(_CALM / guard.period),
+        guard.count + math.ceil(longest / guard.period),
+    )
+    first = guard.count + window
+    while guard.count < last:
+        if (
+            guard.count >= first
+            and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise
+        ):
+            return
+        # A tenth of a second between two looks: the deviation is that of half a second
+        # anyway.
+        for _ in range(_LOOK):
+            reading = guard.reading
+            # Steps of the integral of Γ/c; the leak takes out in a second what the
+            # gauge's offset would wind up.
+            part -= guard.period * (
+                _DAMPING * resonance * guard.torque / stiffness + _LEAK * part
+            )
+            guard.step(
+                runs.step(
+                    origin + part, 0.0, reading.angle, guard.torque, reading.periods
+                )
+            )
+
+
+def burst(voltage: float, bit: float, seconds: float, period: float) -> Real:
+    """Voltages of ± `voltage` [V] that change at random every `bit` [s], and a rest of
+    the motor's loop.
+    """
+    held = max(round(bit / period), 1)
+    bits = prbs(
+        voltage,
+        held * period,
+        bits=max(round(seconds / (held * period)), 2),
+        register=9,
+    )
+    return np.concatenate(
+        [np.repeat(bits.coefficients[:-1, 0], held), np.zeros(round(0.2 / period))]
+    )

@@ -1,0 +1,142 @@
+"""The motor: identified in a slow loop that is safe with what the wiring check knows,
+then closed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fraclink._arm.motor_loop import MotorGain, MotorLoop
+from fraclink._files import document
+from fraclink._identify import MotorFit, identify_motor
+from fraclink.errors import FraclinkError, LogError
+from fraclink.lab._tune_guard import PLANNED, Guard, Record
+from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
+from fraclink.lab._tune_wiring import Wiring
+
+__all__ = ["MotorResult", "tune_motor"]
+
+# The first guess of K/J is good to a quarter; the link adds up to the arm's own inertia
+# at low frequencies.
+_UNSURE, _ROBUST = (0.4, 0.7, 1.0, 1.5), 0.35
+# A fit is good to a few per cent; what is left is the gear's position dependence and
+# the amplifier's.
+_SURE, _MARGIN = (0.85, 1.0, 1.15), 0.45
+_SLOW, _FAST = (
+    25.0,
+    60.0,
+)  # [rad/s], at most: a faster loop takes more voltage for the same noise
+_ENOUGH = 0.02  # of K/J, standard error
+_FIRST = 0.12  # [rad], 7°
+_ROUNDS = 4
+# [s] at most: the motor's fit knows the torque, the first fit of the link prefers an
+# arm at rest
+_RINGING = 1.5
+
+
+@document("tuned-motor")
+@dataclass(frozen=True)
+class MotorResult:
+    """The motor as it was identified, the loop that closes it, and how many rounds of
+    moves that took.
+    """
+
+    fit: MotorFit
+    loop: MotorLoop
+    rounds: int
+
+    @property
+    def gain(self) -> MotorGain:
+        """A and B of the motor."""
+        return MotorGain(self.fit.gain, self.fit.decay)
+
+    @property
+    def friction(self) -> float:
+        """What friction and dead zone cost [V]."""
+        return self.fit.coulomb_voltage + self.fit.dead_zone
+
+
+def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
+    """Identify the motor with moves that grow until K/J is known to 2 %, and place its
+    loop.
+    """
+    period = guard.period
+    # Without its damping: more phase is lost than in truth, and the loop errs on the
+    # slow side.
+    guess = MotorGain(wiring.gain, 0.0)
+    loop = fastest_loop(
+        guess, wiring.delay, period, ratios=_UNSURE, margin=_ROBUST, most=_SLOW
+    )
+    law = motor_law(guess, loop, guard)
+    limits = guard.limits
+    # A quarter of what may be planned: until K/J is known the guard alone keeps the
+    # speed.
+    reach, speed = min(_FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
+    fit: MotorFit | None = None
+    for number in range(1, _ROUNDS + 1):
+        # What is not compensated yet lets the arm lag: the moves are slow enough for
+        # the loop to follow.
+        fast = min(speed, 0.35 * loop.pole * reach)
+        # For the link's first fit, which takes the beginning of the record for rest.
+        guard.quiet(wiring.gauge_noise, _RINGING)
+        record = follow(guard, law, random_moves(reach, fast, 3.0, period, seed=number))
+        guard.release()
+        fit = _fitted(record)
+        most = min(
+            PLANNED * limits.angle / reach,
+            PLANNED * limits.torque / _peak(record.torque),
+        )
+        if (
+            fit is not None
+            and fit.standard_errors["gain"] < _ENOUGH * fit.gain
+            and fit.passed
+            and number > 1
+        ):
+            break
+        if fit is not None:
+            guess = MotorGain(fit.gain, max(fit.decay, 0.0))
+            loop = fastest_loop(
+                guess, fit.delay, period, ratios=_UNSURE, margin=_ROBUST, most=2 * _SLOW
+            )
+            # Seven tenths of what was found: friction that is more than compensated
+            # drives the arm by itself.
+            law = motor_law(
+                guess, loop, guard, friction=0.7 * max(fit.coulomb_voltage, 0.0)
+            )
+        # Not to the limit at once: the torque of a move grows with its speed as well as
+        # with its size.
+        reach *= min(most, 1.8)
+        speed = min(PLANNED * limits.speed, 1.8 * speed)
+    if fit is None:
+        raise FraclinkError(
+            "the motor could not be identified: too little motion within the limits"
+        )
+    if not fit.passed:
+        raise FraclinkError(
+            f"the motor could not be identified: {fit.findings[0].message}"
+        )
+    # Below zero by their own errors; a loop that counted on negative friction would be
+    # too fast.
+    fit = replace(
+        fit, decay=max(fit.decay, 0.0), coulomb_voltage=max(fit.coulomb_voltage, 0.0)
+    )
+    sure = MotorGain(fit.gain, fit.decay)
+    closed = fastest_loop(
+        sure, fit.delay, period, ratios=_SURE, margin=_MARGIN, most=_FAST
+    )
+    return MotorResult(fit, closed, number), record
+
+
+def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    return max(float(np.max(np.abs(torque))), 1e-12)
+
+
+def _fitted(record: Record) -> MotorFit | None:
+    try:
+        return identify_motor(
+            record.voltage, record.angle, period=record.period, torque=record.torque
+        )
+    except LogError:
+        return None

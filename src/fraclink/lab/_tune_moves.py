@@ -1,0 +1,307 @@
+"""The first moves under the new law: a tenth of the speed, then all of it, promised
+against measured.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.reference import Path, sampled, smooth_step
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._simulate.simulate import simulate
+from fraclink.lab._tune_build import link_twins
+from fraclink.lab._tune_guard import PLANNED, Guard, MotionLimits, Record
+from fraclink.lab._tune_motion import Follower, follow, motor_law
+from fraclink.lab._tune_motor import MotorResult
+
+__all__ = ["FirstMove", "first_moves", "planned_move"]
+
+Real = NDArray[np.float64]
+Pair = tuple[float, float]  # settling time [s] and residual vibration [rad]
+
+_BAND = 0.02  # of the move, as everywhere
+# times the gauge's white noise, as the loop colours it: a narrower band is left by
+# chance
+_ABOVE = 6.0
+_AFTER = 2.5  # [s] watched after a reference has come to rest
+_SLOW, _PART = 10.0, 0.4  # the first move: a tenth of the speed, two fifths of the way
+_FIRST = 5  # periods in which a hand-over would show as a jump
+_SEEDS = range(
+    7
+)  # of the promise: in one of ten simulations the noise leaves the band long after the move
+# The full move is made twice, and a third time where the two do not say the same: one
+# record's noise moves its settling time by a sample's band, and two of three decide.
+_TWICE = 2
+_AGREEMENT, _LEAST = (
+    0.10,
+    0.05,
+)  # of the settling time, or [s]: a sample's noise moves it by as much
+_SPEED_TIME = 0.016  # [s] over which a speed is taken
+_LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
+
+
+@dataclass(frozen=True)
+class FirstMove:
+    """One move: what the model promised and what the arm did, by the same estimate of
+    the tip.
+
+    Parameters
+    ----------
+    amplitude, duration
+        of the reference [rad], [s].
+    promised_settling, measured_settling
+        time from which the tip stays within 2 % of the move, or within the noise where
+        that is more [s].
+    promised_residual, measured_residual
+        half the peak-to-peak angle of the tip in the half second after the reference
+        came to rest [rad].
+    measured_noise
+        standard deviation of the motor angle at the end [rad].
+    jump
+        of the motor angle when the law took over [rad].
+    peak_voltage, peak_torque, peak_speed
+        [V], [N·m], [rad/s].
+    payload
+        that the arm carried [kg]; 0 of a tuning that did not write it.
+    """
+
+    amplitude: float
+    duration: float
+    promised_settling: float
+    measured_settling: float
+    promised_residual: float
+    measured_residual: float
+    measured_noise: float
+    jump: float
+    peak_voltage: float
+    peak_torque: float
+    peak_speed: float
+    payload: float = 0.0
+
+    @property
+    def kept(self) -> bool:
+        """Whether the settling time was what was promised, within 10 % or 50 ms."""
+        return _agree(self.measured_settling, self.promised_settling)
+
+    def __str__(self) -> str:
+        carried = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
+        return (
+            f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{carried}: promised "
+            f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
+        )
+
+
+def planned_move(design: Design, law: Law, limits: MotionLimits) -> tuple[float, float]:
+    """Amplitude [rad] and duration [s] of the fastest quintic move within the limits,
+    with every payload.
+
+    Looked at with the link's own second mode, and the gauge's noise: what the lightest
+    makes may trip the heaviest.
+    """
+    amplitude = PLANNED * limits.angle
+    # Begins where the reference alone takes four fifths of the planned speed: what the
+    # link adds is looked at below.
+    duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
+    twin = link_twins(design)[-1]
+    for _ in range(20):
+        move = smooth_step(amplitude, duration)
+        runs = [
+            simulate(law, move, arm=twin, payload=payload, told=True)
+            for payload in design.payloads
+        ]
+        angles = [run.motor_angle_measured for run in runs]
+        speed = max(
+            float(np.max(np.abs(angle[4:] - angle[:-4]))) for angle in angles
+        ) / (4 * law.period)
+        parts = (
+            speed / limits.speed,
+            max(float(np.max(np.abs(run.torque_measured))) for run in runs)
+            / limits.torque,
+            max(float(np.max(np.abs(angle))) for angle in angles) / limits.angle,
+        )
+        if max(parts) <= _WITHIN and all(run.verdict.passed for run in runs):
+            return amplitude, duration
+        # An angle that is too large does not get smaller by moving slowly; speed and
+        # torque do.
+        if parts[2] == max(parts) and parts[2] > _WITHIN:
+            amplitude *= 0.9
+        else:
+            duration *= 1.15
+    return amplitude, duration
+
+
+# of every limit, in the model's move with the gauge's noise: the guard ends the rest at
+# 0.8
+_WITHIN = 0.6
+
+
+def first_moves(
+    guard: Guard, design: Design, law: Law, motor: MotorResult, payload: float
+) -> tuple[FirstMove, ...]:
+    """Hand over from the motor's loop to the law, move at a tenth of the speed, then
+    back at full speed.
+    """
+    amplitude, duration = planned_move(design, law, guard.limits)
+    found = []
+    # The slow move first: a law that is wrong shows it at a tenth of the speed.
+    for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TWICE)):
+        far, long = part * amplitude, slower * duration
+        simulated = (
+            _simulated(design, law, smooth_step(far, long), payload, seed=seed)
+            for seed in _SEEDS
+        )
+        promised = [_judged(*both, far, long, design) for both in simulated]
+        records, judged = [], list[Pair]()
+        # A third one where two disagree, never more: two of three have said the same by
+        # then.
+        while len(judged) < times or (
+            len(judged) == _TWICE and not _decided(judged, promised)
+        ):
+            guard.connect()
+            # Towards where the arm stood at first, whatever a law before has left.
+            far = math.copysign(far, -guard.angle)
+            guard.release()
+            record, jump = _moved(guard, law, motor, smooth_step(far, long), payload)
+            guard.release()
+            records.append((record, jump))
+            judged.append(
+                _judged(
+                    record.angle - record.angle[0], record.torque, far, long, design
+                )
+            )
+        found.append(_compared(records, judged, promised, far, long, payload))
+    return tuple(found)
+
+
+def _agree(measured: float, promised: float) -> bool:
+    return abs(measured - promised) <= max(_AGREEMENT * promised, _LEAST)
+
+
+def _decided(judged: list[Pair], promised: list[Pair]) -> bool:
+    """Whether the moves say the same of the promise: all keep it, or all are too slow,
+    or all too fast.
+    """
+    wanted = _median(promised, 0)
+    words = {
+        "kept" if _agree(time, wanted) else "slow" if time > wanted else "fast"
+        for time, _ in judged
+    }
+    return len(words) == 1
+
+
+def _moved(
+    guard: Guard, law: Law, motor: MotorResult, path: Path, payload: float
+) -> tuple[Record, float]:
+    """The record of a move, and how far the arm moved in the first periods after the
+    hand-over.
+    """
+    period = guard.period
+    guard.rest(0.6)
+    # The motor's loop holds the arm before the law does, so that a jump is the law's
+    # own and not the arm's sagging.
+    rest = motor_law(motor.gain, motor.loop, guard)
+    follow(guard, rest, np.zeros((2, round(0.2 / period))))
+    before = guard.angle
+    runs, count = Follower(law, payload), round(0.2 / period)
+    waited = follow(guard, law, np.zeros((2, count)), follower=runs)
+    # What the link's vibration makes the law do later is no jump: the first periods
+    # are.
+    jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
+    table = sampled(path, period, math.ceil((path.duration + _AFTER) / period))
+    # The reference counts from where the arm stands when the move begins.
+    return follow(
+        guard, law, table[[0, 2]], follower=runs, origin=guard.origin + before
+    ), jump
+
+
+def _simulated(
+    design: Design, law: Law, path: Path, payload: float, *, seed: int
+) -> tuple[Real, Real]:
+    """Motor angle and torque of the same move on the measured arm, as the sensors show
+    them.
+    """
+    massless, *heavier = link_twins(design)
+    run = simulate(
+        law,
+        path,
+        # A link whose second mode no burst has shown is one without a mass here, as in
+        # the model.
+        arm=massless if design.model.second_mode is None else heavier[-1],
+        payload=payload,
+        told=True,
+        duration=path.duration + _AFTER,
+        seed=seed,
+    )
+    return run.motor_angle_measured, run.torque_measured
+
+
+def _compared(
+    records: list[tuple[Record, float]],
+    judged: list[Pair],
+    promised: list[Pair],
+    amplitude: float,
+    duration: float,
+    payload: float,
+) -> FirstMove:
+    """The median of some moves, beside the median of the same move on the model with
+    other noises.
+    """
+    record, _ = records[-1]
+    lag = round(_SPEED_TIME / record.period)
+    return FirstMove(
+        amplitude=amplitude,
+        duration=duration,
+        promised_settling=_median(promised, 0),
+        measured_settling=_median(judged, 0),
+        promised_residual=_median(promised, 1),
+        measured_residual=_median(judged, 1),
+        measured_noise=float(np.std(record.angle[-round(_LAST / record.period) :])),
+        jump=max(jump for _, jump in records),
+        peak_voltage=max(float(np.max(np.abs(r.voltage))) for r, _ in records),
+        peak_torque=max(float(np.max(np.abs(r.torque))) for r, _ in records),
+        peak_speed=max(
+            float(np.max(np.abs(r.angle[lag:] - r.angle[:-lag]))) for r, _ in records
+        )
+        / (lag * record.period),
+        payload=payload,
+    )
+
+
+def _median(pairs: list[Pair], place: int) -> float:
+    return float(np.median([pair[place] for pair in pairs]))
+
+
+def _judged(
+    angle: Real, torque: Real, amplitude: float, ends: float, design: Design
+) -> Pair:
+    """Settling time and residual vibration of the tip estimate, smoothed over a quarter
+    of a vibration.
+    """
+    model, rig, period = design.model, design.rig, design.rig.period
+    # Torque and angle of the same instant: a gauge that is 12 ms late would turn the
+    # motor's motion into vibration.
+    late = round(max(model.gauge_delay, 0.0) / period)
+    bend = torque[late:] / model.stiffness
+    tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
+    # A mean over a quarter of a vibration keeps 2√2/π of its amplitude.
+    width = max(3, round(0.5 * math.pi / abs(model.pole) / period))
+    smooth = np.convolve(
+        np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same"
+    )[width:-width]
+    # The gauge's noise is left in the estimate: a band below it would never be kept.
+    noise = rig.gauge.noise / model.stiffness / math.sqrt(width)
+    band = max(_BAND * abs(amplitude), _ABOVE * noise)
+    final = float(np.mean(smooth[-round(_LAST / period) :]))
+    # Around where it came to rest, not around the reference: the motor's friction
+    # leaves it a little beside.
+    outside = np.flatnonzero(np.abs(smooth - final) > band)
+    begin = round(ends / period)
+    ringing = smooth[begin : begin + round(0.5 / period)]
+    return (period * float(outside[-1] + 1) if outside.size else 0.0), 0.5 * float(
+        np.ptp(ringing)
+    )

@@ -1,0 +1,259 @@
+"""What is asked of a tuning, and what it has come to: every stage that is whole, in one
+file.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from fraclink._arm.rig import Rig
+from fraclink._display import displayed
+from fraclink._files import document
+from fraclink.errors import FieldError
+from fraclink.findings import Scope, Verdict
+from fraclink.lab._tune_guard import PLANNED, MotionLimits
+from fraclink.lab._tune_link import LinkResult
+from fraclink.lab._tune_motor import MotorResult
+from fraclink.lab._tune_moves import FirstMove
+from fraclink.lab._tune_wiring import _MOST, Wiring
+from fracsys.checks import Between, Payload, checked, checked_noun
+
+__all__ = ["FILES", "Tuning", "TuningPlan"]
+
+FILES = (
+    "tuning.json",
+    "rig.toml",
+    "model.json",
+    "design.json",
+    "law.json",
+    "certificate.json",
+    "log.npz",
+)
+LAW_FILES = FILES[3:6]  # that are taken back where the arm refuses the law
+
+# Four vibrations of the paper's arm (12 rad/s): what rings longer was not damped by the
+# law.
+_LATEST = 2.0  # [s] behind the reference's end
+# 1.1°, which one sees: a law that takes over without a bump moves the motor by its
+# noise alone.
+_JUMP = 0.02  # [rad] at the hand-over
+
+
+@checked
+@dataclass(frozen=True)
+class TuningPlan:
+    """What is asked of a tuning: the limits, the payload that the arm carries, and the
+    range it shall carry.
+
+    Parameters
+    ----------
+    limits
+        of angle, speed, torque and voltage.
+    payload
+        at the tip during the tuning [kg]: no motion shows it.
+    payloads
+        (lightest, heaviest) that the law is for [kg]; default: from three quarters of
+        the payload to a third more.
+    period
+        of the arm [s]; None for an arm that states its own.
+    rig
+        what is known of the arm: scales are compared with its motor and link,
+        tolerances and the wish for the design come from it.
+
+    Examples
+    --------
+    >>> limits = MotionLimits(angle=0.5, speed=3.0, torque=2.0, voltage=5.0)
+    >>> plan = TuningPlan(limits, payload=0.030)
+    >>> plan.range
+    (0.0225, 0.04)
+    >>> print(plan.text.splitlines()[1])
+    limits: 28.6° to each side of where the arm stands, 3 rad/s, 2 N·m at the gauge, 5 V
+    """
+
+    limits: MotionLimits
+    payload: Payload
+    payloads: tuple[float, float] | None = None
+    period: Annotated[float, Between(5e-5, 1.0, "s")] | None = None
+    rig: Rig | None = None
+
+    def __post_init__(self) -> None:
+        checked_noun(
+            "limits",
+            self.limits,
+            MotionLimits,
+            remedy="MotionLimits(angle, speed, torque, voltage)",
+        )
+        if self.payloads is not None:
+            low, high = self.payloads
+            if not 0 < low <= self.payload <= high:
+                raise FieldError(
+                    "payloads",
+                    self.payloads,
+                    "without the payload of the tuning",
+                    allowed=f"low <= {self.payload:g} <= high [kg]",
+                    remedy="tune with a payload of the range",
+                )
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """(lightest, heaviest) payload that the law is for [kg]."""
+        if self.payloads is not None:
+            return self.payloads
+        # A rig's range counts only where it holds this payload: otherwise it is that of
+        # another tool at the tip.
+        if (
+            self.rig is not None
+            and self.rig.payloads.low <= self.payload <= self.rig.payloads.high
+        ):
+            return self.rig.payloads.low, self.rig.payloads.high
+        # By the same factor to both sides: the payload that was measured is their
+        # geometric mean, and ω₀ ∝ 1/√m.
+        return 0.75 * self.payload, float(f"{4 / 3 * self.payload:.6g}")
+
+    @property
+    def text(self) -> str:
+        """What will move, how far, how hard and how long."""
+        limits, part = self.limits, round(100 * PLANNED)
+        low, high = (1e3 * payload for payload in self.range)
+        return "\n".join(
+            (
+                "The motor will move the arm: nobody may be within its reach, and a hand stays at the "
+                "emergency stop.",
+                f"limits: {math.degrees(limits.angle):.3g}° to each side of where the arm stands, "
+                f"{limits.speed:g} rad/s, {limits.torque:g} N·m at the gauge, {limits.voltage:g} V",
+                "1 wiring: short pulses that grow until the motor turns by 1°, "
+                f"{math.degrees(_MOST):.2g}° at most; nothing is closed; 8 s",
+                f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
+                f"growing to {part} % of the limits where that is needed; 8 to 15 s",
+                f"3 link: a random sequence within ±5.7°, growing to {part} % of the limits where that is "
+                "needed, and a random voltage for 2 s; 12 to 50 s",
+                f"4 the drive is off: model, design for {low:.3g} to {high:.3g} g, proof, law; some seconds",
+                f"5 first moves: {math.degrees(PLANNED * limits.angle):.3g}° at a tenth of the speed, then "
+                "two or three times at full speed; 13 to 17 s for each law, three at most",
+            )
+        )
+
+
+@displayed
+@document(
+    "tuning",
+    summary=lambda tuning: {"passed": tuning.passed, "stopped": tuning.stopped},
+)
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A tuning: what each stage found, None where it was not reached.
+
+    Parameters
+    ----------
+    limits, payload, payloads, period
+        what was asked for [kg], [s].
+    wiring, motor, link
+        what was measured.
+    certified
+        the verdict of the proof; empty where there is none.
+    design_passed
+        whether the design keeps its requirements over the box.
+    reasons
+        why there is no law, or why an experiment was repeated.
+    attempts
+        how many experiments on the link were made for it.
+    moves
+        the first moves, promised and measured.
+    stopped
+        why the tuning ended early; empty where it did not.
+    refused
+        how many laws were withheld because the arm's own moves failed under them.
+    arm_time, computing
+        how long the arm was moved, and how long was computed [s].
+    folder
+        where the files are.
+    rig
+        what was stated of the arm, None where nothing was.
+    """
+
+    __made_by__ = "fraclink.tune(connection, limits=…, payload=…)"
+
+    limits: MotionLimits
+    payload: float
+    payloads: tuple[float, float]
+    period: float
+    wiring: Wiring | None = None
+    motor: MotorResult | None = None
+    link: LinkResult | None = None
+    certified: str = ""
+    design_passed: bool = False
+    design_words: str = ""
+    reasons: tuple[str, ...] = ()
+    attempts: int = 0
+    moves: tuple[FirstMove, ...] = ()
+    stopped: str = ""
+    arm_time: float = 0.0
+    computing: float = 0.0
+    folder: str = ""
+    rig: Rig | None = None
+    refused: int = 0
+
+    @property
+    def verdict(self) -> Verdict:
+        """The three scopes: the proof, the model's moves, the arm's own."""
+        if self.certified and self.design_passed:
+            promise = Scope("passed")
+        elif self.reasons or self.stopped:
+            # Reasons are what was found against a law; a stop alone leaves it open
+            # whether there is one.
+            promise = Scope(
+                "failed" if self.reasons else "not run", self.reasons or (self.stopped,)
+            )
+        else:
+            promise = Scope("not run")
+        if not self.moves:
+            return Verdict(
+                promise,
+                Scope("not run"),
+                Scope("not run", (self.stopped,) if self.stopped else ()),
+            )
+        # By the promise and not by the arm: this scope is the model's.
+        settles = all(
+            move.promised_settling <= move.duration + _LATEST for move in self._fast
+        )
+        model = (
+            Scope("passed")
+            if settles
+            else Scope("failed", ("the model's move does not settle",))
+        )
+        return Verdict(promise, model, self._reality())
+
+    @property
+    def _fast(self) -> tuple[FirstMove, ...]:
+        """The last move with each payload; of the slow one the gauge's noise says when
+        it has settled.
+        """
+        return tuple({move.payload: move for move in self.moves}.values())
+
+    def _reality(self) -> Scope:
+        off = [str(move) for move in self._fast if not move.kept]
+        off += [
+            f"jump of {move.jump:.2g} rad at the hand-over"
+            for move in self.moves
+            if move.jump > _JUMP
+        ]
+        if self.stopped:
+            off.append(self.stopped)
+        return Scope("failed", tuple(off)) if off else Scope("passed")
+
+    @property
+    def passed(self) -> bool:
+        """Whether law, proof and the arm's own moves passed."""
+        return self.verdict.passed
+
+    @property
+    def has_law(self) -> bool:
+        """Whether there is a law whose design and proof passed."""
+        return bool(self.certified) and self.design_passed
+
+    def file(self, name: str) -> Path:
+        """The place of one of its files."""
+        return Path(self.folder) / name

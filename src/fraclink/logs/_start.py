@@ -1,0 +1,287 @@
+"""From a log that nobody has described to a first model: guess, ask what cannot be
+known, read, fit.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from fraclink._arm.draft import draft_text
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.log_columns import ColumnStatement, LogColumns
+from fraclink._display import displayed
+from fraclink._files import output_path, write_text
+from fraclink._identify import Fit, identify
+from fraclink._reading.formats import read_table
+from fraclink._reading.reading import read_log
+from fraclink._reading.text import LogTable
+from fraclink.errors import LogError
+from fraclink.findings import Finding, errors_of
+from fraclink.logs._diagnosis import diagnose
+from fraclink.logs._guess import Guess, GuessedColumns, Question, guess_columns
+from fraclink.logs._weighing import answered, statements
+from fracsys.checks import Payload, Period, checked
+
+__all__ = ["START_FILES", "Start", "start"]
+
+START_FILES = ("rig.toml", "model.json")
+Ask = Callable[[Question], str]
+
+
+@displayed
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What was concluded about a log, and the first model of its link.
+
+    Parameters
+    ----------
+    guesses
+        every conclusion with its certainty and evidence.
+    columns
+        what they amount to: the columns as `read_log` takes them.
+    experiment
+        the log in SI units.
+    findings
+        what `diagnose` found in it.
+    fit
+        the model.
+    rig_file
+        text of a rig file with these columns, and blanks for the physics that `design`
+        needs.
+    decisions
+        how many of them the user made: statements of the call and answers.
+    """
+
+    guesses: tuple[Guess, ...]
+    columns: LogColumns
+    experiment: Experiment
+    findings: tuple[Finding, ...]
+    fit: Fit
+    rig_file: str
+    decisions: int
+
+    @property
+    def passed(self) -> bool:
+        """Whether neither the log nor the model has an error."""
+        return self.fit.passed and not errors_of(self.findings)
+
+    @property
+    def uncertain(self) -> tuple[Guess, ...]:
+        """The guesses that a person should check."""
+        return tuple(
+            guess for guess in self.guesses if guess.certainty in ("likely", "assumed")
+        )
+
+    @property
+    def blanks(self) -> int:
+        """How many numbers `design` still needs in the rig file."""
+        # A blank is a commented line with its key: the same by which the draft's reader
+        # names what is missing.
+        return len(re.findall(r"^# \w+ = ", self.rig_file, flags=re.MULTILINE))
+
+    def save(
+        self, folder: Path | str = ".", *, force: bool = False
+    ) -> tuple[Path, ...]:
+        """Write rig.toml and model.json into `folder` and return their paths.
+
+        Raises FieldError where a file is already there, unless `force` is given.
+        """
+        rig, model = (
+            output_path(Path(folder) / name, force=force) for name in START_FILES
+        )
+        rig.parent.mkdir(parents=True, exist_ok=True)
+        write_text(rig, self.rig_file)
+        self.fit.save(model)
+        return rig, model
+
+
+@checked
+def start(
+    log: Path | str,
+    *,
+    column: Iterable[str] = (),
+    period: Period | None = None,
+    payload: Payload | None = None,
+    resample: bool = False,
+    interpolate: bool = False,
+    ask: Ask | None = None,
+) -> Start:
+    """Guess what the columns of a log are, read it, and fit a first model of its link.
+
+    Time, motor angle, output, voltage, units and sign are guessed from names, ranges
+    and the vibration in the log; each guess says why and how certain it is. No number
+    of motor, link or payload is needed.
+
+    Parameters
+    ----------
+    log
+        the file, of any format that `read_log` reads.
+    column
+        what is known, such as ``"motor_angle=theta [deg]"``, ``"torque=-bridge
+        [mNm]"``, a name alone (``"motor_angle=theta"``), a unit alone
+        (``"deflection=[deg]"``), or a factor with it (``"motor_angle=pot * 36.8
+        [deg]"``). A minus turns the sign, a plus keeps it. The unit ``raw`` says that
+        an output is not calibrated: it is scaled so that its gain on the motor angle is
+        1.
+    period
+        sampling period Ts [s] of a log without stamps.
+    payload
+        m [kg] that the arm carried, if it is known.
+    resample, interpolate
+        as in `read_log`.
+    ask
+        called with each `Question` that the log leaves open; its answer is a text such
+        as those that the question lists, "" for the default. Without it the defaults
+        are assumed, and a question without one is an error.
+
+    Raises
+    ------
+    LogError
+        a question is open and there is nobody to ask, or the log cannot be read or
+        fitted.
+    FieldError
+        a statement or an answer that is not understood.
+
+    Examples
+    --------
+    >>> from fraclink._reading.reading import bundled_log
+    >>> found = start(bundled_log("pulse_30g"))
+    >>> found.columns.motor_angle.unit, found.fit.structure, found.passed
+    ('rad', 'UD-FOM', True)
+    """
+    place = Path(log)
+    stated = statements(column, period)
+    decisions = len(stated) + (payload is not None)
+    table = read_table(place)
+    found, answers = _resolved(table, str(log), stated, ask, interpolate)
+    assert found.columns is not None  # `_resolved` ends with columns or an error  # noqa: S101
+    # Through the one reader: what was guessed is stated to it, and it refuses or
+    # converts as it does for everybody.
+    experiment = read_log(
+        place,
+        columns=found.columns,
+        payload=payload,
+        resample=resample,
+        interpolate=interpolate,
+    )
+    fit = identify(experiment)
+    guesses = (*found.guesses, *_of_the_fit(experiment, fit, payload))
+    return Start(
+        guesses,
+        found.columns,
+        experiment,
+        diagnose(experiment),
+        fit,
+        draft_text(
+            place.stem[:100] or "arm",
+            experiment.period,
+            found.columns,
+            _remarks(guesses),
+            known=_known(experiment, fit, payload),
+        ),
+        decisions + answers,
+    )
+
+
+def _known(
+    log: Experiment, fit: Fit, payload: float | None
+) -> dict[str, tuple[float, str]]:
+    """What the rig file need not leave blank: a torque log shows c, and the payload was
+    stated.
+    """
+    known = {}
+    if log.output_kind == "torque":
+        # Five digits: the rest is noise of the fit, and a rig file is read by people.
+        known["link.stiffness"] = (
+            float(f"{fit.model.stiffness:.5g}"),
+            "c, from this log",
+        )
+    if payload is not None:
+        known["payloads.low"] = (
+            payload,
+            "of this log; the lightest that a controller is to be for",
+        )
+        known["payloads.high"] = (payload, "of this log; the heaviest")
+    return known
+
+
+def _resolved(
+    table: LogTable,
+    source: str,
+    stated: dict[str, ColumnStatement],
+    ask: Ask | None,
+    interpolate: bool,
+) -> tuple[GuessedColumns, int]:
+    """The columns once every question is answered or assumed, and the number of
+    answers.
+    """
+    answers = 0
+    while True:
+        found = guess_columns(
+            table, stated, assume=ask is None, interpolate=interpolate, source=source
+        )
+        if not found.questions:
+            return found, answers
+        if ask is None:
+            raise _open(table, found.questions)
+        # One at a time: an answer often settles what else was open, and all of it is
+        # weighed again.
+        question = found.questions[0]
+        statement = stated.get(question.role, ColumnStatement(question.role))
+        stated[question.role] = answered(
+            statement, question, ask(question) or question.default
+        )
+        answers += 1
+
+
+def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
+    return LogError(
+        "columns",
+        ", ".join(table.names[:12]),
+        f"not clear from names and values: {' '.join(question.text for question in questions)}",
+        allowed="an answer to each question",
+        remedy="give " + "; ".join(question.option for question in questions),
+    )
+
+
+def _of_the_fit(
+    experiment: Experiment, fit: Fit, payload: float | None
+) -> tuple[Guess, ...]:
+    """What the reader and the fit add to the guesses: period, payload and delay."""
+    evidence = f"{experiment.motor_angle.size} samples, {experiment.duration:.4g} s"
+    found = [Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)]
+    if experiment.payload is not None:
+        source = "as stated" if payload is not None else "in the log's header"
+        found.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
+    late, error = f"{1e3 * fit.delay:.3g} ms", fit.standard_errors.get("delay")
+    fitted = "fitted with the model" + (
+        "" if error is None else f", ± {1e3 * error:.2g} ms"
+    )
+    found.append(Guess("delay of the output", late, "certain", fitted))
+    return tuple(found)
+
+
+# The guesses that stand above each line of the rig file's [log] table.
+_LINES = {
+    "time": ("time", "unit of time"),
+    "motor_angle": ("motor angle", "unit of the motor angle"),
+    "torque": ("output", "output measures", "sign of the output"),
+    "voltage": ("voltage",),
+}
+
+
+def _remarks(guesses: tuple[Guess, ...]) -> dict[str, tuple[str, ...]]:
+    """The guesses to check, as comments by role."""
+    remarks = {
+        role: tuple(
+            f"{'CHECK, ' if guess.certainty in ('likely', 'assumed') else ''}{guess.certainty}: "
+            f"{guess.part}: {guess.value} ({guess.evidence})"
+            for guess in guesses
+            if guess.part in parts
+        )
+        for role, parts in _LINES.items()
+    }
+    return remarks | {"deflection": remarks["torque"]}

@@ -1,0 +1,277 @@
+"""One page's socket: requests in, answers out; of what is dragged only the newest is
+answered.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.studio._logs import LOG_VERBS
+from fraclink.studio._messages import Message, Reply, checked_request, parsed, refusal
+from fraclink.studio._outputs import OUTPUT_VERBS
+from fraclink.studio._played import PLAY_VERBS
+from fraclink.studio._preview import Subject, nearest, preview
+from fraclink.studio._regions import map_of, parted, round_regions
+from fraclink.studio._session import Session, SupersededError
+from fraclink.studio._work import JOBS, WORK_VERBS, Job
+
+__all__ = ["Conversation"]
+
+# Answered in order, in a thread: session and what the page gave -> answer.
+Verb = Callable[[Session, Mapping[str, Any]], Reply]
+# requests of a page that are not done; a page that sends more is no page of ours
+_WAITING = 64
+
+
+def _note(session: Session, given: Mapping[str, Any]) -> Reply:
+    from_page = given.get("state")
+    if not isinstance(from_page, dict):
+        raise FieldError(
+            "state",
+            from_page,
+            "not an object",
+            allowed="a state",
+            remedy="send the state",
+        )
+    checked_request(parted(from_page)[0])
+    session.history.add(from_page)
+    return Reply(
+        {"ok": True, "at": session.history.at, "states": len(session.history.states)}
+    )
+
+
+def _go(session: Session, given: Mapping[str, Any]) -> Reply:
+    at = given.get("at")
+    if type(at) is not int:
+        raise FieldError(
+            "at", at, "not a number", allowed="a whole number", remedy="send the place"
+        )
+    return Reply({"ok": True, "state": session.history.go(at), "at": at})
+
+
+def _keep(session: Session, given: Mapping[str, Any]) -> Reply:
+    answer = session.keep(force=given.get("force") is True)
+    session.history.keep()
+    return answer
+
+
+def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
+    history = session.history
+    head = {
+        "ok": True,
+        "state": {**session.state, "regions": (history.state or {}).get("regions", [])},
+        "states": history.states,
+        "at": history.at,
+        "kept": sorted(history.kept),
+        **(session.subject.axes() if session.subject else {}),
+        **session.overview(),
+        **session.arm(given.get("arm", "")),
+    }
+    return Reply(head)
+
+
+def _subject(session: Session) -> Subject:
+    if session.subject is None:
+        allowed, remedy = "a link model", "identify a log first (step 3)"
+        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+    return session.subject
+
+
+def _map(session: Session, given: Mapping[str, Any]) -> Reply:
+    return Reply(
+        {"ok": True, **map_of(_subject(session), parted(given.get("state"))[0])}
+    )
+
+
+def _around(session: Session, given: Mapping[str, Any]) -> Reply:
+    state, regions = parted(given.get("state"))
+    return Reply(
+        {"ok": True, "state": round_regions(_subject(session), state, regions)}
+    )
+
+
+_VERBS: dict[str, Verb] = {
+    "hello": _hello,
+    "note": _note,
+    "go": _go,
+    "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
+    "look": lambda session, given: preview(_subject(session), given.get("state")),
+    "map": _map,
+    "around": _around,
+    "keep": _keep,
+    **LOG_VERBS,
+    **OUTPUT_VERBS,
+    **PLAY_VERBS,
+    **WORK_VERBS,
+}
+
+
+class Conversation:
+    """The requests of one page, until it goes."""
+
+    def __init__(self, session: Session, socket: WebSocket) -> None:
+        self.session, self.socket = session, socket
+        self._newest: dict[str, Message] = {}
+        self._awake = {verb: asyncio.Event() for verb in ("preview", "exact")}
+        self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
+        self._sending = asyncio.Lock()
+        self._job: Job | None = None
+
+    async def run(self) -> None:
+        """Answer until the page goes; what it left under way is stopped."""
+        # One task for each kind that is dragged and one for all that must keep its
+        # order: a slow exact design must not hold up the previews of the next drag.
+        tasks = [asyncio.create_task(self._dragged(verb)) for verb in self._awake]
+        tasks.append(asyncio.create_task(self._in_order()))
+        try:
+            while True:
+                await self._received(await self.socket.receive())
+        except WebSocketDisconnect:
+            return
+        finally:
+            if self._job is not None:
+                self._job.cancel()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _received(self, event: Mapping[str, Any]) -> None:
+        if event["type"] == "websocket.disconnect":
+            raise WebSocketDisconnect(event.get("code", 1000))
+        try:
+            message = parsed(event.get("text"))
+        except FieldError as error:
+            await self._sent(refusal(error).packed(0, "message"))
+            return
+        if message.verb in self._awake:
+            # The older one is forgotten here: a hand asks sixty times a second, and
+            # only where it is now is worth an answer.
+            self._newest[message.verb] = message
+            self._awake[message.verb].set()
+        # Past the queue: it is meant for what runs there, and would wait for its end.
+        elif message.verb == "cancel":
+            if self._job is not None:
+                self._job.cancel()
+            await self._answered(message, Reply({"ok": True}))
+        elif message.verb in _VERBS or message.verb in JOBS:
+            if self._orderly.full():
+                # 1008: policy violation. Without a bound a page gone wild fills the
+                # memory of a machine that may be running an arm.
+                await self.socket.close(1008)
+            else:
+                self._orderly.put_nowait(message)
+        else:
+            known = ", ".join([*self._awake, "cancel", *_VERBS, *JOBS])
+            unknown = FieldError(
+                "verb", message.verb, "unknown", allowed=known, remedy="reload the page"
+            )
+            await self._answered(message, refusal(unknown))
+
+    async def _dragged(self, verb: str) -> None:
+        """Answer the newest request of this kind; those that it overtook are never
+        computed.
+        """
+        while True:
+            await self._awake[verb].wait()
+            self._awake[verb].clear()
+            # Read behind the clearing of the event: a request that comes between the
+            # two wakes it again, and none is lost.
+            message = self._newest[verb]
+            work = self._preview if verb == "preview" else self._exact
+            await self._answered(
+                message, await asyncio.to_thread(_guarded, work, message)
+            )
+
+    def _preview(self, message: Message) -> Reply:
+        fan = message.given.get("fan") is True
+        return preview(_subject(self.session), message.given.get("state"), fan=fan)
+
+    def _exact(self, message: Message) -> Reply:
+        def newer() -> bool:
+            # Asked by the thread that designs, between its stages: half a second of
+            # work is given up for a newer request.
+            return self._newest["exact"] is not message
+
+        return self.session.exact(
+            message.given.get("state"), message.given.get("arm", ""), newer
+        )
+
+    async def _in_order(self) -> None:
+        while True:
+            message = await self._orderly.get()
+            if message.verb in JOBS:
+                await self._worked(message)
+                continue
+            await self._answered(
+                message, await asyncio.to_thread(_guarded, self._orderly_done, message)
+            )
+
+    def _orderly_done(self, message: Message) -> Reply:
+        return _VERBS[message.verb](self.session, message.given)
+
+    async def _worked(self, message: Message) -> None:
+        """Run a job in a process of its own and pass its progress on."""
+        self._job = Job(self.session, message.verb, message.given)
+
+        def tell(progress: Mapping[str, Any]) -> None:
+            head = {**progress, "ok": True, "of": message.verb}
+            # The job runs in a thread; only the loop may write to the socket.
+            future = self._sent(Reply(head).packed(message.seq, "progress"))
+            asyncio.run_coroutine_threadsafe(future, loop)
+
+        loop = asyncio.get_running_loop()
+        job = self._job
+        answer = await asyncio.to_thread(_guarded, lambda _: job.done(tell), message)
+        self._job = None
+        await self._answered(message, answer)
+
+    async def _answered(self, message: Message, answer: Reply) -> None:
+        try:
+            data = answer.packed(message.seq, message.verb)
+        # A NaN, say: it must not end the task that answers all of this kind.
+        except Exception:  # noqa: BLE001
+            data = _defect().packed(message.seq, message.verb)
+        await self._sent(data)
+
+    async def _sent(self, data: bytes) -> None:
+        # Answers of three tasks: two sends at once would mix their frames.
+        async with self._sending:
+            with contextlib.suppress(
+                RuntimeError, WebSocketDisconnect
+            ):  # the page has gone
+                await self.socket.send_bytes(data)
+
+
+def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
+    """The answer of `work`; a refusal is an answer, and a defect of ours does not end
+    the page.
+    """
+    try:
+        return work(message)
+    except SupersededError:
+        return Reply(
+            {"ok": False, "superseded": True, "error": "a newer request took its place"}
+        )
+    except FraclinkError as error:
+        return refusal(error)
+    except Exception:  # whatever it is, the study in memory must survive it  # noqa: BLE001
+        return _defect()
+
+
+def _defect() -> Reply:
+    sys.stderr.write(traceback.format_exc())
+    return Reply(
+        {
+            "ok": False,
+            "defect": True,
+            "error": "a defect of fraclink; the terminal shows where",
+        }
+    )

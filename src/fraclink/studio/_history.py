@@ -1,0 +1,130 @@
+"""Undo that survives a crash: one line of JSON for every state that a hand let go of,
+beside the study.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from fraclink.errors import FieldError
+from fraclink.studio._messages import LONGEST
+
+__all__ = ["History"]
+
+_NAME = "studio.jsonl"
+# At a state for every second that a hand lets go, nearly three hours. lines that are
+# read back; nobody takes back more, and a file from elsewhere may be long
+_MOST = 10_000
+
+
+@dataclass
+class History:
+    """The states of a study in their order, and which of them stands.
+
+    >>> import tempfile
+    >>> history = History.of(Path(tempfile.mkdtemp()))
+    >>> for margin in (45.0, 50.0, 55.0):
+    ...     history.add({"phase_margin_deg": margin})
+    >>> history.go(0), History.of(history.path.parent).state
+    ({'phase_margin_deg': 45.0}, {'phase_margin_deg': 45.0})
+    >>> history.add({"phase_margin_deg": 60.0})
+    >>> [state["phase_margin_deg"] for state in history.states]
+    [45.0, 60.0]
+    """
+
+    path: Path
+    states: list[dict[str, Any]]
+    at: int = -1
+    kept: set[int] = field(
+        default_factory=set
+    )  # those that Keep wrote to the study's files
+
+    @staticmethod
+    def of(folder: Path) -> History:
+        """Return the history that `folder` holds; a line that is none of it, such as a
+        torn one, ends it.
+        """
+        found = History(folder / _NAME, [])
+        if not found.path.is_file():
+            return found
+        with found.path.open("rb") as lines:
+            for number, line in enumerate(lines):
+                entry = _entry(line)
+                if entry is None or number >= _MOST:
+                    break
+                found._apply(entry)
+        return found
+
+    @property
+    def state(self) -> dict[str, Any] | None:
+        """The state that stands, None before the first."""
+        return self.states[self.at] if self.states else None
+
+    def add(self, state: Mapping[str, Any]) -> None:
+        """Append `state` behind the one that stands; what had been undone is gone."""
+        if self.states and dict(state) == self.state:
+            return
+        self._write({"at": self.at + 1, "state": dict(state)})
+
+    def go(self, at: int) -> dict[str, Any]:
+        """Make the state number `at` the one that stands, and return it."""
+        if not 0 <= at < len(self.states):
+            allowed, remedy = (
+                f"0 to {len(self.states) - 1}",
+                "undo ends at the first state",
+            )
+            raise FieldError("at", at, "out of range", allowed=allowed, remedy=remedy)
+        if at != self.at:
+            self._write({"at": at})
+        return self.states[at]
+
+    def keep(self) -> None:
+        """Remember that the state that stands was kept."""
+        if self.states and self.at not in self.kept:
+            self._write({"at": self.at, "kept": True})
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        # Appended and closed at once: a kill loses the line that was being written, and
+        # no other.
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(entry, allow_nan=False) + "\n")
+        self._apply(entry)
+
+    # The same for a line that is read and for one that is written: a history read back
+    # is the one that was left.
+    def _apply(self, entry: Mapping[str, Any]) -> None:
+        # A file edited by hand may name a state far behind the last: it becomes the
+        # next one.
+        at = min(int(entry["at"]), len(self.states))
+        if "state" in entry:
+            self.states = [*self.states[:at], dict(entry["state"])]
+            # What is undone and then replaced is gone with its mark: another state has
+            # its number now.
+            self.kept = {k for k in self.kept if k < at}
+        self.at = min(at, len(self.states) - 1)
+        if entry.get("kept") is True:
+            self.kept.add(self.at)
+
+
+def _entry(line: bytes) -> dict[str, Any] | None:
+    """The entry of a line; None where it is not one."""
+    # No request that long is taken from a page either; a file of one endless line is
+    # not parsed.
+    if len(line) > LONGEST:
+        return None
+    try:
+        found = json.loads(line)
+    except ValueError:
+        return None
+    if (
+        not isinstance(found, dict)
+        or type(found.get("at")) is not int
+        or found["at"] < 0
+    ):
+        return None
+    return found if isinstance(found.get("state", {}), dict) else None

@@ -1,0 +1,512 @@
+"""Steps 1 to 3: a log's channels, which column is what, and the fits, as answers for
+the page.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.draft import draft_text
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import STRUCTURES
+from fraclink._arm.log_columns import UNITS, LogColumns
+from fraclink._arm.rig import Rig
+from fraclink._files import sha256_of
+from fraclink._identify import Fit
+from fraclink._identify.looked_at import error_map, welch_response
+from fraclink._reading.formats import read_table
+from fraclink._reading.reading import (
+    ChannelSummary,
+    bundled_log,
+    bundled_logs,
+    inspect_log,
+    read_log,
+)
+from fraclink.errors import FieldError, LogError
+from fraclink.logs._guess import guess_columns
+from fraclink.logs._weighing import statements
+from fraclink.studio._messages import Reply
+from fraclink.studio._session import Session, bare
+from fraclink.trials._stages import examined
+from fraclink.trials._study import Study
+from fraclink.view import _tables as tables
+from fraclink.view._fits import worth_reading
+from fraclink.view._text import number
+from fraclink.view._words import oscillates
+
+__all__ = ["LOG_VERBS", "fit_answer"]
+
+Real = NDArray[np.float64]
+_POINTS = 2400  # of a curve over time: two for each pixel of a wide screen
+_SPARKS = 240
+_TEXTS = 16  # statements of columns
+
+
+def thinned(values: Real, points: int = _POINTS) -> Real:
+    """Return at most `points` of a signal, the extremes of each stretch, so that no
+    spike is lost.
+
+    >>> thinned(np.array([0.0, 0.0, 9.0, 0.0, 0.0, 0.0, -9.0, 0.0]), 4).tolist()
+    [0.0, 9.0, 0.0, -9.0]
+    """
+    if values.size <= points:
+        return values
+    # Two points a stretch, its smallest and its largest value in their order: what a
+    # picture of so many pixels shows anyway.
+    size = -(-values.size // (points // 2))
+    # Filled up with the last value, which adds no extreme of its own.
+    padded = np.concatenate([values, np.full(-values.size % size, values[-1])]).reshape(
+        -1, size
+    )
+    low, high = np.argmin(padded, axis=1), np.argmax(padded, axis=1)
+    rows = np.arange(padded.shape[0])
+    first, second = np.minimum(low, high), np.maximum(low, high)
+    return np.stack([padded[rows, first], padded[rows, second]], axis=1).ravel()
+
+
+def _finite(values: Real) -> Real:
+    """The signal with its gaps closed by the value before: a picture has no room for a
+    NaN.
+    """
+    # Loggers write 1e38 or so for a missing value; as float32 that is nearly infinite.
+    good = np.isfinite(values) & (np.abs(values) < 1e30)
+    if not good.any():
+        return np.zeros_like(values)
+    last = np.maximum.accumulate(np.where(good, np.arange(values.size), 0))
+    filled = np.where(good, values, 0.0)[last]
+    return np.asarray(filled)
+
+
+def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
+    """List the channels of a log: an upload, a bundled one, or the one that the studio
+    was opened with.
+    """
+    name = given.get("name")
+    if name == "upload" and session.upload is not None:
+        session.source = session.upload
+    elif name in bundled_logs():
+        session.source = bundled_log(str(name))
+    elif name is not None:
+        allowed, remedy = ", ".join(bundled_logs()), "drop a file, or take one of these"
+        raise FieldError(
+            "log", str(name)[:80], "unknown", allowed=allowed, remedy=remedy
+        )
+    return _listing(session)
+
+
+def _listing(session: Session) -> Reply:
+    head: dict[str, Any] = {
+        "ok": True,
+        "bundled": bundled_logs(),
+        "rigs": Rig.names(),
+        "log": None,
+    }
+    head["rig"] = session.study.rig.name if session.study.rig else ""
+    if session.source is None:
+        return Reply(head | _experiment(session)[0], _experiment(session)[1])
+    listing = inspect_log(session.source)
+    table = read_table(session.source)
+    curves = {
+        f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS)
+        for k, values in enumerate(table.values)
+    }
+    # assume: a listing proposes, it does not read; a guess that is wrong is dragged
+    # away by hand.
+    guessed = guess_columns(table, {}, assume=True)
+    roles = {} if guessed.columns is None else guessed.columns.channels()
+    places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
+    channels = listing.channels
+    samples = channels[0].samples if channels else 0
+    head["log"] = {
+        "name": listing.path,
+        "said": f"{listing.path}: {listing.kind}, {len(channels)} channels, {samples} samples.",
+        "channels": [
+            {
+                "name": found.name,
+                "unit": found.unit,
+                "facts": _facts(found, places.get(found.name)),
+            }
+            for found in channels
+        ],
+        "notes": listing.notes,
+        "sha256": sha256_of(session.source),
+    }
+    head["guesses"] = guessed.guesses
+    head["roles"] = {
+        role: {
+            "column": channel.column,
+            "unit": channel.unit,
+            "sign": channel.sign,
+            "scale": channel.scale,
+        }
+        for role, channel in roles.items()
+    }
+    head["units"] = {role: sorted(units) for role, units in UNITS.items()}
+    more, signals = _experiment(session)
+    return Reply(head | more, curves | signals)
+
+
+def _facts(channel: ChannelSummary, role: str | None) -> str:
+    """What is known of a channel, in a line: its role, its range, its clock and its
+    gaps.
+    """
+    facts = [role] if role else []
+    facts.append(f"{number(channel.minimum)} … {number(channel.maximum)}")
+    facts += [f"every {number(channel.period)}"] if channel.period else []
+    facts += [f"{channel.missing} missing"] if channel.missing else []
+    return " · ".join(facts)
+
+
+def _scaled(values: Real) -> Real:
+    """A signal between 0 and 1, as a sparkline has no axis."""
+    low, high = (
+        float(values.min(initial=math.inf)),
+        float(values.max(initial=-math.inf)),
+    )
+    return (values - low) / (high - low) if high > low else np.full(values.size, 0.5)
+
+
+def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Read the log with the columns that the page states, and examine it."""
+    texts, payload = given.get("columns", []), given.get("payload")
+    if (
+        not isinstance(texts, list)
+        or len(texts) > _TEXTS
+        or not all(isinstance(t, str) for t in texts)
+    ):
+        allowed, remedy = (
+            f"at most {_TEXTS} texts",
+            "state a column as motor_angle=theta [deg]",
+        )
+        raise FieldError(
+            "columns", str(texts)[:80], "not statements", allowed=allowed, remedy=remedy
+        )
+    if session.source is None or session.study.rig is None:
+        raise FieldError(
+            "log", None, "missing", allowed="a log", remedy="choose one in step 1"
+        )
+    columns = None
+    if texts:
+        guessed = guess_columns(
+            read_table(session.source), statements(texts, None), assume=True
+        )
+        columns = guessed.columns
+        if columns is None:
+            # What is left has no default, such as a unit: a wrong one would be a wrong
+            # controller. Questions with a default are answered by it; the page shows
+            # the outcome, and a click turns a sign.
+            asked = " ".join(question.text for question in guessed.questions)
+            allowed, remedy = (
+                "an answer to each question",
+                "drag the channel to its place",
+            )
+            raise FieldError(
+                "columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy
+            )
+    rig = session.study.rig
+    keep = _stretch(given.get("keep"))
+    # Without statements those of the rig file, as the command line takes them.
+    log = read_log(
+        session.source, columns=columns or rig.log, payload=payload, keep=keep
+    )
+    session.columns = () if columns is None else _statements(columns)
+    session.payload, session.stretch, session.heldout = payload, keep, None
+    session.whole = log
+    if keep is not None:  # the picture shows what lies beside it, if that can be read
+        try:
+            # resample: the clock may be uneven beside the stretch; for a picture that
+            # does not matter.
+            session.whole = read_log(
+                session.source, columns=columns or rig.log, resample=True
+            )
+        except LogError:
+            session.whole = None
+    session.become(examined(rig, log))
+    head: dict[str, Any] = {"ok": True, **session.overview()}
+    if columns is not None:
+        head["toml"] = draft_text(rig.name, log.period, columns, {})
+    more, signals = _experiment(session)
+    return Reply(head | more, signals)
+
+
+def _statements(columns: LogColumns) -> tuple[str, ...]:
+    """The columns as the command line takes them; what was left to a guess is stated,
+    too.
+
+    >>> from fraclink._arm.log_columns import parse_columns
+    >>> _statements(parse_columns(["time=t [s]", "motor_angle=-n * 0.25 [deg]", "torque=g [Nm]"]))
+    ('time=t [s]', 'motor_angle=-n * 0.25 [deg]', 'torque=g [Nm]')
+    """
+    return tuple(
+        f"{role}={'-' if found.sign < 0 else ''}{found.column}"
+        f"{'' if found.scale == 1.0 else f' * {found.scale!r}'} [{found.unit}]"
+        for role, found in columns.channels().items()
+    )
+
+
+def _stretch(given: object) -> tuple[float, float] | None:
+    """The stretch of the log that the page marked [s]; which are possible is for
+    `read_log` to say.
+    """
+    if given is None:
+        return None
+    if (
+        isinstance(given, list)
+        and len(given) == 2
+        and all(type(t) in (int, float) for t in given)
+    ):
+        return float(given[0]), float(given[1])
+    allowed, remedy = "two numbers of seconds", "mark the stretch again"
+    raise FieldError(
+        "keep", str(given)[:40], "not a stretch", allowed=allowed, remedy=remedy
+    )
+
+
+def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
+    """The log in SI units: what is known of it, its findings, and two curves."""
+    log = session.study.experiment
+    if log is None:
+        return {"experiment": None}, {}
+    rows = tables.log_table(log)
+    # The log's own and those of its examination overlap: each is told once.
+    findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
+    shown = session.whole or log
+    head = {
+        "experiment": {"rows": rows.rows, "findings": findings, "duration": shown.duration,
+                       "kind": log.output_kind, "payload": log.payload,
+                       "keep": session.stretch if session.whole else None, "whole": session.whole is not None}
+    }  # fmt: skip
+    return head, {
+        "motor_angle": thinned(np.degrees(shown.motor_angle)),
+        "output": thinned(shown.output),
+    }
+
+
+def _set_rig(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Take another rig, bundled or the file that was sent; what was computed for the
+    old one is gone.
+    """
+    name = given.get("name")
+    if name == "upload" and session.upload is not None:
+        rig = Rig.load(session.upload)
+    else:
+        rig = Rig.named(str(name)[:80])
+    log = session.study.experiment
+    # The log stays, in SI units it knows no rig; everything that was computed for the
+    # old one goes.
+    session.become(
+        Study(rig=rig, assumptions=rig.assumptions)
+        if log is None
+        else examined(rig, log)
+    )
+    session.renew()
+    axes = session.subject.axes() if session.subject else {}
+    return Reply(
+        {
+            "ok": True,
+            "rig": rig.name,
+            "state": session.state,
+            **axes,
+            **session.overview(),
+        }
+    )
+
+
+# --- the fits -------------------------------------------------------------------------------------------
+
+
+def _models(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Show the fits; with `structure`, design from that one."""
+    wanted = given.get("structure")
+    if wanted is not None:
+        fit = session.study.fits.get(str(wanted))
+        if fit is None:
+            allowed, remedy = (
+                ", ".join(session.study.fits) or "a fit",
+                "fit the log first",
+            )
+            raise FieldError(
+                "structure",
+                str(wanted)[:40],
+                "not fitted",
+                allowed=allowed,
+                remedy=remedy,
+            )
+        # The design was made for the other model, and must not stand beside this one as
+        # if it were its own.
+        session.become(bare(replace(session.study, fit=fit)))
+    return fit_answer(session)
+
+
+def fit_answer(session: Session) -> Reply:
+    """Return every fit with its figures in words, and the curves of log, model and
+    residual.
+    """
+    study = session.study
+    log, fits = study.experiment, study.fits
+    said = "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
+    said = f"The arm {words_of(study.fit)}." if study.fit is not None else said
+    head: dict[str, Any] = {
+        "ok": True,
+        **session.overview(),
+        "fits": [],
+        "conclusion": "",
+        "said": said,
+    }
+    head |= session.subject.axes() if session.subject else {}
+    curves: dict[str, Real] = {}
+    if not fits:
+        return Reply(head, curves)
+    used = study.fit.structure if study.fit else ""
+    head["table"] = {
+        "header": tables.fits_table(fits).header,
+        "rows": tables.fits_table(fits).rows,
+    }
+    head["conclusion"] = study.comparison.verdict if study.comparison else ""
+    head["fits"] = [_card(name, fit, name == used) for name, fit in fits.items()]
+    if log is not None and study.fit is not None:
+        fit = study.fit
+        head["heldout"] = 1.0 - fit.fitted_samples / log.output.size
+        head["duration"] = log.duration
+        curves = {
+            "measured": thinned(log.output),
+            "predicted": thinned(np.asarray(fit.predicted)),
+            "residual": thinned(np.asarray(fit.residual)),
+        }
+        curves |= _pictures(log, fit)
+        curves |= _spectrum(log.output, np.asarray(fit.residual), log.period)
+        head |= {"drawn": _DRAWN, "axes": _axes_of(curves, log.duration)}
+    return Reply(head, curves)
+
+
+# Plot of the page, curve in it, its style, and which of the answer's curves hold its
+# places and its values; without places it is drawn over time.
+_DRAWN = (
+    ("overlay", "measured", "measured", None, "measured"),
+    ("overlay", "predicted", "predicted", None, "predicted"),
+    ("rest", "log minus model", "heavy", None, "residual"),
+    ("bode", "log", "measured", "response_w", "response_log"),
+    ("bode", "model", "predicted", "response_w", "response_model"),
+    ("trust", "coherence", "heavy", "response_w", "coherence"),
+    ("spectrum", "log", "measured", "spectrum_hz", "spectrum_log"),
+    ("spectrum", "what the model leaves", "predicted", "spectrum_hz", "spectrum_rest"),
+)
+
+
+def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
+    """The ends of both axes of every plot of step 3, where the page does not know them."""
+
+    def ends(name: str, least: float = -math.inf) -> dict[str, float]:
+        return {
+            "low": max(float(curves[name][0]), least),
+            "high": float(curves[name][-1]),
+        }
+
+    high = 1.08 * max(float(np.abs(curves["measured"]).max()), 1e-9)
+    over_time = [{"low": 0.0, "high": duration}, {"low": -high, "high": high}]
+    # 70 dB: below lies the noise of a gauge of twelve bits.
+    top = 5.0 + max(
+        float(curves[name].max()) for name in ("response_log", "response_model")
+    )
+    return {
+        "overlay": over_time,
+        "rest": over_time,
+        "bode": [ends("response_w"), {"low": top - 70.0, "high": top}],
+        "trust": [ends("response_w"), {}],
+        "spectrum": [ends("spectrum_hz", 0.05), {}],
+        "valley": [ends("error_resonance"), ends("error_order")],
+    }
+
+
+def _pictures(log: Experiment, fit: Fit) -> dict[str, Real]:
+    """Responses of log and model with their coherence, and the error over order and
+    resonance.
+    """
+    seen, around = welch_response(log, fit), error_map(log, fit)
+    # 80 dB below the largest: a line at which nothing was heard would pull the axis
+    # down to −∞.
+    low = 1e-4 * float(np.abs(seen.measured).max())
+
+    def decibels(response: NDArray[np.complex128]) -> Real:
+        return np.asarray(20.0 * np.log10(np.maximum(np.abs(response), low)))
+
+    return {
+        "response_w": seen.frequency,
+        "response_log": decibels(seen.measured),
+        "response_model": decibels(seen.predicted),
+        "coherence": seen.coherence,
+        "error_order": around.order,
+        "error_resonance": around.resonance,
+        "error": around.ratio,
+    }
+
+
+def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
+    return {
+        "name": name,
+        "what": STRUCTURES[name].sentence,
+        "used": used,
+        "passed": fit.passed,
+        "words": words_of(fit),
+        "rows": tables.fit_table(fit).rows,
+        "findings": worth_reading(fit.findings),
+        "heldout_nmse": fit.heldout_nmse,
+        "at": [abs(fit.model.pole), fit.model.order],
+    }
+
+
+def words_of(fit: Fit) -> str:
+    """Return what a fit means for the arm, in the words of a workshop.
+
+    >>> from fraclink._identify import identify
+    >>> words_of(identify(read_log(bundled_log("prbs_30g")), "UD-FOM", details=False))
+    'swings at 1.89 Hz with 6.6 % damping, gauge 2.1 ms late'
+    """
+    pole, delay = fit.model.pole, fit.delay
+    late = f"gauge {abs(1e3 * delay):.1f} ms {'late' if delay >= 0 else 'early'}"
+    if not oscillates(pole):  # overdamped, or a D-FOM that ended at ω₀ = 0
+        return f"does not oscillate, {late}"
+    swing = f"swings at {abs(pole.imag) / (2 * math.pi):.3g} Hz"
+    return f"{swing} with {100 * -pole.real / abs(pole):.2g} % damping, {late}"
+
+
+def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:
+    """Amplitude spectra [dB of the output's largest] of what was measured and of what
+    the model left.
+    """
+    window = np.hanning(output.size)
+    both = [
+        np.abs(np.fft.rfft((x - x.mean()) * window))[1:] for x in (output, residual)
+    ]
+    frequency = np.arange(1, both[0].size + 1) / (output.size * period)
+    # 160 peaks on a logarithmic axis: of ten thousand lines, most of them in the last
+    # decade, a picture is a black band.
+    edges = np.geomspace(frequency[0], frequency[-1], 161)
+    place = np.clip(np.searchsorted(edges, frequency) - 1, 0, edges.size - 2)
+    most = max(float(both[0].max()), 1e-300)
+    found = {"spectrum_hz": np.sqrt(edges[1:] * edges[:-1])}
+    for name, values in zip(("spectrum_log", "spectrum_rest"), both, strict=True):
+        peaks = np.zeros(edges.size - 1)
+        np.maximum.at(peaks, place, values)
+        known = peaks > 0.0
+        level = 20 * np.log10(np.maximum(peaks / most, 1e-6))
+        # On the left a stretch may hold no line at all: it gets the straight line
+        # between its neighbours.
+        found[name] = np.interp(
+            np.arange(level.size), np.flatnonzero(known), level[known]
+        )
+    return found
+
+
+LOG_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+    "log": _choose_log,
+    "columns": _set_columns,
+    "rig": _set_rig,
+    "model": _models,
+}

@@ -1,0 +1,207 @@
+"""What goes over the socket: requests as small JSON objects, answers as a JSON head
+with curves behind it.
+
+A request for a design has the options of `fraclink design`, under their names and with
+their ranges.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fraclink._design import Specification
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
+from fraclink.studio._server import LONGEST
+from fraclink.view._records import plain
+from fracsys.checks import PhaseMarginDeg
+from fracsys.checks.rules import rule
+
+__all__ = [
+    "LONGEST",
+    "NAMES",
+    "USUAL",
+    "Message",
+    "Reply",
+    "checked_request",
+    "parsed",
+    "refusal",
+    "wanted_of",
+]
+
+_NAME = 40
+
+
+@dataclass(frozen=True)
+class Message:
+    """One request: its number, what is to be done, and the rest of its object."""
+
+    seq: int
+    verb: str
+    given: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An object, and curves: name to array of shape (N,) or (rows, N), sent as float32."""
+
+    head: Mapping[str, Any] = field(default_factory=dict)
+    curves: Mapping[str, ArrayLike] = field(default_factory=dict)
+
+    def packed(self, seq: int, verb: str) -> bytes:
+        """The length of the head in four bytes, little-endian; the head, padded to 4;
+        the curves.
+
+        Numbers that are not finite become null in the head; a curve that holds one is a
+        defect.
+        """
+        arrays = {
+            name: np.atleast_2d(np.asarray(curve, dtype="<f4"))
+            for name, curve in self.curves.items()
+        }
+        for name, array in arrays.items():
+            # The page draws what it gets without looking: a NaN would end its line
+            # somewhere and nobody would know why.
+            if not np.isfinite(array).all():
+                raise AssertionError(f"curve {name} is not finite")
+        shapes = {name: list(array.shape) for name, array in arrays.items()}
+        head = plain({**self.head, "seq": seq, "verb": verb, "curves": shapes})
+        text = json.dumps(head, allow_nan=False, separators=(",", ":")).encode()
+        # A Float32Array of the page must begin at a multiple of four bytes; the spaces
+        # are still JSON.
+        text += b" " * (-len(text) % 4)
+        return (
+            struct.pack("<I", len(text))
+            + text
+            + b"".join(array.tobytes() for array in arrays.values())
+        )
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
+
+
+def parsed(text: object) -> Message:
+    """Return the request in `text`; FieldError for anything that is not one."""
+    if not isinstance(text, str) or len(text) > LONGEST:
+        raise _refused(
+            "bytes" if not isinstance(text, str) else f"{len(text)} characters"
+        )
+    try:
+        found = json.loads(text, parse_constant=_no_constant)
+    except (ValueError, RecursionError) as error:
+        raise _refused(text[:_NAME]) from error
+    if not isinstance(found, dict):
+        raise _refused(type(found).__name__)
+    seq, verb = found.pop("seq", None), found.pop("verb", None)
+    # 2^53: the last whole number of JavaScript. bool is an int of Python, hence `type`.
+    counted = type(seq) is int and 0 <= seq < 2**53
+    if not counted or not isinstance(verb, str) or len(verb) > _NAME:
+        raise _refused(f"seq {str(seq)[:_NAME]}, verb {str(verb)[:_NAME]}")
+    return Message(seq, verb, found)
+
+
+def _refused(value: object) -> FieldError:
+    allowed = f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters'
+    return FieldError(
+        "message",
+        value,
+        "not a request",
+        allowed=allowed,
+        remedy="send one JSON object",
+    )
+
+
+def refusal(error: FraclinkError) -> Reply:
+    """Return an error as an answer: its sentence, and the parts that a page can put
+    beside a field.
+    """
+    head: dict[str, Any] = {"ok": False, "error": str(error)}
+    if isinstance(error, FieldError):
+        parts = {
+            "field": error.field,
+            "problem": error.problem,
+            "allowed": error.allowed,
+        }
+        head |= parts | {"remedy": error.remedy}
+    if isinstance(error, InfeasibleError):
+        head |= {
+            "condition": error.condition,
+            "explanation": error.explanation,
+            "nearest": error.nearest,
+        }
+    return Reply(head)
+
+
+# --- what a page asks of a design -----------------------------------------------------------------------
+
+# Every option has the range that the library states for it; the command line gives the
+# margin in degrees.
+_HINTS: dict[str, Any] = {
+    name: hint
+    for name, hint in get_type_hints(Specification, include_extras=True).items()
+    if name not in ("phase_margin", "natural_frequencies")
+} | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool}
+NAMES = tuple(_HINTS)
+USUAL = {"margins": "loop", "inner": "ideal", "placement": "tustin", "box": False}
+
+
+def checked_request(given: object) -> dict[str, Any]:
+    """Return what a page asked for, every option present; None leaves one to the rig or
+    to its rule.
+
+    Raises FieldError for a name that `fraclink design` does not have, and for a value
+    out of its range.
+
+    >>> checked_request({"gain_crossover": 12, "payloads": [0.02, 0.04]})["payloads"]
+    (0.02, 0.04)
+    """
+    if not isinstance(given, Mapping):
+        allowed, remedy = "an object of options", "send the options by name"
+        raise FieldError(
+            "state",
+            type(given).__name__,
+            "not an object",
+            allowed=allowed,
+            remedy=remedy,
+        )
+    for name in given:
+        if name not in _HINTS:
+            allowed, remedy = ", ".join(NAMES), "leave it out"
+            raise FieldError(
+                "state", str(name), "unknown option", allowed=allowed, remedy=remedy
+            )
+    found = {}
+    for name, hint in _HINTS.items():
+        # JSON has no tuples, and a range is one; None stands for whatever the rule or
+        # the rig chooses.
+        value = given.get(name)
+        if isinstance(value, list):
+            value = tuple(value)
+        found[name] = (
+            USUAL.get(name) if value is None else rule(hint).check(name, value)
+        )
+    return found
+
+
+def wanted_of(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the request as `design_for` takes it: the margin in radians, the box only
+    where it is wanted.
+    """
+    margin = request["phase_margin_deg"]
+    rest = {
+        name: value
+        for name, value in request.items()
+        if name not in ("phase_margin_deg", "box")
+    }
+    return rest | {
+        "phase_margin": None if margin is None else math.radians(margin),
+        "box": request["box"],
+    }

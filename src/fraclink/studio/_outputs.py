@@ -1,0 +1,161 @@
+"""Step 7: the files for a board, and the pages to hand on, written where the command
+line writes them.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from fraclink import _kernels
+from fraclink._design import Design
+from fraclink._export import export_c, export_fmu
+from fraclink._export.data import exact_sizes
+from fraclink._export.selftest import expected
+from fraclink._files import output_path
+from fraclink._law import Law
+from fraclink.errors import FieldError
+from fraclink.studio._messages import Reply
+from fraclink.studio._session import Session
+from fraclink.view._arm_page import write_arm_page
+from fraclink.view._report import write_report
+from fraclink.view._words import power_on
+
+__all__ = ["OUTPUT_VERBS"]
+
+_PRECISIONS = ("single", "double")
+# Counted by benchmarks/bench_law.py on a Cortex-M4F, gcc -O2, a law of 6 + 2
+# modes in single precision: built for this design alone, and with room for every
+# design; and what a mode more costs.
+_COUNTED, _OF_MODES, _A_MODE = (409, 495), 8, 8
+
+
+def _c(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
+    folder = session.folder / "firmware"
+    paths = list(export_c(law.in_precision(precision), folder, force=force))
+    return (
+        paths,
+        f"fraclink export c design.json --precision {precision} --out {folder}",
+    )
+
+
+def _fmu(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
+    path = session.folder / "arm_law.fmu"
+    made_path = export_fmu(law, path, precision=precision, compilers=(), force=force)
+    return [
+        made_path
+    ], f"fraclink export fmu design.json --source --precision {precision} --out {path}"
+
+
+def _share(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
+    path = output_path(session.folder / "arm.html", force=force)
+    return [
+        write_arm_page(session.study, path)
+    ], f"fraclink share {session.folder} --out {path}"
+
+
+def _report(
+    session: Session, made: Design, law: Law, precision: Any, force: bool
+) -> tuple[list[Path], str]:
+    path = output_path(session.folder / "report.html", force=force)
+    write_report(session.study, path)
+    return [path], f"fraclink report {session.folder} --out {path}"
+
+
+_TARGETS: dict[
+    str, Callable[[Session, Design, Law, Any, bool], tuple[list[Path], str]]
+] = {
+    "c": _c,
+    "fmu": _fmu,
+    "share": _share,
+    "report": _report,
+}
+
+
+def _export(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Write one kind of output into the study's folder, never over a file unasked."""
+    target, precision = str(given.get("target")), given.get("precision", "single")
+    if target not in _TARGETS or precision not in _PRECISIONS:
+        allowed = f"{', '.join(_TARGETS)}; {' or '.join(_PRECISIONS)}"
+        shown = f"{target[:40]}, {str(precision)[:40]}"
+        raise FieldError(
+            "target", shown, "unknown", allowed=allowed, remedy="choose one of these"
+        )
+    made, law = session.study.design, session.study.law
+    if made is None or law is None:
+        allowed, remedy = "a study with a design", "make one in step 4"
+        raise FieldError("design", None, "missing", allowed=allowed, remedy=remedy)
+    session.folder.mkdir(parents=True, exist_ok=True)
+    paths, command = _TARGETS[target](
+        session, made, law, precision, given.get("force") is True
+    )
+    names = {
+        path.relative_to(session.folder).as_posix(): path.stat().st_size
+        for path in paths
+    }
+    session.written |= names
+    head = {"ok": True, "target": target, "written": names, "export_command": command}
+    return Reply(head | session.overview())
+
+
+def _board(session: Session, given: Mapping[str, Any]) -> Reply:
+    """What a board needs for the law: memory, instructions, the self-test's hash; and
+    the first power-on.
+    """
+    precision, made, law = (
+        given.get("precision", "single"),
+        session.study.design,
+        session.study.law,
+    )
+    if made is None or law is None or precision not in _PRECISIONS:
+        return Reply({"ok": True, "board": [], "power_on": []})
+    law = law.in_precision(precision)
+    flash, state = exact_sizes(law)
+    room = _kernels.law_sizes(precision == "single")
+    modes = law.order + len(law.feedforward.poles)
+    # Counted for 6 + 2 modes, and carried over: every further one is eight instructions
+    # a period.
+    counts = [f"about {count + _A_MODE * (modes - _OF_MODES)}" for count in _COUNTED]
+    rows = [
+        ["memory of each arm (RAM)", f"{state} bytes", f"{room[1]} bytes"],
+        ["coefficients (flash)", f"{flash} bytes", f"{room[0]} bytes"],
+        [f"instructions a period, Cortex-M4F, {modes} modes",
+         *(counts if precision == "single" else ["not counted: it has no such unit"] * 2)],
+        ["last line of the self-test", *[f"hash {expected(law).hash:08X}"] * 2],
+    ]  # fmt: skip
+    return Reply({"ok": True, "board": rows, "power_on": power_on(made)})
+
+
+def _zip(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Pack what was written into one archive in the draft folder, for the page to
+    fetch.
+    """
+    if not session.written:
+        raise FieldError(
+            "files",
+            None,
+            "missing",
+            allowed="exported files",
+            remedy="export something first",
+        )
+    place = session.draft / "studio.zip"
+    # In the draft folder: an archive in the results would be packed into the next one.
+    with zipfile.ZipFile(place, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in session.written:
+            archive.write(session.folder / name, name)
+    return Reply({"ok": True, "size": place.stat().st_size})
+
+
+OUTPUT_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+    "export": _export,
+    "board": _board,
+    "zip": _zip,
+}

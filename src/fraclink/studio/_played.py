@@ -1,0 +1,165 @@
+"""Runs that Python makes for the arm in the page: a tip held, a payload lost in a move,
+a fault's case.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from fraclink._arm.reference import smooth_step
+from fraclink._simulate import Obstacle, PayloadChange, Twin, simulate
+from fraclink._simulate.sensors import Event
+from fraclink.errors import FieldError
+from fraclink.studio._messages import Reply
+from fraclink.studio._session import Session
+from fraclink.trials._fault_trial import Bench, Case
+from fraclink.trials._faults import fault_named, observe
+from fraclink.view._arm_box import assumed_mass
+
+__all__ = ["PLAY_VERBS"]
+
+_LONGEST = 16.0  # [s] of a run: what the page's engine holds at 4 ms
+_AHEAD = (
+    0.3  # [s] by which the reference is looked at: to which side the tip wants to go
+)
+_NUMBERS = ("payload", "move", "time", "half", "duration", "noise", "offset", "delay")
+
+
+def _play(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Run the page's move on the twin, with a hand at the tip or a payload that is lost
+    on the way.
+    """
+    made, law = session.study.design, session.study.law
+    if made is None or law is None:
+        raise _missing()
+    payload, move, time, half, duration, noise, offset, delay = (
+        _number(given, name) for name in _NUMBERS
+    )
+    if duration > _LONGEST:
+        allowed, remedy = f"<= {_LONGEST:g} s", "take a shorter run"
+        raise FieldError(
+            "duration", duration, "too long", allowed=allowed, remedy=remedy
+        )
+    reference = smooth_step(move, time).then(
+        smooth_step(-move, time, start=half - time)
+    )
+    events, said = _events(given, reference.angle)
+    arm = Twin.from_rig(made.rig, model=made.model, link_mass=assumed_mass(made))
+    run = simulate(
+        law, reference, arm=arm, duration=duration, noise=noise, gauge_offset=offset, payload=payload,
+        told=given.get("told") is True, delay_samples=round(delay), events=events,
+    )  # fmt: skip
+    curves: dict[str, Any] = {
+        "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
+        "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
+    }  # fmt: skip
+    # Modes 0 and 1 are idle and run: above them the law has reacted.
+    after = "" if np.asarray(run.mode).max() <= 1 else " The law changed its mode."
+    return _reply(f"On the twin: {said}.{after}", payload, math.degrees(move), curves)
+
+
+def _events(
+    given: Mapping[str, Any], angle: Callable[[Any], Any]
+) -> tuple[list[Event], str]:
+    hold, throw = given.get("hold"), given.get("throw")
+    events: list[Event] = []
+    said = []
+    if isinstance(hold, Mapping):
+        begin, until, place = (
+            _number(hold, name) for name in ("begin", "until", "angle")
+        )
+        # A hand stops the arm on its way: the stop stands before it, on the side that
+        # the reference will have reached in 0.3 s; at the moment of the grip it may
+        # still be at the tip's place.
+        side: Literal[1, -1] = (
+            1
+            if float(np.asarray(angle(np.array([begin + _AHEAD])))[0]) >= place
+            else -1
+        )
+        # Let go in the same frame it is a stop of no length, which is none; a
+        # millisecond is a touch.
+        events.append(Obstacle(begin, max(until, begin + 1e-3), place, side))
+        said.append(f"held at {math.degrees(place):.3g}° from {begin:.2f} s on")
+    if isinstance(throw, Mapping):
+        when, left = _number(throw, "time"), _number(throw, "payload")
+        events.append(PayloadChange(when, left))
+        said.append(
+            f"the payload falls to {1e3 * left:.3g} g at {when:.2f} s, and nobody tells the law"
+        )
+    return events, "; ".join(said) or "the move as it is"
+
+
+def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Run one case of the fault campaign again, with the law and the noise that it was
+    judged by.
+    """
+    made = session.study.design
+    if made is None:
+        raise _missing()
+    payload, severity = _number(given, "payload"), _number(given, "severity")
+    case = Case(
+        str(given.get("fault"))[:8],
+        round(severity),
+        payload,
+        given.get("phase"),  # type: ignore[arg-type]
+        1,
+    )
+    fault = fault_named(case.fault)
+    bench = Bench.of(made, made.rig)
+    # In double precision and with seed 1, as the campaign of this page judged it:
+    # another precision is another run.
+    seen = observe(bench, case, bench.law.in_precision("double"))
+    run = seen.faulty
+    curves: dict[str, Any] = {
+        "reference": run.wanted, "tip": run.tip, "motor": run.motor, "torque": run.torque,
+        "gauge": run.gauge, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
+    }  # fmt: skip
+    what = (
+        f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}"
+    )
+    said = f"{what}. Required: {fault.required}"
+    return _reply(said, payload, math.degrees(1.0), curves)
+
+
+def _reply(said: str, payload: float, move: float, curves: Mapping[str, Any]) -> Reply:
+    """The run; what is not finite, as a reading that a fault made so, is replaced by
+    the value before.
+    """
+    clean = {}
+    for name, values in curves.items():
+        found = np.asarray(values, dtype=float).copy()
+        good = np.isfinite(found) & (np.abs(found) < 1e6)
+        # What is not finite is what the fault did to a reading; the law held the value
+        # before, and so does the picture.
+        last = np.maximum.accumulate(np.where(good, np.arange(found.size), 0))
+        clean[name] = np.where(good, found, 0.0)[last]
+    return Reply({"ok": True, "said": said, "payload": payload, "move": move}, clean)
+
+
+def _number(given: Mapping[str, Any], name: str) -> float:
+    value = given.get(name)
+    if type(value) not in (int, float) or not math.isfinite(value):  # type: ignore[arg-type]
+        raise FieldError(
+            name,
+            str(value)[:40],
+            "not a number",
+            allowed="a number",
+            remedy="reload the page",
+        )
+    return float(value)  # type: ignore[arg-type]
+
+
+def _missing() -> FieldError:
+    return FieldError(
+        "design", None, "missing", allowed="a design", remedy="make one in step 4"
+    )
+
+
+PLAY_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {
+    "play": _play,
+    "fault": _fault,
+}

@@ -1,0 +1,388 @@
+"""One open study: what the page shows of it, and what is kept of it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink._files import kind_of, sha256_of
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of
+from fraclink.studio._copied import copies
+from fraclink.studio._history import History
+from fraclink.studio._messages import Reply, checked_request, wanted_of
+from fraclink.studio._preview import Subject, blocks_of
+from fraclink.studio._regions import parted
+from fraclink.trials._stages import designed, moved, subject
+from fraclink.trials._study import Study, load_study, save_study
+from fraclink.view import _tables as tables
+from fraclink.view._arm_box import arm_box
+from fraclink.view._text import marked
+
+__all__ = ["Session", "SupersededError", "bare", "opened"]
+
+# Files of a study that no longer belong to it once the design is another one.
+_OUTDATED = ("run-*g.npz", "certificate.json", "faults.json", "model-*.json")
+_BARE: dict[str, Any] = {
+    "design": None,
+    "law": None,
+    "stopped": None,
+    "refused": None,
+    "certificate": None,
+    "uncertified": None,
+    "runs": (),
+    "arms": None,
+    "faults": None,
+}
+
+
+class SupersededError(Exception):
+    """A newer request has made this one pointless."""
+
+
+class Session:
+    """A study in memory, the folder that Keep writes it to, and the states that led to
+    it.
+
+    `draft` is a folder for what is not kept, which `close` removes; `source` is the
+    log's file, `upload` the last file that the page sent.
+    """
+
+    def __init__(
+        self,
+        study: Study,
+        folder: Path,
+        *,
+        kept: bool = False,
+        source: Path | None = None,
+    ) -> None:
+        self.draft = Path(tempfile.mkdtemp(prefix="fraclink-studio-"))
+        # Also at the end of the interpreter and for a session that nobody closed: the
+        # draft holds a user's log.
+        self.close = weakref.finalize(
+            self, shutil.rmtree, self.draft, ignore_errors=True
+        )
+        self.study, self.folder, self.source = study, folder, source
+        self.upload: Path | None = None
+        # What a copied command repeats: statements of columns, payload [kg], stretch
+        # [s], share held out.
+        self.columns: tuple[str, ...] = ()
+        self.payload: float | None = None
+        self.stretch: tuple[float, float] | None = None
+        self.whole: Experiment | None = (
+            None  # the log of which `stretch` was read: the page shows all of it
+        )
+        self.heldout: float | None = None
+        self.written: dict[str, int] = {}
+        self.lock = Lock()
+        self._kept = _digests(folder) if kept else {}
+        self.history = History.of(folder)
+        self.subject = _subject_of(study)
+        self.state = self._first_state()
+
+    def _first_state(self) -> dict[str, Any]:
+        """The state that a crash left behind, what the study's design was asked for, or
+        what the rig asks.
+        """
+        try:
+            if self.history.state is not None:
+                return checked_request(parted(self.history.state)[0])
+        except FieldError:  # a state of another release, or edited
+            self.history.states, self.history.at = [], -1
+        made, rig = self.study.design, self.study.rig
+        asked: dict[str, Any] = {}
+        if made is not None:
+            asked = {
+                "payloads": made.payloads,
+                "margins": made.margins_kind,
+                "box": made.box is not None,
+            }
+            asked["gain_crossover"] = made.gain_crossover
+            asked["phase_margin_deg"] = round(math.degrees(made.phase_margin), 9)
+        elif rig is not None:
+            asked["payloads"] = (rig.payloads.low, rig.payloads.high)
+            if rig.design is not None:
+                asked["gain_crossover"] = rig.design.gain_crossover
+                asked["phase_margin_deg"] = rig.design.phase_margin_deg
+        return checked_request(asked)
+
+    def become(self, study: Study) -> None:
+        """Show another study: what is designed for may have changed with it."""
+        self.study, self.subject = study, _subject_of(study)
+
+    def renew(self) -> None:
+        """Begin a history of its own for another rig: a state of the old one may ask
+        what this has not.
+        """
+        self.history.states, self.history.at = [], -1
+        self.state = self._first_state()
+
+    # ---- the exact design ---------------------------------------------------------------------------------
+
+    def exact(
+        self,
+        state: object,
+        arm_key: object = "",
+        newer: Callable[[], bool] = lambda: False,
+    ) -> Reply:
+        """Make the design of `state` as `fraclink design` does, its law and its moves;
+        the study has them.
+
+        `newer` tells whether somebody has asked for something else meanwhile:
+        SupersededError is raised then.
+        """
+        request, before = checked_request(parted(state)[0]), self.study
+        made = designed(bare(before), **wanted_of(request))
+        if newer():
+            raise SupersededError
+        # Only then the moves: a request that is already outdated does without.
+        made = moved(made)
+        with self.lock:
+            # By identity: an equal log read again is another one, whose findings may
+            # differ.
+            inputs = (
+                "rig",
+                "experiment",
+                "fit",
+            )  # another log may have been read meanwhile
+            if newer() or any(
+                getattr(self.study, name) is not getattr(before, name)
+                for name in inputs
+            ):
+                raise SupersededError
+            # A hand that comes back to the same place has lost nothing: proof and
+            # campaign still hold.
+            same = before.design == made.design
+            if same:  # proof, arms and faults are of this very design
+                made = replace(
+                    made,
+                    **{
+                        name: getattr(before, name)
+                        for name in ("certificate", "uncertified")
+                    },
+                )
+                made = replace(made, arms=before.arms, faults=before.faults)
+            self.state = request
+            self.become(made)
+        return Reply(
+            {"ok": True, "preview": False, **self.overview(), **self.arm(arm_key)}
+        )
+
+    def arm(self, known: object = "") -> dict[str, Any]:
+        """What the engine in the page runs; the key of the arm alone, and its law,
+        where the page has it.
+        """
+        made, law = self.study.design, self.study.law
+        if made is None or law is None:
+            return {"arm_key": "", "arm": None}
+        # What the page's engine is built of: 100 kB that are sent only when one of
+        # these has changed. The law, which a drag changes, is sent by itself.
+        whole = repr((made.model, made.rig, made.payloads)).encode()
+        key = hashlib.sha256(whole).hexdigest()[:16]
+        if known == key:
+            return {"arm_key": key, "blocks": blocks_of(law)}
+        box = arm_box(self.study, made)
+        return {"arm_key": key, "arm": None if box is None else box.data}
+
+    # ---- what the page shows ------------------------------------------------------------------------------
+
+    def overview(self) -> dict[str, Any]:
+        """Verdict, marks of the steps, tables and commands of the study as it stands."""
+        study, verdict = self.study, self.study.verdict
+        made = study.design
+        return {
+            "name": study.rig.name if study.rig else "",
+            "folder": str(self.folder),
+            "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
+            "spoken": ", ".join(f"{name} {scope.state}" for name, _, scope in tables.scopes(verdict)),
+            "verdict": [
+                {"name": name, "what": what, "state": scope.state, "shown": marked(scope.state),
+                 "reasons": scope.reasons or ["nothing against it"]}
+                for name, what, scope in tables.scopes(verdict)
+            ],
+            "remarks": verdict.remarks,
+            "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
+            "assumptions": study.assumptions,
+            "design": None if made is None else {
+                "requirements": _rows(tables.requirements_table(made.requirements), (0, 1, 2, 5)),
+                "controller": _rows(tables.controller_table(made, study.law)),
+                "findings": made.findings,
+                "moves": _rows(tables.moves_table(study.runs)),
+                "passed": made.passed,
+            },
+            "certificate": study.certificate is not None,
+            "proof_said": self._proof_said(),
+            "files": self.written,
+            "board_said": f"Written into {self.folder}." if self.written
+            else "Nothing written yet." if made else "Make a design first (step 4).",
+            "copies": copies(self),
+        }  # fmt: skip
+
+    def _proof_said(self) -> str:
+        study = self.study
+        if study.certificate is not None:
+            return study.certificate.verdict
+        return f"Not proved: {study.uncertified}" if study.uncertified else ""
+
+    def marks(self) -> dict[str, str]:
+        """The state of each step, as words of a verdict."""
+        study = self.study
+        verdict = study.verdict
+        log: tuple[Finding, ...] = study.findings
+        proof = (
+            "passed"
+            if study.certificate
+            else "failed"
+            if study.uncertified
+            else "not run"
+        )
+        return {
+            "log": "not run"
+            if study.experiment is None
+            else "failed"
+            if errors_of(log)
+            else "passed",
+            "channels": "not run" if study.experiment is None else "passed",
+            "model": "not run" if study.fit is None else tables.state_of(study.fit),
+            "design": verdict.promise.state,
+            "move": verdict.model.state,
+            "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
+            "board": "passed" if self.written else "not run",
+        }
+
+    # ---- what is kept -------------------------------------------------------------------------------------
+
+    def keep(self, *, force: bool = False) -> Reply:
+        """Write the study to its folder by the functions of the command line.
+
+        Raises FieldError where a file there is not the one that was read or kept,
+        unless `force` is given.
+        """
+        # Written to the draft first: only then is it known which files Keep would
+        # write.
+        trial = self.draft / "keep"
+        shutil.rmtree(trial, ignore_errors=True)
+        save_study(self.study, trial)
+        names = {path.name for path in trial.iterdir()}
+        there = _digests(self.folder)
+        # A file counts as ours when its digest is that of what was read or kept: times
+        # and sizes lie.
+        changed = sorted(
+            n
+            for n in names | set(self._kept)
+            if n in there and there[n] != self._kept.get(n)
+        )
+        if changed and not force:
+            problem = "already there, or changed since it was read"
+            allowed, remedy = (
+                "files that this studio wrote or read",
+                "replace them, or open the folder again",
+            )
+            raise FieldError(
+                "folder", ", ".join(changed), problem, allowed=allowed, remedy=remedy
+            )
+        self.folder.mkdir(parents=True, exist_ok=True)
+        save_study(self.study, self.folder)
+        removed = self._remove_outdated(names)
+        if self.study.arms is not None and (self.draft / "arms").is_dir():
+            shutil.copytree(
+                self.draft / "arms", self.folder / "arms", dirs_exist_ok=True
+            )
+        self._kept = _digests(self.folder)
+        return Reply(
+            {"ok": True, "kept": sorted(names), "removed": removed, **self.overview()}
+        )
+
+    def _remove_outdated(self, names: set[str]) -> list[str]:
+        """Remove what belonged to the design that was kept before, and would speak for
+        this one.
+        """
+        # Only files that this session read or kept: what a user laid beside them is not
+        # ours to remove.
+        old = [
+            p
+            for pattern in _OUTDATED
+            for p in self.folder.glob(pattern)
+            if p.name not in names
+        ]
+        gone = [path for path in old if path.name in self._kept]
+        for path in gone:
+            path.unlink()
+        if self.study.arms is None and self._kept and (self.folder / "arms").is_dir():
+            shutil.rmtree(self.folder / "arms")
+        return [path.name for path in gone]
+
+
+def opened(
+    place: Path | None, *, rig: Rig | None = None, out: Path = Path("results")
+) -> Session:
+    """Return the session of a folder of results, a design, a log, or of the rig alone.
+
+    Raises what reading the file raises.
+    """
+    if place is None:
+        return Session(Study(rig=rig or Rig.named("paper-2023")), out)
+    if place.is_dir():
+        study = load_study(place)
+        return Session(
+            study if rig is None else replace(study, rig=rig), place, kept=True
+        )
+    if place.suffix == ".json" and kind_of(place) == "design":
+        made = Design.load(place)
+        return Session(Study(rig=rig or made.rig, design=made, law=made.law()), out)
+    return Session(Study(rig=rig or Rig.named("paper-2023")), out, source=place)
+
+
+def bare(study: Study) -> Study:
+    """Return the study without its design, and without all that was made of it."""
+    return replace(
+        study, **_BARE, assumptions=study.rig.assumptions if study.rig else ()
+    )
+
+
+def _subject_of(study: Study) -> Subject | None:
+    try:
+        rig, model, _ = subject(study)
+    except FieldError:
+        return None
+    made = study.design
+    # W406: the filter was made longer for the bound at the second mode.
+    longer = made is not None and any(
+        finding.code == "W406" for finding in made.findings
+    )
+    own = (
+        (made.controller.filter_time, made.controller.filter_order)
+        if made and longer
+        else None
+    )
+    return Subject(rig, model, study.law, own)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a study in `folder`, by name."""
+    if not folder.is_dir():
+        return {}
+    kinds = (".json", ".npz", ".toml")
+    return {
+        path.name: sha256_of(path)
+        for path in sorted(folder.iterdir())
+        if path.suffix in kinds
+    }
+
+
+def _rows(table: Any, columns: tuple[int, ...] | None = None) -> Mapping[str, Any]:
+    """A table as the page shows it: all of its columns, or those."""
+    rows = [table.header, *table.shown]
+    cut = rows if columns is None else [[row[k] for k in columns] for row in rows]
+    return {"header": cut[0], "rows": cut[1:]}

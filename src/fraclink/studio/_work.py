@@ -1,0 +1,352 @@
+"""What takes seconds: fits, proof, arms, faults, in a process of their own that Cancel
+kills; and step 6.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._design import Design
+from fraclink._law import Law
+from fraclink._law.requirement import margins_of
+from fraclink.errors import FieldError
+from fraclink.studio._logs import fit_answer
+from fraclink.studio._messages import Reply
+from fraclink.studio._session import Session
+from fraclink.trials._arms import replay_run
+from fraclink.trials._campaign import Campaign, load_campaign
+from fraclink.trials._faults import FaultTable
+from fraclink.trials._study import Study, load_study, save_study
+from fraclink.view import _tables as tables
+from fraclink.view._text import grams
+from fracsys.checks import Between
+
+__all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
+
+Real = NDArray[np.float64]
+
+# Verb -> (part of the study it needs, what it is asked for beside: name, range,
+# default).
+_Option = tuple[str, Between, float | None]
+JOBS: dict[str, tuple[str, tuple[_Option, ...]]] = {
+    "identify": ("experiment", (("heldout", Between(0.05, 0.9), None),)),
+    "prove": ("law", ()),
+    "arms": ("law", (("runs", Between(1, 20_000), 1000),)),
+    "faults": ("law", ()),
+}
+_NEEDS = {
+    "experiment": "read a log first (steps 1 and 2)",
+    "law": "make a design first (step 4)",
+}
+
+
+class Job:
+    """One job of the page, on a copy of the study in a folder of its own."""
+
+    def __init__(self, session: Session, verb: str, given: Mapping[str, Any]) -> None:
+        self.session, self.verb, self.given = session, verb, given
+        self.study = session.study
+        self._process: subprocess.Popen[str] | None = None
+        self._lock, self._cancelled = Lock(), False
+
+    def cancel(self) -> None:
+        """Kill the process; what it had not finished is lost, and nothing else."""
+        with self._lock:
+            self._cancelled = True
+            if self._process is not None:
+                self._process.kill()
+
+    def done(self, tell: Callable[[Mapping[str, Any]], None]) -> Reply:
+        """Run to the end, with every piece of progress handed to `tell`, and return the
+        study's answer.
+        """
+        part, options = JOBS[self.verb]
+        if getattr(self.study, part) is None:
+            raise FieldError(
+                part, None, "missing", allowed="a study with it", remedy=_NEEDS[part]
+            )
+        asked = {
+            name: _checked(name, bounds, self.given.get(name, usual))
+            for name, bounds, usual in options
+        }
+        place = Path(tempfile.mkdtemp(dir=self.session.draft))
+        try:
+            # The campaign's parts stay where they are: a job that needs them makes them
+            # anew.
+            save_study(replace(self.study, arms=None), place)
+            self._run(place, asked, tell)
+            return self._taken(place, asked)
+        finally:
+            shutil.rmtree(place, ignore_errors=True)
+
+    def _run(
+        self,
+        place: Path,
+        asked: Mapping[str, Any],
+        tell: Callable[[Mapping[str, Any]], None],
+    ) -> None:
+        # A process of its own: it can be killed in the middle of a proof, and takes no
+        # time from the thread that answers drags.
+        command = [
+            sys.executable,
+            "-m",
+            "fraclink.studio._worker",
+            str(place),
+            self.verb,
+            json.dumps(asked),
+        ]
+        with self._lock:
+            if self._cancelled:
+                raise _cancelled(self.verb)
+            self._process = subprocess.Popen(  # this interpreter, this package  # noqa: S603
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        with self._process as process:
+            for line in process.stdout or ():
+                tell(json.loads(line))
+            # Read at the end: a job writes a line of error at most, which the pipe
+            # holds without a reader.
+            code, said = (
+                process.wait(),
+                (process.stderr.read() if process.stderr else ""),
+            )
+        if self._cancelled:
+            raise _cancelled(self.verb)
+        if code:
+            why = (
+                said.strip().splitlines()[-1][:400]
+                if said.strip()
+                else f"ended with code {code}"
+            )
+            allowed, remedy = (
+                "a job that ends",
+                "see the message; the study is as it was",
+            )
+            raise FieldError(
+                self.verb, code, f"failed: {why}", allowed=allowed, remedy=remedy
+            )
+
+    def _taken(self, place: Path, asked: Mapping[str, Any]) -> Reply:
+        """Take over what the job added, if the study is still the one that it began
+        with.
+        """
+        found, session = load_study(place), self.session
+        with session.lock:
+            now = session.study
+            # A fit needs the log alone; everything else speaks for one design, and
+            # would be wrong beside another.
+            another = self.verb != "identify" and now.design != self.study.design
+            if another or now.experiment is not self.study.experiment:
+                raise FieldError(
+                    self.verb, "another design", "for a study that has changed meanwhile",
+                    allowed="the study it began with", remedy="start it again",
+                )  # fmt: skip
+            if self.verb == "identify":
+                session.heldout = asked["heldout"]
+                session.become(replace(found, experiment=now.experiment, rig=now.rig))
+            elif self.verb == "prove":
+                certificate, why = found.certificate, found.uncertified
+                session.become(replace(now, certificate=certificate, uncertified=why))
+            elif self.verb == "arms":
+                shutil.rmtree(session.draft / "arms", ignore_errors=True)
+                shutil.move(place / "arms", session.draft / "arms")
+                session.become(replace(now, arms=found.arms))
+            else:
+                session.become(replace(now, faults=found.faults))
+        if self.verb == "identify":
+            return fit_answer(session)
+        return Reply({"ok": True, **session.overview(), **proof_of(session.study)})
+
+
+def _checked(name: str, bounds: Between, value: object) -> Any:
+    return None if value is None else bounds.check(name, value)
+
+
+def _cancelled(verb: str) -> FieldError:
+    allowed, remedy = "a job that ends", "start it again when you want it"
+    return FieldError(
+        verb, "cancelled", "stopped as you asked", allowed=allowed, remedy=remedy
+    )
+
+
+# --- step 6: what was proved and tried, the loop about −1 over payload and delay, moves of arms -------------
+
+_PAYLOADS, _DELAYS = 11, 8  # points of the map: 6 ms each
+_LIGHTER, _HEAVIER, _LATER = (
+    0.5,
+    1.5,
+    6,
+)  # of the payloads designed for; periods beyond the delay
+_POINTS = 400  # of a curve
+_UNSTABLE = 1.0
+_ARMS, _FAILED = 24, 12  # moves that are drawn, and of arms that fail: 4 ms each
+_SEEN, _EVERY = 2.4, 3  # [s] of a move, and periods from point to point: a pixel
+
+
+def swept(design: Design, law: Law) -> tuple[dict[str, Any], dict[str, Real]]:
+    """Return the map of −|1 + L| over payload [g] and delay [ms], 1 where it is
+    unstable; and curves.
+
+    Curves are L on the unit circle at both ends of the range and between, without and
+    with the delays of the map's middle, each as one row of real and one of imaginary
+    parts.
+    """
+    low, high = design.payloads
+    payloads = np.geomspace(_LIGHTER * low, _HEAVIER * high, _PAYLOADS)
+    own = _plant(design, low, 0.0).delay
+    # From no delay at all, where the design's own is taken away, to six periods more.
+    more = np.linspace(-own, _LATER * law.period, _DELAYS)
+    rows = [
+        [_distance(design, law, float(mass), float(late)) for mass in payloads]
+        for late in more
+    ]
+    nyquist = np.pi / law.period
+    w = np.geomspace(2e-3 * nyquist, 0.999 * nyquist, _POINTS)
+    loops = []
+    three = (low, 0.5 * (low + high), high)
+    for mass in three:
+        for late in (0.0, 0.5 * float(more[-1])):
+            loops.append(law.frequency_response(w) * _plant(design, mass, late)(w))
+    values = np.array(loops)
+    # On a circle of 10 instead of cut off: the page draws one line, and beyond 10 only
+    # the direction tells.
+    values = np.where(np.abs(values) > 10.0, 10.0 * values / np.abs(values), values)
+    head = {
+        "names": [grams(mass) for mass in three],
+        "payloads": 1e3 * payloads,
+        "delays": 1e3 * (own + more),
+        "near": rows,
+    }
+    return head, {"sweep_x": values.real, "sweep_y": values.imag}
+
+
+def _plant(design: Design, payload: float, late: float) -> Any:
+    plant = design.sampled_plant(design.natural_frequency(payload))
+    return replace(plant, delay=plant.delay + late)
+
+
+def _distance(design: Design, law: Law, payload: float, late: float) -> float:
+    found = margins_of(law.frequency_response, _plant(design, payload, late))
+    # One scale from far (−1) over touching (0) to unstable (1): the map interpolates
+    # between cells.
+    return -found.modulus_margin if found.stable else _UNSTABLE
+
+
+def moves_of_arms(campaign: Campaign, failures: tuple[int, ...]) -> dict[str, Real]:
+    """Return moves of arms of a campaign in percent of their goal, one row each, over
+    `fan_t` [s].
+
+    `fan_passed` are the first arms that pass, `fan_failed` the first that fail; without
+    rows a curve is left out.
+    """
+    law = campaign.law
+    # So many runs hold _ARMS that pass even if all that fail were among them.
+    passed = [
+        run
+        for run in range(min(campaign.runs, _ARMS + len(failures)))
+        if run not in failures
+    ]
+    count = round(_SEEN / law.period)
+    curves: dict[str, Real] = {
+        "fan_t": np.asarray(law.period * np.arange(0, count, _EVERY), dtype=np.float64)
+    }
+    for name, runs in (
+        ("fan_passed", passed[:_ARMS]),
+        ("fan_failed", failures[:_FAILED]),
+    ):
+        moves = [replay_run(campaign, run) for run in runs]
+        rows = [
+            100.0 * move.tip_angle[:count:_EVERY] / move.reference[-1] for move in moves
+        ]
+        if rows:
+            # A run that diverged is drawn to the edge of the picture, ten times the
+            # goal.
+            curves[name] = np.clip(np.nan_to_num(np.array(rows), nan=1e3), -1e3, 1e3)
+    return curves
+
+
+def proof_of(study: Study) -> dict[str, Any]:
+    """Return what step 6 shows: the statement that was proved, the spread of the arms,
+    the faults.
+    """
+    found: dict[str, Any] = {}
+    if study.certificate is not None:
+        statement = study.certificate.statement
+        found["proved"] = {
+            "modulus": statement.modulus,
+            "payloads": [
+                1e3 * statement.payload_low,
+                1e3 * statement.payload_high,
+            ],  # [g], [ms]: its box on the map
+            "delays": [1e3 * statement.delay_low, 1e3 * statement.delay_high],
+            "text": study.certificate.verdict,
+        }
+    if study.arms is not None:
+        spread = tables.spread_table(study.arms)
+        found["spread"] = {"header": spread.header, "rows": spread.rows}
+        failure = study.arms.failure
+        found["failures"] = {
+            "count": failure.count,
+            "runs": failure.runs,
+            "failed": study.arms.failed[:12],
+        }
+    if study.faults is not None:
+        rows = tables.faults_table(study.faults)
+        found["faults"] = {"header": rows.header, "rows": rows.shown}
+        found["faults_said"] = tables.faults_sentence(study.faults)
+        found["cells"] = _cells(study.faults)
+    return found
+
+
+def _cells(table: FaultTable) -> list[dict[str, Any]]:
+    """One for each fault, severity and payload: its first run that failed, or one that
+    passed.
+    """
+    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for outcome in table.outcomes:
+        case = outcome.case
+        key = (case.fault, case.severity, case.payload)
+        # A red cell leads to a run that shows why it is red.
+        if key not in found or (found[key]["passed"] and not outcome.passed):
+            names = ("fault", "severity", "payload")
+            found[key] = dict(zip(names, key, strict=True)) | {
+                "phase": case.phase,
+                "passed": outcome.passed,
+            }
+    return list(found.values())
+
+
+def _proof(session: Session, given: Mapping[str, Any]) -> Reply:
+    """Everything that step 6 shows of the study as it stands."""
+    study = session.study
+    head: dict[str, Any] = {"ok": True, **proof_of(study)}
+    if study.design is None or study.law is None:
+        return Reply(head)
+    near, curves = swept(study.design, study.law)
+    kept = [
+        place
+        for place in (session.draft / "arms", session.folder / "arms")
+        if place.is_dir()
+    ]
+    if study.arms is not None and kept:
+        curves |= moves_of_arms(load_campaign(kept[0]), study.arms.failed)
+    return Reply(head | {"swept": near}, curves)
+
+
+WORK_VERBS: dict[str, Callable[[Session, Mapping[str, Any]], Reply]] = {"proof": _proof}

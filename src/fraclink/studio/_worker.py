@@ -1,0 +1,85 @@
+"""The process in which a job of the studio runs: a folder in, the same folder with the
+result out.
+
+    python -m fraclink.studio._worker FOLDER VERB OPTIONS
+
+Progress goes to standard output, one JSON object a line. A refusal is the last line of
+standard error and the exit code 2.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fraclink.errors import FraclinkError
+from fraclink.trials._fault_trial import Bench
+from fraclink.trials._faults import Outcome, cases, run_faults
+from fraclink.trials._stages import identified, proved, tried
+from fraclink.trials._study import Study, load_study, save_study
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one job and return the exit code."""
+    folder, verb, options = sys.argv[1:] if arguments is None else arguments
+    place = Path(folder)
+    try:
+        save_study(_worked(load_study(place), verb, json.loads(options), place), place)
+    except FraclinkError as error:
+        # One line: the last one is what the page shows.
+        sys.stderr.write(f"{error}\n")
+        return 2
+    return 0
+
+
+def _worked(study: Study, verb: str, options: Mapping[str, Any], place: Path) -> Study:
+    if verb == "identify":
+        _tell({"said": "fitting four structures"})
+        return identified(study, heldout=options["heldout"])
+    if verb == "prove":
+        _tell({"said": "proving every payload and delay"})
+        # What an earlier try said would be taken for this one's if it were cancelled.
+        return proved(replace(study, uncertified=None, certificate=None))
+    if verb == "arms":
+        _tell({"said": f"trying {options['runs']:g} arms"})
+        return tried(study, int(options["runs"]), folder=place / "arms")
+    return _with_faults(study)
+
+
+def _with_faults(study: Study) -> Study:
+    """Every fault at three severities and three payloads, in every phase of a move,
+    with one seed.
+    """
+    assert study.design is not None  # noqa: S101
+    bench = Bench.of(study.design, study.design.rig)
+    # A third of the command's campaign, which takes three seeds: somebody sits before
+    # the page and waits.
+    planned = cases(bench, seeds=(1,))
+    done = 0
+
+    def watch(outcome: Outcome) -> None:
+        nonlocal done
+        done += 1
+        case = outcome.case
+        said = f"{done} of {len(planned)} runs, {case.fault}"
+        _tell({"said": said, "done": done, "all": len(planned), "passed": outcome.passed, "fault": case.fault,
+               "severity": case.severity, "payload": case.payload, "phase": case.phase})  # fmt: skip
+
+    said = f"0 of {len(planned)} runs"
+    _tell({"said": said, "done": 0, "all": len(planned), "payloads": bench.payloads})
+    return replace(study, faults=run_faults(bench, planned, watch=watch))
+
+
+def _tell(progress: Mapping[str, Any]) -> None:
+    sys.stdout.write(json.dumps(progress) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+from fraclink.trials._arms import replay_run as replay_run
+from fraclink.trials._arms import simulate_part as simulate_part
+from fraclink.trials._campaign import Campaign as Campaign
+from fraclink.trials._campaign import Distribution as Distribution
+from fraclink.trials._campaign import Draws as Draws
+from fraclink.trials._campaign import draws_for as draws_for
+from fraclink.trials._endurance import Soak as Soak
+from fraclink.trials._endurance import soak as soak
+from fraclink.trials._fault_rules import CATALOGUE as CATALOGUE
+from fraclink.trials._fault_rules import Fault as Fault
+from fraclink.trials._fault_trial import PHASES as PHASES
+from fraclink.trials._fault_trial import Bench as Bench
+from fraclink.trials._fault_trial import Case as Case
+from fraclink.trials._faults import FaultTable as FaultTable
+from fraclink.trials._faults import Outcome as Outcome
+from fraclink.trials._faults import cases as cases
+from fraclink.trials._faults import run_case as run_case
+from fraclink.trials._faults import run_faults as run_faults
+from fraclink.trials._rivals import Rival as Rival
+from fraclink.trials._run import Progress as Progress
+from fraclink.trials._run import run_campaign as run_campaign
+from fraclink.trials._stages import run as run
+from fraclink.trials._study import Study as Study
+from fraclink.trials._study import load_study as load_study
+from fraclink.trials._summary import Summary as Summary
+from fraclink.trials._summary import summarise as summarise
+from fraclink.trials._tournament import Standing as Standing
+from fraclink.trials._tournament import Tournament as Tournament
+from fraclink.trials._tournament import compare as compare
+
+__all__: list[str]

@@ -1,0 +1,509 @@
+"""A campaign: one law, the arm that it was made for, and what varies from one arm to
+the next.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Collection
+from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import field as with_default
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
+from fraclink._arm.reference import Reference, SampledReference, sampled, smooth_step
+from fraclink._arm.rig import Rig
+from fraclink._files import from_plain, read_json, write_json
+from fraclink._law import Law, equip
+from fraclink._law.estimator import PayloadEstimator, payload_estimator
+from fraclink.errors import FieldError, FileFormatError, SizeError
+from fracsys.checks import Between, checked
+
+__all__ = [
+    "PART_RUNS",
+    "SHAPES",
+    "Campaign",
+    "Distribution",
+    "Draws",
+    "draw",
+    "draws_for",
+    "load_campaign",
+    "save_campaign",
+]
+
+Real = NDArray[np.float64]
+
+KIND, FORMAT = "campaign", 1
+# runs of a part: a second of work is what a kill can cost, and a file of 100 kB
+PART_RUNS = 1000
+LARGEST = 10**9  # runs; a year of one core is a slip of the pen
+REST = 3.0  # [s] after the longest move: twenty vibration periods
+DURATION = 4.0  # [s]
+SHAPES = (0.5, 0.75, 1.0)  # durations of the drawn moves [s]
+# a normal draw is cut at ±4σ: 6e-5 of the draws, and no motor of negative inertia
+TAILS = 4.0
+
+
+# ── what is drawn
+# ───────────────────────────────────────────────────────────────────────────────────────────
+
+
+@checked
+@dataclass(frozen=True)
+class Distribution:
+    """One parameter's distribution.
+
+    "uniform": low … high. "normal": mean (low + high)/2 and standard deviation (high −
+    low)/8, cut at low and high, which are ±4σ. "whole": whole numbers low … high, all
+    equally likely.
+
+    >>> Distribution("uniform", 0.02, 0.04).at(np.array([0.5])).tolist()
+    [0.03]
+    """
+
+    kind: Literal["uniform", "normal", "whole"]
+    low: float
+    high: float
+
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise FieldError(
+                "low, high",
+                (self.low, self.high),
+                "not a range",
+                allowed="finite numbers, low <= high",
+                remedy="put the smaller number first",
+            )
+        if self.kind == "whole" and (
+            self.low != math.floor(self.low) or self.high != math.floor(self.high)
+        ):
+            raise FieldError(
+                "low, high",
+                (self.low, self.high),
+                "not whole",
+                allowed="whole numbers",
+                remedy="round them",
+            )
+
+    def at(self, uniform: Real) -> Real:
+        """Return the values whose cumulated probability is `uniform`, in [0, 1); shape
+        kept.
+        """
+        if self.kind == "whole":
+            return np.asarray(
+                self.low + np.floor(uniform * (self.high - self.low + 1.0))
+            )
+        if self.kind == "uniform" or self.low == self.high:
+            return np.asarray(self.low + uniform * (self.high - self.low))
+        cut = ndtr(-TAILS)
+        deviation = ndtri(cut + uniform * (1.0 - 2.0 * cut))
+        return np.asarray(
+            0.5 * (self.low + self.high)
+            + deviation * (self.high - self.low) / (2.0 * TAILS)
+        )
+
+
+def _around(centre: float, part: float) -> Distribution:
+    """A normal distribution about `centre` whose ±4σ are `part` of it."""
+    return Distribution("normal", centre * (1.0 - part), centre * (1.0 + part))
+
+
+def _always(value: float) -> Distribution:
+    return Distribution("uniform", value, value)
+
+
+# Least and largest value of each parameter's range, and whether the least is allowed.
+_RANGES = {
+    "payload": (0.0, math.inf, False),
+    "stiffness": (0.0, math.inf, False),
+    "order": (1.0, 2.0, False),
+    "motor_gain": (0.0, math.inf, False),
+    "amplitude": (0.0, math.inf, False),
+    "delay_samples": (0.0, 100.0, True),
+    "viscous_friction": (0.0, math.inf, True),
+    "damping": (0.0, math.inf, True),
+    "coulomb_torque": (0.0, math.inf, True),
+    "noise": (0.0, math.inf, True),
+    "gauge_delay": (0.0, math.inf, True),
+    "payload_given": (0.0, math.inf, True),
+}
+
+
+@checked(prefix="draws.")
+@dataclass(frozen=True)
+class Draws:
+    """The distributions of one campaign; factors multiply the rig's own value.
+
+    payload [kg], stiffness [N·m/rad], order λ [1], motor_gain, viscous_friction,
+    coulomb_torque, noise and the link's damping μ [factors], gauge_offset [N·m], delay_samples [periods],
+    amplitude of the move [rad], gauge_delay [s], gauge_gain [1], payload_given [1]:
+    what the law is given over the arm's payload, 0 for nothing.
+    """
+
+    payload: Distribution
+    stiffness: Distribution
+    order: Distribution
+    gauge_offset: Distribution
+    delay_samples: Distribution
+    motor_gain: Distribution = with_default(default_factory=lambda: _around(1.0, 0.1))
+    viscous_friction: Distribution = with_default(
+        default_factory=lambda: _around(1.0, 0.3)
+    )
+    coulomb_torque: Distribution = with_default(
+        default_factory=lambda: Distribution("uniform", 0.5, 1.5)
+    )
+    noise: Distribution = with_default(
+        default_factory=lambda: Distribution("uniform", 0.5, 2.0)
+    )
+    amplitude: Distribution = with_default(
+        default_factory=lambda: Distribution("uniform", 0.2, 1.2)
+    )
+    gauge_delay: Distribution = with_default(default_factory=lambda: _always(0.0))
+    gauge_gain: Distribution = with_default(default_factory=lambda: _always(1.0))
+    payload_given: Distribution = with_default(default_factory=lambda: _always(0.0))
+    damping: Distribution = with_default(default_factory=lambda: _always(1.0))
+
+    def __post_init__(self) -> None:
+        for name, (low, high, closed) in _RANGES.items():
+            own = getattr(self, name)
+            if own.low < low or own.high > high or (own.low == low and not closed):
+                words = f"{low:g} {'<=' if closed else '<'} {name} <= {high:g}"
+                raise FieldError(
+                    f"draws.{name}",
+                    (own.low, own.high),
+                    "out of range",
+                    allowed=words,
+                    remedy="narrow it",
+                )
+
+
+@checked
+def draws_for(rig: Rig, model: LinkModel) -> Draws:
+    """Return the stated defaults: what varies between two arms of one drawing, and from
+    day to day.
+
+    payload over the rig's range, stiffness ±8 % and λ ±0.02 at 4σ, motor gain ±10 %,
+    viscous friction and the link's damping ±30 %, Coulomb torque 0.5 … 1.5 ×, noise 0.5 … 2 ×, gauge offset
+    ±0.05 N·m, moves of 0.2 … 1.2 rad. The delay stays the rig's own: one more sample is
+    another design, not a tolerance. The gauge's delay and gain are those that were
+    identified.
+
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> draws_for(rig, rig.model).payload.high
+    0.04
+    """
+    # λ above 2 is a link that makes energy: for a model near 2 the spread is cut on
+    # both sides, so that its mean stays the model's.
+    reach = min(0.02, 2.0 - model.order)
+    return Draws(
+        payload=Distribution("uniform", rig.payloads.low, rig.payloads.high),
+        stiffness=_around(model.stiffness, 0.08),
+        order=Distribution("normal", model.order - reach, model.order + reach),
+        gauge_offset=Distribution("uniform", -0.05, 0.05),
+        delay_samples=Distribution(
+            "whole", rig.motor_loop.delay_samples, rig.motor_loop.delay_samples
+        ),
+        # An identified delay below zero says that the motor angle is late; no gauge
+        # shows a torque that is yet to come.
+        gauge_delay=_always(max(model.gauge_delay, 0.0)),
+        gauge_gain=_always(model.gauge_gain),
+        # of a link without μ there is nothing to draw, and nothing to correlate with
+        damping=_around(1.0, 0.3) if model.damping else _always(1.0),
+    )
+
+
+def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
+    """Return the parameters of the runs of one part, by name; shape (runs,) each.
+
+    Part `part` has its own stream, ``SeedSequence(seed, spawn_key=(part,))``: what is
+    drawn depends on the seed and the part's number only, never on who computes it or
+    when.
+    """
+    # Philox, a counter-based generator keyed by seed and part: the streams of two parts
+    # cannot overlap.
+    generator = np.random.Generator(
+        np.random.Philox(np.random.SeedSequence(seed, spawn_key=(part,)))
+    )
+    names = [field.name for field in fields(draws)]
+    # What came later is drawn behind the others, and leaves what a seed gives as it
+    # was.
+    first = [name for name in names if name not in LATER_DRAWS]
+    uniform = dict(zip(first, generator.random((len(first), runs)), strict=True))
+    shape = np.floor(generator.random(runs) * 2**31)
+    uniform |= {name: generator.random(runs) for name in LATER_DRAWS}
+    return {name: getattr(draws, name).at(uniform[name]) for name in names} | {
+        "shape": shape
+    }
+
+
+# ── the campaign
+# ────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@checked
+@dataclass(frozen=True)
+class Campaign:
+    """Monte Carlo runs of one law on arms that differ: payload, stiffness, λ, motor,
+    friction, sensors.
+
+    rig, model and law: the nominal arm and the law under test, with its motor loop for
+    ``motor_loop="sampled"``. draws: the distributions. runs: how many, 1 … 10⁹. seed: 0
+    … 2⁶³ − 1; the same seed gives the same runs whatever the number of workers.
+    duration [s] of each run. reference: what the tip follows, times the drawn
+    amplitude; a quintic of one of three durations where it is left out. payloads [kg]:
+    what the law was designed for, where it is given the payload that it estimates; else
+    None.
+    """
+
+    rig: Rig
+    model: LinkModel
+    law: Law
+    draws: Draws
+    runs: Annotated[int, Between(1)]
+    seed: Annotated[int, Between(0, 2**63 - 1)] = 0
+    motor_loop: Literal["ideal", "sampled"] = "sampled"
+    duration: Annotated[
+        float, Between(max(SHAPES) + 1.0, 600.0, "s", remedy="leave time to settle")
+    ] = DURATION
+    reference: Reference | None = None
+    payloads: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        # A second to settle: less, and every run would fail for the length of the
+        # campaign and not for its arm.
+        if self.reference is not None and self.reference.duration + 1.0 > self.duration:
+            allowed, remedy = f"<= {self.duration - 1.0:g} s", "run for longer"
+            raise FieldError(
+                "reference",
+                self.reference.duration,
+                "too long",
+                allowed=allowed,
+                remedy=remedy,
+            )
+        if self.runs > LARGEST:
+            raise SizeError(
+                "runs",
+                self.runs,
+                "too many",
+                allowed=f"<= {LARGEST}",
+                remedy="ask for less",
+            )
+
+    @cached_property
+    def estimator(self) -> PayloadEstimator | None:
+        """What estimates the payload of each arm, from the nominal one; None where
+        nothing does.
+        """
+        if self.payloads is None:
+            return None
+        return payload_estimator(
+            with_payload(self.model, self.rig), self.rig, self.law, self.payloads
+        )
+
+    @property
+    def references(self) -> tuple[Reference, ...]:
+        """What the tip of a run follows: one of these times its amplitude."""
+        moves = tuple(smooth_step(1.0, duration) for duration in SHAPES)
+        return moves if self.reference is None else (self.reference,)
+
+    @property
+    def parts(self) -> int:
+        """Number of parts of 1000 runs; the last one may be shorter."""
+        return -(-self.runs // PART_RUNS)
+
+    def part_runs(self, part: int) -> int:
+        """Number of runs of part `part`, 0 … parts − 1."""
+        return min(PART_RUNS, self.runs - part * PART_RUNS)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of everything a part's result depends on; the number of runs is not
+        among it.
+        """
+        # Sorted keys and the shortest decimals that read back: the same text on every
+        # machine, and in every version.
+        text = (
+            json.dumps({"rig": self.rig.tables()} | _about(self), sort_keys=True)
+            + self.law.digest
+        )
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @staticmethod
+    @checked
+    def of(
+        rig: Rig,
+        model: LinkModel,
+        law: Law,
+        *,
+        runs: int,
+        seed: int = 0,
+        draws: Draws | None = None,
+        motor_loop: Literal["ideal", "sampled"] = "sampled",
+        told: bool = False,
+        estimated: tuple[float, float] | None = None,
+        reference: Reference | None = None,
+    ) -> Campaign:
+        """Return the campaign of a law with the default draws of its rig; the law gets
+        the rig's motor loop.
+
+        With `told` the law is given the payload of each arm, whatever `draws` say of
+        that; with the payloads that it was designed for as `estimated` (low, high) [kg]
+        it estimates it while the arm moves. With a `reference` every tip follows it as
+        it is, whatever they say of the amplitude.
+
+        >>> import fraclink as fl
+        >>> rig = fl.Rig.named("paper-2023")
+        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> law = fl.discretize(controller, rig.period, order=4)
+        >>> Campaign.of(rig, rig.model, law, runs=2500).parts
+        3
+        """
+        own = (
+            equip(law, rig, model)
+            if motor_loop == "sampled" and law.drive is None
+            else law
+        )
+        chosen = draws_for(rig, model) if draws is None else draws
+        chosen = replace(chosen, payload_given=_always(1.0)) if told else chosen
+        if reference is None:
+            return Campaign(
+                rig, model, own, chosen, runs, seed, motor_loop, payloads=estimated
+            )
+        # The reference has its own size: an amplitude drawn on top would ask for moves
+        # that nobody planned.
+        length = max(DURATION, reference.duration + REST)
+        chosen = replace(chosen, amplitude=_always(1.0))
+        return Campaign(
+            rig,
+            model,
+            own,
+            chosen,
+            runs,
+            seed,
+            motor_loop,
+            length,
+            reference,
+            estimated,
+        )
+
+
+def _about(campaign: Campaign) -> dict[str, object]:
+    estimated = (
+        {} if campaign.payloads is None else {"estimated": list(campaign.payloads)}
+    )
+    return (
+        _followed(campaign)
+        | estimated
+        | {
+            "model": _stated(campaign.model, LATER_MODEL),
+            "draws": _stated(campaign.draws, LATER_DRAWS),
+            "seed": campaign.seed,
+            "inner": campaign.motor_loop,
+            "duration": campaign.duration,
+            "part_runs": PART_RUNS,
+            "shapes": list(SHAPES),
+        }
+    )
+
+
+def _followed(campaign: Campaign) -> dict[str, object]:
+    """The reference's samples, nothing where there is none: such a campaign keeps its
+    fingerprint.
+    """
+    reference, period = campaign.reference, campaign.law.period
+    if reference is None:
+        return {}
+    return {
+        "reference": sampled(
+            reference, period, math.ceil(reference.duration / period) + 1
+        ).tolist()
+    }
+
+
+# Fields that release 0.1 did not have.
+LATER_MODEL = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
+LATER_DRAWS: dict[str, float] = {
+    "gauge_delay": 0.0,
+    "gauge_gain": 1.0,
+    "payload_given": 0.0,
+    "damping": 1.0,
+}
+
+
+def _stated(value: LinkModel | Draws, later: Collection[str]) -> dict[str, object]:
+    """The fields but later ones at their defaults: a campaign begun before them keeps
+    its fingerprint.
+    """
+    made = {
+        f.name: f.default_factory() if f.default_factory is not MISSING else f.default
+        for f in fields(value)
+    }
+    stated = {f.name: getattr(value, f.name) for f in fields(value)}
+    return {
+        k: v for k, v in asdict(value).items() if k not in later or stated[k] != made[k]
+    }
+
+
+def save_campaign(campaign: Campaign, folder: Path) -> None:
+    """Write rig.toml, law.json and campaign.json into `folder`: all that a worker
+    needs.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    campaign.rig.save(folder / "rig.toml")
+    campaign.law.save(folder / "law.json")
+    record = _about(campaign) | {
+        "runs": campaign.runs,
+        "fingerprint": campaign.fingerprint,
+    }
+    write_json(folder / "campaign.json", KIND, FORMAT, record)
+
+
+def load_campaign(folder: Path | str) -> Campaign:
+    """Read back what `save_campaign` wrote; FileFormatError where a file is damaged or
+    does not belong.
+    """
+    place = Path(folder)
+    data = read_json(place / "campaign.json", KIND, (FORMAT,))
+    try:
+        law, rows = Law.load(place / "law.json"), data.get("reference")
+        campaign = Campaign(
+            rig=Rig.load(place / "rig.toml"),
+            model=from_plain(LinkModel, data["model"], "model"),
+            law=law,
+            draws=Draws(
+                **{name: Distribution(**d) for name, d in data["draws"].items()}
+            ),
+            runs=data["runs"],
+            seed=data["seed"],
+            motor_loop=data["inner"],
+            duration=data["duration"],
+            reference=None if rows is None else SampledReference(law.period, rows),
+            payloads=tuple(data["estimated"]) if "estimated" in data else None,
+        )
+    except (AttributeError, KeyError, TypeError) as error:
+        raise FileFormatError(
+            "campaign",
+            str(error),
+            "missing or unknown",
+            allowed="a campaign's folder",
+            remedy="start anew",
+        ) from error
+    if data.get("fingerprint") != campaign.fingerprint:
+        raise FileFormatError(
+            "fingerprint",
+            data.get("fingerprint"),
+            "not that of the folder's rig, law and draws",
+            allowed=campaign.fingerprint,
+            remedy="do not edit a campaign's files; start a new folder",
+        )
+    return campaign

@@ -1,0 +1,480 @@
+"""Compute a campaign's missing parts on processes of this machine, or on a Dask
+cluster.
+
+A part is done when its file is there and reads back as this campaign's; everything else
+is computed again. So a kill costs the parts in flight and nothing more, and the same
+command continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import re
+import sys
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._files import RENAMED, atomic_write, checked_path
+from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
+from fraclink.trials._arms import simulate_part
+from fraclink.trials._campaign import (
+    LATER_DRAWS,
+    Campaign,
+    load_campaign,
+    save_campaign,
+)
+from fracsys.checks import FilePath, Workers, checked
+
+__all__ = [
+    "Progress",
+    "compute",
+    "part_path",
+    "parts_there",
+    "process_pool",
+    "read_part",
+    "run_campaign",
+    "write_part",
+]
+
+# pools that die one after the other without a single part done: something kills every
+# one of them
+PATIENCE = 5
+CONNECT = 10  # [s] to reach a scheduler
+# Columns that the parts of release 0.1 do not have, and what held for all of its runs.
+_LATER = LATER_DRAWS | {"growth": 0.0}
+# parts handed out per worker: one computed, one waiting, so that a worker never idles
+IN_FLIGHT = 2
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a campaign is: runs finished before this call, finished by now, and
+    wanted.
+
+    failed: of those that this call finished; counted where `watch` is given.
+    """
+
+    before: int
+    done: int
+    runs: int
+    failed: int = 0
+
+
+@checked
+def run_campaign(
+    campaign: Campaign,
+    folder: FilePath,
+    *,
+    workers: Workers = 1,
+    scheduler: str | None = None,
+    watch: Callable[[Progress], None] | None = None,
+) -> Progress:
+    """Compute what is missing of a campaign into `folder`; return how far it is, which
+    is: done.
+
+    Parameters
+    ----------
+    campaign
+        what to run; a folder of another campaign is refused, a longer one of the same
+        continues.
+    folder
+        where rig.toml, law.json, campaign.json and part-*.parquet are kept.
+    workers
+        processes on this machine, 1 … 1024; the result does not depend on it. One is
+        this process. More import the script that runs: it calls this below ``if
+        __name__ == "__main__":``.
+    scheduler
+        address of a Dask scheduler, e.g. "tcp://127.0.0.1:8786"; its workers must see
+        `folder`.
+    watch
+        called after every part.
+
+    Raises
+    ------
+    FieldError
+        the folder belongs to another campaign, or cannot be written (finished parts are
+        kept); the script has no such line.
+    NotConvergedError
+        worker processes die without finishing anything.
+    """
+    place = checked_path("folder", folder)
+    _claim(campaign, place)
+    # Read in full and compared with its digests, not only looked for: a file that a
+    # kill or an editor left would otherwise be summarised.
+    missing = [
+        part for part in range(campaign.parts) if not _is_done(campaign, place, part)
+    ]
+    before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
+    progress = Progress(before, before, campaign.runs)
+    try:
+        if scheduler:
+            source = _on_cluster(place, missing, scheduler)
+        else:
+            # Closed at the end, whatever ends it: an exception of `watch` must not
+            # leave processes behind.
+            source = (
+                _on_pool(place, missing, workers)
+                if workers > 1
+                else _here(place, missing)
+            )
+        with closing(source) as finished:
+            for part in finished:
+                done = progress.done + campaign.part_runs(part)
+                failed = progress.failed + (
+                    _failures(campaign, place, part) if watch is not None else 0
+                )
+                progress = Progress(before, done, campaign.runs, failed)
+                if watch is not None:
+                    watch(progress)
+    except OSError as error:
+        raise FieldError(
+            "out",
+            str(place),
+            f"not writable ({error.strerror or error})",
+            allowed="a folder with space left",
+            remedy="finished parts are kept: make room and give the same command again",
+        ) from error
+    return progress
+
+
+def _claim(campaign: Campaign, place: Path) -> None:
+    """Make the folder this campaign's, or refuse it."""
+    if (place / "campaign.json").exists():
+        known = load_campaign(place)
+        if known.fingerprint != campaign.fingerprint:
+            raise FieldError(
+                "out",
+                str(place),
+                "the folder of another campaign",
+                allowed="a new folder, or one of the same rig, law, draws and seed",
+                remedy="choose another folder",
+            )
+        # A shorter request of the same campaign is done already where the longer one
+        # is; the file keeps the longer.
+        if known.runs >= campaign.runs:
+            return
+    elif (other := _not_ours(campaign, place)) is not None:
+        raise FieldError(
+            "out",
+            str(place),
+            f"a folder with another {other}, which a campaign would replace",
+            allowed="a new folder, or one of the same campaign",
+            remedy="choose another folder",
+        )
+    try:
+        save_campaign(campaign, place)
+    except OSError as error:
+        raise FieldError(
+            "out",
+            str(place),
+            f"not writable ({error.strerror or error})",
+            allowed="a folder that can be written",
+            remedy="choose another folder",
+        ) from error
+
+
+def _not_ours(campaign: Campaign, place: Path) -> str | None:
+    """The file of a study or a person, in a folder without a campaign, that this
+    campaign would overwrite.
+    """
+    # A kill between the first file and campaign.json leaves the files of this campaign:
+    # they are the same.
+    with TemporaryDirectory() as folder:
+        save_campaign(campaign, Path(folder))
+        for name in ("rig.toml", "law.json"):
+            there = place / name
+            if (
+                there.is_file()
+                and there.read_bytes() != (Path(folder) / name).read_bytes()
+            ):
+                return name
+    return None
+
+
+def _is_done(campaign: Campaign, place: Path, part: int) -> bool:
+    return (
+        part_path(place, part).exists() and read_part(campaign, place, part) is not None
+    )
+
+
+def _failures(campaign: Campaign, place: Path, part: int) -> int:
+    found = read_part(campaign, place, part, names=("passed",))
+    return 0 if found is None else int(np.count_nonzero(found["passed"] == 0))
+
+
+def compute(folder: str, part: int) -> int:
+    """Compute one part of the campaign kept in `folder`; what a worker process
+    receives, as plain values.
+    """
+    write_part(load_campaign(folder), Path(folder), part)
+    return part
+
+
+def _here(place: Path, missing: list[int]) -> Generator[int, None, None]:
+    """One worker needs no process of its own: a second to start it, and no script that
+    is run again.
+    """
+    for part in missing:
+        yield compute(str(place), part)
+
+
+def _on_pool(
+    place: Path, missing: list[int], workers: int
+) -> Generator[int, None, None]:
+    left, deaths = list(missing), 0
+    while left:
+        done: list[int] = []
+        try:
+            for part in _one_pool(place, left, workers):
+                done.append(part)
+                # A pool that brings something home is no sick machine: only deaths in a
+                # row count.
+                deaths = 0
+                yield part
+        except BrokenProcessPool as error:
+            deaths += 1
+            if deaths >= PATIENCE:
+                raise NotConvergedError(
+                    "campaign workers",
+                    reached=0,
+                    wanted=len(left),
+                    remedy="the system kills every worker: give fewer workers, or look for lack of memory",
+                ) from error
+        left = [part for part in left if part not in set(done)]
+
+
+def _one_pool(
+    place: Path, parts: list[int], workers: int
+) -> Generator[int, None, None]:
+    # Reversed, so that the first part is popped first and a campaign that is looked at
+    # meanwhile is filled from its beginning.
+    waiting, running = list(reversed(parts)), set[Future[int]]()
+    with process_pool(workers) as pool:
+        while waiting or running:
+            while waiting and len(running) < IN_FLIGHT * workers:
+                running.add(pool.submit(compute, str(place), waiting.pop()))
+            finished, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                yield future.result()
+
+
+def _on_cluster(
+    place: Path, missing: list[int], scheduler: str | None
+) -> Generator[int, None, None]:
+    try:
+        from distributed import Client, as_completed
+    except ImportError as error:
+        raise MissingExtraError("distributed", "cluster") from error
+    try:
+        client = Client(scheduler, timeout=CONNECT)
+    except (OSError, ValueError) as error:
+        raise FieldError(
+            "scheduler",
+            scheduler,
+            "not answering",
+            allowed="the address of a running Dask scheduler, e.g. tcp://127.0.0.1:8786",
+            remedy="start one: dask scheduler; dask worker ADDRESS",
+        ) from error
+    with client:
+        # retries: Dask gives the parts of a worker that died to another one Keys that
+        # are not derived from the arguments: Dask would otherwise hand out the answer
+        # of an earlier campaign for the same folder and part, although its files are
+        # gone.
+        futures = client.map(
+            compute,
+            [str(place.resolve())] * len(missing),
+            missing,
+            pure=False,
+            retries=3,
+        )
+        for future in as_completed(futures):
+            yield future.result()
+
+
+# ── processes
+# ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@contextmanager
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give a pool of `workers` processes; at the end what waits is cancelled and what
+    runs is awaited.
+
+    Raises FieldError where the workers die because each runs the user's script again,
+    BrokenProcessPool where they die of anything else.
+    """
+    # spawn: a forked child would inherit threads of numerical libraries in the middle
+    # of a lock
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        script = _unguarded_script()
+        if script is None:
+            raise
+        raise FieldError(
+            "script",
+            script.name,
+            "run again by every worker process, and so starts workers itself",
+            allowed='a script whose work stands below `if __name__ == "__main__":`',
+            remedy="put that line above the call, and indent what follows",
+        ) from error
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _unguarded_script() -> Path | None:
+    """The script that runs, if it never asks whether it is the main one; a spawned
+    process runs it again.
+    """
+    file = getattr(sys.modules["__main__"], "__file__", None)
+    # a package's __main__.py (`python -m fraclink`) is not run again
+    if file is None or Path(file).name == "__main__.py" or not Path(file).is_file():
+        return None
+    text = Path(file).read_text(encoding="utf-8", errors="replace")
+    return None if "__main__" in text or "parent_process" in text else Path(file)
+
+
+# ── files
+# ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def part_path(folder: Path, part: int) -> Path:
+    """Return the file of a part; its number has seven digits, so that names sort as
+    numbers do.
+    """
+    return folder / f"part-{part:07d}.parquet"
+
+
+def parts_there(folder: Path) -> list[int]:
+    """Return the numbers of the parts whose names stand in `folder`, whatever the files
+    hold, in order.
+    """
+    # The folder and not the campaign is walked: one of 10⁹ runs that has just begun has
+    # a million names to ask for, 27 s of processor time, and a file too many would
+    # never be met.
+    found = (
+        re.fullmatch(r"part-(\d{7,12})\.parquet", file.name)
+        for file in folder.glob("part-*.parquet")
+    )
+    numbers = ((int(name[1]), name[0]) for name in found if name)
+    # A number has one name: with an eighth digit in front, or other digits, a part
+    # would be counted twice.
+    return sorted(
+        part for part, name in numbers if part_path(folder, part).name == name
+    )
+
+
+def write_part(campaign: Campaign, folder: Path, part: int) -> int:
+    """Simulate a part and write its file in one step; return its number of runs."""
+    pa, parquet = _parquet()
+    place = part_path(folder, part)
+    # A kill leaves the half of the file that it cut off: its part is missing, and is
+    # computed here again.
+    for left in folder.glob(f".{place.name}.*.tmp"):
+        left.unlink(missing_ok=True)
+    columns = simulate_part(campaign, part)
+    table = pa.table(columns).replace_schema_metadata(
+        {
+            "fraclink": "campaign part",
+            "fingerprint": campaign.fingerprint,
+            "part": str(part),
+            # the file's footer has no checksum: a flipped bit in a column's name shows
+            # against this list
+            "columns": ",".join(columns),
+            # a program that edits the numbers writes pages with good checksums again,
+            # but not these
+            "digests": ",".join(_digest(values) for values in columns.values()),
+        }
+    )
+    with atomic_write(place, "wb") as stream:
+        # No statistics and no time: two computations of one part give the same bytes.
+        # Checksums: zstd alone unpacks a flipped bit into other numbers without a word.
+        parquet.write_table(
+            table,
+            stream,
+            compression="zstd",
+            write_statistics=False,
+            write_page_checksum=True,
+        )
+    return int(table.num_rows)
+
+
+def read_part(
+    campaign: Campaign, folder: Path, part: int, *, names: tuple[str, ...] = ()
+) -> dict[str, NDArray[np.generic]] | None:
+    """Return columns `names` of a finished part (all where none is named); None where
+    the file is missing, damaged or of another campaign.
+    """
+    pa, parquet = _parquet()
+    place = part_path(folder, part)
+    if not place.is_file():  # a pipe of that name would hold its reader for ever
+        return None
+    try:
+        with parquet.ParquetFile(
+            place, memory_map=False, page_checksum_verification=True
+        ) as file:
+            schema, rows = file.schema_arrow, file.metadata.num_rows
+            own = {RENAMED.get(name, name): name for name in schema.names}
+            table = file.read(
+                columns=[own[name] for name in names if name in own] if names else None
+            )
+    except (
+        OSError,
+        ValueError,
+        pa.ArrowException,
+    ):  # ValueError: a name that is not UTF-8 any more
+        return None
+    meta = schema.metadata or {}
+    wanted = {
+        b"fingerprint": campaign.fingerprint.encode(),
+        b"part": str(part).encode(),
+        b"columns": ",".join(schema.names).encode(),
+    }
+    # The last part of a shorter campaign has fewer runs under the same number and
+    # fingerprint: it is done again.
+    if any(meta.get(k) != v for k, v in wanted.items()) or rows != campaign.part_runs(
+        part
+    ):
+        return None
+    columns = {name: table[name].to_numpy() for name in table.column_names}
+    # The parts of release 0.1 have neither digests nor the later columns; one that has
+    # these columns had the digests, too, and who took them out has edited it.
+    if b"digests" in meta or not _LATER.keys().isdisjoint(own):
+        digests = dict(
+            zip(schema.names, meta.get(b"digests", b"").split(b","), strict=False)
+        )
+        if any(
+            digests.get(name) != _digest(values).encode()
+            for name, values in columns.items()
+        ):
+            return None
+    columns = {RENAMED.get(name, name): values for name, values in columns.items()}
+    return columns | {
+        name: np.full(rows, _LATER[name])
+        for name in _LATER
+        if name in names and name not in own
+    }
+
+
+def _digest(values: NDArray[np.generic]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()[:32]
+
+
+def _parquet() -> tuple[Any, Any]:
+    try:
+        import pyarrow as pa  # the extra "io"
+        from pyarrow import parquet
+    except ImportError as error:
+        raise MissingExtraError("pyarrow", "io") from error
+    return pa, parquet

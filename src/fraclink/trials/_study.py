@@ -1,0 +1,378 @@
+"""A study: whatever was computed from one log, its verdict, and its folder with one
+file for each part:
+
+rig.toml  log.npz  model.json  model-UD-IOM.json …  design.json  law.json
+certificate.json  run-20g.npz …  arms/  faults.json  study.json
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import STRUCTURES
+from fraclink._arm.rig import Rig
+from fraclink._certify import Certificate
+from fraclink._design import Design
+from fraclink._display import displayed
+from fraclink._files import checked_path, document, kind_of, load, save
+from fraclink._identify import Comparison, Contest, Fit
+from fraclink._law import Law
+from fraclink._simulate import Run
+from fraclink.errors import FileFormatError
+from fraclink.findings import Finding, Scope, Verdict
+from fraclink.trials._campaign import load_campaign
+from fraclink.trials._faults import FaultTable
+from fraclink.trials._summary import Summary, summarise
+
+__all__ = ["Refusal", "Study", "load_study", "save_study"]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A request that no controller meets, and the nearest one that can be met, as
+    arguments of `design`.
+
+    Both are empty where the condition names none.
+    """
+
+    asked: Mapping[str, float]
+    nearest: Mapping[str, float]
+
+    @classmethod
+    def of(cls, wanted: Mapping[str, Any], nearest: Mapping[str, float]) -> Refusal:
+        """What was asked for of the values that the nearest request names."""
+        asked = {
+            name: float(wanted[name])
+            for name in nearest
+            if isinstance(wanted.get(name), int | float)
+        }
+        return cls(dict(nearest) | asked, dict(nearest))
+
+
+@displayed
+@dataclass(frozen=True)
+class Study:
+    """What one log led to. Every part may be missing: a folder may hold some of the
+    files only.
+
+    rig, experiment, findings (of their examination); comparison of the structures; the
+    fit that the design used; design, law and certificate; stopped, uncertified and
+    untried: why there is none of them, no proof and no arms that differ; refused: the
+    request and the nearest that can be met, where it was the request that stopped it;
+    runs: simulated moves, one for each payload;
+    arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
+    sentences on everything that was not stated.
+
+    >>> Study().verdict.state
+    'not run'
+    """
+
+    rig: Rig | None = None
+    experiment: Experiment | None = None
+    findings: tuple[Finding, ...] = ()
+    comparison: Comparison | None = None
+    fit: Fit | None = None
+    design: Design | None = None
+    law: Law | None = None
+    stopped: str | None = None
+    refused: Refusal | None = None
+    certificate: Certificate | None = None
+    uncertified: str | None = None
+    untried: str | None = None
+    runs: tuple[Run, ...] = ()
+    arms: Summary | None = None
+    faults: FaultTable | None = None
+    assumptions: tuple[str, ...] = ()
+
+    @property
+    def fits(self) -> Mapping[str, Fit]:
+        """The fits by structure: all that were compared, or the one that there is."""
+        if self.comparison is not None:
+            return self.comparison.fits
+        return {} if self.fit is None else {self.fit.structure: self.fit}
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict in three scopes."""
+        # A design may be good and the log behind it wrong: a reversed gauge fits as
+        # well as a right one.
+        wrong = [("the log", finding) for finding in self.findings]
+        wrong += [
+            ("the model", finding)
+            for finding in (self.fit.findings if self.fit else ())
+        ]
+        said = {finding for _, finding in wrong}
+        wrong += [
+            ("the design", f)
+            for f in (self.design.findings if self.design else ())
+            if f not in said
+        ]
+        # Errors only: a warning asks for a look, an error says that the numbers do not
+        # describe the arm.
+        doubts = [
+            f"{what}: {f.message}. {f.remedy}"
+            for what, f in wrong
+            if f.severity == "error"
+        ]
+        return Verdict(
+            _scope(self._broken_promises(), doubts, self.design is not None),
+            _scope(
+                [_failed_move(run) for run in self.runs if not run.verdict.passed],
+                doubts,
+                bool(self.runs),
+            ),
+            self._reality(doubts),
+            ("the log is simulated, not measured",) if self.simulated else (),
+        )
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the log's own header says that it was simulated."""
+        return self.experiment is not None and any(
+            name == "simulated" for name, _ in self.experiment.notes
+        )
+
+    def _broken_promises(self) -> list[str]:
+        missed = [
+            f"{item.name}: {_stated(item.achieved, item.unit)} instead of {_stated(item.wanted, item.unit)}"
+            for item in (self.design.requirements if self.design else ())
+            if not item.passed
+        ]
+        unproved = (
+            [] if self.uncertified is None else [f"not certified: {self.uncertified}"]
+        )
+        return ([] if self.stopped is None else [self.stopped]) + missed + unproved
+
+    def _reality(self, doubts: list[str]) -> Scope:
+        ran = self.arms is not None or self.faults is not None
+        scope = _scope(self._failures(), doubts, ran)
+        return (
+            scope
+            if self.untried is None
+            else replace(scope, reasons=(*scope.reasons, self.untried))
+        )
+
+    def _failures(self) -> list[str]:
+        failed = []
+        if self.arms is not None and self.arms.failure.count:
+            count, runs = self.arms.failure.count, self.arms.failure.runs
+            settling = next(
+                metric for metric in self.arms.metrics if metric.name == "settling_time"
+            )
+            # The first two: in a thousand runs chance alone correlates by 3 %, and the
+            # third is soon there.
+            causes = " and ".join(
+                name.replace("_", " ") for name, _ in settling.drivers[:2]
+            )
+            failed.append(
+                f"{count} of {runs} arms fail ({100 * count / runs:.1f} %); most depends on {causes}"
+            )
+        if self.faults is not None and not self.faults.passed:
+            rows = self.faults.rows()
+            failed.append(
+                f"{sum(not row.passed for row in rows)} of {len(rows)} faults miss their requirement"
+            )
+        return failed
+
+
+def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
+    # Failed before doubtful: what ran and missed is a fact, whatever is wrong with the
+    # model.
+    if failures:
+        return Scope("failed", tuple(failures + doubts))
+    if doubts:
+        return Scope("not shown", tuple(doubts))
+    return Scope("passed" if ran else "not run")
+
+
+def _stated(value: float, unit: str) -> str:
+    return (
+        f"{math.degrees(value):.1f}°"
+        if unit == "rad"
+        else f"{value:.4g} {unit}".strip()
+    )
+
+
+def _failed_move(run: Run) -> str:
+    return f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
+
+
+# --- a study as a folder --------------------------------------------------------------------------------
+
+
+def save_study(study: Study, folder: Path | str) -> None:
+    """Write every part of `study` to its file in `folder`; `load_study` reads them
+    back.
+
+    >>> import tempfile
+    >>> folder = Path(tempfile.mkdtemp())
+    >>> save_study(Study(rig=Rig.named("paper-2023")), folder)
+    >>> sorted(path.name for path in folder.iterdir()), load_study(folder).rig.name
+    (['rig.toml', 'study.json'], 'paper-2023')
+    """
+    place = checked_path("folder", folder)
+    parts: dict[str, Any] = {
+        "rig.toml": study.rig,
+        "design.json": study.design,
+        "law.json": study.law,
+        "certificate.json": study.certificate,
+    }
+    for name, fit in study.fits.items():
+        # The fit that the design used is model.json, so that the commands that take a
+        # model need no name of a structure.
+        chosen = study.fit is not None and fit.structure == study.fit.structure
+        parts["model.json" if chosen else f"model-{name}.json"] = fit
+    parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
+    for name, part in parts.items():
+        # What a study has not got leaves no empty file: a folder tells by its files
+        # what was done.
+        if part is not None:
+            part.save(place / name)
+    if study.experiment is not None:
+        save(study.experiment, place / "log.npz", force=True)
+    if study.faults is not None:
+        save(study.faults, place / "faults.json", force=True)
+    save(_remarks_of(study), place / "study.json", force=True)
+
+
+def _remarks_of(study: Study) -> _Remarks:
+    found = study.comparison
+    return _Remarks(
+        structure=study.fit.structure if study.fit else None,
+        stopped=study.stopped,
+        refused=study.refused,
+        uncertified=study.uncertified,
+        untried=study.untried,
+        assumptions=study.assumptions,
+        findings=study.findings,
+        comparison=None
+        if found is None
+        else _Preference(
+            found.preferred, found.contest, found.verdict, found.undecided
+        ),
+        verdict=study.verdict,
+    )
+
+
+def load_study(folder: Path | str) -> Study:
+    """Read a folder that `fraclink run` or its single steps wrote, whatever its files
+    are called.
+
+    Raises FileFormatError where the folder holds nothing of fraclink, or a file in it
+    is damaged.
+    """
+    place = checked_path("folder", folder)
+    if not place.is_dir():
+        allowed, remedy = "a folder of results", "check the path"
+        raise FileFormatError(
+            "folder", str(place), "not a folder", allowed=allowed, remedy=remedy
+        )
+    by_kind: dict[str, list[Path]] = {}
+    for path in sorted(place.iterdir()):
+        by_kind.setdefault(_kind(path), []).append(path)
+    # A certificate or a table of faults alone has no arm to be shown with.
+    if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
+        allowed, remedy = (
+            "model, design or run files",
+            "run `fraclink run` with --out in this folder",
+        )
+        raise FileFormatError(
+            "folder", str(place), "without results", allowed=allowed, remedy=remedy
+        )
+    return _gathered(place, by_kind)
+
+
+def _kind(path: Path) -> str:
+    """What a file holds; an empty text for anything foreign."""
+    if path.suffix == ".toml":
+        return "rig"
+    return kind_of(path) if path.suffix in (".json", ".npz") else ""
+
+
+@dataclass(frozen=True)
+class _Preference:
+    """What study.json says of a comparison; the fits are files of their own."""
+
+    preferred: str
+    contest: Contest
+    verdict: str
+    undecided: tuple[str, ...] = ()
+
+
+def _from_first_format(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of study.json of release 0.1, which had no digest; the verdict
+    follows from the rest.
+    """
+    data |= {"stopped": data.get("stopped", data.get("infeasible"))}
+    return {
+        key: data[key]
+        for key in (item.name for item in fields(_Remarks))
+        if key in data
+    } | {"verdict": None}
+
+
+@document("study", version=2, upgrades={1: _from_first_format})
+@dataclass(frozen=True)
+class _Remarks:
+    """What study.json adds to the other files of its folder; the verdict is for people
+    and not read back.
+    """
+
+    structure: str | None = None
+    stopped: str | None = None
+    refused: Refusal | None = None
+    uncertified: str | None = None
+    untried: str | None = None
+    assumptions: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    comparison: _Preference | None = None
+    verdict: Verdict | None = None
+
+
+def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
+    def first(kind: str, read: Callable[[Path], Any]) -> Any:
+        return read(by_kind[kind][0]) if kind in by_kind else None
+
+    about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
+    fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
+    made, proof = first("design", Design.load), first("certificate", Certificate.load)
+    # A certificate that says no is kept as the file that it is, and is a reason in the
+    # verdict, not a proof.
+    refuted = proof is not None and not proof.passed
+    campaign = load_campaign(place / "arms") if (place / "arms").is_dir() else None
+    return Study(
+        rig=first("rig", Rig.load) or (made.rig if made else None),
+        experiment=first("log", lambda path: load(path, Experiment)),
+        findings=about.findings,
+        comparison=_comparison(fits, about.comparison),
+        fit=fits.get(str(about.structure or next(iter(fits), None))),
+        design=made,
+        law=first("law", Law.load),
+        stopped=about.stopped,
+        refused=about.refused,
+        certificate=None if refuted else proof,
+        uncertified=proof.verdict if refuted else about.uncertified,
+        untried=about.untried,
+        runs=tuple(
+            sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
+        ),
+        arms=None if campaign is None else summarise(campaign, place / "arms"),
+        faults=first("fault-campaign", lambda path: load(path, FaultTable)),
+        assumptions=about.assumptions,
+    )
+
+
+def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison | None:
+    # A comparison of some structures would name one as preferred that was never held
+    # against the others.
+    if about is None or set(fits) != set(STRUCTURES):
+        return None
+    ordered = {name: fits[name] for name in STRUCTURES}
+    return Comparison(
+        ordered, {}, about.preferred, about.contest, about.verdict, about.undecided
+    )

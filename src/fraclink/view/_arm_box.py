@@ -1,0 +1,302 @@
+"""The arm that moves, as a part of a page: script and its hash, style, and the numbers
+that it runs on.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.beam import DEFAULT_MASS
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import smooth_step
+from fraclink._design import Design
+from fraclink._law import MODES, REASONS, Law, equip
+from fraclink._simulate.engine import (
+    LONGEST,
+    EngineLink,
+    engine_bytes,
+    engine_link,
+    engine_noise,
+    engine_rig,
+    engine_twin,
+    twin_noise,
+)
+from fraclink._simulate.simulate import link_at
+from fraclink.errors import FieldError
+from fraclink.trials._study import Study
+from fraclink.view._pages import squeezed
+
+__all__ = ["MOST_PAYLOADS", "ArmBox", "arm_box", "assumed_mass", "page_hash"]
+
+Real = NDArray[np.float64]
+
+MOST_PAYLOADS = 24
+_LIGHTEST, _HEAVIEST = (
+    0.4,
+    2.0,
+)  # of the payloads designed for: 8 to 80 g for 20 to 40 g
+_SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
+_SEED = 0
+# The move goes there in the first half of the run and back in the second, so that the
+# picture has no jump.
+_TIMES = np.round(np.arange(0.2, 1.51, 0.05), 2)
+_LONGEST_SHARE = 0.75  # of half a run: the tip has the rest of it to settle in
+
+
+@dataclass(frozen=True)
+class ArmBox:
+    """What a template of `arm_box.html` needs around it; all of it is the package's own
+    or escaped.
+    """
+
+    data: str
+    script: str
+    script_hash: str
+    style: str
+    has_twin: bool
+
+
+def arm_box(
+    study: Study, design: Design, *, payloads: int = MOST_PAYLOADS, twin: bool = True
+) -> ArmBox | None:
+    """Return the arm of a design; `payloads`: how many its slider has, 2 to 4 kB each;
+    with its twin or not.
+
+    None where the model vibrates too fast for the law's period with every payload.
+    """
+    # They share their names with no script of the page around them.
+    script = "(() => {\n'use strict';\n" + "".join(map(squeezed, _SCRIPTS)) + "})();\n"
+    data = _data(design, *_law(study, design), payloads, twin)
+    if not data["links"]:
+        return None
+    return ArmBox(
+        _json(data),
+        script,
+        page_hash(script),
+        squeezed("arm_box.css"),
+        data["twin"] is not None,
+    )
+
+
+def page_hash(text: str) -> str:
+    """The hash by which a policy allows a script or a style."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    """JSON that no parser of HTML takes for the end of its element."""
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    # A name of a rig with </script> in it would end the element wherever it stood in
+    # the JSON.
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _law(study: Study, design: Design) -> tuple[Law, str]:
+    """The law that the page runs, in double precision, and the Python that makes it:
+    the same bits.
+    """
+    if study.law is None or _is_own(study.law, design):
+        law, python = study.law or design.law(), "design.law()"
+    else:
+        law, python = study.law, 'fl.load("law.json")'
+    # The page's engine compares itself with `simulate`, which runs in double precision
+    # unless told otherwise.
+    if law.precision != "double":
+        law, python = law.in_precision("double"), f'{python}.in_precision("double")'
+    if law.drive is None:  # without it `simulate` would run an ideal motor
+        law, python = (
+            equip(law, design.rig, design.model),
+            f"fl.extend.equip({python}, design.rig, design.model)",
+        )
+    return law, python
+
+
+def _is_own(law: Law, design: Design) -> bool:
+    try:
+        return design.law().digest == law.digest
+    except (
+        FieldError
+    ):  # a design whose law can no longer be made is shown with the one that was
+        return False
+
+
+def _base64(parts: Iterable[Real]) -> str:
+    return base64.b64encode(
+        np.concatenate([np.ravel(part) for part in parts]).astype("<f8").tobytes()
+    ).decode()
+
+
+def _packed(data: bytes) -> str:
+    """DEFLATE without a head, in base64: what the script unpacks."""
+    # Raw, as the page unpacks it with forty lines of its own: it knows neither a head
+    # nor a checksum.
+    pack = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
+    return base64.b64encode(pack.compress(data) + pack.flush()).decode()
+
+
+def assumed_mass(design: Design) -> float:
+    """Mass of the twin's link [kg]: the rig's, or one that is assumed where it states
+    none.
+    """
+    return design.rig.link.mass or DEFAULT_MASS
+
+
+def _twin(
+    design: Design, model: LinkModel, payloads: list[float], count: int
+) -> dict[str, Any] | None:
+    """What the script makes the twin of; None where the rig and its model make none
+    that the engine holds.
+    """
+    mass = assumed_mass(design)
+    try:
+        twin = engine_twin(design.rig, model, payloads, mass) if payloads else None
+    except FieldError:
+        return None
+    if twin is None:
+        return None
+    parts = [twin.rig, twin_noise(_SEED, count), twin.material, twin.arms]
+    return {
+        "numbers": _base64(parts),
+        "elements": twin.elements,
+        "modes": twin.modes,
+        "mass": mass,
+    }
+
+
+def _data(
+    design: Design, law: Law, python: str, count: int, twin: bool
+) -> dict[str, Any]:
+    """Everything that the script reads; `python`: what makes the law; `count`: how many
+    payloads.
+    """
+    rig, model, period = design.rig, design.model, law.period
+    # 3.5 swings there and as many back show how a move decays; at least two seconds
+    # each way, as a fast arm is not to flicker, and no more than the engine's buffers
+    # hold.
+    swing = 2 * math.pi / max(abs(model.pole.imag), 1e-3)
+    periods = min(LONGEST - 1, 2 * round(max(2.0, 3.5 * swing) / period))
+    half = 0.5 * periods * period
+    payloads, links = _links(design, period, periods * period, count)
+    times = _times(half)
+    # Sliders reach beyond what the rig states: a gauge with no noise is to be tried
+    # with some.
+    noise = max(0.05, 5 * rig.gauge.noise)
+    return {
+        "engine": _packed(engine_bytes()),
+        "blocks": [
+            base64.b64encode(law.in_precision(name).block).decode()
+            for name in ("double", "single")
+        ],
+        # rig, noise, moves, then the links behind one another
+        "numbers": _base64(
+            [
+                engine_rig(rig, law, model),
+                engine_noise(_SEED, periods + 1),
+                *(_move(time, half) for time in times),
+                *(link.numbers for link in links),
+            ]
+        ),
+        "periods": periods,
+        "period": period,
+        "half": half,
+        "times": times,
+        "payloads": payloads,
+        "links": [[link.reals, link.pairs, int(link.second)] for link in links],
+        "designed": list(design.payloads),
+        "start": {
+            "payload": _nearest(payloads, model.payload or rig.payloads.nominal),
+            "time": _nearest(times, 0.5),
+            "noise": rig.gauge.noise,
+            "offset": rig.gauge.offset,
+            "delay": rig.motor_loop.delay_samples,
+        },
+        "largest": {
+            "noise": float(f"{noise:.1g}"),
+            "offset": 0.3 * _torque(design),
+            "delay": 20,
+        },
+        "length": rig.link.length,
+        "torque": _torque(design),
+        "voltage": rig.motor.voltage_limit
+        if math.isfinite(rig.motor.voltage_limit)
+        else 0.0,
+        "twin": _twin(design, model, payloads, periods + 1) if twin else None,
+        "law": python,
+        "told": law.tracking is not None,
+        "modes": list(MODES),
+        "reasons": list(REASONS),
+        "seed": _SEED,
+    }
+
+
+def _times(half: float) -> list[float]:
+    """Times of a move [s] that half a run has room for; a run too short for any of them
+    has scaled ones.
+    """
+    longest = _LONGEST_SHARE * half
+    scale = 1.0 if _TIMES[0] <= longest else longest / _TIMES[-1]
+    return [
+        float(f"{scale * time:.3g}")
+        for time in _TIMES
+        if scale * time <= longest * (1 + 1e-12)
+    ]
+
+
+def _torque(design: Design) -> float:
+    """A round torque [N·m] that the model's moves stay below: its stiffness times a
+    bend of 0.5 rad.
+    """
+    return float(f"{0.5 * design.model.stiffness:.1g}")
+
+
+def _nearest(values: list[float], wanted: float) -> int:
+    return min(
+        range(len(values)), key=lambda index: abs(values[index] - wanted), default=0
+    )
+
+
+def _move(time: float, half: float) -> Real:
+    """Breaks of the move there and back, and the powers of its time that its
+    coefficients are divided by.
+
+    The page makes the reference from them by the operations of `Path.derivative`, in
+    their order.
+    """
+    there = smooth_step(1.0, time)
+    back = there.then(smooth_step(-1.0, time, start=half - time))
+    return np.array([*back.breaks[1:], time**3, time**4, time**5])
+
+
+def _links(
+    design: Design, period: float, span: float, count: int
+) -> tuple[list[float], list[EngineLink]]:
+    """Payloads from light to heavy [kg], round in grams, those designed for among them;
+    and their links.
+    """
+    low, high = design.payloads
+    model, rig = design.model, design.rig
+    own = {low, high, model.payload or rig.payloads.nominal}
+    # Geometric, as ω₀ goes with a power of the payload; two digits, so that a person
+    # meets round grams; those designed for are always among them, unrounded.
+    spread = np.geomspace(_LIGHTEST * low, _HEAVIEST * high, max(count - len(own), 2))
+    wanted = sorted(own | {float(f"{value:.2g}") for value in spread})
+    payloads, links = [], []
+    for payload in wanted:
+        try:
+            links.append(engine_link(link_at(model, rig, payload), period, span))
+        except FieldError:
+            # too light a payload vibrates too fast for the period; the slider starts
+            # above it
+            continue
+        payloads.append(payload)
+    return payloads, links

@@ -1,0 +1,194 @@
+"""The arm in a page: one HTML file in which the law of a study moves its model, with
+the package's bits.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from fraclink._arm.loop import with_payload
+from fraclink._design import Design
+from fraclink._files import write_text
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.engine import TWIN_MODES
+from fraclink.errors import FieldError
+from fraclink.trials._study import Study
+from fraclink.view import _tables as tables
+from fraclink.view._arm_box import MOST_PAYLOADS, arm_box, assumed_mass, page_hash
+from fraclink.view._pages import rendered, squeezed
+from fraclink.view._text import grams, number
+
+__all__ = ["render_arm_page", "write_arm_page"]
+
+_LARGEST = 150_000  # bytes of a page
+# payloads of a slider; below, a fast clock's page goes without the twin, whose noise
+# takes its room
+_FEWEST = 9
+
+
+def write_arm_page(study: Study, path: Path | str, *, title: str | None = None) -> Path:
+    """Write the arm of `study` as a page that moves, one HTML file that asks nobody,
+    and return its path.
+
+    The page runs the law of the design on the identified model, compiled from the
+    package's own C to WebAssembly: a run in it equals `simulate` in every bit. Payload,
+    move, noise, gauge offset and delay are sliders, faults are buttons. What was
+    promised, and for which payloads, stands in it as text.
+
+    Parameters
+    ----------
+    study
+        what `run` returned or `load_study` read. Its design is needed; verdict and
+        certificate are shown.
+    path
+        of the HTML file; it is written whole or not at all.
+    title
+        of the page; the rig's name where it is left out.
+
+    Raises
+    ------
+    FieldError
+        the study has no design, or a period too long for its model. MissingExtraError
+        where jinja2 is not installed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
+    ...                    phase_margin=fl.deg(50))
+    >>> page = fl.view.write_arm_page(fl.trials.Study(rig=rig, design=design), tempfile.mkdtemp() + "/arm.html")
+    >>> page.name, page.stat().st_size < 150_000
+    ('arm.html', True)
+    """
+    write_text(path, render_arm_page(study, title=title))
+    return Path(path)
+
+
+def render_arm_page(study: Study, *, title: str | None = None) -> str:
+    """Return the page as HTML; the same study gives the same bytes."""
+    if study.design is None:
+        raise FieldError(
+            "design",
+            study.stopped or "none",
+            "missing: there is no controller to move an arm with",
+            allowed="a study with a design",
+            remedy="make one: `fraclink run`, or `fraclink design` with --out design.json in the folder",
+        )
+    design, payloads, twin = study.design, MOST_PAYLOADS, True
+    low, high = design.payloads
+    said: dict[str, Any] = {
+        "title": title or design.rig.name,
+        "zone": f"{number(1e3 * low)} to {number(1e3 * high)} g",
+        "verdict": study.verdict,
+        "headline": tables.verdict_sentence(study.verdict),
+        "scopes": tables.scopes(study.verdict),
+        "certificate": study.certificate,
+        "requirements": tables.requirements_table(design.requirements),
+        "margins": tables.margins_table(
+            design, sorted({*design.payloads, design.rig.payloads.nominal})
+        ),
+        "simulated": _simulated(design),
+        "not_simulated": _not_simulated(design),
+    }
+    while True:
+        arm = arm_box(study, design, payloads=payloads, twin=twin)
+        if arm is None:
+            raise _too_fast(design)
+        style = squeezed("palette.css") + arm.style + squeezed("arm.css")
+        twin_said = _twin_simulated(design, twin_fits=arm.has_twin)
+        page = rendered(
+            "arm.html",
+            arm=arm,
+            style=style,
+            style_hash=page_hash(style),
+            twin=twin_said,
+            **said,
+        )
+        excess = len(page.encode()) - _LARGEST
+        if excess <= 0 or payloads <= 5:
+            return page
+        # At least one less in every round, so that it ends; a link is counted as if it
+        # were one of the large ones, so as not to drop more than needed.
+        payloads -= 1 + excess // 4000  # a link takes 2 to 4 kB
+        # The page without its twin but with a fine slider says more than one with both
+        # and five payloads; so the full count is tried again.
+        if twin and payloads < _FEWEST:
+            payloads, twin = MOST_PAYLOADS, False
+
+
+def _too_fast(design: Design) -> FieldError:
+    return FieldError(
+        "rig.period",
+        design.rig.period,
+        "too long: the model vibrates too fast for it with every payload of the page",
+        allowed="a few samples in a period of the vibration",
+        remedy="shorten period in the rig file and design again, or identify the model again: see its ω₀",
+    )
+
+
+def _simulated(design: Design) -> list[str]:
+    """Sentences on what a run in the page contains."""
+    rig = design.rig
+    # A model that names no payload is the nominal one's: simulate takes it so, and the
+    # page must say the same.
+    model = with_payload(design.model, rig)
+    link = f"the model of the link: λ = {number(model.order, 4)}, ω₀ = {number(model.natural_frequency, 4)}"
+    if model.payload is not None:
+        link += f" at {grams(model.payload)}"
+    link += f", stiffness {number(model.stiffness, 4)} N·m/rad"
+    if model.second_mode is not None:
+        link += f", and a second mode at {number(model.second_mode.frequency, 4)} rad/s in the gauge"
+    counts = rig.encoder.counts_per_revolution
+    gauge = f"a gauge with noise, offset and a range of ±{number(rig.gauge.limit)} N·m"
+    if model.gauge_delay > 0:
+        gauge += f", {number(1e3 * model.gauge_delay, 2)} ms late"
+    return [
+        link,
+        "a motor with inertia, viscous and Coulomb friction, driven by the law's own motor loop",
+        f"an encoder with {counts} counts per revolution"
+        if counts
+        else "an encoder without steps",
+        gauge,
+        f"the shipped law (law.c) with its guards, run every {number(1e3 * rig.period)} ms",
+    ]
+
+
+def _twin_simulated(design: Design, *, twin_fits: bool) -> list[str]:
+    """Sentences on what the switch "twin" adds, or why there is none."""
+    mass, model = assumed_mass(design), with_payload(design.model, design.rig)
+    try:
+        twin = Twin.from_rig(design.rig, model=model, link_mass=mass, modes=TWIN_MODES)
+    except FieldError as error:
+        return [f"there is no twin in this page: {error}"]
+    if not twin_fits:
+        return [
+            "there is no twin in this page: at this sampling period it does not fit into it"
+        ]
+    assumed = (
+        "" if design.rig.link.mass else ", assumed because the rig file gives none"
+    )
+    return [
+        f"a link with a mass of {grams(mass)}{assumed}: its second mode moves tip and gauge",
+        "the torque of the link acts on the motor, and the law compensates it from the gauge's reading",
+        f"a motor that sticks: it breaks away at {number(twin.breakaway)} N·m and slides at "
+        f"{number(twin.coulomb)} N·m",
+        *(finding.message for finding in twin.findings),
+    ]
+
+
+def _not_simulated(design: Design) -> list[str]:
+    """Sentences on what it leaves out."""
+    missing = [
+        "the link's torque on the motor: it is assumed to be compensated exactly, even without a gauge",
+        "contact, gravity, play and elasticity of the gear, heat, wear",
+        "anything about the arm that the log did not show",
+    ]
+    higher = (
+        "higher modes"
+        if design.model.second_mode
+        else "the second and all higher modes"
+    )
+    return [f"the mass of the link, and so {higher} in the motion of the tip", *missing]

@@ -1,0 +1,287 @@
+"""How fraclink draws: SVG that fits any width, in the colours of the page around it or
+in its own.
+
+Places across a drawing are shares of its width and places down it are dots, so that
+text and strokes keep their size on a telephone, on a screen and on paper. Curves lie in
+a box of 4000 by 2000 steps that stretches with the panel. The same values give the same
+bytes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from fraclink._files import write_text
+from fraclink.errors import FieldError
+from fraclink.view._marks import ACROSS, DOWN, Frame, Layers, Mark, escaped, percent
+from fraclink.view._pages import DARK, LIGHT, literal, template_text
+from fraclink.view._scales import Scale
+
+__all__ = ["Figure", "Panel", "beside", "save_svg", "stand_alone"]
+
+WIDTH = (
+    860.0  # dots of a drawing that stands alone: the text's width on the report's page
+)
+_LETTER = 6.7  # dots a letter of 12 dots is wide, on the average of a system's typeface
+_ROW = 15.0  # dots between two lines of text
+
+
+# --- panels and figures -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What is drawn over one vertical scale; its label stands above it, where it can be
+    read.
+    """
+
+    label: str
+    y: Scale
+    marks: Sequence[Mark]
+    height: float = 150.0
+    raw: Callable[[Frame], str] | None = (
+        None  # further elements, of drawings that are no curves
+    )
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels over one another on one horizontal scale.
+
+    name: unique on its page. description: what a reader who does not see it is told.
+    link: figures of one link share their cursor. left: dots for the vertical scale's
+    texts.
+    """
+
+    name: str
+    description: str
+    x: Scale
+    panels: Sequence[Panel]
+    xlabel: str = ""
+    link: str = ""
+    left: float = 46.0
+    width: float = WIDTH
+    ticks: int = 9  # at most about as many on the horizontal scale
+    rigid: bool = False  # the same in both directions: a plane
+    key: tuple[str, ...] = ()  # a title, then what the levels' colours mean
+
+    def inline(self) -> str:
+        """The drawing as an element of a page that has `figure.css`."""
+        if self.rigid:
+            # A plane must keep its proportions, so it is drawn with a viewBox as a file
+            # is; the page already has the style, and a ground of its own.
+            text = re.sub(
+                r"<style>.*?</style><rect[^>]*/>", "", self.alone(), flags=re.DOTALL
+            )
+            return text.replace(' role="img"', f' id="fig-{self.name}" role="img"', 1)
+        body, height, right = self._body()
+        # The script under the pointer turns dots back into values by these ends: nine
+        # digits are more than a screen's dots can tell apart in any zoom it offers.
+        scale = f"{self.x.low:.9g} {self.x.high:.9g}{' log' if self.x.log else ''}"
+        data = f'data-x="{scale}" data-link="{escaped(self.link or self.name)}"'
+        style = f"height:{height:g}px;padding:0 {right:g}px 0 {self.left:g}px"
+        label = f'aria-label="{escaped(self.description)}"'
+        return f'<svg class="fl" id="fig-{self.name}" role="img" {label} {data} style="{style}">{body}</svg>'
+
+    def alone(self) -> str:
+        """The drawing as a file, or as a cell's: with its own style, in both themes."""
+        body, height, right = self._body()
+        # Both axes of a rigid figure have one scale, so it is as wide as high.
+        across = self.panels[0].height if self.rigid else self.width - self.left - right
+        inner = f'x="{self.left:g}" y="10" width="{across:g}" height="{height:g}"'
+        nested = f'<svg {inner} overflow="visible">{body}</svg>'
+        return stand_alone(
+            nested, self.left + across + right, height + 20, self.description
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write the drawing to an SVG file, as `save_svg` does."""
+        save_svg(self.alone(), path)
+
+    def _body(self) -> tuple[str, float, float]:
+        """Elements, height and the room at the right in dots."""
+        parts, top, names = [], 24.0, [0]
+        for panel in self.panels:
+            # 80 dots for a tick's text of at most seven characters, with as much room
+            # again between two of them.
+            ticks = max(3, int(min(self.ticks, self.width / 80)))
+            frame = Frame(self.x, panel.y, top, panel.height, ticks, self.left)
+            layers = [mark.drawn(frame) for mark in panel.marks]
+            parts.append(_panel(panel, frame, layers, last=panel is self.panels[-1]))
+            names += [len(name) for layer in layers for _, name, _ in layer.ends]
+            # 34 dots between panels: the label of the next one above its edge, and the
+            # ends of this one's scale.
+            top += panel.height + 34.0
+        bottom = top - 34.0
+        if self.xlabel:
+            parts.append(
+                f'<text class="axis" x="50%" y="{bottom + 36:g}" text-anchor="middle">'
+                f"{escaped(self.xlabel)}</text>"
+            )
+        bottom += 44.0 if self.xlabel else 24.0
+        if self.key:
+            parts.append(_key(self.key, bottom + 14.0))
+            bottom += 40.0
+        # Names at the ends of lines stand outside of the panel, behind a key of 29
+        # dots; without any the last tick's text still needs half its width.
+        right = 14.0 if max(names) == 0 else 38.0 + _LETTER * max(names)
+        return "".join(parts), bottom, right
+
+
+def save_svg(text: str, path: Path | str) -> None:
+    """Write a drawing to a file, whole or not at all; FieldError for a file of another
+    kind.
+    """
+    # Written as .png or .pdf the file would open in no program: refused before anything
+    # is written.
+    if Path(path).suffix.lower() not in ("", ".svg"):
+        remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
+        raise FieldError(
+            "path", str(path), "a file of another kind", allowed=".svg", remedy=remedy
+        )
+    write_text(path, text + "\n")
+
+
+def beside(figures: Sequence[Figure], description: str) -> str:
+    """Figures beside one another as one whole SVG, each as wide as it says."""
+    parts, left, height = [], 0.0, 0.0
+    for figure in figures:
+        body, high, right = figure._body()
+        across = figure.width - figure.left - right
+        place = (
+            f'x="{left + figure.left:g}" y="10" width="{across:g}" height="{high:g}"'
+        )
+        parts.append(f'<svg {place} overflow="visible">{body}</svg>')
+        left, height = left + figure.width, max(height, high)
+    return stand_alone("".join(parts), left, height + 20, description)
+
+
+def _key(key: tuple[str, ...], top: float) -> str:
+    """What the colours of the levels mean, beside one another at any width."""
+    parts = [f'<text class="name" y="{top:g}">{escaped(key[0])}</text>']
+    for level, text in enumerate(key[1:]):
+        x = percent(level / 4)
+        parts.append(
+            f'<rect class="l{level}" x="{x}" y="{top + 8:g}" width="14" height="14"/>'
+        )
+        parts.append(
+            f'<text class="name" x="{x}" dx="19" y="{top + 19:g}">{escaped(text)}</text>'
+        )
+    return "".join(parts)
+
+
+def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) -> str:
+    bottom = round(frame.top + frame.height, 1)
+    lines, texts = [], []
+    # A tick for every 34 dots, twice the height of a line of text; the lowest panels
+    # still get four.
+    for value, text in frame.y.marks(max(4, int(frame.height / 34))):
+        y = frame.down(value)
+        lines.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
+        texts.append(
+            f'<text x="-6" y="{round(y + 4, 1)}" text-anchor="end">{escaped(text)}</text>'
+        )
+    for k, (value, text) in enumerate(frame.x.marks(frame.ticks)):
+        x = frame.across(value)
+        lines.append(
+            f'<line class="grid" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
+        )
+        if last:
+            # On a narrow screen every second text is hidden by the style sheet; a page
+            # without a script cannot place ticks anew.
+            hidden = ' class="alt"' if k % 2 else ""
+            texts.append(
+                f'<text{hidden} x="{x}" y="{bottom + 17}" text-anchor="middle">{escaped(text)}</text>'
+            )
+    scale = f"{frame.y.low:.9g} {frame.y.high:.9g}{' log' if frame.y.log else ''}"
+    place = f'y="{frame.top}" width="100%" height="{frame.height}"'
+    view = f'viewBox="0 0 {ACROSS} {DOWN}" preserveAspectRatio="none"'
+    box = f'<svg class="box" {place} {view} data-y="{scale}">'
+    # A zone lies below the grid, so that values can be read in it; bands and bars lie
+    # in the box with the curves, which stretches, and hide the grid only by their tint.
+    shaded = "".join(layer.below for layer in layers if layer.below.startswith("<rect"))
+    curves = "".join(
+        layer.below for layer in layers if not layer.below.startswith("<rect")
+    )
+    curves += "".join(layer.curves for layer in layers)
+    above = (panel.raw(frame) if panel.raw else "") + "".join(
+        layer.above for layer in layers
+    )
+    frame_line = f'<line class="base" x2="100%" y1="{bottom}" y2="{bottom}"/>'
+    place = f'x="{4 - min(frame.left, 46.0):g}" y="{frame.top - 8}"'
+    label = (
+        f'<text class="label" {place}>{escaped(panel.label)}</text>'
+        if panel.label
+        else ""
+    )
+    ends = _ends([end for layer in layers for end in layer.ends], frame)
+    return "".join(
+        [shaded, *lines, *texts, box, curves, "</svg>", frame_line, above, ends, label]
+    )
+
+
+def _ends(ends: Sequence[tuple[float, str, str]], frame: Frame) -> str:
+    """Names at the right ends of their lines, pushed apart until each can be read."""
+    # Lines that end at one place keep the order in which they were drawn.
+    placed = sorted(ends, key=lambda end: round(end[0] / 8))
+    places = [end[0] for end in placed]
+    # Pushing two names apart pushes one of them into the next, so it is repeated; forty
+    # rounds are more than the few names of a panel need.
+    for _ in range(40):
+        for k in range(1, len(places)):
+            near = _ROW - (places[k] - places[k - 1])
+            if near > 0.01:
+                places[k - 1], places[k] = (
+                    places[k - 1] - near / 2,
+                    places[k] + near / 2,
+                )
+        low, high = frame.top + 5, frame.top + frame.height - 2
+        if places and places[0] < low:
+            places = (
+                [p + low - places[0] for p in places]
+                if len(places) == 1
+                else [max(p, low + _ROW * k) for k, p in enumerate(places)]
+            )
+        if places and places[-1] > high:
+            places = [
+                min(p, high - _ROW * (len(places) - 1 - k))
+                for k, p in enumerate(places)
+            ]
+    parts = []
+    for y, (_, name, style) in zip(places, placed, strict=True):
+        sides = 'x1="14.4" x2="14.5"' if "dots" in style else 'x1="5" x2="24"'
+        key = f'<line class="{style}" {sides} y1="{y:.1f}" y2="{y:.1f}"/>'
+        parts.append(
+            f'{key}<text class="name" x="29" y="{y + 4:.1f}">{escaped(name)}</text>'
+        )
+    return f'<svg x="100%" overflow="visible">{"".join(parts)}</svg>' if parts else ""
+
+
+# --- a drawing without a page -----------------------------------------------------------------------------
+
+
+@cache
+def _own_style() -> str:
+    """The style of a file: colours by value, first the light ones, then the dark ones."""
+    rules = re.sub(r"/\*.*?\*/", "", template_text("figure.css"), flags=re.DOTALL)
+    rules = re.sub(r"@media[^{]*\{(?:[^{}]*\{[^{}]*\})*\s*\}", "", rules)
+    rules = "\n".join(line for line in rules.splitlines() if line.strip())
+    dark = "\n".join(
+        rule for rule in re.findall(r"[^{}]+\{[^}]*\}", rules) if "var(--" in rule
+    )
+    # Colours by value: `var(--…)` of a page does not reach into an image file, nor into
+    # a notebook's cell.
+    return f"{literal(rules, LIGHT)}\n@media (prefers-color-scheme: dark) {{ {literal(dark, DARK).strip()} }}"
+
+
+def stand_alone(body: str, width: float, height: float, description: str) -> str:
+    """Elements as a whole SVG of `width` by `height` dots on a ground of its own."""
+    head = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" class="fl alone" role="img" width="{width:g}" '
+        f'height="{height:g}" viewBox="0 0 {width:g} {height:g}" aria-label="{escaped(description)}">'
+    )
+    return f'{head}<style>{_own_style()}</style><rect class="ground" width="100%" height="100%"/>{body}</svg>'

@@ -1,0 +1,461 @@
+"""Drawings of logs and models: what was recorded, what a model says, and what it
+leaves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
+
+from fraclink._arm.experiment import Experiment
+from fraclink._identify import Fit, StructureFit
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
+from fraclink.view._scales import Scale, envelope
+
+__all__ = [
+    "Estimate",
+    "fit_figure",
+    "log_figure",
+    "models_figure",
+    "residual_figure",
+    "response_figure",
+]
+__all__ += ["residual_density", "response_estimate", "structure_figure"]
+
+OUTPUT_LABEL = {
+    "torque": "base torque Γ [N·m]",
+    "deflection": "deflection θm − θt [rad]",
+}
+_SHORT = {"torque": "Γ [N·m]", "deflection": "θm − θt [rad]"}
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Floats = NDArray[np.floating[Any]]
+
+
+def _record(
+    time: Floats, values: Floats, line: int, name: str = "", *, wide: bool = False
+) -> Curve:
+    """A record as a line that keeps every peak."""
+    # Beyond some two samples a dot a curve is a band of ink: a thin stroke keeps its
+    # edge.
+    thin = not wide and len(values) > 2000
+    return Curve(
+        *envelope(time, values), line, name, "wide" if wide else "thin" if thin else ""
+    )
+
+
+def log_figure(log: Experiment) -> Figure:
+    """Draw motor angle and output against time."""
+    panels = (
+        Panel(
+            "motor angle θm [rad]",
+            Scale.around(log.motor_angle),
+            [_record(log.time, log.motor_angle, 0)],
+        ),
+        Panel(
+            OUTPUT_LABEL[log.output_kind],
+            Scale.around(log.output),
+            [_record(log.time, log.output, 1)],
+        ),
+    )
+    ends = Scale(float(log.time[0]), float(log.time[-1]))
+    return Figure(
+        "log",
+        "The recorded motor angle and output against time",
+        ends,
+        panels,
+        "time [s]",
+        "log",
+    )
+
+
+def fit_figure(log: Experiment, fit: Fit) -> Figure:
+    """Draw a whole log over its model: motor angle, measured and computed output,
+    residual.
+    """
+    # The last fitted sample: to the right of it the residual is a test, to the left
+    # what was minimised.
+    edge = float(log.time[fit.fitted_samples - 1])
+    panels = (
+        Panel(
+            "angle θm [rad]",
+            Scale.around(log.motor_angle),
+            [_record(log.time, log.motor_angle, 0)],
+            80.0,
+        ),
+        Panel(
+            OUTPUT_LABEL[log.output_kind],
+            Scale.around(log.output, fit.predicted),
+            [
+                _record(log.time, log.output, 0, "measured", wide=True),
+                Curve(*envelope(log.time, fit.predicted), 1, fit.structure),
+            ],
+            180.0,
+        ),
+        Panel(
+            "what the model leaves",
+            Scale.around(fit.residual),
+            _rest(log.time, fit.residual, edge),
+            80.0,
+        ),
+    )
+    ends = Scale(float(log.time[0]), float(log.time[-1]))
+    said = "The recorded output under its model, and what the model leaves"
+    return Figure("fit", said, ends, panels, "time [s]", "log")
+
+
+def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Mark]:
+    """A residual, with the place behind which nothing was fitted."""
+    held = Upright(edge, "held out from here") if edge < time[-1] else None
+    return [_record(time, residual, line), *([held] if held else [])]
+
+
+def structure_figure(fit: StructureFit) -> Figure:
+    """Draw what was measured over what the structure says, and what it leaves: in time
+    or over frequency.
+    """
+    return _over_time(fit) if fit.domain == "time" else _over_frequency(fit)
+
+
+def _over_time(fit: StructureFit) -> Figure:
+    place, rest = fit.place, fit.measured - fit.predicted
+    panels = (
+        Panel(
+            "output",
+            Scale.around(fit.measured, fit.predicted),
+            [
+                _record(place, fit.measured, 0, "measured", wide=True),
+                Curve(*envelope(place, fit.predicted), 1, "structure"),
+            ],
+            180.0,
+        ),
+        Panel(
+            "what the structure leaves",
+            Scale.around(rest),
+            _rest(place, rest, float(place[fit.fitted - 1])),
+        ),
+    )
+    said = f"The recorded output under {fit.expression}, and what it leaves"
+    ends = Scale(float(place[0]), float(place[-1]))
+    return Figure("structure", said, ends, panels, "time [s]", "log")
+
+
+def _over_frequency(fit: StructureFit) -> Figure:
+    measured, predicted = (
+        np.array_split(rows, 2) for rows in (fit.measured, fit.predicted)
+    )
+    h, model = measured[0] + 1j * measured[1], predicted[0] + 1j * predicted[1]
+    # Both are unwrapped on their own and may settle a whole turn apart, which would
+    # look like a misfit.
+    sheets = _same_sheet(_turned(h), _turned(model))
+    error = 100 * np.abs(h / model - 1)
+    panels = [
+        Panel(
+            label,
+            Scale.around(*both),
+            [Dots(fit.place, both[0]), Curve(fit.place, both[1], 1)],
+        )
+        for label, both in (
+            ("gain [dB]", (_decibel(h), _decibel(model))),
+            ("phase [°]", sheets),
+        )
+    ]
+    panels.append(
+        Panel(
+            "error [%]",
+            Scale(0.0, 1.05 * float(error.max())),
+            [Curve(fit.place, error, 1)],
+            70.0,
+        )
+    )
+    x = Scale(float(fit.place.min()), float(fit.place.max()), log=True)
+    said = f"The measured response (dots) under {fit.expression}, and what it leaves"
+    return Figure("structure", said, x, panels, "frequency ω [rad/s]", "response")
+
+
+def _decibel(response: Complex) -> Real:
+    with np.errstate(divide="ignore"):
+        return np.asarray(20 * np.log10(np.abs(response)))
+
+
+def _turned(response: Complex) -> Real:
+    return np.asarray(np.degrees(np.unwrap(np.angle(response))))
+
+
+def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
+    """The second phase moved by whole turns to where the first is."""
+    # The median, as unwrapping of a noisy measurement may lose a turn somewhere on the
+    # way.
+    turns = (
+        round(float(np.median(first - second)) / 360.0)
+        if first.size == second.size
+        else 0
+    )
+    return first, second + 360.0 * turns
+
+
+# a residual so many times the smallest runs out of its panel, which then says so
+_LARGE = 4.0
+# share of the log that the upper panel shows: the whole would be a band of ink
+_DETAIL = 0.18
+
+
+def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
+    """Draw every model's residual of the whole log, on one scale."""
+    some = next(iter(fits.values()))
+    time = some.period * np.arange(some.samples)
+    edge = float(time[some.fitted_samples - 1])
+    # A perfect residual, as of a simulated log without noise, counts as 1: nothing is
+    # divided by zero.
+    sizes = {
+        name: float(np.abs(fit.residual).max()) or 1.0 for name, fit in fits.items()
+    }
+    # One scale for all, or a poor model would look as good as the others; but the
+    # poorest must not press them flat: what is four times the best is left out, runs
+    # over its edge and is named with its size.
+    common = 1.1 * max(
+        size for size in sizes.values() if size <= _LARGE * min(sizes.values())
+    )
+    panels = []
+    for name, fit in fits.items():
+        beyond = (
+            f"; exceeds the panel, up to {sizes[name]:.2g}"
+            if sizes[name] > common
+            else ""
+        )
+        used = " (used)" if name == chosen and len(fits) > 1 else ""
+        label = f"{name}{used}: measured − model {_SHORT[some.output_kind]}{beyond}"
+        marks = _rest(
+            time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
+        )
+        panels.append(Panel(label, Scale(-common, common), marks, 70.0))
+    said = "What each model leaves of the log, all on one scale"
+    return Figure(
+        "models",
+        said,
+        Scale(float(time[0]), float(time[-1])),
+        panels,
+        "time [s]",
+        "log",
+    )
+
+
+def detail_figure(fit: Fit) -> Figure:
+    """Draw the first part of the measured output under its model."""
+    time, measured = fit.period * np.arange(fit.samples), fit.predicted + fit.residual
+    # Of a log of a few samples at least a line is drawn.
+    part = slice(0, max(2, int(_DETAIL * fit.samples)))
+    marks = [
+        Curve(time[part], measured[part], 0, "measured", "wide"),
+        Curve(time[part], fit.predicted[part], 1, fit.structure),
+    ]
+    panel = Panel(
+        OUTPUT_LABEL[fit.output_kind], Scale.around(measured[part]), marks, 210.0
+    )
+    ends = Scale(float(time[part][0]), float(time[part][-1]))
+    said = f"The first part of the measured output under {fit.structure}"
+    return Figure("detail", said, ends, (panel,), "time [s]", "detail")
+
+
+# --- can the model be trusted -----------------------------------------------------------------------------
+
+# parts of a log that Welch's mean is taken over: a third of the noise, and lines near
+# enough
+_PARTS = 8
+_LEAST = 64  # samples of a part: fewer lines show no resonance
+_EXCITED = 1e-4  # of the largest line of the input's density: below, the ratio is noise
+_FEW = 4  # lines that make no curve
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Responses from motor angle to output at `frequency` [rad/s], of the log and of
+    its model.
+
+    error: relative to the model's, what noise of the residual's size stays below with
+    95 %; explained: share of the output's power that the model explains.
+    """
+
+    frequency: Real
+    measured: Complex
+    model: Complex
+    error: Real
+    explained: Real
+
+
+def _parts(samples: int) -> int:
+    """Length of a part: a power of two, half overlapped, `_PARTS` of them or some more."""
+    # n half overlapped parts of length l cover (n + 1) l/2 samples. Rounded down to a
+    # power of two for the FFT, so that there may be up to twice as many parts, never
+    # fewer.
+    length = 2 * samples // (_PARTS + 1)
+    return 0 if length < _LEAST else 1 << (length.bit_length() - 1)
+
+
+def _spectra(length: int, *signals: Real) -> list[Complex]:
+    """Lines of the half overlapped parts of signals under a Hann window, shape (parts,
+    lines).
+    """
+    # The periodic Hann window: half overlapped ones add up to one, and every sample
+    # counts alike.
+    window = np.hanning(length + 1)[:-1]
+    starts = range(0, len(signals[0]) - length + 1, length // 2)
+    # Without the mean, which leaks into the lowest lines; line 0 and Nyquist's, which
+    # are real, are left out: their statistics are others.
+    lines = []
+    for signal in signals:
+        parts = np.stack([signal[k : k + length] for k in starts])
+        lines.append(
+            np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window)[:, 1:-1]
+        )
+    return lines
+
+
+def response_estimate(log: Experiment, fit: Fit) -> Estimate | None:
+    """Estimate the responses of log and model by Welch's means; None where the log is
+    too short for them.
+
+    Both are seen through the same windows, which flatten a sharp resonance alike. Their
+    difference is that of the residual, S_ur/S_uu, whose noise is complex normal of
+    variance S_rr/(n S_uu): with 95 % it is below sqrt(−ln 0.05) of its root.
+    """
+    length = _parts(len(log.time))
+    if not length:
+        return None
+    u, y, rest = _spectra(length, log.motor_angle, log.output, fit.residual)
+    uu, yy, rr = (np.mean(np.abs(lines) ** 2, axis=0) for lines in (u, y, rest))
+    # Where the motor hardly moved, S_uy/S_uu divides noise by noise.
+    good = uu > _EXCITED * uu.max()
+    frequency = 2 * math.pi * np.arange(1, u.shape[1] + 1) / (length * log.period)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        measured = np.mean(np.conj(u) * y, axis=0) / uu
+        model = measured - np.mean(np.conj(u) * rest, axis=0) / uu
+        error = (
+            math.sqrt(-math.log(0.05))
+            * np.sqrt(rr / (_independent(u) * uu))
+            / np.abs(model)
+        )
+        # An error as large as the response says nothing of its gain or phase; arcsin
+        # below needs it too.
+        good &= error < 1.0
+        explained = np.clip(1 - rr / yy, 0.0, 1.0)
+    if np.count_nonzero(good) < _FEW:
+        return None
+    return Estimate(
+        frequency[good], measured[good], model[good], error[good], explained[good]
+    )
+
+
+def _independent(lines: Complex) -> float:
+    """How many independent parts n half overlapped ones under a Hann window count for:
+    some 95 % of them.
+    """
+    # Welch (1967): var = (1 + 2 (1 − 1/n) ρ²)/n with ρ² = (1/6)², the squared
+    # correlation of half overlapped Hann windows; parts further apart share no sample.
+    # The bands must have the share that they state: with 0.6 n, which holds for no
+    # window, 99.9 % of white noise lay in what was called the band of 99 %.
+    count = float(lines.shape[0])
+    return count / (1.0 + 2.0 * (1.0 - 1.0 / count) / 36.0)
+
+
+def residual_density(fit: Fit) -> tuple[Real, Real, float, float] | None:
+    """Frequency [rad/s], the residual's density over that of white noise, and its 99 %
+    band.
+
+    A Welch mean of n independent parts is χ² with 2 n degrees of freedom; the band
+    holds every single line of white noise with 99 %. None where the log is too short.
+    """
+    residual = np.asarray(fit.residual[: fit.fitted_samples])
+    length = _parts(residual.size)
+    if not length or not float(np.ptp(residual)) > 0.0:
+        return None
+    (lines,) = _spectra(length, residual)
+    density = np.mean(np.abs(lines) ** 2, axis=0)
+    # Parseval: the mean of |FFT|² of white noise under a window is its variance times
+    # the window's energy.
+    white = float(np.var(residual)) * float(np.sum(np.hanning(length + 1) ** 2))
+    freedom = 2 * _independent(lines)
+    frequency = 2 * math.pi * np.arange(1, lines.shape[1] + 1) / (length * fit.period)
+    # χ²_k/k is a gamma variable of shape k/2: its quantiles without loading all of
+    # scipy.stats.
+    low, high = (
+        float(gammaincinv(0.5 * freedom, p) / (0.5 * freedom)) for p in (0.005, 0.995)
+    )
+    return frequency, density / white, low, high
+
+
+def response_figure(log: Experiment, fit: Fit) -> Figure | None:
+    """Draw the responses of log and model with the noise's 95 % band; None for too
+    short a log.
+    """
+    found = response_estimate(log, fit)
+    if found is None:
+        return None
+    # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
+    # scale.
+    w, spread = found.frequency, np.minimum(found.error, 0.95)
+    gain, level = _decibel(found.measured), _decibel(found.model)
+    at, turn = _same_sheet(_turned(found.model), _turned(found.measured))
+    # A disk of relative radius e about the response is seen from 0 under ± arcsin e.
+    arc = np.degrees(np.arcsin(spread))
+    panels = (
+        Panel(
+            f"gain of {_SHORT[log.output_kind].split(' [')[0]} over θm [dB]",
+            Scale.around(gain, level),
+            [
+                Band(w, level + _decibel(1 - spread), level + _decibel(1 + spread), 2),
+                Curve(w, level, 1, "model"),
+                Dots(w, gain, 0, "log"),
+            ],
+            200.0,
+        ),
+        Panel(
+            "phase [°]",
+            Scale.around(at, turn),
+            [Band(w, at - arc, at + arc, 2), Curve(w, at, 1), Dots(w, turn)],
+        ),
+        Panel(
+            "share of the output that the model explains [%]",
+            Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100"))),
+            [Curve(w, 100 * found.explained, 1)],
+            60.0,
+        ),
+    )
+    x = Scale(float(found.frequency[0]), float(found.frequency[-1]), log=True)
+    said = "Gain and phase of log (dots) and model (line), with the band that 95 % of the noise stays in"
+    return Figure("response", said, x, panels, "frequency ω [rad/s]", "response")
+
+
+def residual_figure(fit: Fit) -> Figure | None:
+    """Draw the residual's spectrum and the band that 99 % of white noise of the same
+    size stays in.
+    """
+    found = residual_density(fit)
+    if found is None:
+        return None
+    frequency, share, low, high = found
+    y = Scale(
+        min(0.5 * low, 0.8 * float(share.min())),
+        max(2 * high, 1.3 * float(share.max())),
+        log=True,
+    )
+    marks: list[Mark] = [
+        Band(frequency, np.full(frequency.size, low), np.full(frequency.size, high), 2),
+        Curve(frequency, share, 1),
+        Across(1.0, "white noise of the same size", limit=False),
+    ]
+    mode = fit.model.second_mode
+    if mode is not None and frequency[0] < mode.frequency < frequency[-1]:
+        marks.append(Upright(mode.frequency, "second mode, part of the model"))
+    panel = Panel("density of the residual over that of white noise", y, marks, 180.0)
+    x = Scale(float(frequency[0]), float(frequency[-1]), log=True)
+    said = "Spectrum of the residual against the band that 99 % of white noise stays in"
+    return Figure("residual", said, x, (panel,), "frequency ω [rad/s]", "response")

@@ -1,0 +1,361 @@
+"""Marks of a drawing: curves, dots, bands, bars, cells, zones, levels, places, each as
+SVG in its panel.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink.view._scales import Scale
+
+__all__ = [
+    "ACROSS",
+    "DOWN",
+    "Across",
+    "Band",
+    "Bars",
+    "Cells",
+    "Curve",
+    "Dots",
+    "Frame",
+    "Layers",
+    "Mark",
+    "Point",
+]
+__all__ += ["Upright", "Zone", "escaped", "percent"]
+
+Real = NDArray[np.float64]
+
+# Whole numbers make a path half as long as decimals would. 4000 steps are a fifth of a
+# dot at a text's width of 860: finer than a stroke, and still after the page zooms in
+# by four.
+ACROSS, DOWN = (
+    4000,
+    2000,
+)  # steps of the box that curves lie in; it stretches with its panel
+_ASIDE = 0.55  # of the width: a text beside a place further right stands left of it
+
+
+def escaped(text: object) -> str:
+    """`text` as it may stand in an element or an attribute."""
+    return html.escape(str(text))
+
+
+def percent(share: float) -> str:
+    """A place across as a share of the width."""
+    return f"{100 * share:.2f}".rstrip("0").rstrip(".") + "%"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A panel's place: its scales, and its upper edge and height in dots."""
+
+    x: Scale
+    y: Scale
+    top: float
+    height: float
+    ticks: int = 9
+    left: float = 46.0
+
+    def across(self, value: float) -> str:
+        """A value's place across."""
+        return percent(float(self.x.share(value)))
+
+    def down(self, value: float) -> float:
+        """A value's place down in dots, inside of the panel."""
+        share = float(np.clip(np.nan_to_num(self.y.share(value), nan=0.0), 0.0, 1.0))
+        return round(self.top + self.height * (1.0 - share), 1)
+
+    def path(self, x: ArrayLike, y: ArrayLike, *, dots: bool = False) -> str:
+        """A line through points, or a dot at each; what is not finite is a gap."""
+        with np.errstate(invalid="ignore"):
+            # A scalar stands for a level or an upright line: Curve(w, 0.0) needs no
+            # array.
+            a, b = np.broadcast_arrays(
+                ACROSS * self.x.share(x), DOWN * (1.0 - self.y.share(y))
+            )
+        good = np.isfinite(a) & np.isfinite(b)
+        # Far outside, a value is clipped at once the panel's size: the slope at the
+        # edge hardly changes, and a pole does not put numbers of a hundred digits into
+        # the page.
+        at = np.rint(np.clip(np.nan_to_num(a), -ACROSS, 2 * ACROSS)).astype(int)
+        down = np.rint(np.clip(np.nan_to_num(b), -DOWN, 2 * DOWN)).astype(int)
+        if dots:
+            return "".join(
+                f"M{p} {q}h0" for p, q, fine in zip(at, down, good, strict=True) if fine
+            )
+        parts, last = [], None
+        for p, q, fine in zip(at.tolist(), down.tolist(), good.tolist(), strict=True):
+            if not fine:
+                last = None
+            elif last is None:
+                parts.append(f"M{p} {q}l")
+                last = (p, q)
+            # A step of nothing is left out: where a record rests, all of its points
+            # fall on one place.
+            elif (p, q) != last:
+                parts.append(f"{p - last[0]} {q - last[1]} ")
+                last = (p, q)
+        # A minus separates numbers as well as a space: 5 % of a log's drawing.
+        return "".join(parts).replace(" -", "-").rstrip()
+
+
+@dataclass(frozen=True)
+class Layers:
+    """What a mark adds to a panel: below the curves, among them, and above; and the
+    label at its end.
+    """
+
+    below: str = ""
+    curves: str = ""
+    above: str = ""
+    ends: tuple[tuple[float, str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A line of the palette through points, with its name at its right end."""
+
+    x: ArrayLike
+    y: ArrayLike
+    line: int = 1
+    name: str = ""
+    weight: Literal["", "thin", "wide", "fill"] = ""
+    dashed: bool | None = None  # as its line is where it is left open
+
+    def drawn(self, frame: Frame) -> Layers:
+        """The line, and where its name belongs."""
+        dash = "" if self.dashed is False else " w" if self.dashed else f" d{self.line}"
+        style = f"c{self.line}{dash} {self.weight}".strip()
+        if self.weight == "fill":
+            # A disk or a corridor has no end where a name could stand, and must not
+            # cover the curves: it lies below.
+            return Layers(
+                below=f'<path class="b{self.line}" d="{frame.path(self.x, self.y)}z"/>'
+            )
+        values = np.asarray(self.y, dtype=float).ravel()
+        across = frame.x.share(
+            np.broadcast_to(np.asarray(self.x, dtype=float), values.shape)
+        )
+        # A name stands where its line leaves the panel: what is drawn on behind the
+        # right edge is cut off there.
+        seen = values[np.isfinite(values) & (across <= 1.0 + 1e-9)]
+        named = f' data-name="{escaped(self.name)}"' if self.name else ""
+        ends = (
+            ((frame.down(float(seen[-1])), self.name, style),)
+            if self.name and seen.size
+            else ()
+        )
+        return Layers(
+            curves=f'<path class="{style}"{named} d="{frame.path(self.x, self.y)}"/>',
+            ends=ends,
+        )
+
+
+@dataclass(frozen=True)
+class Dots:
+    """A dot at each point."""
+
+    x: ArrayLike
+    y: ArrayLike
+    line: int = 0
+    name: str = ""
+    large: bool = False
+
+    def drawn(self, frame: Frame) -> Layers:
+        """Strokes without length and with round ends stay round in a box that
+        stretches.
+        """
+        large = " large" if self.large else ""
+        text = f'<path class="c{self.line} dots{large}" d="{frame.path(self.x, self.y, dots=True)}"/>'
+        values = np.asarray(self.y, dtype=float).ravel()
+        seen = values[np.isfinite(values)]
+        ends = (
+            ((frame.down(float(seen[-1])), self.name, f"c{self.line} dots"),)
+            if self.name and seen.size
+            else ()
+        )
+        return Layers(curves=text, ends=ends)
+
+
+@dataclass(frozen=True)
+class Band:
+    """The surface between two lines: what is uncertain."""
+
+    x: ArrayLike
+    low: ArrayLike
+    high: ArrayLike
+    line: int = 1
+
+    def drawn(self, frame: Frame) -> Layers:
+        """One closed path, there on the upper edge and back on the lower."""
+        x, low, high = (
+            np.asarray(v, dtype=float) for v in (self.x, self.low, self.high)
+        )
+        x, low, high = np.broadcast_arrays(x, low, high)
+        there, back = frame.path(x, high), frame.path(x[::-1], low[::-1])
+        # Joined by a line instead of begun anew, both edges are one surface; two
+        # subpaths would be two slivers.
+        back = re.sub(r"^M", "L", back)
+        return Layers(
+            below=f'<path class="b{self.line}" d="{there}{back}z"/>' if there else ""
+        )
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Bars from zero, `edges` one more than `heights`."""
+
+    edges: ArrayLike
+    heights: ArrayLike
+    line: int = 1
+
+    def drawn(self, frame: Frame) -> Layers:
+        """One outline of all bars."""
+        edges, heights = (
+            np.asarray(self.edges, dtype=float),
+            np.asarray(self.heights, dtype=float),
+        )
+        x = np.repeat(edges, 2)
+        # As one outline neighbours share their side: bars of their own would leave
+        # hairlines between them.
+        y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+        return Layers(
+            below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>'
+        )
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table in colours: `levels` 0 to 3 of the palette, shape (rows, columns), below
+    0 for none.
+    """
+
+    across: Real
+    up: Real
+    levels: NDArray[np.intp]
+
+    def drawn(self, frame: Frame) -> Layers:
+        """One path for each level, of the runs of equal cells in each row."""
+        x = np.rint(ACROSS * frame.x.share(self.across)).astype(int)
+        y = np.rint(DOWN * (1.0 - frame.y.share(self.up))).astype(int)
+        parts: dict[int, list[str]] = {}
+        for row, values in enumerate(self.levels):
+            # The appended value differs from the last one whatever that is, so that the
+            # last run ends, too.
+            ends = np.flatnonzero(np.diff(values, append=values[-1] - 1)) + 1
+            for start, end in zip([0, *ends[:-1]], ends, strict=True):
+                box = f"M{x[start]} {y[row]}H{x[end]}V{y[row + 1]}H{x[start]}z"
+                parts.setdefault(int(values[start]), []).append(box)
+        paths = (
+            f'<path class="l{k}" d="{"".join(parts[k])}"/>'
+            for k in sorted(parts)
+            if k >= 0
+        )
+        return Layers(below="".join(paths))
+
+
+@dataclass(frozen=True)
+class Zone:
+    """A shaded range, of the horizontal scale or with `lying` of the vertical one."""
+
+    low: float
+    high: float
+    lying: bool = False
+
+    def drawn(self, frame: Frame) -> Layers:
+        """A rectangle over the whole panel."""
+        if self.lying:
+            top, bottom = frame.down(self.high), frame.down(self.low)
+            place = f'x="0" width="100%" y="{top}" height="{round(bottom - top, 1)}"'
+        else:
+            left, right = (
+                float(np.clip(frame.x.share(v), 0, 1)) for v in (self.low, self.high)
+            )
+            place = f'x="{percent(left)}" width="{percent(right - left)}" y="{frame.top}" height="{frame.height}"'
+        return Layers(below=f'<rect class="zone" {place}/>')
+
+
+@dataclass(frozen=True)
+class Across:
+    """A level over the whole width, dashed where it is a `limit`, with a text above its
+    left end.
+    """
+
+    value: float
+    text: str = ""
+    limit: bool = True
+
+    def drawn(self, frame: Frame) -> Layers:
+        """A line and its text."""
+        y = frame.down(self.value)
+        line = f'<line class="{"limit" if self.limit else "zero"}" x2="100%" y1="{y}" y2="{y}"/>'
+        text = (
+            f'<text class="halo" x="4" y="{y - 4}">{escaped(self.text)}</text>'
+            if self.text
+            else ""
+        )
+        return Layers(above=line + text)
+
+
+@dataclass(frozen=True)
+class Upright:
+    """A place over the whole height, with a text at its upper end."""
+
+    value: float
+    text: str = ""
+    left: bool | None = None  # of the line where there is more room
+
+    def drawn(self, frame: Frame) -> Layers:
+        """A line and its text."""
+        left = (
+            self.left
+            if self.left is not None
+            else float(frame.x.share(self.value)) > _ASIDE
+        )
+        x, bottom = frame.across(self.value), frame.top + frame.height
+        line = f'<line class="limit" x1="{x}" x2="{x}" y1="{frame.top}" y2="{bottom}"/>'
+        side = 'text-anchor="end" dx="-4"' if left else 'dx="4"'
+        text = f'<text class="halo" x="{x}" y="{frame.top + 11}" {side}>{escaped(self.text)}</text>'
+        return Layers(above=line + (text if self.text else ""))
+
+
+@dataclass(frozen=True)
+class Point:
+    """One place with a sign, "dot", "cross" or "ring", and a text beside it."""
+
+    x: float
+    y: float
+    text: str = ""
+    line: int = 0
+    sign: str = "dot"
+
+    def drawn(self, frame: Frame) -> Layers:
+        """The sign in its own small system of dots, so that it keeps its shape."""
+        x, y = frame.across(self.x), frame.down(self.y)
+        shapes = {
+            "dot": f'<circle class="f{self.line}" r="4"/>',
+            "ring": f'<circle class="c{self.line} ring" r="6"/>',
+            "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
+        }
+        # No width of a text is known here, since the page's typeface is the reader's:
+        # the side with more room is the guess that rarely runs out of the drawing.
+        left = float(frame.x.share(self.x)) > _ASIDE
+        side = 'text-anchor="end" x="-9"' if left else 'x="9"'
+        text = (
+            f'<text class="halo name" {side} y="-5">{escaped(self.text)}</text>'
+            if self.text
+            else ""
+        )
+        return Layers(
+            above=f'<svg x="{x}" y="{y}" overflow="visible">{shapes[self.sign]}{text}</svg>'
+        )
+
+
+Mark = Curve | Dots | Band | Bars | Cells | Zone | Across | Upright | Point

@@ -1,0 +1,316 @@
+"""Reports as one HTML file each: no request, complete without a script, whatever files
+hold is escaped.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fraclink._design import Design
+from fraclink._design.alternatives import feasibility_map
+from fraclink._design.assess import phase_budget
+from fraclink._files import write_text
+from fraclink.errors import FieldError
+from fraclink.trials._campaign import Campaign
+from fraclink.trials._study import Study
+from fraclink.trials._summary import Summary, columns
+from fraclink.view import _figures as figures
+from fraclink.view import _fleets as fleets
+from fraclink.view import _loops as loops
+from fraclink.view import _runs as runs
+from fraclink.view import _tables as tables
+from fraclink.view import _words as words
+from fraclink.view._arm_box import arm_box, page_hash
+from fraclink.view._drawing import Figure
+from fraclink.view._pages import rendered, squeezed
+from fraclink.view._sketches import arm_sketch
+from fraclink.view._text import Table, number
+
+__all__ = ["render_report", "write_campaign_report", "write_report"]
+
+_PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
+_MAP = 48  # cells of the map of an infeasible request, each way
+
+
+def write_report(
+    study: Study, path: Path | str, *, title: str | None = None, script: bool = True
+) -> Path:
+    """Write the report of `study` to `path`, in one step, and return the path.
+
+    With `script`, and where the study has a design, its first figure is the arm that
+    moves, as in `write_arm_page`, and figures show their values under the pointer;
+    without, the report holds no script at all.
+
+    Raises MissingExtraError where jinja2 is not installed.
+
+    >>> import tempfile
+    >>> write_report(Study(), Path(tempfile.mkdtemp()) / "report.html").name
+    'report.html'
+    """
+    write_text(path, render_report(study, title=title, script=script))
+    return Path(path)
+
+
+def render_report(
+    study: Study, *, title: str | None = None, script: bool = True
+) -> str:
+    """Return the report of `study` as HTML; the same study gives the same bytes.
+
+    >>> "Content-Security-Policy" in render_report(Study(), title="<script>")
+    True
+    """
+    name = study.rig.name if study.rig else "unnamed rig"
+    source = tables.source_name(study.experiment)
+    verdict, design = study.verdict, study.design
+    model = (
+        design.model
+        if design
+        else study.fit.model
+        if study.fit
+        else study.rig.model
+        if study.rig
+        else None
+    )
+    # The arm that moves needs a law: of the design, or of the study where the design
+    # has none.
+    moves = study.law is not None or (design is not None and design.has_law)
+    drawn = {name: figure.inline() for name, figure in _figures(study).items()}
+    return rendered(
+        "report.html",
+        title=title or f"{name}: {source}",
+        study=study,
+        arm=arm_box(study, design, payloads=_PAYLOADS)
+        if script and design and moves
+        else None,
+        pointer=_pointer(script=script),
+        zone=_zone(design),
+        source=source,
+        verdict=verdict,
+        headline=tables.verdict_sentence(verdict),
+        scopes=tables.scopes(verdict),
+        in_short=tables.summary_rows(study),
+        tables=_tables(study),
+        sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model)))
+        if study.rig
+        else "",
+        said=words.arm_sentences(study.rig, model) if study.rig else [],
+        rig_findings=[
+            finding for finding in study.findings if finding.code.startswith("W1")
+        ],
+        log_findings=[
+            finding for finding in study.findings if not finding.code.startswith("W1")
+        ],
+        coincidence=tables.coincidence(study.fits),
+        faults=_faults(study),
+        figures=drawn,
+        on_paper=[_copy(drawn[name]) for name in ("margins", "moves") if name in drawn],
+        refusal=words.refusal_sentence(study),
+        steps=words.steps(study),
+        power_on=words.power_on(design) if design else [],
+        files=_files(study),
+    )
+
+
+def _pointer(*, script: bool) -> Mapping[str, str] | None:
+    """The script that shows values under the pointer, and its hash for the policy."""
+    if not script:
+        return None
+    text = squeezed("figures.js")
+    return {"script": text, "hash": page_hash(text)}
+
+
+def _inline(text: str) -> str:
+    """A drawing that stands alone, without the style and the ground that the page has."""
+    # The page has the same rules once; a style in every drawing would be 4 kB each, and
+    # the policy allows a style by its hash alone.
+    return (
+        text[: text.index("<style>")]
+        + text[text.index("/>", text.index("</style>")) + 2 :]
+    )
+
+
+def _copy(drawing: str) -> str:
+    """A drawing again, for the first sheet of paper, where nothing is pointed at: what
+    is clipped finds its edge by the name that the first one has."""
+    return re.sub(r' (?:id|role|aria-label|data-[\w-]+)="[^"]*"', "", drawing)
+
+
+def _zone(design: Design | None) -> str:
+    low, high = design.payloads if design else (0.0, 0.0)
+    return f"{number(1e3 * low)} to {number(1e3 * high)} g"
+
+
+def _faults(study: Study) -> Mapping[str, Any] | None:
+    if study.faults is None:
+        return None
+    return {
+        "columns": fleets.fault_columns(study.faults),
+        "counts": fleets.fault_counts(study.faults),
+        "rows": fleets.fault_rows(study.faults),
+        "sentence": tables.faults_sentence(study.faults),
+        "command": study.faults.about.get("command", ""),
+    }
+
+
+def _files(study: Study) -> list[tuple[str, str]]:
+    """The files of the folder that hold something of this study."""
+    known = (
+        ("rig.toml", "the rig", study.rig),
+        ("model.json", "the model that the design uses", study.fit),
+        ("design.json", "request, controller, requirements", study.design),
+        ("law.json", "coefficients of the law that is shipped", study.law),
+        ("certificate.json", "the proof", study.certificate),
+        ("faults.json", "the fault campaign", study.faults),
+    )
+    return [(name, what) for name, what, part in known if part is not None]
+
+
+def _tables(study: Study) -> Mapping[str, Table]:
+    """The tables of the sections that there are."""
+    found: dict[str, Table] = {}
+    if study.rig is not None:
+        found["rig"] = tables.rig_table(study.rig)
+    if study.experiment is not None:
+        found["log"] = tables.log_table(study.experiment)
+    if study.fits:
+        found["models"] = tables.fits_table(study.fits)
+    if study.design is not None:
+        payloads = [
+            loops.BEYOND * study.design.payloads[0],
+            *loops.payloads_of(study.design),
+        ]
+        found["controller"] = tables.controller_table(study.design, study.law)
+        found["requirements"] = tables.requirements_table(study.design.requirements)
+        found["margins"] = tables.margins_table(study.design, payloads)
+    if study.runs:
+        found["moves"] = tables.moves_table(study.runs)
+    if study.arms is not None:
+        found["arms"] = tables.spread_table(study.arms)
+    return found
+
+
+def _figures(study: Study) -> dict[str, Figure]:
+    log, fit, design = study.experiment, study.fit, study.design
+    drawn: dict[str, Figure | None] = {}
+    if log is not None:
+        drawn["log"] = figures.log_figure(log)
+    if fit is not None:
+        drawn["detail"] = figures.detail_figure(fit)
+        drawn["residual"] = figures.residual_figure(fit)
+        drawn["response"] = None if log is None else figures.response_figure(log, fit)
+    if study.fits:
+        drawn["models"] = figures.models_figure(
+            study.fits, fit.structure if fit else None
+        )
+    if design is not None:
+        proved = study.certificate.statement.modulus if study.certificate else None
+        drawn["bode"] = loops.bode_figure(design)
+        drawn["nyquist"] = loops.nyquist_figure(design, proved)
+        drawn["margins"] = loops.margins_figure(design)
+        drawn["budget"] = _budget(design)
+    elif study.refused is not None:
+        drawn["map"] = _map(study)
+    if study.runs:
+        drawn["moves"] = runs.moves_figure(study.runs)
+    return {name: figure for name, figure in drawn.items() if figure is not None}
+
+
+def _budget(design: Design) -> Figure | None:
+    try:
+        return loops.budget_figure(
+            phase_budget(design, design.payloads[0]), design.payloads[0]
+        )
+    except FieldError:  # a loop that crosses nowhere has no budget
+        return None
+
+
+def _map(study: Study) -> Figure | None:
+    """The feasible requests around the one that was refused."""
+    model = study.fit.model if study.fit else study.rig.model if study.rig else None
+    if study.rig is None or model is None or study.refused is None:
+        return None
+    places = [
+        (p["gain_crossover"], p["phase_margin"])
+        for p in (study.refused.asked, study.refused.nearest)
+        if {"gain_crossover", "phase_margin"} <= p.keys()
+    ]
+    if len(places) < 2:
+        return None
+    rates, angles = zip(*places, strict=True)
+    # Wide enough for both places, and for what lies beside them. From a little motion
+    # to well beyond both places; margins up to 100°, where every design has become
+    # sluggish.
+    crossovers = np.linspace(0.5 * min(rates), 1.25 * max(rates), _MAP)
+    margins = np.linspace(
+        math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP
+    )
+    found = feasibility_map(
+        model, study.rig, gain_crossovers=crossovers, phase_margins=margins
+    )
+    return loops.map_figure(found, places[0], places[1])
+
+
+def write_campaign_report(
+    campaign: Campaign, folder: Path | str, summary: Summary, path: Path | str
+) -> Path:
+    """Write histograms, failure map, drivers and worst cases of a campaign to `path`;
+    return it.
+
+    Raises MissingExtraError where jinja2 is not installed.
+    """
+    names = list(fleets.SHOWN)
+    # Failures are drawn over the two parameters that matter most, or chance would fill
+    # the map.
+    drivers = fleets.strongest(summary)
+    first, second, passed, *values = columns(
+        campaign, folder, *drivers, "passed", *names
+    )
+    titles = tuple(name.replace("_", " ") for name in drivers)
+    worst = tuple(
+        (
+            tables.metric_name(m.name),
+            tables.metric_text(m.name, value),
+            f"fraclink campaign replay {folder} --run {run}",
+        )
+        for m in summary.metrics
+        for run, value in m.worst[:2]
+        if m.name != "saturated"
+    )
+    parameters, rows = fleets.driver_rows(summary)
+    failures = fleets.failures_figure(
+        first.astype(float),
+        second.astype(float),
+        ~passed.astype(bool),
+        (titles[0], titles[1]),
+    )
+    text = rendered(
+        "campaign.html",
+        title=f"Campaign on {campaign.rig.name}",
+        campaign=campaign,
+        given=summary.given,
+        failure=summary.failure,
+        state=tables.state_of(summary),
+        left_out=summary.left_out,
+        pointer=_pointer(script=True),
+        tables={
+            "spread": tables.spread_table(summary),
+            "worst": Table(("metric", "value", "command"), worst),
+        },
+        parameters=parameters,
+        drivers=rows,
+        spread=[
+            drawn.inline()
+            for drawn in fleets.spread_figures(
+                dict(zip(names, map(np.asarray, values), strict=True))
+            )
+        ],
+        figures={"failures": failures.inline()},
+    )
+    write_text(path, text)
+    return Path(path)

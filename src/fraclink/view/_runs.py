@@ -1,0 +1,189 @@
+"""Drawings of moves in time: simulated runs, shaped moves, and runs with a fault beside
+their clean run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._law import MODES
+from fraclink._simulate import Run
+from fraclink._simulate.shaped_move import ShapedMove
+from fraclink.trials._faults import Bench, Evidence, Outcome, fault_named, observe
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
+from fraclink.view._pages import LINES
+from fraclink.view._scales import Scale, envelope
+from fraclink.view._text import grams
+
+__all__ = ["draw_outcome", "moves_figure", "outcome_figure", "shaped_figure"]
+
+Real = NDArray[np.float64]
+
+_BAND = 0.02  # of the move: what counts as settled
+
+
+def moves_figure(runs: Sequence[Run]) -> Figure:
+    """Draw the tip's tracking with its 2 % band, its error, the gauge's torque and the
+    motor's voltage.
+    """
+    first = runs[0]
+    end = float(first.reference[-1])
+    size = abs(end - float(first.reference[0]))
+    tip: list[Mark] = (
+        [Zone(end - _BAND * size, end + _BAND * size, lying=True)] if size else []
+    )
+    tip.append(
+        Curve(*envelope(first.time, first.reference), 0, "reference", dashed=True)
+    )
+    milli = 1e3 * _BAND * size
+    error: list[Mark] = [Zone(-milli, milli, lying=True)] if size else []
+    torque: list[Mark] = []
+    voltage: list[Mark] = []
+    for line, run in zip(LINES, runs, strict=False):
+        tip.append(Curve(*envelope(run.time, run.tip_angle), line, grams(run.payload)))
+        error.append(
+            Curve(*envelope(run.time, 1e3 * (run.tip_angle - run.reference)), line)
+        )
+        torque.append(
+            Curve(*envelope(run.time, run.torque_measured), line, weight="thin")
+        )
+        voltage.append(Curve(*envelope(run.time, run.voltage), line, weight="thin"))
+    rows = (
+        ("tip angle θt [rad]; shaded: within 2 % of the move", tip, 200.0),
+        ("tip error [mrad]", error, 110.0),
+        ("gauge Γ [N·m]", torque, 90.0),
+        ("motor [V]", voltage, 90.0),
+    )
+    panels = [
+        Panel(label, _scale(marks), marks, height) for label, marks, height in rows
+    ]
+    x = Scale(float(first.time[0]), float(first.time[-1]))
+    said = "Tip angle, tip error, torque and voltage of the simulated moves"
+    return Figure("moves", said, x, panels, "time [s]", "time")
+
+
+def _scale(marks: Sequence[Mark]) -> Scale:
+    return Scale.around(
+        *(np.asarray(mark.y) for mark in marks if isinstance(mark, Curve))
+    )
+
+
+def shaped_figure(made: ShapedMove) -> Figure:
+    """Draw reference and tips, the reference's acceleration, and the voltages of the
+    runs that are kept.
+    """
+    reference, time = made.reference, made.period * np.arange(made.tip_angle.shape[1])
+    # what comes after twice the move is rest and noise
+    # Half of the picture for the move, half for what it leaves behind.
+    end = min(float(time[-1]), 2.0 * reference.duration)
+    part = time <= end * (1 + 1e-9)
+    time = time[part]
+    tip: list[Mark] = []
+    if made.target is None:
+        tip.append(
+            Zone((1 - _BAND) * made.amplitude, (1 + _BAND) * made.amplitude, lying=True)
+        )
+        if math.isfinite(made.settling_time) and made.settling_time < end:
+            tip.append(Upright(made.settling_time, "settled"))
+    else:
+        tip.append(Curve(*envelope(time, made.target.angle(time)), 0, "path"))
+    tip.append(
+        Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True)
+    )
+    # The acceleration shows how a shaped move differs from a smooth one, which angles
+    # do not.
+    push = [Curve(*envelope(time, reference.acceleration(time)), 0)]
+    voltage: list[Mark] = [Across(made.voltage, "limit"), Across(-made.voltage)]
+    for line, payload, angle, volts in zip(
+        LINES, made.shown, made.tip_angle, made.motor_voltage, strict=False
+    ):
+        tip.append(Curve(*envelope(time, angle[part]), line, grams(payload)))
+        voltage.append(Curve(*envelope(time, volts[part]), line, weight="thin"))
+    edge = 1.1 * made.voltage if math.isfinite(made.voltage) else _scale(voltage).high
+    panels = (
+        Panel("tip angle θt [rad]", _scale(tip), tip, 200.0),
+        Panel("acceleration of the reference [rad/s²]", _scale(push), push, 100.0),
+        Panel("motor [V]", Scale(-edge, edge), voltage, 100.0),
+    )
+    said = "Tip angle, acceleration of the reference and voltage of a shaped move"
+    return Figure("shaped", said, Scale(0.0, end), panels, "time [s]", "time")
+
+
+def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
+    """Run a case again and draw it: tip, motor and gauge beside the clean run, and what
+    the law did.
+    """
+    e = observe(bench, outcome.case, bench.law.in_precision("double"))
+    title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"
+    verdict = str(outcome.failed[0]) if outcome.failed else "passed"
+    event = float(e.row * e.law.period)
+    gauge: list[Mark] = [
+        Curve(*envelope(e.faulty.time, e.faulty.gauge), 2, "gauge", "thin"),
+        Curve(*envelope(e.faulty.time, e.faulty.torque), 0, "true"),
+    ]
+    modes = Scale(
+        -0.4,
+        len(MODES) - 0.6,
+        ticks=tuple((float(k), name) for k, name in enumerate(MODES)),
+    )
+    # The mode is held for a period and changes at once: a slope between two of them
+    # would be a third.
+    time, mode = np.repeat(e.faulty.time, 2)[1:], np.repeat(e.faulty.mode, 2)[:-1]
+    rows = (
+        Panel(f"{title}. Tip angle [rad]", *_tip(e), 190.0),
+        Panel("motor [rad]", *_motor(e), 120.0),
+        Panel("torque [N·m]", _scale(gauge), gauge, 110.0),
+        Panel("mode of the law", modes, [Curve(time, mode, 1)], 60.0),
+    )
+    panels = tuple(
+        Panel(p.label, p.y, [*p.marks, Upright(event, "" if k else "fault")], p.height)
+        for k, p in enumerate(rows)
+    )
+    x = Scale(float(e.faulty.time[0]), float(e.faulty.time[-1]))
+    return Figure(
+        "outcome",
+        f"{title}; {verdict}",
+        x,
+        panels,
+        f"time [s]; {verdict}",
+        "time",
+        left=66.0,
+    )
+
+
+def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
+    """Run a case again and draw it to an SVG file: tip, motor, gauge and mode beside
+    the clean run.
+
+    Raises FieldError for a file of another kind.
+    """
+    outcome_figure(bench, outcome).save(path)
+
+
+def _tip(e: Evidence) -> tuple[Scale, list[Mark]]:
+    marks: list[Mark] = [
+        Curve(*envelope(e.faulty.time, e.faulty.wanted), 0, "reference", dashed=True),
+        Curve(*envelope(e.clean.time, e.clean.tip), 2, "clean"),
+        Curve(*envelope(e.faulty.time, e.faulty.tip), 1, "faulty"),
+    ]
+    return _scale(marks), marks
+
+
+def _motor(e: Evidence) -> tuple[Scale, list[Mark]]:
+    # By the true angle and not by the encoder's, which is what is broken; 0.1 rad of
+    # room even beside an arm that stands.
+    low, high = float(e.faulty.motor.min()), float(e.faulty.motor.max())
+    edge = 0.2 * max(high - low, 0.5)
+    marks: list[Mark] = [
+        Curve(*envelope(e.faulty.time, e.faulty.motor), 0, "true"),
+        Curve(*envelope(e.faulty.time, e.faulty.encoder), 2, "encoder", "thin"),
+        Curve(*envelope(e.faulty.time, e.faulty.command), 1, "reference"),
+    ]
+    # an encoder in degrees would flatten everything else
+    return Scale(low - edge, high + edge), marks

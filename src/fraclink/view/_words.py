@@ -1,0 +1,188 @@
+"""What a report says in sentences: the arm, how far one may rely on the design, what to
+do next.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator
+
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._design import Design
+from fraclink.trials._study import Study
+from fraclink.view._tables import source_name
+from fraclink.view._text import degrees, grams, number, option
+
+__all__ = [
+    "arm_sentences",
+    "nearest_command",
+    "oscillates",
+    "power_on",
+    "sketch_notes",
+    "steps",
+]
+
+_LEFT = 0.05  # of a swing: what nobody sees any more
+
+
+def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
+    """The arm's numbers as a person would say them."""
+    low, high = rig.payloads.low, rig.payloads.high
+    said = [
+        f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
+    ]
+    if model is not None:
+        said += _swing(model)
+        if model.second_mode is not None:
+            hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
+            said.append(
+                f"It has a second mode at {hertz} Hz; the design bounds the loop gain there."
+            )
+        # Less than a microsecond is rounding of a fit: no log shows it.
+        if abs(model.gauge_delay) > 1e-6:
+            late = number(1e3 * abs(model.gauge_delay), 2)
+            said.append(
+                f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}."
+            )
+    # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the
+    # workshop's usual figure [ms].
+    settled = number(4.0e3 / rig.motor_loop.pole, 2)
+    said.append(
+        f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms."
+    )
+    return said
+
+
+def oscillates(pole: complex) -> bool:
+    """Whether a pole of the link is one of a vibration.
+
+    >>> oscillates(-1 + 10j), oscillates(-5 + 1e-16j)
+    (True, False)
+    """
+    # The pole of an overdamped link comes from a Newton iteration or from e^(jπ): real
+    # but for rounding.
+    return abs(pole.imag) > 1e-9 * abs(pole)
+
+
+def _swing(model: LinkModel) -> Iterator[str]:
+    pole = model.pole
+    if not oscillates(pole):
+        yield "The link does not oscillate: it creeps back."
+        return
+    with_payload = f"with {grams(model.payload)} " if model.payload is not None else ""
+    swing = f"With the motor held, it swings {with_payload}at {number(abs(pole.imag) / (2 * math.pi), 2)} Hz"
+    ratio = -pole.real / abs(pole)
+    if ratio <= 0:
+        yield f"{swing}, undamped in this model."
+        return
+    # e^(−σt) = 0.05 after t = −ln 0.05/σ; in periods of 2π/ω, whatever the order λ, as
+    # the pole has both.
+    swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
+    yield f"{swing}; after {number(swings, 2)} swings the amplitude is down to 5 %."
+
+
+def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
+    """What stands beside motor, gauge and payload in the drawing of the arm."""
+    late = model.gauge_delay if model is not None else 0.0
+    payload = f"{number(1e3 * rig.payloads.low)} to {grams(rig.payloads.high)}"
+    gauge = f"{number(1e3 * late, 2)} ms late" if late > 1e-6 else ""
+    return f"follows within {number(4.0e3 / rig.motor_loop.pole, 2)} ms", gauge, payload
+
+
+def nearest_command(study: Study) -> str:
+    """The command line that asks for the nearest request; empty where none is known."""
+    if study.refused is None or study.rig is None:
+        return ""
+    options = " ".join(
+        option(name, value) for name, value in study.refused.nearest.items()
+    )
+    named = study.experiment is not None and study.experiment.source
+    log = source_name(study.experiment) if named else "LOG"
+    # A rig that is not bundled is known to the command by its file only, which lies
+    # beside the report.
+    rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
+    return f"fraclink run --rig {rig} --log {shlex.quote(log)} {options}"
+
+
+def refusal_sentence(study: Study) -> str:
+    """The request and the nearest one, in degrees and with two decimals."""
+    if study.refused is None:
+        return ""
+    texts = [
+        _request(values) for values in (study.refused.asked, study.refused.nearest)
+    ]
+    return f"Requested: {texts[0]}. Nearest feasible request: {texts[1]}."
+
+
+def _request(values: object) -> str:
+    known = dict(values)  # type: ignore[call-overload]
+    words = {
+        "gain_crossover": "a crossover of {} rad/s",
+        "phase_margin": "a phase margin of {}",
+    }
+    parts = []
+    for name, value in known.items():
+        text = degrees(value, 2) if name == "phase_margin" else number(value, 4)
+        parts.append(words.get(name, name.replace("_", " ") + " {}").format(text))
+    return " and ".join(parts)
+
+
+def steps(study: Study) -> list[tuple[str, str]]:
+    """What to do next, each with the command that does it in the folder of the report."""
+    if study.design is None:
+        return (
+            [("Request the nearest feasible design", nearest_command(study))]
+            if study.refused
+            else []
+        )
+    todo = []
+    # In the order of what a reader can still lose: a failing arm first, then the proof,
+    # the faults, and only then the board.
+    if study.arms is not None and study.arms.failed:
+        todo.append(
+            (
+                "Look at a failing arm, with all its signals",
+                f"fraclink campaign replay arms --run {study.arms.failed[0]}",
+            )
+        )
+    if not study.certificate:
+        todo.append(("Prove the promise", "fraclink certify design.json"))
+    if not study.faults:
+        todo.append(
+            (
+                "Break sensors, clock and memory on the twin",
+                "fraclink campaign faults --design design.json --out .",
+            )
+        )
+    todo.append(
+        (
+            "Write the law as C99 with a self-test",
+            "fraclink export c design.json --out firmware",
+        )
+    )
+    todo.append(("Share the moving arm as one file", "fraclink share . --out arm.html"))
+    return todo
+
+
+def power_on(design: Design) -> list[str]:
+    """The first power-on in the order in which a mistake costs least."""
+    volts = design.rig.motor.voltage_limit
+    # A fifth of the voltage: a wrong sign of encoder or gauge then pushes the arm
+    # gently enough to be caught by hand.
+    limit = (
+        f" ({number(0.2 * volts, 2)} V of {number(volts, 3)} V)"
+        if math.isfinite(volts)
+        else ""
+    )
+    return [
+        "Motor off: turn the hub by hand towards the positive side; the encoder must count up.",
+        "Motor off: bend the tip by hand; the gauge torque must have the same sign as in the log.",
+        f"Voltage limited to a fifth{limit}, link off: run the motor loop alone on a small move.",
+        f"Link on, {grams(design.payloads[1])}, the heaviest payload, at the tip: a move of 0.1 rad; "
+        "the law must stay in mode “run”.",
+        f"The same with {grams(design.payloads[0])}, the lightest, where the margin is smallest; "
+        "then the full move and the full voltage.",
+        "Unplug the gauge during a move: the law must switch to “degraded” and finish the move.",
+    ]

@@ -1,0 +1,18 @@
+"""Fractional systems: transfer functions in powers of s, responses, roots, stability,
+margins and rational approximations. Knows no robot.
+
+>>> import fracsys
+>>> G = 100 / (fracsys.s**1.92 + 100)
+>>> fracsys.is_stable(G).stable
+True
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fracsys._public import public_names
+
+__getattr__, __dir__, __all__ = public_names(
+    __name__, Path(__file__).with_suffix(".pyi")
+)

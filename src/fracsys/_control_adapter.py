@@ -1,0 +1,169 @@
+"""A python-control frequency response that evaluates a fractional system exactly.
+
+python-control's plots test for its own classes: an `LTI` subclass fails in them, and a
+`TransferFunction` subclass is silently replaced by its integer-order stand-in. A
+`FrequencyResponseData` works; this one differs from the stock class in that nothing is
+interpolated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import control
+import numpy as np
+
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._interop import continuous
+from fracsys._sweep import frequency_grid
+from fracsys.errors import FracsysError
+
+# python-control's margins are splines over the grid: 1e-4 degrees with these and the
+# refined ones
+_POINTS = 1000
+
+
+class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
+    """G(jω) of a fractional system, exact at every frequency, with exact algebra."""
+
+    # numpy scalars and arrays must hand `array * G` to us instead of multiplying
+    # element by element.
+    __array_ufunc__ = None
+
+    def __init__(
+        self, system: FractionalTransferFunction, *, name: str | None = None
+    ) -> None:
+        self.fractional = system
+        omega = frequency_grid(system, points=_POINTS)
+        super().__init__(system(1j * omega), omega, dt=0, sysname=name or repr(system))
+        if name is not None:
+            self.name = name
+        # python-control's sign for "may be evaluated off the grid"; the stock class
+        # keeps its splines here.
+        self._ifunc = True
+
+    def eval(self, omega: Any, squeeze: bool | None = None) -> Any:
+        """G(jω) at frequencies [rad/s], in the shape that python-control's `squeeze`
+        rules ask for.
+        """
+        values = self.fractional(1j * np.atleast_1d(np.asarray(omega, dtype=float)))
+        out = values.reshape(1, 1, -1)
+        if np.ndim(omega) < 1:
+            out = out[..., 0]
+        if squeeze is None:
+            squeeze = control.config.defaults["control.squeeze_frequency_response"]
+        if squeeze:
+            return np.squeeze(out)
+        return out[0][0] if squeeze is None else out
+
+    def __call__(
+        self,
+        x: Any = None,
+        squeeze: bool | None = None,
+        return_magphase: bool | None = None,
+    ) -> Any:
+        """G at any complex s [rad/s], not on the imaginary axis only; without s a copy,
+        as python-control.
+        """
+        if x is None:
+            return super().__call__(squeeze=squeeze, return_magphase=return_magphase)
+        points = np.asarray(x, dtype=complex)
+        if squeeze is None and points.ndim < 2:
+            return (
+                self.fractional(points)
+                if points.ndim
+                else self.fractional(complex(points))
+            )
+        return self.eval(points.imag, squeeze=squeeze)
+
+    def frd(self, omega: Any) -> Any:
+        """Stock frequency response data on a grid [rad/s] of your own, for functions
+        that ignore `omega`.
+        """
+        grid = np.sort(np.asarray(omega, dtype=float).reshape(-1))
+        return control.FrequencyResponseData(
+            self.fractional(1j * grid), grid, dt=0, sysname=self.name
+        )
+
+    def frequency_response(self, omega: Any = None, squeeze: bool | None = None) -> Any:
+        """Response at `omega` [rad/s] (default: the refined grid) as python-control's
+        data object.
+        """
+        data = self.frd(self.omega if omega is None else omega)
+        return data if squeeze is None else data(squeeze=squeeze)
+
+    def dcgain(self) -> Any:
+        """G(0): finite, zero or infinite."""
+        return self.fractional(0j).real
+
+    # -- algebra: with whatever has a transfer function, exact; with measured data, on
+    # its own grid ----
+
+    def _with(
+        self,
+        other: Any,
+        operation: Callable[[Any, Any], Any],
+        *,
+        reflected: bool = False,
+    ) -> Any:
+        # The very class and no subclass: a `FractionalResponse` is exact, and must not
+        # fall back to a grid.
+        if type(other) is control.FrequencyResponseData:
+            left, right = self.frd(other.omega), other
+            return operation(right, left) if reflected else operation(left, right)
+        try:
+            exact = continuous(other.item() if isinstance(other, np.generic) else other)
+        except (FracsysError, AttributeError):
+            return NotImplemented
+        left, right = (
+            (exact, self.fractional) if reflected else (self.fractional, exact)
+        )
+        return FractionalResponse(operation(left, right))
+
+    def __add__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a + b)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a - b)
+
+    def __rsub__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a - b, reflected=True)
+
+    def __mul__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a * b)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a / b)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return self._with(other, lambda a, b: a / b, reflected=True)
+
+    def __neg__(self) -> FractionalResponse:
+        return FractionalResponse(-self.fractional)
+
+    def __pow__(self, exponent: int) -> FractionalResponse:
+        return FractionalResponse(self.fractional**exponent)
+
+    def feedback(self, other: Any = 1, sign: int = -1) -> Any:
+        """G/(1 − sign·G·H); the stock class forgets the sign, this one does not."""
+        if type(other) is control.FrequencyResponseData:
+            here = self.fractional(1j * other.omega)
+            closed = here / (1 - sign * here * other.frdata.reshape(-1))
+            return control.FrequencyResponseData(closed, other.omega, dt=0)
+        # python-control takes any sign here; only its direction counts.
+        return FractionalResponse(
+            self.fractional.feedback(continuous(other), sign=-1 if sign < 0 else 1)
+        )
+
+    def _repr_eval_(self) -> str:
+        return f"to_control({self.fractional!r})"
+
+    def __str__(self) -> str:
+        low, high = math.log10(self.omega[0]), math.log10(self.omega[-1])
+        return f"{self.name}: {self.fractional!r}, exact; default grid 1e{low:.0f} to 1e{high:.0f} rad/s"

@@ -1,0 +1,5 @@
+"""The compiled kernels, untyped."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...

@@ -1,0 +1,46 @@
+"""The public names of a package, loaded when they are first used."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+__all__ = ["public_names"]
+
+
+def public_names(
+    package: str, stub: Path
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from its stub.
+
+    The stub beside ``__init__.py`` says each public name once, as editors and type
+    checkers read it: ``from fracsys._margins import margins as margins``.
+    """
+    homes = {
+        alias.name: node.module
+        for node in ast.parse(stub.read_text("utf-8")).body
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+    names = sorted(homes)
+
+    def value_of(name: str) -> Any:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        home = homes[name]
+        # `from fraclink import logs as logs` names a package below this one.
+        value = (
+            import_module(f"{package}.{name}")
+            if home == package
+            else getattr(import_module(home), name)
+        )
+        # Loaded once, it is an attribute like any other: __getattr__ is asked only for
+        # what is missing.
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return value_of, lambda: names, names

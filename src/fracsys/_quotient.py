@@ -1,0 +1,422 @@
+"""A delay-free quotient N(s)/D(s) on the log-plane z = ln s, and its poles.
+
+There every term is c·exp(a z), entire; the cut of the principal sheet is the line Im z
+= π and what lies above it is the next sheet. Poles are simple, or clusters: zeros of D
+so close to each other that their residues cancel (a double pole, merging resonances). A
+cluster is kept whole.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracsys._roots import log_zeros, two_term_zeros
+from fracsys._terms import Complexes, Reals, Term, collect, same
+from fracsys.errors import FieldError
+
+SHEET = (
+    1.5 * math.pi
+)  # poles up to a quarter turn beyond the cut bend the integrand on it
+_RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
+# points of a circle at half the distance to the next obstacle: 2^-96, 1.5^-96 at worst
+_CIRCLE = 96
+# a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
+_SYMMETRIC = 1e-7
+_NEAR = (
+    0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
+)
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Zeros of D near `centre` (in ln s), `count` of them with multiplicity, within
+    `radius`.
+    """
+
+    centre: complex
+    count: int
+    radius: float
+
+
+@dataclass(frozen=True)
+class Quotient:
+    """N/D as arrays; `zeros` are the zeros of D with 0 ≤ Im z ≤ 3π/2, z = ln s."""
+
+    top: tuple[Term, ...]
+    bottom: tuple[Term, ...]
+    zeros: Complexes
+
+    @classmethod
+    def of(cls, top: Sequence[Term], bottom: Sequence[Term]) -> Quotient:
+        if (
+            len(bottom) == 2
+        ):  # as most links are: by hand it saves a sixth of a short response
+            high, low = bottom
+            by_hand = two_term_zeros(
+                low.coefficient / high.coefficient, high.order - low.order, SHEET
+            )
+            zeros = np.array(by_hand, np.complex128)
+        else:
+            zeros = log_zeros(
+                [t.coefficient for t in bottom], [t.order for t in bottom], angle=SHEET
+            )
+        if len(zeros) and np.abs(zeros.real).max() > _RANGE:
+            worst = float(zeros.real[np.argmax(np.abs(zeros.real))])
+            raise FieldError(
+                "denominator",
+                f"a pole at exp({worst:.6g}) rad/s",
+                "beyond the range of floating-point numbers",
+                allowed=f"exp(±{_RANGE:g}) rad/s",
+                remedy="look for two orders that are nearly equal",
+            )
+        return cls(tuple(top), tuple(bottom), zeros)
+
+    @property
+    def is_meromorphic(self) -> bool:
+        """True where all orders are integers: there is no branch cut."""
+        return all(float(t.order).is_integer() for t in (*self.top, *self.bottom))
+
+    def value(self, z: Complexes) -> Complexes:
+        """G(e^z) at points of the log-plane, on any sheet."""
+        return _sum(self.top, z) / _sum(self.bottom, z)
+
+    def slope(self, z: Complexes) -> Reals:
+        """d ln |G|/d ln |s| at points of the log-plane."""
+        return _slope(self.top, z) - _slope(self.bottom, z)
+
+    def condition(self, z: Complexes) -> Reals:
+        """Relative error of `value` in units of rounding: that of each power, raised by
+        what cancels.
+        """
+        return _condition(self.top, z) + _condition(self.bottom, z)
+
+    def place_error(self, z: Complexes) -> Reals:
+        """Error of zeros of D (in ln s) in units of rounding."""
+        return np.asarray(_moduli(self.bottom, z) / np.abs(_rise(self.bottom, z)))
+
+    def pole_error(self, z: complex) -> tuple[float, float]:
+        """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in
+        units of rounding.
+        """
+        point, slope = np.array([z]), _derivative(self.bottom)
+        rate = float(np.abs(_sum(slope, point))[0])
+        place = float(_moduli(self.bottom, point)[0]) / rate
+        # The residue moves with the pole as its numerator and its slope do.
+        moved = float(
+            np.abs(_sum(_derivative(self.top), point) / _sum(self.top, point))[0]
+        )
+        moved += float(np.abs(_sum(_derivative(slope), point))[0]) / rate
+        own = float((_condition(self.top, point) + _condition(slope, point))[0])
+        return place, own + place * moved
+
+    def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Im G(r e^{iπ}) at x = ln r.
+
+        The angle of every term is πa reduced modulo 2π beforehand, so that integer
+        orders are exactly real.
+        """
+        lowest = self.bottom[
+            -1
+        ].order  # divided out, so that r^a does not underflow to 0/0 far down
+        with np.errstate(under="ignore"):
+            quotient = _sum_on_cut(self.top, x, lowest) / _sum_on_cut(
+                self.bottom, x, lowest
+            )
+        return quotient.imag
+
+    def residue(self, z: complex) -> complex:
+        """Residue of G(e^z) at a simple zero of D."""
+        point = np.array([z])
+        return complex((_sum(self.top, point) / _rise(self.bottom, point))[0])
+
+    @cached_property
+    def is_sparse(self) -> bool:
+        """True where no two zeros are close: every pole is simple at any resolution."""
+        # Pair by pair: a thirtieth of what an array of gaps costs for the two or three
+        # zeros of a link, and as much at ten.
+        return all(
+            abs(z - w) >= _NEAR
+            for z, w in itertools.combinations(self.zeros.tolist(), 2)
+        )
+
+    def grouped(
+        self, reach: Callable[[complex], float]
+    ) -> tuple[list[complex], list[Cluster]]:
+        """Split the zeros of D into simple ones and clusters.
+
+        Two zeros belong together where they are closer than `reach` (in ln s): what is
+        told apart over the times in question is simple, and its residues are as large
+        as the response.
+        """
+        if self.is_sparse:
+            return self.zeros.tolist(), []
+        groups: list[list[complex]] = []
+        for z in self.zeros.tolist():
+            # A chain is one cluster though its ends be farther apart than `reach`: a
+            # circle around a part of it would pass between two zeros.
+            near = [
+                g for g in groups if min(abs(z - w) for w in g) < min(_NEAR, reach(z))
+            ]
+            groups = [g for g in groups if g not in near]
+            groups.append([z, *(w for g in near for w in g)])
+        packed = []
+        for group in (g for g in groups if len(g) > 1):
+            centre = sum(group) / len(group)
+            if abs(centre.imag - math.pi) < _SYMMETRIC:
+                centre = complex(centre.real, math.pi)  # so that its modes are real
+            packed.append(
+                Cluster(centre, len(group), max(abs(z - centre) for z in group))
+            )
+        return [g[0] for g in groups if len(g) == 1], packed
+
+    def circle(
+        self,
+        cluster: Cluster,
+        radius: float,
+        clearance: float,
+        kernel: Callable[[Complexes], Complexes],
+    ) -> tuple[Complexes, Complexes]:
+        """Points z and weights w with Σ w φ(z) = Σ Res G(e^z) kernel(z) φ(z) over the
+        cluster's zeros.
+
+        `radius` (in ln s) is where φ is best evaluated; `clearance` is the distance
+        from the centre to the next singularity of `kernel`. Other poles are respected
+        here. Trapezoid rule on the circle, which converges geometrically.
+        """
+        others = [
+            abs(z - cluster.centre)
+            for z in self.zeros
+            if abs(z - cluster.centre) > cluster.radius
+        ]
+        # Never smaller than 1.5 radii of the cluster: the points have to enclose every
+        # zero, and at 1.5^-96 the rule still ends at rounding.
+        size = max(
+            min(radius, 0.5 * clearance, *(0.5 * o for o in others)),
+            1.5 * cluster.radius,
+        )
+        turn = np.exp(2j * np.pi * (np.arange(_CIRCLE) + 0.5) / _CIRCLE)
+        points = cluster.centre + size * turn
+        return points, self.value(points) * kernel(points) * size * turn / _CIRCLE
+
+
+def _sum(terms: Sequence[Term], z: Complexes) -> Complexes:
+    total = np.zeros(z.shape, np.complex128)
+    for t in terms:
+        # Exactly what the exponential gives for a constant, and half of the terms of a
+        # link are constants.
+        total += t.coefficient * np.exp(t.order * z) if t.order else t.coefficient
+    return total
+
+
+def _rise(terms: Sequence[Term], z: Complexes) -> Complexes:
+    """d sum/d ln s."""
+    total = np.zeros(z.shape, np.complex128)
+    for t in terms:
+        if t.order:
+            total += t.coefficient * t.order * np.exp(t.order * z)
+    return total
+
+
+def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
+    """d ln |sum|/d ln |s|, every power formed once for the sum and its derivative."""
+    if len(terms) == 1:  # a power of s is as steep everywhere
+        return np.full(z.shape, terms[0].order)
+    value, rise = np.zeros(z.shape, np.complex128), np.zeros(z.shape, np.complex128)
+    for t in terms:
+        power = np.exp(t.order * z) if t.order else 1.0
+        value += t.coefficient * power
+        rise += t.coefficient * t.order * power
+    return np.asarray((rise / value).real)
+
+
+def _derivative(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """d/d ln s of a sum of powers."""
+    return tuple(Term(t.coefficient * t.order, t.order) for t in terms if t.order)
+
+
+def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
+    """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a
+    product by two.
+    """
+    total = np.zeros(z.shape)
+    for t in terms:
+        total += (
+            abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
+        )
+    return total
+
+
+def _condition(terms: Sequence[Term], z: Complexes) -> Reals:
+    return (
+        np.asarray(_moduli(terms, z) / np.abs(_sum(terms, z)))
+        if terms
+        else np.zeros(z.shape)
+    )
+
+
+def _sum_on_cut(
+    terms: Sequence[Term], x: NDArray[np.float64], lowest: float
+) -> Complexes:
+    total = np.zeros(x.shape, np.complex128)
+    for t in terms:
+        total += t.coefficient * np.exp((t.order - lowest) * x) * _turn(t.order)
+    return total
+
+
+def _turn(order: float) -> complex:
+    """e^{iπa}, exact for integers and halves."""
+    # The period is 2, and `fmod` is exact where the product πa loses digits as a grows.
+    part = math.fmod(order, 2.0)
+    quarter = round(2.0 * part)
+    rest = math.pi * (part - 0.5 * quarter)
+    return complex(math.cos(rest), math.sin(rest)) * (1, 1j, -1, -1j)[quarter % 4]
+
+
+# --- What a transfer function does at s → 0, taken off before it is expanded into modes ---------------
+#
+#     G(s) = c/s + Σ c_i s^(-a_i) + rest,   a_i ≥ 0.94
+#
+# The integrator is a mode of its own (a decay of exactly 1). Higher singular powers
+# have no modes whose sum stays accurate from one period to the whole span; their
+# responses t^a/Γ(1+a) are known and are convolved. Weaker ones (a_i < 0.94) stay in the
+# rest: the branch cut carries them.
+
+# The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds.
+# At 0.94 these are 700, and the exponent range of a double ends near.
+STRONG = 0.94
+# singular powers: such a series in closely spaced orders is useless where it is not
+# exact
+_MOST = 20
+
+
+@dataclass(frozen=True)
+class LowFrequency:
+    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator
+    and denominator.
+
+    `is_split` is False where the powers are too many to be told apart; then the rest is
+    all of G.
+    """
+
+    integrator: float
+    powers: tuple[tuple[float, float], ...]
+    top: tuple[Term, ...]
+    bottom: tuple[Term, ...]
+    is_split: bool = True
+
+
+def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
+    """Divide in rising powers of s until what is left is weaker than s^(-0.94); both in
+    falling orders.
+    """
+    lowest = bottom[-1]
+    if top and lowest.order - top[-1].order < STRONG:  # most links: nothing to divide
+        return LowFrequency(0.0, (), tuple(top), tuple(bottom))
+    rest = collect(top)
+    integrator, powers = 0.0, []
+    while rest and lowest.order - rest[-1].order >= STRONG:
+        factor, order = (
+            rest[-1].coefficient / lowest.coefficient,
+            lowest.order - rest[-1].order,
+        )
+        if same(order, 1.0):
+            integrator += factor
+        else:
+            powers.append((factor, order))
+        if len(powers) > _MOST:
+            return LowFrequency(0.0, (), tuple(top), tuple(bottom), is_split=False)
+        # The lowest term cancels by construction, exactly; leaving it to rounding would
+        # leave a pole at 0.
+        product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
+        rest = collect([*rest[:-1], *product])
+    return LowFrequency(integrator, tuple(powers), tuple(rest), tuple(bottom))
+
+
+# --- Exact held responses of c·s^(-a): the response of s^(-a) to a step is t^a/Γ(1+a) -----------------
+
+Powers = Sequence[tuple[float, float]]
+
+
+def power_response(powers: Powers, times: Reals, degree: int) -> Reals:
+    """Sum of c t^(a+n-1)/Γ(a+n), n = `degree`: impulse (0), step (1) or ramp (2)
+    response at times ≥ 0.
+    """
+    total = np.zeros(len(times))
+    for factor, order in powers:
+        exponent = order + degree - 1
+        with np.errstate(divide="ignore"):
+            total += factor * np.exp(
+                exponent * np.log(times) - math.lgamma(exponent + 1.0)
+            )
+    return total
+
+
+def power_weights(
+    powers: Powers, period: float, ahead: float, count: int, hold: str
+) -> Reals:
+    """Weights of the held response at lags 0 … count-1, sampled `ahead` [s] after the
+    input's samples.
+
+    Differences of t^b are taken without cancellation: by expm1 (step) or by the
+    binomial series (ramp).
+    """
+    total = np.zeros(count)
+    steps = np.arange(count, dtype=np.float64) + ahead / period  # time in periods
+    for factor, order in powers:
+        scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 1.0))
+        if hold == "zero":
+            total += scale * _first_difference(steps, order)
+        else:
+            total += scale / (order + 1.0) * _second_difference(steps, order + 1.0)
+    return total
+
+
+def jump_response(powers: Powers, period: float, times: Reals) -> Reals:
+    """Response to a unit jump at 0 minus that to a straight rise from -T to 0, at
+    `times` ≥ 0.
+    """
+    total, steps = np.zeros(len(times)), times / period
+    for factor, order in powers:
+        scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 2.0))
+        total += scale * (
+            (order + 1.0) * steps**order - _first_difference(steps + 1.0, order + 1.0)
+        )
+    return total
+
+
+def _first_difference(t: Reals, power: float) -> Reals:
+    """t^b - (t-1)^b for t ≥ 1, t^b before."""
+    result = t**power
+    later = t > 1.0
+    result[later] *= -np.expm1(power * np.log1p(-1.0 / t[later]))
+    return result
+
+
+def _second_difference(t: Reals, power: float) -> Reals:
+    """(t+1)^b - 2 t^b + (t-1)^b, the last term only for t ≥ 1."""
+    result = (
+        (t + 1.0) ** power
+        - 2.0 * t**power
+        + np.where(t > 1.0, np.abs(t - 1.0) ** power, 0.0)
+    )
+    far = t > 20.0  # 10 terms of 1/400^k: 1e-26
+    inverse = 1.0 / t[far] ** 2
+    term, total = np.ones(inverse.shape), np.zeros(inverse.shape)
+    for k in range(1, 11):
+        term = (
+            term
+            * inverse
+            * (power - 2 * k + 2)
+            * (power - 2 * k + 1)
+            / ((2 * k - 1) * (2 * k))
+        )
+        total += 2.0 * term
+    result[far] = t[far] ** power * total
+    return result

@@ -1,0 +1,272 @@
+"""Integer-order stand-ins for fractional systems: Oustaloup's filter, and the
+minimax rational.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fracsys._discrete import Band, checked_band, fit_discrete
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._minimax import Target, finish, grow
+from fracsys._stability import poles
+from fracsys._terms import Complexes, Reals
+from fracsys._zero_pole import (
+    bilinear,
+    cascade,
+    evaluate,
+    oustaloup,
+    residues,
+    substituted,
+    zeros_of_fractions,
+)
+from fracsys.checks import Between, Positive, checked
+from fracsys.checks.equality import compared
+from fracsys.errors import FieldError
+
+
+@compared
+@dataclass(frozen=True, eq=False)
+class RationalApproximation:
+    """R(s) = k Π(s − z_i)/Π(s − p_i), or the same in the variable z where `period` is
+    given.
+
+    Attributes
+    ----------
+    zeros, poles
+        z_i and p_i, conjugates included [rad/s]; in the z-plane without unit.
+    gain
+        k.
+    period
+        Sampling period [s] of a discrete approximation.
+    band
+        Frequencies [rad/s] it was made for.
+    method
+        The method of `approximate`.
+    error_db, error_deg
+        Largest error of modulus [dB] and phase [°] inside the band.
+    """
+
+    zeros: Complexes
+    poles: Complexes
+    gain: float
+    period: float | None
+    band: tuple[float, float]
+    method: str
+    error_db: float = math.nan
+    error_deg: float = math.nan
+
+    def __post_init__(self) -> None:
+        for name in ("zeros", "poles"):
+            array = np.array(getattr(self, name), dtype=complex).reshape(-1)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def order(self) -> int:
+        """Number of poles."""
+        return len(self.poles)
+
+    @property
+    def residues(self) -> Complexes:
+        """Residues at the poles, shape (order,); infinite at a multiple pole."""
+        return residues(self.zeros, self.poles, self.gain)
+
+    @property
+    def direct(self) -> float:
+        """R at infinity: 0 where there are more poles than zeros."""
+        return self.gain if len(self.zeros) == len(self.poles) else 0.0
+
+    def __call__(self, s: ArrayLike) -> Complexes:
+        """R at s [rad/s], or at z for a discrete approximation; any shape."""
+        return evaluate(np.asarray(s, dtype=complex), self.zeros, self.poles, self.gain)
+
+    def frequency_response(self, frequency: ArrayLike) -> Complexes:
+        """R(jω) or R(e^(jωT)) at frequencies ω [rad/s], shape kept."""
+        w = np.asarray(frequency, dtype=float)
+        return self(1j * w if self.period is None else np.exp(1j * w * self.period))
+
+    def state_space(self) -> tuple[Reals, Reals, Reals, Reals]:
+        """Real matrices A, B, C, D of second-order sections in series.
+
+        Shapes (n, n), (n, 1), (1, n), (1, 1); ready for `control.ss(*r.state_space())`.
+        """
+        return cascade(self.zeros, self.poles, self.gain)
+
+
+@checked
+def approximate(
+    system: FractionalTransferFunction,
+    band: Band,
+    order: Annotated[int, Between(1, 40)],
+    *,
+    method: Literal["oustaloup", "minimax"] = "oustaloup",
+    period: Positive | None = None,
+) -> RationalApproximation:
+    """Return an integer-order approximation of a fractional system in a band, with its
+    achieved error.
+
+    Parameters
+    ----------
+    system
+        Proper, or improper by less than one order; no delay.
+    band
+        Lowest and highest frequency [rad/s], 0 < low < high (≤ π/period).
+    order
+        "minimax": number of poles of the whole, 1 … 12. "oustaloup" replaces each
+        fractional power s^(a − ⌊a⌋) by a filter of 1 … 40 pole-zero pairs.
+    method
+        "minimax" has the smallest worst relative error over the band for its number of
+        poles. "oustaloup" is the recursive filter that FOMCON and others use, known to
+        be poor at the band's ends.
+    period
+        Sampling period [s] for a discrete result: Oustaloup's filter by the bilinear
+        map, or the minimax fit on the unit circle.
+
+
+    Raises
+    ------
+    FieldError
+        Bad band, order or method, a delay, a system improper by one order or more,
+        unstable poles (minimax).
+
+    References
+    ----------
+    Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25.
+
+    Examples
+    --------
+    >>> from fracsys._fractional import s
+    >>> r = approximate(100 / (s**1.92 + 100), (0.1, 1000.0), 6, method="minimax")
+    >>> r.order, r.error_db < 0.5, r.error_deg < 3.0
+    (6, True, True)
+    """
+    _check(system, band, period)
+    if method == "minimax":  # more poles than this are below the rounding of the fit
+        Between(1, 12).check("order", order)
+    if method != "minimax":
+        zeros, found, gain = _filtered(system, band, order, period)
+    elif period is None:
+        zeros, found, gain = _continuous(system, band, order)
+    else:
+        fit = fit_discrete(
+            lambda w: system(1j * w), period=period, band=band, order=order
+        )
+        half = 0.5 * fit.pole_gains
+        parts = np.concatenate([fit.gains, half, half.conj()])
+        # The fit's pairs are ½(c/(z − q) + c̄/(z − q̄)): as plain fractions each of
+        # both has half.
+        found = fit.poles
+        zeros, gain = zeros_of_fractions(found, parts, fit.feedthrough)
+    made = RationalApproximation(zeros, found, gain, period, band, method)
+    # Logarithmic points miss the ripple at the upper end of a discrete fit, equidistant
+    # ones the lower end.
+    w = np.unique(np.concatenate([np.geomspace(*band, 2000), np.linspace(*band, 1000)]))
+    # One logarithm gives both errors: its real part in nepers, its imaginary part in
+    # radians without turns.
+    ratio = np.log(made.frequency_response(w) / system(1j * w))
+    return replace(
+        made,
+        error_db=float(np.max(np.abs(ratio.real)) * 20 / math.log(10)),
+        error_deg=float(np.degrees(np.max(np.abs(ratio.imag)))),
+    )
+
+
+def _filtered(
+    system: FractionalTransferFunction,
+    band: tuple[float, float],
+    order: int,
+    period: float | None,
+) -> tuple[Complexes, Complexes, float]:
+    """Zeros, poles and gain with a filter in place of each fractional power."""
+    zeros, found, gain = substituted(
+        system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
+    )
+    if period is None:
+        return zeros, found, gain
+    return bilinear(zeros, found, gain, period)
+
+
+def _check(
+    system: FractionalTransferFunction, band: tuple[float, float], period: float | None
+) -> None:
+    """What involves several arguments, or the system's own structure."""
+    checked_band(band, period)
+    if any(t.delay for t in (*system.numerator, *system.denominator)):
+        remedy = (
+            "approximate the system without its delay and keep the delay as samples"
+        )
+        allowed = "systems without delay"
+        raise FieldError(
+            "system", repr(system), "delayed", allowed=allowed, remedy=remedy
+        )
+    if not system.numerator:
+        problem, remedy = (
+            "zero at every frequency",
+            "approximate what is not zero: every error is relative",
+        )
+        raise FieldError(
+            "system",
+            repr(system),
+            problem,
+            allowed="functions other than 0",
+            remedy=remedy,
+        )
+    if system.relative_degree <= -1:
+        problem, remedy = (
+            "improper by one order or more",
+            "divide by a power of s: s^1.65 is s times s^0.65",
+        )
+        allowed = "relative degree > -1"
+        raise FieldError(
+            "system", repr(system), problem, allowed=allowed, remedy=remedy
+        )
+
+
+def _continuous(
+    system: FractionalTransferFunction, band: tuple[float, float], order: int
+) -> tuple[Complexes, Complexes, float]:
+    known = poles(system)
+    # The fit places its poles in the open left half plane only; of an unstable system
+    # it would find the stable function that is nearest on the axis, and say nothing.
+    if np.any(known.real >= 0):
+        allowed, remedy = "stable poles for method='minimax'", "use method='oustaloup'"
+        raise FieldError(
+            "system", repr(system), "not stable", allowed=allowed, remedy=remedy
+        )
+    # Few enough that a Newton step costs microseconds, more than ten a pole at the
+    # highest order.
+    w = np.geomspace(*band, 160)
+    near = known[
+        (np.abs(known) > band[0]) & (np.abs(known) < band[1]) & (known.imag > 0)
+    ]
+    for p in near:  # a resonance needs points of its own
+        # ±4 in sinh are 27 half widths: there the resonance is its own skirt, which the
+        # even points show.
+        width = max(abs(p.real) / abs(p), 1e-6)
+        w = np.append(w, abs(p) * np.exp(width * np.sinh(np.linspace(-4, 4, 25))))
+    w = np.unique(w[(w >= band[0]) & (w <= band[1])])
+    wanted = system(1j * w)
+    # 0.1 dB weighs as much as 0.5°: the balance of a law's fit, the absolute size does
+    # not matter here.
+    nepers, radians = (
+        np.full(w.size, 20 / math.log(10) / 0.1),
+        np.full(w.size, 180 / math.pi / 0.5),
+    )
+    target = Target(
+        w, np.ones(w.size, dtype=complex), wanted, 1 / wanted, nepers, radians
+    )
+    grown = list(grow(target, band, order, resonances=[-p for p in near]))
+    fit = finish(grown[-1], target)
+    sigma, q = np.exp(fit.real_logs), fit.poles_of_pairs()
+    found = np.concatenate([-sigma, -q, -q.conj()])
+    half = 0.5 * fit.pair_gains * q
+    zeros, gain = zeros_of_fractions(
+        found, np.concatenate([fit.real_gains * sigma, half, half.conj()]), fit.direct
+    )
+    return zeros, found, gain

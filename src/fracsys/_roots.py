@@ -1,0 +1,419 @@
+"""Zeros of fractional polynomials Σ a_k s^α_k, found on the log-plane with a certified
+count.
+
+With z = ln s a fractional polynomial becomes the entire function D(z) = Σ a_k e^(α_k
+z). The sheets of its Riemann surface lie above each other in strips of the z-plane: |Im
+z| ≤ π is the principal one, and the right half plane is |Im z| < π/2. Nothing is
+truncated or made commensurate: 1.92 and √2 cost the same.
+
+The count is the argument principle. Left and right of all zeros one term dominates;
+between, a step of half-length ρ around z is accepted only if ρ|D'(z)| + ρ²/2 |D″(z)| +
+ρ³/6 |D‴(z)| + ρ⁴/24 max |D⁗| is smaller than |D(z)|: the image then lies in a disc that
+does not contain the origin, so that the change of phase is the principal argument of
+the quotient of its ends (up to a stated allowance for rounding).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fracsys._exponential import (
+    ROUNDING,
+    ExponentialSum,
+    NearZeroError,
+    count_box,
+    count_strip,
+)
+from fracsys._terms import Complexes
+from fracsys.errors import FieldError, NotConvergedError
+
+Mask = NDArray[np.bool_]
+
+
+# Heights at which the counted strip may end above `angle`: the first that no zero is
+# near is taken. The wide ones are for multiple zeros on the edge: below them D is lost
+# in rounding, 0.13^12 of its terms.
+_MARGINS = (0.0618, 0.0382, 0.0871, 0.0197, 0.1303, 0.0093, 0.2419, 0.3704)
+_ON_EDGE = (
+    1e-12  # a zero computed this far above `angle` (or off the real axis) lies on it
+)
+_BLURRED = (
+    1e-7  # and at most this far where rounding blurs it; a multiple zero has D' = 0
+)
+
+
+def log_zeros(
+    coefficients: ArrayLike, orders: ArrayLike, *, angle: float
+) -> NDArray[np.complex128]:
+    """Return z = ln s of every zero of Σ a_k s^α_k with 0 ≤ arg s ≤ `angle`.
+
+    Σ_k a_k e^(α_k z) = 0, with z = ln|s| + j arg s.
+
+    Zeros are sorted by argument, then by modulus; an m-fold zero stands there m times
+    with one value. Zeros on the positive real axis have Im z = 0 exactly, zeros on the
+    edge Im z = `angle` exactly. Conjugates (−arg s) are not repeated. A common factor
+    s^a (a zero at s = 0, z = −∞) is not listed.
+
+    Parameters
+    ----------
+    coefficients
+        Real a_k. Equal orders are merged.
+    orders
+        Real α_k; only their differences matter.
+    angle
+        Largest argument [rad], ≥ 0. π is the principal sheet with its cut, π/2 the
+        closed right half plane.
+
+    Raises
+    ------
+    FieldError
+        Arrays of different shape, values that are not finite, all coefficients zero, a
+        bad angle.
+    NotConvergedError
+        The certified count could not be reached.
+
+    References
+    ----------
+    Argument principle on the log-plane; Aberth, Math. Comp. 27 (1973) 339; Newton
+    polygon as in Bini, Numer. Algorithms 13 (1996) 179.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> z = log_zeros([1.0, 2.0, 1.0], [2.0, 1.0, 0.0], angle=np.pi)  # (s + 1)²
+    >>> np.exp(z).real
+    array([-1., -1.])
+    """
+    angle = _checked(angle)
+    terms = ExponentialSum.of(coefficients, orders)
+    if len(terms.rates) < 2:
+        return np.empty(0, dtype=complex)
+    if len(terms.rates) == 2:
+        (low, high), gap = terms.coefficients, terms.rates[1]
+        return np.array(two_term_zeros(low / high, gap, angle), dtype=complex)
+    height, count = _counted(terms, angle)
+    found = settle_clusters(terms, aberth(terms, height, count))
+    if not _complete(found, count):
+        found = _by_bisection(terms, height, count)
+    return _upper(terms, found, angle)
+
+
+def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
+    """Zeros of s^gap + ratio = 0 (ratio ≠ 0, gap > 0) by hand: gap z = ln(−ratio) +
+    2πjm, 0 ≤ Im z ≤ angle.
+
+    What rounding puts beside the edge lies on it.
+
+    >>> two_term_zeros(1.0, 2.0, 2.0)
+    [1.5707963267948966j]
+    """
+    size = math.log(abs(ratio)) / gap
+    first = math.pi if ratio > 0 else 0.0
+    last = (
+        int(((angle + _ON_EDGE) * gap - first) / (2 * math.pi) + 1)
+        if first <= (angle + _ON_EDGE) * gap
+        else 0
+    )
+    heights = ((first + 2 * math.pi * m) / gap for m in range(last))
+    return [
+        complex(size, angle if abs(y - angle) < _ON_EDGE * (1 + angle) else y)
+        for y in heights
+    ]
+
+
+def _checked(angle: float) -> float:
+    if not (math.isfinite(angle) and angle >= 0):
+        raise FieldError(
+            "angle",
+            angle,
+            "not a usable argument",
+            allowed="0 rad to a few turns",
+            remedy="use math.pi for the principal sheet",
+        )
+    return float(angle)
+
+
+def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:
+    for margin in _MARGINS:
+        try:
+            return angle + margin, count_strip(terms, angle + margin)
+        except (
+            NotConvergedError
+        ):  # a zero lies near this height, or the phase drowned in rounding beside one
+            continue
+    raise NotConvergedError(
+        "counting zeros",
+        reached=0,
+        wanted=1,
+        remedy="a zero lies near every height tried above the angle, or is of too high a multiplicity "
+        "(above eight the digits run out); cancel common factors or choose another angle",
+    )
+
+
+def _complete(found: NDArray[np.complex128], count: int) -> bool:
+    """As many as certified, and closed under conjugation (two points on one zero would
+    not be).
+    """
+    if len(found) != count:
+        return False
+    distance = np.abs(found[:, None] - found.conj()[None, :])
+    # Polished conjugates agree to about 1e-14: 1e-9 tells a pair that belongs together
+    # from two points that ran into one zero.
+    return bool(np.all(distance.min(axis=1, initial=np.inf) < 1e-9))
+
+
+def _by_bisection(
+    terms: ExponentialSum, height: float, count: int
+) -> NDArray[np.complex128]:
+    low, high = terms.bounds
+    # The walls stand a little beyond the bounds so that no side runs along a place of
+    # equal terms.
+    found = bisect(
+        terms, complex(low - 0.1, -height), complex(high + 0.1, height), count
+    )
+    found = settle_clusters(terms, found)
+    if len(found) != count:
+        raise NotConvergedError(
+            "zeros found",
+            reached=len(found),
+            wanted=count,
+            remedy="report the coefficients and orders",
+        )
+    return found
+
+
+def _upper(
+    terms: ExponentialSum, found: NDArray[np.complex128], angle: float
+) -> NDArray[np.complex128]:
+    z = found.copy()
+    # A zero in a close company is known to ε/|D'| only; left a hair beyond the edge it
+    # would be lost.
+    values, moduli = terms.derivatives(z, 2)
+    known = 4.0 * ROUNDING * moduli[0] / np.maximum(np.abs(values[1]), 1e-300)
+    reach = np.clip(known, _ON_EDGE, _BLURRED)
+    z.imag[np.abs(z.imag) < reach] = 0.0
+    z.imag[np.abs(z.imag - angle) < reach * (1 + angle)] = angle
+    z = z[(z.imag >= 0) & (z.imag <= angle)]
+    return np.asarray(z[np.lexsort((z.real, z.imag))])
+
+
+# --- Where the zeros are: Aberth's iteration from the Newton polygon, and bisection where that is not
+# enough
+
+_ROUNDS = 120  # multiple zeros are approached linearly, halving the distance each time
+# Widest first: twelve points that rounding leaves around a twelvefold zero fill a disc
+# of radius 0.1, and two of them alone would pass for a double zero beside it.
+_CLUSTERS = (0.25, 0.06, 0.015, 3e-3)
+START_LIMIT = 4096  # zeros in one strip; orders up to about 4000 on the principal sheet
+
+
+def newton_polygon(sum_: ExponentialSum) -> list[tuple[int, int]]:
+    """Edges (j, k) of the upper convex hull of the points (ν, ln|a|), from the lowest
+    rate to the highest.
+    """
+    hull: list[int] = []
+    x, y = sum_.rates, np.log(np.abs(sum_.coefficients))
+    for k in range(len(x)):
+        while len(hull) > 1:
+            i, j = hull[-2:]
+            if (y[j] - y[i]) * (x[k] - x[i]) > (y[k] - y[i]) * (x[j] - x[i]):
+                break
+            hull.pop()
+        hull.append(k)
+    return list(itertools.pairwise(hull))
+
+
+def _starts(sum_: ExponentialSum, height: float) -> Complexes:
+    """Zeros of each edge's two terms alone, in |Im z| ≤ height and one spacing beyond."""
+    a, nu = sum_.coefficients, sum_.rates
+    points: list[complex] = []
+    for j, k in newton_polygon(sum_):
+        gap = nu[k] - nu[j]
+        x = math.log(abs(a[j] / a[k])) / gap
+        first = math.pi / gap if a[j] * a[k] > 0 else 0.0
+        reach = math.ceil((height + 0.5) * gap / (2 * math.pi)) + 1
+        if len(points) + 2 * reach > START_LIMIT:
+            raise NotConvergedError(
+                "zeros to find",
+                reached=2 * reach,
+                wanted=START_LIMIT,
+                remedy="lower the orders: no physical model needs thousands of poles",
+            )
+        points += [
+            complex(x, first + 2 * math.pi * m / gap) for m in range(-reach, reach + 1)
+        ]
+    # Exact symmetry about the real axis would hold a conjugate pair of starts on it for
+    # ever.
+    return np.array(points) * (1 + 1e-4j) + 1e-3j
+
+
+def aberth(sum_: ExponentialSum, height: float, count: int) -> Complexes:
+    """Simultaneous Newton iteration with mutual repulsion until `count` points with |Im
+    z| ≤ height rest.
+
+    Points that leave the region of the zeros start again inside it, at places of a
+    Halton sequence.
+    """
+    z, fresh = _starts(sum_, height), 1
+    (low, high), rest = sum_.bounds, np.zeros(len(z), dtype=bool)
+    for _ in range(_ROUNDS):
+        values, moduli = sum_.derivatives(z, 2)
+        # At rounding level the quotient D/D' is noise and would throw points off a
+        # multiple zero.
+        settled = np.abs(values[0]) <= 4e-16 * moduli[0]
+        newton = np.where(
+            settled, 0, values[0] / np.where(values[1] == 0, 1e-300, values[1])
+        )
+        distance = z[:, None] - z[None, :]
+        distance[distance == 0] = np.inf
+        step = newton / (1 - newton * (1 / distance).sum(axis=1))
+        # A step longer than the zeros' usual spacing leaves the basin of the starting
+        # zero. 2π/ν parts the zeros of two terms, ν ≤ 8 in practice: 0.7 is the least
+        # of these distances.
+        step *= np.minimum(1.0, 0.7 / np.maximum(np.abs(step), 1e-300))
+        z = z - step
+        # Newton's method doubles the digits: after a step of 1e-9 the zero is known to
+        # 1e-18.
+        rest = settled | (np.abs(step) < 1e-9)
+        inside = np.abs(z.imag) <= height
+        if np.count_nonzero(rest & inside) >= count:
+            break
+        for i in np.flatnonzero(
+            ~rest & ((z.real < low) | (z.real > high) | (np.abs(z.imag) > height + 2))
+        ):
+            z[i] = complex(
+                low + _halton(fresh, 2) * (high - low),
+                (2 * _halton(fresh, 3) - 1) * height,
+            )
+            fresh += 1
+    return np.asarray(z[rest & (np.abs(z.imag) <= height)])
+
+
+def _halton(index: int, base: int) -> float:
+    value, share = 0.0, 1.0
+    while index:
+        share /= base
+        index, digit = divmod(index, base)
+        value += digit * share
+    return value
+
+
+def settle_clusters(sum_: ExponentialSum, points: Complexes) -> Complexes:
+    """Polish every zero; points that share one multiple zero get the same value.
+
+    m points near one m-fold zero are known to ε^(1/m) only, but that zero is a simple
+    one of D^(m−1). The multiplicity is accepted if D … D^(m−2) vanish there within
+    rounding.
+    """
+    settled = np.empty_like(points)
+    free = np.ones(len(points), dtype=bool)
+    for i in range(len(points)):
+        if free[i]:
+            near, centre = _cluster(sum_, points, free, i)
+            settled[near] = centre
+            free &= ~near
+    return settled
+
+
+def _cluster(
+    sum_: ExponentialSum, points: Complexes, free: Mask, i: int
+) -> tuple[Mask, complex]:
+    """The points that stand for the same zero as points[i], and that zero."""
+    for radius in _CLUSTERS:
+        near = free & (np.abs(points - points[i]) < radius)
+        m = int(near.sum())
+        if m < 2:
+            break
+        centre = _newton(sum_, points[near].mean(), m)
+        values, moduli = sum_.derivatives(np.array([centre]), m)
+        # At the centre of a true multiple zero only the rounding of the lower
+        # derivatives is left, 1e-14 of their terms. 1e-12 would still tell apart zeros
+        # that are 1e-6 away.
+        if np.all(np.abs(values[: m - 1, 0]) <= 1e-12 * moduli[: m - 1, 0]):
+            return near, centre
+    alone = np.zeros(len(points), dtype=bool)
+    alone[i] = True
+    return alone, _newton(sum_, points[i], 1)
+
+
+def _newton(sum_: ExponentialSum, z: complex, m: int) -> complex:
+    """Newton's method for the simple zero of D^(m−1) beside z."""
+    # Newton doubles the digits: from 1e-2 three rounds reach rounding, and a multiple
+    # zero that was taken for a simple one is left early by the length of its step.
+    for _ in range(8):
+        values, _ = sum_.derivatives(np.array([z]), m + 1)
+        if values[m, 0] == 0:
+            break
+        step = complex(values[m - 1, 0] / values[m, 0])
+        # So long a step has left the cluster: the multiplicity was guessed wrong, and
+        # the caller tries another.
+        if abs(step) > 0.1:
+            break
+        z -= step
+        if abs(step) < 1e-16:
+            break
+    return z
+
+
+def bisect(sum_: ExponentialSum, low: complex, high: complex, count: int) -> Complexes:
+    """All `count` zeros in a rectangle by halving it: slow (≈ 10 ms a zero) and
+    certain.
+    """
+    found: list[complex] = []
+    boxes = [(low, high, count)]
+    while boxes:
+        a, b, n = boxes.pop()
+        if n == 0:
+            continue
+        centre, size = 0.5 * (a + b), max(b.real - a.real, b.imag - a.imag)
+        if (
+            size < 1e-3
+        ):  # smaller boxes around a double zero drown in rounding: (1e-3)² · 1e-8 is left of D
+            found += [centre] * n
+            continue
+        if n == 1:
+            z = _newton(sum_, centre, 1)
+            if (
+                a.real < z.real < b.real
+                and a.imag < z.imag < b.imag
+                and _is_zero(sum_, z)
+            ):
+                found.append(z)
+                continue
+        boxes += _halves(sum_, a, b, n)
+    return np.array(found, dtype=complex)
+
+
+def _is_zero(sum_: ExponentialSum, z: complex) -> bool:
+    values, moduli = sum_.derivatives(np.array([z]), 1)
+    return bool(abs(values[0, 0]) < 1e-12 * moduli[0, 0])
+
+
+def _halves(
+    sum_: ExponentialSum, a: complex, b: complex, n: int
+) -> list[tuple[complex, complex, int]]:
+    # 0.513…: off every symmetric place where zeros of simple problems lie; the others
+    # are second tries.
+    for share in (0.5131, 0.4637, 0.5519, 0.4213, 0.6, 0.38):
+        if b.real - a.real > b.imag - a.imag:
+            middle_b = complex(a.real + share * (b.real - a.real), b.imag)
+            middle_a = complex(middle_b.real, a.imag)
+        else:
+            middle_b = complex(b.real, a.imag + share * (b.imag - a.imag))
+            middle_a = complex(a.real, middle_b.imag)
+        try:
+            first = count_box(sum_, a, middle_b)
+        except NearZeroError:
+            continue
+        return [(a, middle_b, first), (middle_a, b, n - first)]
+    raise NotConvergedError(
+        "halving a box of zeros",
+        reached=abs(b - a),
+        wanted=1e-4,
+        remedy="the zeros lie too close together, or one of them is of too high a multiplicity: cancel "
+        "common factors",
+    )

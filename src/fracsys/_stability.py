@@ -1,0 +1,261 @@
+"""Poles on the principal sheet, and the verdict on stability."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fracsys._exponential import right_half_plane_zeros
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._roots import log_zeros
+from fracsys._terms import Complexes, Term
+from fracsys.checks import checked
+from fracsys.errors import FieldError
+
+# relative distance at which a zero cancels a pole: what twelve-digit coefficients can
+# tell
+_SAME = 1e-10
+_ON_AXIS = 1e-12  # rad between a pole and the imaginary axis below which it lies on it
+
+
+@dataclass(frozen=True)
+class StabilityVerdict:
+    """Whether a system is stable, and why; true or false where a bool is asked for.
+
+    Attributes
+    ----------
+    stable
+        No pole of the principal sheet in Re s ≥ 0 and no integrator: bounded inputs
+        give bounded outputs (of an improper system: inputs with bounded derivatives).
+    reason
+        One sentence.
+    unstable_poles
+        Poles with Re s ≥ 0, conjugates included; empty for a delay in the denominator
+        (only counted).
+    integrators
+        a where s^a divides the denominator, 0 for none.
+    winding
+        Certified number of poles with Re s > 0 (argument principle), multiplicities
+        counted; −1 where they are infinitely many or come as near to the axis as one
+        likes.
+    """
+
+    stable: bool
+    reason: str
+    unstable_poles: tuple[complex, ...]
+    integrators: float
+    winding: int
+
+    def __bool__(self) -> bool:
+        return self.stable
+
+    def __str__(self) -> str:
+        return f"{'stable' if self.stable else 'not stable'}: {self.reason}"
+
+
+@checked
+def poles(system: FractionalTransferFunction) -> Complexes:
+    """Return the poles on the principal sheet, −π < arg s ≤ π, with conjugates and
+    multiplicities.
+
+    Σ d_k s^(b_k) = 0. Poles that a zero of the numerator cancels are left out. A factor
+    s^n with an integer n of a system of integer orders gives n poles 0; a factor s^a of
+    a fractional system is a branch point and no pole: `is_stable` names it. Poles on
+    other sheets shape the response but have no mode.
+
+    They are sorted by argument [rad/s], each pair together; 1/(s^0.5 + 1) has none.
+
+    Parameters
+    ----------
+    system
+        Orders of any kind; no delay in the denominator.
+
+    Raises
+    ------
+    FieldError
+        A delay in the denominator: such a system has infinitely many poles.
+
+    References
+    ----------
+    Matignon, Proc. IMACS-SMC (1996) 963, for orders with any common base; here without
+    one.
+
+    Examples
+    --------
+    >>> from fracsys._fractional import s
+    >>> poles(1.56 * s**1.92 / (s**1.92 + 100)).round(4)
+    array([-0.7199+10.9834j, -0.7199-10.9834j])
+    """
+    return _both_halves(_pole_logs(system)[0], _poles_at_origin(system))
+
+
+@checked
+def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
+    """Return the verdict on stability: every pole of the principal sheet in Re s < 0
+    and no integrator.
+
+    The number of poles is certified by the argument principle on the log-plane. With a
+    delay in the denominator the poles in Re s > 0 are counted along the imaginary axis.
+    A loop of neutral type (its direct path is delayed) is stable only if that path's
+    gain is below 1: otherwise every harmonic of the delay grows, or decays as slowly as
+    one likes.
+
+    The verdict is usable as a bool.
+
+    Parameters
+    ----------
+    system
+
+    Raises
+    ------
+    FieldError
+        A delay in the denominator, and a pole on the imaginary axis or too close to it
+        to tell.
+
+    Examples
+    --------
+    >>> from fracsys._fractional import s
+    >>> is_stable(1 / (s**1.5 + 1)).stable
+    True
+    >>> print(is_stable(1 / (s**0.5 * (s + 1))).reason)
+    s^0.5 divides the denominator: a step gives an unbounded output
+    """
+    integrators = _integrators(system)
+    if any(t.delay for t in system.denominator):
+        count = right_half_plane_zeros(system.denominator)
+        return _verdict(system, (), integrators, count, delayed=True)
+    # The poles are found, not only counted: `log_zeros` returns as many as the argument
+    # principle certifies, so that counting those with Re s > 0 is counting certified
+    # ones.
+    logs, cancelled = _pole_logs(system)
+    bad = logs[logs.imag < 0.5 * math.pi + _ON_AXIS]
+    inside = bad[bad.imag < 0.5 * math.pi - _ON_AXIS]
+    # The upper half plane was searched: each pole off the real axis stands for itself
+    # and its conjugate.
+    winding = 2 * len(inside) - int(np.sum(inside.imag == 0))
+    found = tuple(complex(p) for p in _both_halves(bad, 0))
+    verdict = _verdict(system, found, integrators, winding, delayed=False)
+    # A cancelled pole is no part of the transfer function, but the plant behind it
+    # still grows: it is told.
+    hidden = cancelled[cancelled.imag < 0.5 * math.pi + _ON_AXIS]
+    if not hidden.size:
+        return verdict
+    where = _shown(complex(_both_halves(hidden, 0)[0]))
+    note = f"; a zero cancels the pole at {where} rad/s, which stays inside the system"
+    return replace(verdict, reason=verdict.reason + note)
+
+
+def _verdict(
+    system: FractionalTransferFunction,
+    bad: tuple[complex, ...],
+    integrators: float,
+    winding: int,
+    *,
+    delayed: bool,
+) -> StabilityVerdict:
+    if winding < 0:
+        reason = "a delayed direct path has a gain of 1 or more: infinitely many poles tend to Re s ≥ 0"
+    elif delayed and winding:
+        reason = f"{_counted(winding)} Re s > 0"
+    elif winding:
+        worst = max(bad, key=lambda p: p.real)
+        reason = f"{_counted(winding)} Re s > 0, the rightmost at {_shown(worst)} rad/s"
+    elif bad:
+        reason = f"a pole lies on the imaginary axis at {_shown(bad[0])} rad/s"
+    elif integrators:
+        power = "s" if integrators == 1 else f"s^{integrators:g}"
+        reason = f"{power} divides the denominator: a step gives an unbounded output"
+    else:
+        reason = "no pole has Re s ≥ 0"
+        if not system.is_proper:
+            reason += (
+                "; the system is improper: its output is bounded for smooth inputs only"
+            )
+    stable = not bad and not winding and not integrators
+    return StabilityVerdict(stable, reason, bad, integrators, winding)
+
+
+def _counted(count: int) -> str:
+    return "1 pole has" if count == 1 else f"{count} poles have"
+
+
+def _shown(p: complex) -> str:
+    return f"{p.real:.6g}" if p.imag == 0 else f"{p.real:.6g} ± {abs(p.imag):.6g}j"
+
+
+def _integrators(system: FractionalTransferFunction) -> float:
+    """a > 0 where G ~ s^(−a) at s = 0; numerator and denominator may both have terms
+    that cancel there.
+    """
+    return (
+        max(0.0, _lowest(system.denominator) - _lowest(system.numerator))
+        if system.numerator
+        else 0.0
+    )
+
+
+def _lowest(terms: Sequence[Term]) -> float:
+    return min(t.order for t in terms)
+
+
+def _poles_at_origin(system: FractionalTransferFunction) -> int:
+    orders = [t.order for t in (*system.numerator, *system.denominator)]
+    # s^2.5 is no pole of any multiplicity but a branch point: only a system of integer
+    # orders has poles at 0.
+    return (
+        int(_integrators(system)) if all(float(a).is_integer() for a in orders) else 0
+    )
+
+
+def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes]:
+    """z = ln s of the poles with 0 ≤ Im z ≤ π, and of those that a zero of the
+    numerator cancels.
+    """
+    if any(t.delay for t in system.denominator):
+        allowed, problem = (
+            "delays in the numerator only",
+            "delayed: it has infinitely many poles",
+        )
+        remedy = "use is_stable or margins"
+        raise FieldError(
+            "denominator", repr(system), problem, allowed=allowed, remedy=remedy
+        )
+    left, cancelled = _logs(system.denominator).tolist(), []
+    top = system.numerator
+    # A common delay moves no zero; several delays make infinitely many, none of which
+    # cancels a pole exactly.
+    if len(top) > 1 and all(t.delay == top[0].delay for t in top):
+        for zero in _logs(top).tolist():
+            # One at a time: a double pole with one zero on it is a simple pole, not
+            # none.
+            near = [p for p in left if abs(p - zero) < _SAME][:1]
+            if near:
+                left.remove(near[0])
+                cancelled += near
+    return np.array(left, dtype=complex), np.array(cancelled, dtype=complex)
+
+
+def _logs(terms: Sequence[Term]) -> Complexes:
+    return log_zeros(
+        [t.coefficient for t in terms], [t.order for t in terms], angle=math.pi
+    )
+
+
+def _both_halves(z: Complexes, at_origin: int) -> Complexes:
+    """s = e^z and its conjugates, exact on the axes."""
+    found: list[complex] = [0j] * at_origin
+    for log in z:
+        size, angle = math.exp(log.real), float(log.imag)
+        # `log_zeros` puts zeros on the edges exactly there; e^z would leave an
+        # imaginary part of 1e-16, and a real pole would count as a pair.
+        if angle in (0.0, math.pi):
+            found.append(complex(math.copysign(size, math.cos(angle))))
+        elif abs(angle - 0.5 * math.pi) < _ON_AXIS:
+            found += [complex(0, size), complex(0, -size)]
+        else:
+            p = complex(np.exp(log))
+            found += [p, p.conjugate()]
+    return np.array(found, dtype=complex)

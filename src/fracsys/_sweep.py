@@ -1,0 +1,339 @@
+"""Following a response: a grid that it refines itself, roots in known brackets,
+extremes.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from fracsys._fractional import FractionalTransferFunction
+from fracsys._loops import FractionalLoop, SampledLoop, as_loop
+from fracsys._terms import Complexes, Reals
+from fracsys.errors import FieldError
+
+# largest change of phase between neighbours [rad]: a crossing is then bracketed surely
+TURN = 0.5
+RISE = 1.5  # largest change of ln |L| between neighbours: 13 dB
+# neighbours closer than this in ln ω have a pole or zero of the axis between them
+CLOSEST = 1e-9
+POINT_LIMIT = 50_000
+# |L| below which a delay's turning is no longer followed, and the points that may be
+# spent on it: a loop that rolls off like ω^(−1/2) would need millions for crossings at
+# −60 dB that say nothing.
+_PATIENCE = ((1e-3, 4000), (1e-2, 6000), (0.1, 12_000), (0.5, POINT_LIMIT))
+
+
+def sweep(loop: SampledLoop, *, per_decade: int = 20) -> tuple[Reals, Complexes, float]:
+    """Return (ln ω, L, quiet): neither ln L nor 1 + L moves far between neighbours
+    where |L| > quiet.
+
+    `quiet` is the loop's own, or higher for a delay in a loop that rolls off slowly.
+    """
+    count = max(16, int((loop.high - loop.low) / math.log(10) * per_decade) + 1)
+    x = np.linspace(loop.low, loop.high, count)
+    if loop.seeds.size:
+        inside = (loop.seeds > loop.low) & (loop.seeds < loop.high)
+        x = np.unique(np.concatenate([x, loop.seeds[inside]]))
+    values = loop(x)
+    levels = _PATIENCE if loop.delayed else ((0.0, POINT_LIMIT),)
+    for quiet, limit in levels:
+        refined = _refined(loop, x, values, quiet, limit)
+        if refined is not None:
+            return *refined, quiet
+    raise FieldError(
+        "limit",
+        math.exp(loop.high),
+        "too high for a response that keeps turning",
+        allowed=f"at most {POINT_LIMIT} points of the response",
+        remedy="give limit=, the highest frequency of interest in rad/s",
+    )
+
+
+def _refined(
+    loop: SampledLoop, x: Reals, values: Complexes, quiet: float, limit: int
+) -> tuple[Reals, Complexes] | None:
+    while (wide := _too_wide(loop, x, values, quiet)).size:
+        if x.size + wide.size > limit:
+            return None
+        middle = 0.5 * (x[wide] + x[wide + 1])
+        x = np.insert(x, wide + 1, middle)
+        values = np.insert(values, wide + 1, loop(middle))
+    return x, values
+
+
+def _too_wide(
+    loop: SampledLoop, x: Reals, values: Complexes, quiet: float
+) -> NDArray[np.intp]:
+    """Intervals to halve: ln L moves too far, or 1 + L more than its distance from
+    zero.
+    """
+    change = np.log(values[1:] / values[:-1])
+    fine = (np.abs(change.imag) <= TURN) & (np.abs(change.real) <= RISE)
+    # A chord shorter than the distance of its ends from −1 cannot hide a turn around
+    # −1.
+    away = np.abs(1 + values)
+    fine &= np.abs(np.diff(values)) <= np.minimum(away[1:], away[:-1])
+    width = np.diff(x)
+    if quiet:
+        # A delay turns a wide interval by 2π and it looks still: but then its neighbour
+        # was refined.
+        fine[1:] &= width[1:] < 2.1 * width[:-1]
+        fine[:-1] &= width[:-1] < 2.1 * width[1:]
+        loud = np.abs(values) > quiet
+        fine |= ~(loud[1:] | loud[:-1] | (x[:-1] < loop.follow))
+    return np.flatnonzero(~fine & (width > CLOSEST))
+
+
+# --- Frequencies for plots and for python-control: even on a logarithmic scale, finer where L moves fast
+
+_DECADES = math.log(100.0)
+_FAINT = 1e-3
+
+
+def frequency_grid(
+    loop: FractionalTransferFunction | Callable[[Complexes], Complexes],
+    *,
+    points: int = 300,
+    limit: float | None = None,
+) -> Reals:
+    """Return frequencies [rad/s] that show a loop: `points` even ones and those where
+    it moves fast.
+
+    The range is two decades beyond the corners of a transfer function; for a callable
+    it is what is left of 1e-6 … 1e6 rad/s when both ends, as far as they are straight
+    lines in a Bode plot, are cut to one decade. `limit` [rad/s] is the highest
+    frequency.
+
+    >>> from fracsys._fractional import s
+    >>> w = frequency_grid(100 / (s**2 + 0.02 * s + 100))
+    >>> bool(np.min(np.diff(np.log(w))) < 1e-3 and w[0] < 1 and w[-1] > 100)
+    True
+    """
+    known = as_loop(loop, limit)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if isinstance(known, FractionalLoop):
+            low, high = known.span[0] - _DECADES, known.span[1] + _DECADES
+            if limit is not None:
+                high = min(high, math.log(limit))
+            known = replace(known, low=min(low, high - _DECADES), high=high)
+        x, values, _ = sweep(known)
+        if not isinstance(known, FractionalLoop):
+            x, values = _bent(x, values, keep_top=limit is not None)
+    even = np.linspace(x[0], x[-1], points)
+    # Where the response turns slowly the even points draw it; the others are where it
+    # moves.
+    grid = np.union1d(even, x[np.isfinite(values)])
+    frequencies: Reals = np.exp(grid[np.concatenate([[True], np.diff(grid) > 1e-10])])
+    return frequencies
+
+
+def _bent(x: Reals, values: Complexes, *, keep_top: bool) -> tuple[Reals, Complexes]:
+    """Cut the ends where d ln L/dx is constant, leaving one decade of each."""
+    # 0.02 is 0.4 dB a decade: what changes less is one straight line in a Bode plot.
+    slope = np.diff(np.log(np.abs(values))) / np.diff(x)
+    turn = np.abs(np.angle(values[1:] / values[:-1])) / np.diff(x)
+    still = (turn < 0.02) & np.isfinite(slope)
+    first = _leading(still & (np.abs(slope - slope[0]) < 0.02))
+    last = len(x) - 1 - _leading((still & (np.abs(slope - slope[-1]) < 0.02))[::-1])
+    loud = np.flatnonzero(
+        np.abs(values) > _FAINT
+    )  # above, a delay turns the phase without end
+    last = min(last, int(loud[-1])) if loud.size else last
+    if (
+        first >= last
+    ):  # a straight line from end to end: four decades around 1 rad/s show it
+        inside = np.abs(x) < _DECADES
+    else:
+        margin = 0.5 * _DECADES
+        inside = (x > x[first] - margin) & (keep_top | (x < x[last] + margin))
+    return x[inside], values[inside]
+
+
+def _leading(flags: NDArray[np.bool_]) -> int:
+    """How many flags are set before the first that is not."""
+    return int(np.argmin(flags)) if not flags.all() else len(flags)
+
+
+def refined(
+    curve: Callable[[Reals], tuple[Reals, Reals]],
+    x: Reals,
+    *,
+    bend: float = 0.03,
+    limit: int = 4000,
+) -> Reals:
+    """Return a grid on which the drawn curve looks smooth.
+
+    `curve` maps x to the two coordinates as they are drawn, in units of the axes'
+    sizes. Intervals are halved while the chords beside a point meet at more than `bend`
+    [rad] and are longer than a line's width.
+    """
+    if len(x) < 3:
+        raise FieldError(
+            "x",
+            len(x),
+            "too short a grid",
+            allowed="3 points or more",
+            remedy="give a longer grid",
+        )
+    for _ in range(12):
+        across, up = curve(x)
+        run, rise = np.diff(across), np.diff(up)
+        length = np.hypot(run, rise)
+        angle = np.arctan2(rise, run)
+        turn = np.abs((np.diff(angle) + math.pi) % (2 * math.pi) - math.pi)
+        # 0.002 of the axes is a line's width: shorter chords cannot be seen.
+        sharp = (turn > bend) & (np.minimum(length[1:], length[:-1]) > 0.002)
+        long = length > 0.1
+        halve = np.flatnonzero(
+            np.concatenate([sharp, [False]]) | np.concatenate([[False], sharp]) | long
+        )
+        # A jump, as of a phase at a pole on the axis, stays sharp however short its
+        # interval is.
+        halve = halve[np.diff(x)[halve] > 1e-9 * np.abs(x[halve]) + 1e-12]
+        if not halve.size or x.size + halve.size > limit:
+            break
+        x = np.sort(np.concatenate([x, 0.5 * (x[halve] + x[halve + 1])]))
+    return x
+
+
+# --- Roots inside known brackets, many at once --------------------------------------------------------
+
+
+_ROUNDS = 100  # bisection alone needs 53; Newton 4 to 6, the secant 6 to 10
+# A Newton step this small, relative, leaves an error of its square. Where the
+# function's own rounding is then more than that of x, its sign is chance: without this
+# bound Newton wandered about in it for fifty rounds.
+_NEAR = 1e-8
+
+
+def bracketed_roots(
+    function: Callable[[Reals], Reals],
+    low: ArrayLike,
+    high: ArrayLike,
+    *,
+    slope: Callable[[Reals], Reals] | None = None,
+) -> Reals:
+    """Return the root of a continuous function in each bracket [low, high], to
+    rounding.
+
+    A step that would leave its bracket halves it instead. Without `slope` the secant
+    keeps the value of the end that stays, halved (Illinois), which is superlinear and
+    cannot stall at one end.
+
+    Parameters
+    ----------
+    function
+        elementwise over an array of the shape of `low`; of opposite sign (or zero) at
+        the two ends.
+    low, high
+        ends of the brackets, of one shape.
+    slope
+        derivative of `function`.
+
+    Examples
+    --------
+    >>> bracketed_roots(lambda x: x**2 - np.array([2.0, 3.0]), [1.0, 1.0], [2.0, 2.0]).round(12).tolist()
+    [1.414213562373, 1.732050807569]
+    """
+    a, b = np.array(low, dtype=float), np.array(high, dtype=float)
+    at_a, at_b = np.asarray(function(a)), np.asarray(function(b))
+    # A bracket of four units in the last place: nothing lies between its ends that a
+    # double could name.
+    size = np.abs(a) + np.abs(b)
+    done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for turn in range(_ROUNDS):
+            if slope is None:
+                x = b - at_b * (b - a) / (at_b - at_a)
+            else:  # Newton from the middle: an end of the bracket may be where the function is flat
+                x = b - at_b / slope(b) if turn else np.full_like(a, np.nan)
+            inside = (x >= np.minimum(a, b)) & (x <= np.maximum(a, b))
+            x = np.where(inside, x, 0.5 * (a + b))
+            at_x = np.asarray(function(x))
+            stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
+            kept = at_a if slope is not None else 0.5 * at_a
+            a, at_a = np.where(stays, a, b), np.where(stays, kept, at_b)
+            moved = np.abs(x - b)
+            if slope is not None:
+                settled |= (moved <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
+            b, at_b = x, at_x
+            if np.all((moved <= done) | (at_x == 0.0) | settled):
+                break
+    return b
+
+
+# --- Roots and extremes of a response inside their brackets -------------------------------------------
+
+
+def valleys(values: Reals, *, spare: float) -> list[int]:
+    """Indices of the inner points that neither neighbour undercuts, if below `spare`
+    times the least value.
+
+    Every valley that could hold the infimum and not the lowest point alone: between two
+    points of a sweep a narrow resonance comes closer than either shows.
+    """
+    inner = values[1:-1]
+    low = (
+        (inner <= values[:-2]) & (inner <= values[2:]) & (inner < spare * values.min())
+    )
+    return (np.flatnonzero(low) + 1).tolist()
+
+
+Tendency = Callable[[complex, complex], float]  # of L and d ln L/d ln ω
+
+# The least that brentq admits, relative to ln ω: crossings are then known to rounding.
+_RTOL = 4 * np.finfo(float).eps
+
+
+def gain_level(value: complex, slope: complex) -> float:
+    """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to
+    stay a number.
+    """
+    size = abs(value)
+    return math.log(size) if 0 < size < math.inf else math.copysign(745.0, size - 1)
+
+
+def phase_level(value: complex, slope: complex) -> float:
+    """arg(−L)."""
+    return cmath.phase(-value)
+
+
+def gain_slope(value: complex, slope: complex) -> float:
+    """d ln |L|/d ln ω."""
+    return slope.real
+
+
+def phase_slope(value: complex, slope: complex) -> float:
+    """d arg L/d ln ω."""
+    return slope.imag
+
+
+def modulus_slope(value: complex, slope: complex) -> float:
+    """½ d|1 + L|²/d ln ω."""
+    return ((1 + value).conjugate() * value * slope).real
+
+
+def zero_of(
+    loop: SampledLoop, tendency: Tendency, a: float, b: float
+) -> tuple[float, complex]:
+    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the
+    better end.
+
+    A crossing is a zero of its level, an extreme one of its slope.
+    """
+    at_a, at_b = (tendency(*loop.point(x)) for x in (a, b))
+    # An end is the extreme itself, or the slope beside a pole of the axis is no number.
+    if at_a * at_b < 0:
+        x = float(
+            brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL)
+        )
+    else:
+        x = a if abs(at_a) < abs(at_b) else b
+    return x, loop.point(x)[0]

@@ -1,0 +1,399 @@
+"""Sums of terms c·s^a·e^(-τs): merging, products and the normal form of a quotient."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracsys.errors import FieldError, SizeError
+
+Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+
+# Orders that sums of the same numbers give in another sequence differ by a few units of
+# the last place (0.1 + 0.2 and 0.3); no measured order is known to 1e-13. Closer ones
+# are the same order.
+_SAME = 64 * 2.220446049250313e-16
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One term c·s^a·e^(-τs) of a numerator or denominator.
+
+    `coefficient` c, `order` a (any real number), `delay` τ ≥ 0 [s].
+
+    >>> Term(1.56, 1.92)
+    Term(coefficient=1.56, order=1.92, delay=0.0)
+    """
+
+    coefficient: float
+    order: float
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        given = (self.coefficient, self.order, self.delay)
+        # Algebra makes terms by the thousand, of floats: those are looked at once.
+        if (
+            all(type(value) is float for value in given)
+            and math.isfinite(sum(given))
+            and self.delay >= 0.0
+        ):
+            return
+        for name in ("coefficient", "order", "delay"):
+            object.__setattr__(self, name, finite(name, getattr(self, name)))
+        if self.delay < 0.0:
+            raise FieldError(
+                "delay",
+                self.delay,
+                "negative",
+                allowed="≥ 0 s",
+                remedy="an output cannot precede its input",
+            )
+
+
+def finite(name: str, value: object) -> float:
+    # `float` takes True for 1 and "2" for 2, and numpy drops an imaginary part with a
+    # mere warning.
+    if isinstance(value, (bool, str, bytes, complex)) or value is None:
+        number = math.nan
+    else:
+        try:
+            number = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+    if not math.isfinite(number):
+        raise FieldError(
+            name,
+            value,
+            "not a finite real number",
+            allowed="real numbers",
+            remedy="give a float",
+        )
+    return number
+
+
+def same(a: float, b: float) -> bool:
+    return abs(a - b) <= _SAME * max(1.0, abs(a), abs(b))
+
+
+def collect(terms: Iterable[Term]) -> list[Term]:
+    """Merge terms of equal order and delay, drop zeros, sort by falling order, then
+    rising delay.
+    """
+    terms = tuple(terms)
+    if len(terms) == 1:
+        return [terms[0]] if terms[0].coefficient != 0.0 else []
+    # Sorted by the coefficient, too, and summed by `fsum` below: the same terms in
+    # another sequence then make the same function to the last bit, which is what `==`
+    # and hashes compare.
+    groups: list[list[Term]] = []
+    for term in sorted(terms, key=lambda t: (-t.order, t.delay, t.coefficient)):
+        # Against the first of each group and not by a rounded key: two orders that
+        # rounding has parted may lie on either side of any grid.
+        equal = (
+            g
+            for g in groups
+            if same(g[0].order, term.order) and same(g[0].delay, term.delay)
+        )
+        group = next(equal, None)
+        if group is None:
+            groups.append([term])
+        else:
+            group.append(term)
+    summed = [
+        Term(math.fsum(t.coefficient for t in g), g[0].order, g[0].delay)
+        for g in groups
+    ]
+    return sorted(
+        (t for t in summed if t.coefficient != 0.0), key=lambda t: (-t.order, t.delay)
+    )
+
+
+def shifted(
+    terms: Iterable[Term], order: float, delay: float, scale: float
+) -> tuple[Term, ...]:
+    return tuple(
+        Term(
+            t.coefficient / scale,
+            snap(t.order - order),
+            max(0.0, snap(t.delay - delay)),
+        )
+        for t in terms
+    )
+
+
+def snap(value: float) -> float:
+    """The decimal of 12 places that `value` is, but for rounding: 1.92 - 0.92 is
+    0.9999999999999999.
+    """
+    # Only where the decimal is within rounding: √2 stays √2, and does not become
+    # 1.414213562373.
+    nearest = round(value, 12)
+    return nearest if same(value, nearest) else value
+
+
+def proportional(a: tuple[Term, ...], b: tuple[Term, ...]) -> bool:
+    """True where a = constant · s^d · e^(-σs) · b, term by term."""
+    if len(a) != len(b) or not a:
+        return False
+    ratio, order, delay = (
+        a[0].coefficient / b[0].coefficient,
+        a[0].order - b[0].order,
+        a[0].delay - b[0].delay,
+    )
+    return all(
+        abs(x.coefficient - ratio * y.coefficient) <= _SAME * abs(x.coefficient)
+        and same(x.order, y.order + order)
+        and same(x.delay, y.delay + delay)
+        for x, y in zip(a, b, strict=True)
+    )
+
+
+def cancelled(
+    top: Sequence[Term], bottom: Sequence[Term]
+) -> tuple[Sequence[Term], Sequence[Term]]:
+    """Both sums, or single terms with the same quotient where one sum is a multiple of
+    the other.
+    """
+    # Single terms need no search: `normal` divides out what they share.
+    if len(bottom) < 2 or not proportional(tuple(top), tuple(bottom)):
+        return top, bottom
+    order, delay = top[0].order - bottom[0].order, top[0].delay - bottom[0].delay
+    ratio = top[0].coefficient / bottom[0].coefficient
+    return (
+        (Term(ratio, max(order, 0.0), max(delay, 0.0)),),
+        (Term(1.0, max(-order, 0.0), max(-delay, 0.0)),),
+    )
+
+
+def product(a: Iterable[Term], b: Iterable[Term]) -> list[Term]:
+    right = tuple(b)
+    return collect(
+        Term(x.coefficient * y.coefficient, x.order + y.order, x.delay + y.delay)
+        for x in a
+        for y in right
+    )
+
+
+def as_terms(field: str, value: object) -> tuple[Term, ...]:
+    if isinstance(value, Term):
+        return (value,)
+    if isinstance(value, (int, float)):
+        return (Term(value, 0.0),)
+    if isinstance(value, (tuple, list)) and all(isinstance(t, Term) for t in value):
+        return tuple(value)
+    raise FieldError(
+        field,
+        value,
+        "not a sum of terms",
+        allowed="Term, a sequence of Term, or a number",
+        remedy="use Term(c, a)",
+    )
+
+
+def normal(
+    top: list[Term], bottom: list[Term]
+) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
+    if not top:
+        return (), (Term(1.0, 0.0),)
+    top, bottom = (list(x) for x in cancelled(top, bottom))
+    order = min(t.order for t in (*top, *bottom))
+    delay = min(t.delay for t in bottom)
+    early = min(t.delay for t in top) - delay
+    if early < 0.0 and not same(early, 0.0):
+        raise FieldError(
+            "delay",
+            early,
+            "negative",
+            allowed="≥ 0 s",
+            remedy="the function would answer before its input",
+        )
+    # Monic in the highest order: it is the one coefficient that no denominator can
+    # lack.
+    lead = bottom[0].coefficient
+    numerator, denominator = (
+        shifted(top, order, delay, lead),
+        shifted(bottom, order, delay, lead),
+    )
+    return numerator, denominator
+
+
+def scaled(terms: Iterable[Term], factor: float) -> tuple[Term, ...]:
+    return tuple(Term(t.coefficient * factor, t.order, t.delay) for t in terms)
+
+
+def text(terms: tuple[Term, ...]) -> str:
+    parts: list[str] = []
+    for term in terms:
+        sign = "-" if term.coefficient < 0 else "+"
+        size = f"{abs(term.coefficient):.6g}"
+        factors = [] if size == "1" else [size]
+        if term.order != 0.0:
+            factors.append("s" if term.order == 1.0 else f"s^{term.order:.10g}")
+        if term.delay:
+            factors.append(f"e^(-{term.delay:.6g} s)")
+        body = " ".join(factors) or "1"
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
+
+
+def python_text(terms: tuple[Term, ...]) -> str:
+    """The sum as Python reads it back to the last bit, with s the Laplace variable."""
+    parts: list[str] = []
+    for term in terms:
+        sign, size = (
+            ("-" if term.coefficient < 0 else "+"),
+            f"{abs(float(term.coefficient))!r}",
+        )
+        size = size.removesuffix(".0")
+        power = (
+            ""
+            if term.order == 0.0
+            else "s"
+            if term.order == 1.0
+            else f"s**{float(term.order)!r}"
+        )
+        power = power.removesuffix(".0")
+        body = "*".join(
+            factor
+            for factor in ("" if size == "1" and power else size, power)
+            if factor
+        )
+        if term.delay:
+            body = (
+                f"({body if power else f'{body}*s**0'}).delayed({float(term.delay)!r})"
+            )
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
+
+
+def latex_text(terms: tuple[Term, ...]) -> str:
+    """The sum for a formula; numbers to six digits."""
+    parts: list[str] = []
+    for term in terms:
+        sign, size = (
+            ("-" if term.coefficient < 0 else "+"),
+            f"{abs(term.coefficient):.6g}",
+        )
+        if "e" in size:
+            digits, power = size.split("e")
+            size = rf"{digits} \cdot 10^{{{int(power)}}}"
+        factors = [] if size == "1" and (term.order or term.delay) else [size]
+        if term.order:
+            factors.append("s" if term.order == 1.0 else f"s^{{{term.order:.6g}}}")
+        if term.delay:
+            factors.append(f"e^{{-{term.delay:.6g} s}}")
+        body = r"\,".join(factors)
+        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+    return " ".join(parts) or "0"
+
+
+# --- Values of sums of c·s^a·e^(-τs) on arrays: the arithmetic under `FractionalTransferFunction` -----
+
+
+def evaluate(
+    numerator: Sequence[Term], denominator: Sequence[Term], s: Any
+) -> complex | NDArray[np.complex128]:
+    """Return numerator(s)/denominator(s) on the principal sheet, in the shape of `s`."""
+    points = np.asarray(s)
+    if points.dtype.kind not in "biufc":
+        raise FieldError(
+            "s",
+            s,
+            "not a number",
+            allowed="complex numbers or arrays of them",
+            remedy="give s in rad/s",
+        )
+    flat = points.astype(np.complex128).ravel()
+    with np.errstate(all="ignore"):
+        logs = np.log(flat)
+        # Plain first: the scaled sums below cost as much again, and only poles, s = 0
+        # and |s| beyond 1e100 need them.
+        value = _sum(numerator, flat, logs, 0.0) / _sum(denominator, flat, logs, 0.0)
+        bad = ~np.isfinite(value)
+        if bad.any():
+            value[bad] = _extreme(numerator, denominator, flat[bad], logs[bad])
+    return value.reshape(points.shape) if points.ndim else complex(value[0])
+
+
+def _sum(
+    terms: Sequence[Term], s: Complexes, logs: Complexes, shift: float
+) -> Complexes:
+    total = np.zeros(s.shape, np.complex128)
+    for term in terms:
+        order = term.order - shift
+        if order == 0.0:
+            value = np.full(s.shape, term.coefficient, np.complex128)
+        elif order.is_integer() and 0.0 < order <= 8.0:
+            # Products of small integers are exact where they can be: (2j)² is -4 and
+            # not -4 + 5e-16j, and the sign of that imaginary part would turn the phase
+            # of an undamped link by 360°.
+            value = (term.coefficient * s ** int(order)).astype(np.complex128)
+        else:
+            value = (term.coefficient * np.exp(order * logs)).astype(np.complex128)
+            # numpy multiplies −inf + 0j by the order as by a complex number, and 0·inf
+            # makes that nan.
+            value[s == 0.0] = 0.0 if order > 0.0 else np.inf
+        total += value * np.exp(-term.delay * s) if term.delay else value
+    return total
+
+
+def _extreme(
+    numerator: Sequence[Term],
+    denominator: Sequence[Term],
+    s: Complexes,
+    logs: Complexes,
+) -> Complexes:
+    """Values where the plain quotient is not finite: poles, s = 0, and |s| so large
+    that powers overflow.
+    """
+    highest = max((t.order for t in (*numerator, *denominator)), default=0.0)
+    top, bottom = _sum(numerator, s, logs, 0.0), _sum(denominator, s, logs, 0.0)
+    # Divided by the highest power everywhere: ∞/∞ becomes the ratio of two leading
+    # coefficients.
+    large = np.abs(s) > 1.0
+    if large.any():
+        top[large] = _sum(numerator, s[large], logs[large], highest)
+        bottom[large] = _sum(denominator, s[large], logs[large], highest)
+    value = top / bottom
+    value[(bottom == 0.0) & (top != 0.0)] = np.inf
+    return value
+
+
+def largest(values: Reals) -> float:
+    """Largest modulus, NaN where there is one; two passes and no copy."""
+    return max(float(values.max()), -float(values.min())) if len(values) else 0.0
+
+
+def grid(count: int, period: float) -> Reals:
+    """Times k·period [s], k = 0 … count - 1."""
+    times = np.arange(count, dtype=np.float64)
+    times *= period
+    return times
+
+
+_BYTES = 40  # per sample of a response: input, output, time and what a hold needs
+
+
+def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
+    """Raise `SizeError` where `count` samples need more memory than the machine has;
+    nothing is allocated.
+    """
+    # Where the system does not tell, 8 GiB: every machine that runs numpy in earnest
+    # has them.
+    known = hasattr(os, "sysconf")
+    available = (
+        os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
+    )
+    if not count * each < available:
+        problem = f"too many samples: they need {count * each:.2g} bytes"
+        allowed = f"at most {available // each:.3g} samples on this machine"
+        remedy = "shorten the span or lengthen the period"
+        raise SizeError(field, count, problem, allowed=allowed, remedy=remedy)

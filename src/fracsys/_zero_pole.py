@@ -1,0 +1,282 @@
+"""Rational functions as zeros, poles and gain, and Oustaloup's, which stands for s^f.
+
+Multiplied out, polynomials with roots over eight decades have coefficients that double
+precision cannot hold: everything here stays a product of its roots. A system with a
+filter in place of every fractional power is a quotient of sums of such products; its
+poles and zeros are found by Aberth's iteration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fracsys._terms import Complexes, Reals, Term
+from fracsys.errors import NotConvergedError
+
+Band = tuple[float, float]
+
+
+def evaluate(
+    s: Complexes, zeros: Complexes, poles: Complexes, gain: float
+) -> Complexes:
+    """gain Π(s − z)/Π(s − p) at any shape of s, factor by factor so that nothing
+    overflows.
+    """
+    flat = s.reshape(-1, 1)
+    shared = min(len(zeros), len(poles))
+    value = np.prod((flat - zeros[:shared]) / (flat - poles[:shared]), axis=1)
+    value = (
+        value
+        * np.prod(flat - zeros[shared:], axis=1)
+        / np.prod(flat - poles[shared:], axis=1)
+    )
+    return np.asarray((gain * value).reshape(s.shape))
+
+
+def residues(zeros: Complexes, poles: Complexes, gain: float) -> Complexes:
+    """Residues at simple poles; infinite at a multiple one."""
+    found = np.empty(len(poles), dtype=complex)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i, p in enumerate(poles):
+            # The product without that pole, and not a derivative: it keeps its digits
+            # where other poles are near.
+            found[i] = evaluate(np.array([p]), zeros, np.delete(poles, i), gain)[0]
+    return found
+
+
+def zeros_of_fractions(
+    poles: Complexes, parts: Complexes, direct: float
+) -> tuple[Complexes, float]:
+    """Zeros and gain of direct + Σ parts/(s − poles) with direct ≠ 0: eigenvalues, then
+    Aberth's iteration.
+
+    The eigenvalues are right to 1e-16 of the largest pole; zeros five decades below it
+    need the polish.
+    """
+    # The realisation's own inverse: its poles are the zeros. Multiplying the fractions
+    # out first would give a polynomial whose coefficients span forty decades.
+    matrix = np.diag(poles) - np.outer(np.ones(len(poles)), parts) / direct
+    start = np.asarray(np.linalg.eigvals(matrix), dtype=complex)
+
+    def rate(s: Complexes) -> Complexes:
+        distance = 1 / (s[:, None] - poles)
+        value, slope = direct + (parts * distance).sum(1), -(parts * distance**2).sum(1)
+        return np.asarray(slope / value + distance.sum(1))
+
+    return aberth(start, rate), direct
+
+
+def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexes:
+    """All zeros of a real polynomial P of degree len(start) from P′/P = `rate`; exactly
+    real or conjugate.
+    """
+    # Exact conjugates and reals cannot leave their symmetry: turn the starts a little.
+    s = start * np.exp(1e-3j) + 0j
+    step = np.zeros_like(s)
+    for _ in range(300):
+        distance = s[:, None] - s[None, :]
+        distance[distance == 0] = np.inf
+        with np.errstate(all="ignore"):
+            step = 1 / (rate(s) - (1 / distance).sum(1))
+        # Where the quotient is not a number, a zero has met a pole of the form that P
+        # is written in.
+        step = np.where(np.isfinite(step), step, 0)
+        s = s - step
+        if np.all(np.abs(step) <= 1e-14 * np.abs(s)):
+            break
+    left = float(np.max(np.abs(step) / np.maximum(np.abs(s), 1e-300), initial=0.0))
+    # Double zeros are known to 1e-8 only, and a double real one may lie on either side
+    # of the axis.
+    real = np.abs(s.imag) < 1e-6 * np.abs(s)
+    upper = s[~real & (s.imag > 0)]
+    if left > 1e-6 or len(s) != np.count_nonzero(real) + 2 * len(upper):
+        raise NotConvergedError(
+            "zeros of the approximation",
+            reached=left,
+            wanted=1e-6,
+            remedy="narrow the band or lower the order",
+        )
+    return np.concatenate([s[real].real.astype(complex), upper, upper.conj()])
+
+
+def cascade(
+    zeros: Complexes, poles: Complexes, gain: float
+) -> tuple[Reals, Reals, Reals, Reals]:
+    """Real A, B, C, D: sections of second order in series, slow ones first; needs as
+    many poles as zeros.
+    """
+    a, b = np.zeros((0, 0)), np.zeros((0, 1))
+    c, d = np.zeros((1, 0)), np.array([[gain]])
+    tops, bottoms = _quadratics(zeros), _quadratics(poles)
+    for i, bottom in enumerate(bottoms):
+        top = tops[i] if i < len(tops) else np.array([1.0])
+        a2, b2, c2, d2 = _section(top, bottom)
+        n, m = len(a), len(a2)
+        a = np.block([[a, np.zeros((n, m))], [b2 @ c, a2]])
+        b = np.vstack([b, b2 @ d])
+        c, d = np.hstack([d2 * c, c2]), d2 * d
+    return a, b, c, d
+
+
+def _quadratics(roots: Complexes) -> list[Reals]:
+    """Monic real polynomials of degree 2 (one may have 1) with these roots, ordered by
+    modulus.
+    """
+    real = sorted(roots[roots.imag == 0].real, key=abs)
+    factors = [np.array([1.0, -2 * z.real, abs(z) ** 2]) for z in roots if z.imag > 0]
+    factors += [
+        np.array([1.0, -(x + y), x * y])
+        for x, y in zip(real[::2], real[1::2], strict=False)
+    ]
+    # By modulus, in zeros and poles alike: a section then has a zero and a pole of like
+    # size, and no state is large where the output is not.
+    factors.sort(key=lambda p: float(p[2]))
+    if len(real) % 2:
+        factors.append(np.array([1.0, -real[-1]]))
+    return factors
+
+
+def _section(top: Reals, bottom: Reals) -> tuple[Reals, Reals, Reals, float]:
+    """Controllable form of top/bottom; the degree of top is at most that of bottom."""
+    n = len(bottom) - 1
+    padded = np.concatenate([np.zeros(n + 1 - len(top)), top])
+    d = float(padded[0])
+    a = np.zeros((n, n))
+    a[0] = -bottom[1:]
+    a[range(1, n), range(n - 1)] = 1.0
+    b = np.zeros((n, 1))
+    b[0, 0] = 1.0
+    return a, b, (padded[1:] - d * bottom[1:]).reshape(1, n), d
+
+
+def bilinear(
+    zeros: Complexes, found: Complexes, gain: float, period: float
+) -> tuple[Complexes, Complexes, float]:
+    """s = (2/T)(z − 1)/(z + 1): a root r goes to (1 + rT/2)/(1 − rT/2), missing zeros
+    to −1.
+    """
+    half = 0.5 * period
+    missing = len(found) - len(zeros)
+    scale = np.prod(1 - half * zeros) / np.prod(1 - half * found) * half**missing
+    moved = np.concatenate(
+        [(1 + half * zeros) / (1 - half * zeros), np.full(missing, -1.0)]
+    )
+    return moved, (1 + half * found) / (1 - half * found), float(gain * scale.real)
+
+
+# ---- filters that stand for s^f ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PowerFilter:
+    """s^f ≈ gain · Π(s − z)/Π(s − p), with as many zeros as poles."""
+
+    zeros: Complexes
+    poles: Complexes
+    gain: float
+
+
+def corners(power: float, band: Band, order: int) -> tuple[Reals, Reals]:
+    """ω′ and ω of s^power ≈ ω_h^power Π (s + ω′)/(s + ω), evenly spread over the band."""
+    low, high = band
+    i = np.arange(order)
+    up = low * (high / low) ** ((i + 0.5 * (1 - power)) / order)
+    down = low * (high / low) ** ((i + 0.5 * (1 + power)) / order)
+    return up, down
+
+
+def oustaloup(fraction: float, band: Band, order: int) -> PowerFilter:
+    """Oustaloup et al., IEEE Trans. Circuits Syst. I 47 (2000) 25."""
+    up, down = corners(fraction, band, order)
+    return PowerFilter(-up.astype(complex), -down.astype(complex), band[1] ** fraction)
+
+
+def substituted(
+    numerator: Sequence[Term],
+    denominator: Sequence[Term],
+    power: Callable[[float], PowerFilter],
+) -> tuple[Complexes, Complexes, float]:
+    """Zeros, poles and gain of a system with `power(f)` for each s^f, 0 < f < 1."""
+    filters = {
+        f: power(f)
+        for f in sorted(
+            {_split(t.order)[1] for t in (*numerator, *denominator)} - {0.0}
+        )
+    }
+    top, bottom = _Sum(numerator, filters), _Sum(denominator, filters)
+    zeros, poles = [top.zeros()], [bottom.zeros()]
+    # A filter that only one side has leaves its poles to the quotient: as poles, or as
+    # zeros.
+    poles += [filters[f].poles for f in sorted(top.fractions - bottom.fractions)]
+    zeros += [filters[f].poles for f in sorted(bottom.fractions - top.fractions)]
+    return (
+        np.concatenate(zeros),
+        np.concatenate(poles),
+        top.leading() / bottom.leading(),
+    )
+
+
+def _split(order: float) -> tuple[int, float]:
+    whole = math.floor(order)
+    # 1.92 − 1 is 0.9199999999999999: without rounding two terms of one fraction would
+    # get two filters.
+    return whole, round(order - whole, 12)
+
+
+_NONE = PowerFilter(np.empty(0, complex), np.empty(0, complex), 1.0)
+
+
+class _Sum:
+    """Σ c_k s^(n_k) F_k(s) with 0 ≤ a_k − n_k < 1 and F_k the filter of that fraction."""
+
+    def __init__(
+        self, terms: Sequence[Term], filters: dict[float, PowerFilter]
+    ) -> None:
+        split = [(t.coefficient, *_split(t.order)) for t in terms]
+        self.fractions = {f for _, _, f in split if f}
+        used = [(c, n, filters[f] if f else _NONE) for c, n, f in split]
+        self.terms = [(c * part.gain, n, part) for c, n, part in used]
+        self.degree = max(n for _, n, _ in used)
+        self.down = np.concatenate(
+            [np.empty(0, complex), *(filters[f].poles for f in sorted(self.fractions))]
+        )
+
+    def value_and_slope(self, s: Complexes) -> tuple[Complexes, Complexes]:
+        value, slope = np.zeros_like(s), np.zeros_like(s)
+        for c, n, part in self.terms:
+            term = c * s**n * evaluate(s, part.zeros, part.poles, 1.0)
+            rate = (1 / (s[:, None] - part.zeros)).sum(1) - (
+                1 / (s[:, None] - part.poles)
+            ).sum(1)
+            value, slope = value + term, slope + term * (n / s + rate)
+        return value, slope
+
+    def leading(self) -> float:
+        """Coefficient of the highest power at infinity."""
+        return math.fsum(c for c, n, _ in self.terms if n == self.degree)
+
+    def zeros(self) -> Complexes:
+        """All zeros of the polynomial that the sum is over its filters' poles."""
+        at_origin = np.zeros(min(n for _, n, _ in self.terms), dtype=complex)
+        if len(self.terms) == 1:
+            return np.concatenate([at_origin, self.terms[0][2].zeros])
+        count = self.degree + len(self.down) - len(at_origin)
+        # Alternating sides of the real axis at 34°, across the corners: pairs and real
+        # zeros are both near.
+        sizes = np.abs(self.down) if self.down.size else np.ones(1)
+        spread = np.geomspace(0.5 * sizes.min(), 2.0 * sizes.max(), 2 * count + 1)[1::2]
+        start = np.asarray(
+            -spread * np.exp(0.6j * np.where(np.arange(count) % 2, 1, -1)),
+            dtype=complex,
+        )
+
+        def rate(s: Complexes) -> Complexes:
+            value, slope = self.value_and_slope(s)
+            quotient = slope / value - len(at_origin) / s
+            return np.asarray(quotient + (1 / (s[:, None] - self.down)).sum(1))
+
+        return np.concatenate([at_origin, aberth(start, rate)])
