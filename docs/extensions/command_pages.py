@@ -30,7 +30,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "twin": ("dropped", "how-to/run-the-twin"),
     "certify": ("nyquist", "how-to/read-a-certificate"),
     "export c": ("loop", "how-to/flash-a-board"),
-    "export matlab": ("loop", "how-to/python-control"),
     "export fmu": ("loop", "how-to/export-an-fmu"),
     "export io": ("loop", "how-to/flash-a-board"),
     "run-realtime": ("loop", "how-to/run-in-real-time"),

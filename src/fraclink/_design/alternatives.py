@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
-from fracsys.checks.display import displayed
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
@@ -15,6 +14,7 @@ from fraclink._arm.loop import Loop, noise_points
 from fraclink._arm.rig import Rig
 from fraclink._design.assess import axis_of
 from fraclink._design.equations import equation, task_of
+from fraclink._display import displayed
 from fraclink._law.design import Specification
 from fraclink.errors import SizeError
 from fracsys._sweep import bracketed_roots

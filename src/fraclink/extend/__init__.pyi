@@ -20,9 +20,6 @@ from fraclink._certify.search import Enclosure as Enclosure
 from fraclink._certify.search import enclose_phase_margin as enclose_phase_margin
 from fraclink._certify.statement import Statement as Statement
 from fraclink._design.alternatives import FeasibilityMap as FeasibilityMap
-from fraclink._design.alternatives import (
-    compare_at_equal_sensitivity as compare_at_equal_sensitivity,
-)
 from fraclink._design.alternatives import feasibility_map as feasibility_map
 from fraclink._design.assess import MarginCurve as MarginCurve
 from fraclink._design.assess import PhaseShare as PhaseShare
