@@ -220,10 +220,7 @@ def forms() -> dict[str, Shape]:
         f"{k + 1},{row}" for k, row in enumerate(body(degrees).splitlines())
     )
     raw = np.column_stack((t, DEG * a, g))
-    paste, numbers = (
-        (("names above rows", "$ such as by "),),
-        (("raw float64", "$ python"),),
-    )
+    numbers = (("raw float64", "$ python"),)
     gaps = table(plain).splitlines()
     del gaps[700:708]
     holes = table(plain).splitlines()
@@ -261,13 +258,16 @@ def forms() -> dict[str, Shape]:
             written(german.encode("cp1252"))
         ),
         "no units, tabs": Shape(
-            written(table({"time": t, "theta": a, "torque": g}, "\t"), "log.txt")
+            written(table({"time": t, "theta": a, "torque": g}, "\t"), "log.txt"),
+            (("in which unit", "motor_angle=[rad]"), ("is a torque", "torque=[Nm]")),
         ),
         "no units: ms and degrees": Shape(
-            written(table({"t": 1e3 * t, "enc": DEG * a, "torque": g}))
+            written(table({"t": 1e3 * t, "enc": DEG * a, "torque": g})),
+            (("in which unit", "motor_angle=[deg]"), ("is a torque", "torque=[Nm]")),
         ),
         "no units: µs and mN·m": Shape(
-            written(table({"t": 1e6 * t, "enc": a, "moment": 1e3 * g}))
+            written(table({"t": 1e6 * t, "enc": a, "moment": 1e3 * g})),
+            (("in which unit", "motor_angle=[rad]"), ("is a torque", "torque=[mNm]")),
         ),
         "no units: radians beyond a turn": Shape(
             written(
@@ -281,8 +281,15 @@ def forms() -> dict[str, Shape]:
             (('--column "motor_angle=theta [deg]"', "motor_angle=theta [deg]"),),
             times=1 / 60,
         ),
-        "extra columns": Shape(written(table(extra)), voltage=True),
-        "joint states": Shape(written(table(joint))),
+        "extra columns": Shape(
+            written(table(extra)),
+            (("in which unit", "motor_angle=[deg]"),),
+            voltage=True,
+        ),
+        "joint states": Shape(
+            written(table(joint)),
+            (("in which unit", "motor_angle=[rad]"), ("is a torque", "torque=[Nm]")),
+        ),
         "LabVIEW .lvm": Shape(written(labview(stamps=True), "log.lvm")),
         "LabVIEW .lvm without stamps": Shape(written(labview(stamps=False), "log.lvm")),
         "ISO stamps over midnight": Shape(written(stamped("%Y-%m-%dT%H:%M:%S"))),
@@ -299,26 +306,53 @@ def forms() -> dict[str, Shape]:
             written(table(degrees, "\t").encode("utf-16"), "log.txt")
         ),
         "blanks, no header": Shape(
-            written(body(plain, "  "), "log.dat"), (), kind="deflection", raw=True
+            written(body(plain, "  "), "log.dat"),
+            (
+                ("Which column is the motor angle", "motor_angle=#2 [rad]"),
+                ("Which column is the output", "deflection=#3 [raw]"),
+            ),
+            kind="deflection",
+            raw=True,
         ),
         "row numbers of R without a name": Shape(
-            written(",".join(degrees) + "\n" + r_rows + "\n"), paste
+            written(",".join(degrees) + "\n" + r_rows + "\n")
         ),
         "a name too many": Shape(
             written(table(degrees).replace("torque_mNm\n", "torque_mNm,spare\n", 1)),
-            paste,
         ),
         "text behind the table": Shape(
             written(table(degrees) + "\nEnd of run\n"),
             (("cut off the rest", "$ cut off the rest by "),),
         ),
         "raw float64": Shape(
-            written(raw.tobytes(), "log.bin"), numbers, kind="deflection", raw=True
+            written(raw.tobytes(), "log.bin"),
+            (
+                *numbers,
+                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
+                ("Which column is the output", "deflection=#3 [raw]"),
+            ),
+            kind="deflection",
+            raw=True,
         ),
         "raw float64, channel after channel": Shape(
-            written(raw.T.tobytes(), "log.bin"), numbers, kind="deflection", raw=True
+            written(raw.T.tobytes(), "log.bin"),
+            (
+                *numbers,
+                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
+                ("Which column is the output", "deflection=#3 [raw]"),
+            ),
+            kind="deflection",
+            raw=True,
         ),
-        "NumPy": Shape(numpy_file, kind="deflection", raw=True),
+        "NumPy": Shape(
+            numpy_file,
+            (
+                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
+                ("Which column is the output", "deflection=#3 [raw]"),
+            ),
+            kind="deflection",
+            raw=True,
+        ),
         "MATLAB": Shape(matlab),
         "TDMS": Shape(tdms),
         "no stamps": Shape(
@@ -355,7 +389,8 @@ def forms() -> dict[str, Shape]:
                 table(
                     {"t": t, "phi_soll": DEG * shifted, "phi_ist": DEG * a, "dms_Nm": g}
                 )
-            )
+            ),
+            (("in which unit", "motor_angle=[deg]"),),
         ),
     }
 
@@ -404,7 +439,7 @@ def signals() -> dict[str, Shape]:
             written(table({**both, "alpha_deg": DEG * m["late"]})), late=True, **bent
         ),
         "a deflection in radians beside degrees": Shape(
-            written(table({**both, "alpha": -d})), **bent
+            written(table({**both, "alpha": -d})), **raw
         ),
         "two gauges of a half bridge": Shape(
             written(
@@ -416,6 +451,7 @@ def signals() -> dict[str, Shape]:
                     }
                 )
             ),
+            (("Which column is the output", "deflection=strain1_V - strain2_V [raw]"),),
             **raw,
         ),
         "two gauges that the call adds": Shape(
@@ -433,7 +469,14 @@ def signals() -> dict[str, Shape]:
             written(table({"t_s": t, "theta_rad": a, "alpha_rad": m["tip"]})), **bent
         ),
         "a camera that sees the tip, in metres": Shape(
-            written(table({**both, "camera_y_m": 0.7 + LENGTH * m["tip"]})), **bent
+            written(table({**both, "camera_y_m": 0.7 + LENGTH * m["tip"]})),
+            (
+                (
+                    "sees the tip in space",
+                    "deflection=enc_deg - 179.049 * camera_y_m [deg]",
+                ),
+            ),
+            **bent,
         ),
         "a laser on the hub, in millimetres": Shape(
             written(table({**both, "laser_mm": 80 + 1e3 * LENGTH * d})), **raw
@@ -458,6 +501,7 @@ def signals() -> dict[str, Shape]:
                     '--column "motor_angle=enc * 1/4096 [rev]"',
                     "motor_angle=enc * 1/4096 [rev]",
                 ),
+                ("is a torque", "torque=[Nm]"),
             ),
         ),
         "a potentiometer in volts": Shape(
@@ -473,7 +517,7 @@ def signals() -> dict[str, Shape]:
             written(
                 table({"t": t, "enc1": DEG * a, "enc2": DEG * m["tip"], "torque_Nm": g})
             ),
-            (('--column "motor_angle=enc1"', "motor_angle=enc1"),),
+            (('--column "motor_angle=enc1 [deg]"', "motor_angle=enc1 [deg]"),),
         ),
         "an accelerometer at the tip": Shape(
             written(table({**both, "acc_ms2": acceleration})),

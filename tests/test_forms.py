@@ -249,7 +249,7 @@ def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
     }
     log = read_log(path, columns={**columns, "torque": "effort [Nm]"})
     assert log.period == pytest.approx(0.004, rel=1e-6)
-    found = start(path)
+    found = start(path, column=["motor_angle=[rad]", "torque=[Nm]"])
     assert found.columns.time.column == "stamp.sec + 1e-9 * stamp.nanosec"
 
 

@@ -98,12 +98,14 @@ def _following(found: Start, log: str, out: Path) -> str:
 
 
 def _ask(question: Question) -> str:
-    """Ask on the terminal until the answer is understood; a number stands for the
-    choice in that place.
+    """Ask on the terminal until the answer is understood: the columns by name, of a
+    unit examples.
     """
     tell(question.text)
-    for number, choice in enumerate(question.choices, 1):
-        tell(f"  {number}  {choice}")
+    # No numbers before them: 1 before "36.8 deg" would read as one of several choices,
+    # and "2" as the column #2.
+    shown = "one of" if question.part == "column" else "such as"
+    tell(f"  {shown}: {', '.join(question.choices)}")
     while True:
         sys.stderr.write(f"[{question.default}] > " if question.default else "> ")
         sys.stderr.flush()
@@ -117,27 +119,11 @@ def _ask(question: Question) -> str:
                 remedy=f"or give {question.option}",
             )
         text = line.strip() or question.default
-        if text.isdigit() and 1 <= int(text) <= len(question.choices):
-            text = question.choices[int(text) - 1]
         try:
-            return _understood(question, text)
+            # Tried on an empty statement: what cannot be read is asked for again, not
+            # found out at the end.
+            answered(ColumnStatement(question.role), question, text)
         except FieldError as error:
             tell(str(error))
-
-
-def _understood(question: Question, text: str) -> str:
-    # Columns and signs are a closed list; a unit may be one that nobody guessed.
-    known = text in question.choices or question.part not in ("column", "sign")
-    if not text or not known:
-        allowed, remedy = ", ".join(question.choices), "type one of them, or its number"
-        raise FieldError(
-            "answer",
-            text or "(nothing)",
-            "not understood",
-            allowed=allowed,
-            remedy=remedy,
-        )
-    # Tried on an empty statement: a unit that cannot be read is asked for again, not
-    # found out at the end.
-    answered(ColumnStatement(question.role), question, text)
-    return text
+        else:
+            return text

@@ -19,10 +19,8 @@ from fraclink._files.toml import toml_value
 from fraclink._reading.faults import cell_remedy
 from fraclink._reading.forms import NUMBER
 from fraclink._reading.names import (
-    COMMANDED,
-    HINTS,
     names_time,
-    role_of_name,
+    roles_of,
     unit_in,
     unit_of_name,
     words_of,
@@ -139,40 +137,31 @@ def suggested_columns(table: LogTable) -> list[tuple[str, str, str]]:
     """What the names and values of the columns suggest: (role, column, unit), "?" for
     what they do not.
     """
-    sizes = dict(
-        zip(table.names, (values.size for values in table.values), strict=True)
-    )
+    roles = roles_of(table.hints or table.names)
+    # The clock of most samples: files of TDMS and of ROS hold one for each channel or
+    # topic. An angle that only grows is no clock, and the row's number is one where
+    # nothing else is.
     clocks = [
-        name
-        for name, values in zip(table.names, table.values, strict=True)
-        # An angle that only grows is no clock, and the row's number is one where
-        # nothing else is.
-        if clock_step(values) is not None and not role_of_name(name)[0]
+        place
+        for place, values in enumerate(table.values)
+        if clock_step(values) is not None and not roles[place][0]
     ]
-    # The clock of most samples first: files of TDMS and of ROS hold one for each
-    # channel or topic, and the slow ones belong to others.
-    clocks.sort(key=lambda name: (-sizes[name], not names_time(name)))
-    length = sizes[clocks[0]] if clocks else max(sizes.values(), default=0)
-    free = [
-        name for name in table.names if name not in clocks and sizes[name] == length
-    ]
-    found: dict[str, str] = {
-        "time": clocks[0] if clocks else seconds_and_parts(table) or "?"
-    }
-    for role, words in HINTS.items():
-        if role == "deflection" and "torque" in found:
-            continue
-        candidates = [name for word in words for name in free if word in name.lower()]
-        # What was commanded stands behind what was measured; sorting is stable, so that
-        # the words of HINTS rank else.
-        candidates.sort(
-            key=lambda name: any(word in name.lower() for word in COMMANDED)
-        )
-        candidates = [name for name in candidates if name not in found.values()]
-        if candidates or role in ("motor_angle", "deflection"):
-            found[role] = candidates[0] if candidates else "?"
+    clocks.sort(key=lambda k: (-table.values[k].size, not names_time(table.names[k])))
+    sizes = [values.size for values in table.values]
+    length = sizes[clocks[0]] if clocks else max(sizes, default=0)
+    found = {"time": table.names[clocks[0]] if clocks else seconds_and_parts(table)}
+    outputs = [role for role in ("torque", "deflection") if (role in dict(roles))]
+    for role in ("motor_angle", (outputs or ["deflection"])[0], "voltage"):
+        named = [
+            name
+            for name, size, (own, _) in zip(table.names, sizes, roles, strict=True)
+            if own == role and size == length
+        ]
+        if named or role != "voltage":
+            found[role] = named[0] if named else ""
     return [
-        (role, name, _suggested_unit(table, role, name)) for role, name in found.items()
+        (role, name or "?", _suggested_unit(table, role, name or "?"))
+        for role, name in found.items()
     ]
 
 

@@ -39,9 +39,11 @@ def width_of(layout: Layout) -> int:
     )
 
 
-def fault_of_names(layout: Layout, path: Path) -> LogError | None:
+def fault_of_names(
+    layout: Layout, path: Path
+) -> tuple[LogError, tuple[str, ...]] | None:
     """The error of names that are not as many as the cells of the rows, with the line
-    that mends them.
+    that mends them; and the names which that line would write.
     """
     width, rows = (
         width_of(layout),
@@ -88,13 +90,14 @@ def fault_of_names(layout: Layout, path: Path) -> LogError | None:
         r"([\\|&])", r"\\\1", mark.join(name.replace(" ", "_") for name in names)
     )
     command = f"sed -i {shlex.quote(f'{line}s|.*|{program}|')} {shlex.quote(path.name)}"
-    return LogError(
+    error = LogError(
         f"line {line}",
         text,
         f"{len(layout.names)} names above rows of {width} cells",
         allowed=f"{width} names",
         remedy=f"see by fraclink inspect what each column holds, and name it; such as by {command}",
     )
+    return error, names
 
 
 def ragged(layout: Layout, row: int, found: int, count: int) -> LogError:

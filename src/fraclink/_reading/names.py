@@ -8,126 +8,61 @@ values; only names such as ``motor_angle_rad`` count as stated.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from fraclink._arm.log_columns import QUANTITY_OF, UNITS
 
 __all__ = [
-    "COMMANDED",
-    "HINTS",
     "UNITS_OF_LENGTH",
     "role_of_name",
+    "roles_of",
     "unit_in",
     "unit_of_name",
     "words_of",
 ]
 __all__ += ["length_of_name", "names_time", "stated_unit"]
 
-# Words that loggers use, English and German; the time is known by its values: they
-# never decrease.
-HINTS = {
-    "motor_angle": (
-        *(
-            "motor_angle",
-            "theta",
-            "pot",
-            "enc",
-            "position",
-            "angle",
-            "hub",
-            "joint",
-            "winkel",
-            "phi",
-            "pos",
-        ),
-        *("cart", "carriage", "slider", "schlitten", "axis", "achse"),
+# Words that loggers use, English and German. A word of three letters and more also
+# counts where it begins a longer one, and one of five where it is a part of it.
+_ROLES = {
+    "torque": (
+        *("torque", "gamma", "moment", "effort", "nm", "drehmoment", "tau"),
+        *("torsion", "m"),
     ),
-    "torque": ("torque", "gamma", "moment", "effort", "nm", "drehmoment"),
     "deflection": (
-        *(
-            "deflection",
-            "alpha",
-            "strain",
-            "gauge",
-            "bend",
-            "bridge",
-            "flex",
-            "dehnung",
-            "dms",
-            "biegung",
-        ),
-        *("auslenkung", "bruecke", "brücke"),
+        *("deflection", "alpha", "strain", "gauge", "bend", "bridge", "flex", "defl"),
+        *("dehnung", "dms", "biegung", "auslenkung", "bruecke", "brücke", "eps"),
     ),
-    "voltage": ("volt", "u_v", "vm", "motor_v", "command", "spannung"),
+    "motor_angle": (
+        *("theta", "pot", "enc", "position", "angle", "hub", "joint", "phi", "pos"),
+        *("winkel", "cart", "carriage", "slider", "schlitten", "axis", "achse"),
+        *("thm", "th", "q"),
+    ),
+    "voltage": ("volt", "command", "spannung", "vin", "umot", "vm", "um", "u", "v"),
 }
-COMMANDED = (
-    "ref",
-    "cmd",
-    "set",
-    "target",
-    "desired",
-)  # what was asked for is not what was measured
-
-# Words of whole names that exclude a column from being guessed, by what they mean. Of a
-# tip angle the deflection θm − θt can be made; until it is, the column is no output
-# that a link model is fitted to.
+# Words that make a column something else, whatever other words are in its name.
 _OTHER = {
     "a commanded value": (
-        *COMMANDED,
-        "reference",
-        "setpoint",
-        "soll",
-        "sollwert",
-        "command",
-        "demand",
+        *("ref", "cmd", "set", "target", "desired", "reference", "setpoint", "soll"),
+        *("sollwert", "command", "demand", "sim", "simulated"),
     ),
-    "the tip": ("tip", "endpoint", "spitze", "laser", "camera", "kamera"),
     "a speed": (
-        *(
-            "speed",
-            "velocity",
-            "vel",
-            "omega",
-            "rpm",
-            "drehzahl",
-            "geschwindigkeit",
-            "dtheta",
-            "dot",
-            "rate",
-        ),
-        *("dalpha", "dphi", "dq"),
+        *("speed", "velocity", "vel", "omega", "rpm", "drehzahl", "geschwindigkeit"),
+        *("dot", "rate", "dq"),
     ),
     "an acceleration": (
-        "acc",
-        "accel",
-        "acceleration",
-        "accelerometer",
-        "beschleunigung",
-        "imu",
+        *("acc", "accel", "acceleration", "accelerometer", "beschleunigung", "imu"),
     ),
     "a current": ("current", "strom", "amps"),
     "a temperature": ("temp", "temperature", "temperatur"),
 }
+_TIP = ("tip", "endpoint", "spitze", "laser", "camera", "kamera")
+# Behind the name of another column they say that it is what that one is to follow.
+_DESIRED = ("d", "des", "r", "sp")
 _TIME = (
-    "time",
-    "t",
-    "zeit",
-    "timestamp",
-    "stamp",
-    "seconds",
-    "sec",
-    "millis",
-    "micros",
-    "ms",
-    "tempo",
-    "temps",
+    *("time", "t", "zeit", "timestamp", "stamp", "seconds", "sec", "millis", "micros"),
+    *("ms", "tempo", "temps"),
 )
-_SHORT = {
-    "motor_angle": ("th", "thm", "q", "poti", "theta"),
-    "torque": ("tau", "torsion", "m"),
-    "deflection": ("defl", "eps", "epsilon"),
-    "voltage": ("u", "v", "vin", "um", "umot"),
-}
 # Spellings of the units of `UNITS` and of a frequency response, in lower case and
 # without blanks, dots and stars. What has a prefix stands here only where lower case
 # leaves one reading: mhz may be milli or mega.
@@ -225,7 +160,8 @@ def _endings(name: str) -> tuple[list[str], bool]:
     """
     if bracketed := re.search(r"([\[(])([^\])]*)[\])]\s*$", name):
         inside = bracketed[2].strip()
-        return [inside] if inside else [], bracketed[1] == "["
+        # "(Theta in rad)" ends with its unit.
+        return [inside, *inside.split()[-1:]] if inside else [], bracketed[1] == "["
     # Without the first part, which is the name itself: a column "s" is no unit.
     parts = [
         part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"
@@ -296,60 +232,59 @@ def role_of_name(name: str) -> tuple[str, str]:
     (('a commanded value', 'ref'), ('motor_angle', 'winkel'), ('', ''))
     """
     words, unit = words_of(name), unit_of_name(name)
+    by_words = _by_words(words)
     # A potentiometer and a strain gauge are read in volts, too: only what is no sensor
     # drives the motor.
-    driving = unit if unit in UNITS["voltage"] else next(filter(_drives, words), "")
-    if driving and not _sensor_role(words):
-        return "voltage", driving
-    # Before the roles: theta_ref holds a role's word, and what was asked for is not
-    # what was measured.
+    if by_words[0] in ("", "voltage") and unit in UNITS["voltage"]:
+        return "voltage", unit
     for meaning, listed in _OTHER.items():
+        if meaning == "a commanded value" and by_words == ("voltage", "command"):
+            continue
         if word := next((word for word in words if word in listed), ""):
             return meaning, word
-    return ("torque", unit) if unit in UNITS["torque"] else _by_words(words)
+    if words[:1] == ("d",) and by_words[0]:
+        return "a speed", "d"
+    if unit in UNITS["torque"]:
+        return "torque", unit
+    # A deflection of the tip is measured from the hub; of a tip nothing is known.
+    if by_words[0] != "deflection" and (
+        word := next((word for word in words if word in _TIP), "")
+    ):
+        return "the tip", word
+    if not by_words[0] and unit in UNITS["angle"] and "motor" in words:
+        return "motor_angle", "motor"
+    return by_words
 
 
-def _drives(word: str) -> bool:
-    return word in _SHORT["voltage"] or word.startswith("volt") or "spannung" in word
-
-
-def _sensor_role(words: tuple[str, ...]) -> str:
-    sensors = {
-        "motor_angle": ("pot", "poti", "theta", "angle", "winkel"),
-        "deflection": HINTS["deflection"],
-    }
-    return next(
-        (
-            role
-            for role, listed in sensors.items()
-            if any(_hits(w, listed) for w in words)
-        ),
-        "",
-    )
-
-
-def _hits(word: str, listed: tuple[str, ...]) -> str:
-    """The hint that is this word, begins it, or is a long part of it (Motorwinkel)."""
-    for hint in listed:
-        # Short hints are parts of too many words: "pos" begins position and compose
-        # holds it, "nm" is in environment; five letters seldom meet by chance.
-        if (
-            word == hint
-            or (len(hint) >= 3 and word.startswith(hint))
-            or (len(hint) >= 5 and hint in word)
-        ):
-            return hint
-    return ""
+def roles_of(names: Sequence[str]) -> list[tuple[str, str]]:
+    """`role_of_name` of each; beside theta, theta_d and theta_r are commanded."""
+    roles = [role_of_name(name) for name in names]
+    known = {name.lower() for name in names}
+    for place, name in enumerate(names):
+        plain = re.sub(r"[\[(].*", "", name.lower()).strip()
+        first, _, last = plain.rpartition("_")
+        ending = name.lower()[len(plain) :]
+        if last in _DESIRED and {first, first + ending} & known:
+            roles[place] = "a commanded value", last
+    return roles
 
 
 def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
     # In this order, as names hold two words: "motor_torque" and "joint_effort" are
-    # torques, "motor_voltage" is none of the three.
-    for role in ("torque", "deflection", "motor_angle", "voltage"):
-        for word in words:
-            if hint := _hits(word, HINTS[role]):
-                return role, hint
-    for role, listed in _SHORT.items():
-        if word := next((word for word in words if word in listed), ""):
-            return role, word
+    # torques, "motor_voltage" is none of the three. Words of one or two letters say
+    # least: theta_m is no torque.
+    for least, most in ((3, 99), (1, 2)):
+        for role, listed in _ROLES.items():
+            for word in words:
+                for hint in listed:
+                    if least <= len(hint) <= most and _hits(word, hint):
+                        return role, hint
     return "", ""
+
+
+def _hits(word: str, hint: str) -> bool:
+    return (
+        word == hint
+        or (len(hint) >= 3 and word.startswith(hint))
+        or (len(hint) >= 5 and hint in word)
+    )

@@ -151,12 +151,16 @@ def read_log(
     8.0
     """
     place = Path(path)
-    table = read_table(place)
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
     # The call before the rig, and the rig before the names: who states more, knows
     # more.
-    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
+    stated = columns or (rig.log if rig else None)
+    # Names that do not fit the columns harm nobody who calls all columns by number.
+    named = stated.channels().values() if stated is not None else ()
+    numbered = bool(named) and all(each.column.startswith("#") for each in named)
+    table = read_table(place, numbered=numbered)
+    stated = stated or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
     table = with_combined(

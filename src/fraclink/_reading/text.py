@@ -134,6 +134,9 @@ class LogTable:
         unit that the file states for a column, by its place; "" for none.
     remarks
         what was done to the file's form to read it, in sentences.
+    hints
+        names that the file has, but not as many as columns; () where `names` are its
+        own. They suggest and state nothing.
     """
 
     names: tuple[str, ...]
@@ -145,6 +148,7 @@ class LogTable:
     )
     units: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
 
     def place(
         self, name: str, role: str, remedy: str = "correct [log] of the rig file"
@@ -204,13 +208,13 @@ def read_text_table(path: Path, *, numbered: bool = False) -> LogTable:
     """
     check_file(path)
     form = plain_form(normal_bytes(path.read_bytes(), path))
-    layout = _layout(form.text, path)
+    layout, hints = _layout(form.text, path)
     _check_size(layout)
-    if fault := fault_of_names(layout, path):
+    if unfitting := fault_of_names(layout, path):
+        fault, hints = unfitting
         if not numbered:
             raise fault
-        names = tuple(f"#{place + 1}" for place in range(width_of(layout)))
-        layout = replace(layout, names=names)
+        layout = replace(layout, names=_numbers(width_of(layout)))
         form = form.told(
             f"columns by number: {fault.field} has {fault.problem}; {fault.remedy}"
         )
@@ -228,13 +232,18 @@ def read_text_table(path: Path, *, numbered: bool = False) -> LogTable:
         tuple(form.units.get(name, "") for name in layout.names) if form.units else ()
     )
     return LogTable(
-        layout.names, columns, "text", layout.notes, faults, units, form.remarks
+        *(layout.names, columns, "text", layout.notes, faults, units, form.remarks),
+        hints,
     )
 
 
-def _layout(text: bytes, path: Path) -> Layout:
-    """Split comments, header and body; a table without a header has columns ``#1``,
-    ``#2`` …
+def _numbers(count: int) -> tuple[str, ...]:
+    return tuple(f"#{place + 1}" for place in range(count))
+
+
+def _layout(text: bytes, path: Path) -> tuple[Layout, tuple[str, ...]]:
+    """Split comments, header and body, and return with them the names that a comment
+    has for some of the columns; a table without a header has columns ``#1``, ``#2`` …
     """
     comments: list[str] = []
     start, number = 0, 0
@@ -258,7 +267,7 @@ def _layout(text: bytes, path: Path) -> Layout:
 
 def _with_header(
     text: bytes, span: tuple[int, int], number: int, comments: list[str], path: Path
-) -> Layout:
+) -> tuple[Layout, tuple[str, ...]]:
     notes = tuple(
         (m[1], m[2]) for c in comments[:_NOTE_LIMIT] if (m := _NOTE.fullmatch(c))
     )
@@ -268,12 +277,14 @@ def _with_header(
     if all(NUMBER.fullmatch(cell) for cell in cells):
         # The first row is numbers already: the names may stand in the last comment, as
         # numpy writes them.
-        names = _names_of_comment(comments, len(cells)) or tuple(
-            f"#{i + 1}" for i in range(len(cells))
-        )
+        hints = _names_of_comment(comments, len(cells))
+        whole = all(hints) and bool(hints)
+        names = hints if whole else _numbers(len(cells))
+        hints = () if whole else hints
         body, first = text[span[0] :], number + 1
     else:
         names, body, first = tuple(cells), text[span[1] + 1 :], number + 2
+        hints = ()
     if len(names) > COLUMN_LIMIT:
         raise SizeError(
             "columns",
@@ -293,16 +304,20 @@ def _with_header(
             allowed="samples",
             remedy="record or export again",
         )
-    return Layout(names, separator, first, body + b"\n", notes)
+    return Layout(names, separator, first, body + b"\n", notes), hints
 
 
 def _names_of_comment(comments: list[str], count: int) -> tuple[str, ...]:
-    if not comments:
-        return ()
-    line = comments[-1].lstrip("#% ")
+    """The names in the last comment, "" for the columns that it leaves over; () where
+    it holds no names.
+    """
+    line = comments[-1].lstrip("#% ") if comments else ""
     separator = separator_of(line)
     cells = split_cells(line, separator)
-    return tuple(cells) if len(cells) == count and all(cells) else ()
+    # Of blanks every sentence has some: fewer than the columns they are no names.
+    least = count if not separator else count / 2
+    fitting = least <= len(cells) <= count and (all(cells) or len(cells) < count)
+    return (*cells, *[""] * (count - len(cells))) if fitting else ()
 
 
 def _check_line_length(length: int, number: int) -> None:

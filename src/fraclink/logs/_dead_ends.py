@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Sequence
 
 from fraclink._arm.log_columns import Channel
 from fraclink._reading.names import words_of
@@ -13,7 +13,7 @@ from fraclink.logs._weighing import Weighing, stamps_of
 
 __all__ = ["check_no_response", "no_angle", "no_output"]
 
-Named = Mapping[int, tuple[str, str]]
+Named = Sequence[tuple[str, str]]
 
 _FREQUENCY = frozenset(("freq", "frequency", "frequenz", "omega", "hz", "f", "w"))
 _RESPONSE = frozenset(

@@ -1,16 +1,17 @@
-"""What a log's columns probably are: each guess with its evidence and its certainty,
-and what must be asked.
+"""What a log's columns are: matched by name and unit, or asked.
 
-`read_log` guesses nothing. Here names, ranges and the one vibration that a scan finds
-in the log are weighed into the columns that `read_log` then takes. What they leave open
-is a `Question`: with a default where a usable assumption exists (it moves no frequency,
-order or delay of the fit), without one otherwise.
+`read_log` guesses nothing. Here names and units are matched with the roles, and the one
+vibration that a scan finds in the log checks them: sign, gain, and whether a tip's angle
+is measured from the hub. What does not match is a `Question`, one for each role at most;
+what moves no frequency, order or delay of a fit is assumed, and said to be.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,39 +22,44 @@ from fraclink._arm.log_columns import (
     Channel,
     ColumnStatement,
     LogColumns,
+    OutputKind,
 )
-from fraclink._reading.columns import check_count, clock_step, is_stated, with_combined
-from fraclink._reading.names import names_time, role_of_name, words_of
+from fraclink._reading.columns import (
+    check_count,
+    clock_step,
+    is_stated,
+    seconds_and_parts,
+    with_combined,
+)
+from fraclink._reading.names import (
+    UNITS_OF_LENGTH,
+    length_of_name,
+    names_time,
+    roles_of,
+    words_of,
+)
 from fraclink._reading.text import LogTable
 from fraclink.errors import LogError
-from fraclink.logs._calibration import (
-    STRONG,
-    check_no_tip_angle,
-    guess_angle,
-    guess_output,
-    guess_voltage,
-)
-from fraclink.logs._channels import find_mode
+from fraclink.logs._channels import Mode, find_mode
 from fraclink.logs._dead_ends import check_no_response, no_angle, no_output
-from fraclink.logs._tips import LONGEST_SCAN, gauges, tip_difference
-from fraclink.logs._weighing import (
-    Certainty,
-    Guess,
-    Question,
-    Weighing,
-    guess_time,
-    samples_of,
-    stamps_of,
-)
+from fraclink.logs._weighing import Certainty, Guess, Question, Weighing, stamps_of
 
 __all__ = ["Guess", "GuessedColumns", "Question", "guess_columns"]
 
 Array = NDArray[np.float64]
+Roles = list[tuple[str, str]]
 
-# of the best share: a second pair of columns that explains more makes the first one
-# doubtful
-_APART = 0.6
-_PAIR_COLUMNS = 6  # without names: thirty ordered pairs are a second
+# A vibrating arm is sampled every 0.2 ms to 0.1 s. The window is narrower than a factor
+# of 1000, so that at most one of s, ms, us and ns puts a clock's step into it.
+_FASTEST, _SLOWEST = 2e-4, 0.1
+# More than half of an output: one vibration cannot explain that much of two signals.
+_SHOWN = 0.5
+# An output may be late by half of the vibration before it looks like one of the other
+# sign that is early; with its sign unknown, by a quarter on either side: half of that.
+_LATE = 1 / 8
+# A deflection θm − θt has the gain 1 on the motor angle, and degrees taken for radians
+# make it 57: halfway between the two, in the logarithm, one is as far off as the other.
+_OTHER_UNIT = math.sqrt(180 / math.pi)
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,7 @@ def guess_columns(
     interpolate: bool = False,
     source: str = "log.csv",
 ) -> GuessedColumns:
-    """Weigh names, ranges and the vibration in the log into columns.
+    """Match names and units of a log with the roles of its columns.
 
     Parameters
     ----------
@@ -120,169 +126,198 @@ def guess_columns(
 
 
 def _columns(weighing: Weighing) -> LogColumns | None:
-    time = guess_time(weighing)
-    angle, output = _signals(weighing, time)
-    if time is None or angle is None or output is None:
+    time = _time(weighing)
+    places = _signals(weighing, time)
+    angle, output = places.get("motor_angle"), places.get("output")
+    channel = None if angle is None else _angle(weighing, angle)
+    if time is None or angle is None or output is None or channel is None:
         return None
-    raw_angle, raw_output = weighing.cells(angle), weighing.cells(output)
     # The median: a gap or a stamp that jumps back is for the reader to refuse, and does
     # not move the scan's period.
     period = float(np.median(np.abs(np.diff(stamps_of(weighing, time)))))
     if not period > 0:
-        allowed, remedy = (
-            "stamps that rise from sample to sample",
-            "state another column, or --period-ms 4",
-        )
         raise LogError(
             "column of time",
             time.column,
             "the same in most samples",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="stamps that rise from sample to sample",
+            remedy="state another column, or --period-ms 4",
         )
-    stiffness = _stiffness(weighing, output, raw_angle, raw_output, period)
-    # Half of the range of Γ over c: how far the link bends to each side, in the unit in
-    # which the stiffness was found.
-    bend = (
-        float(np.ptp(raw_output)) / 2 * _torque(weighing, output) / stiffness
-        if stiffness
-        else 0.0
-    )
-    angle_channel = guess_angle(weighing, angle, raw_angle, stiffness, bend)
-    if angle_channel is None or raw_angle.size != raw_output.size:
+    turned = channel.in_si(weighing.cells(angle), "motor_angle")
+    raw = weighing.cells(output)
+    if turned.size != raw.size:
         return None
-    # From here on the angle is in radians: a gain of 1 then means a deflection, and c
-    # is in N·m/rad.
-    in_radians = angle_channel.in_si(raw_angle, "motor_angle")
-    mode = find_mode(in_radians, raw_output, period)
-    check_no_tip_angle(
-        weighing,
-        output,
-        in_radians,
-        raw_output * UNITS["angle"][angle_channel.unit],
-        period,
-    )
-    found = guess_output(weighing, output, mode)
-    if found is None:
+    made = _from_the_hub(weighing, channel, turned, output, period)
+    if made is None:
         return None
-    kind, channel = found
-    voltage = guess_voltage(weighing, in_radians, taken=(angle, output))
-    return LogColumns(time, angle_channel, channel, kind, voltage)
-
-
-def _stiffness(
-    weighing: Weighing, output: int, angle: Array, raw: Array, period: float
-) -> float:
-    """Gain of a torque on the angle in its own unit [N·m], 0 where there is none to
-    tell the unit by.
-    """
-    scale = _torque(weighing, output)
-    if not scale or angle.size != raw.size:
-        return 0.0
-    mode = find_mode(angle, raw, period)
-    return abs(mode.gain) * scale if mode is not None and mode.share >= STRONG else 0.0
-
-
-def _torque(weighing: Weighing, output: int) -> float:
-    """N·m for one of the output as it stands, 0 where it is no torque by its unit."""
-    statement = weighing.statement("output")
-    return UNITS["torque"].get(statement.unit or weighing.unit(output), 0.0) * abs(
-        statement.scale or 1.0
+    output, raw = made, weighing.cells(made)
+    mode = find_mode(turned, raw, period)
+    mode = mode if mode is not None and mode.share > _SHOWN else None
+    kind_and_unit = _kind_and_unit(weighing, output, mode)
+    if kind_and_unit is None:
+        return None
+    kind, unit, scale = kind_and_unit
+    signal = Channel(
+        weighing.label(output), unit, sign=_sign(weighing, mode), scale=scale
     )
+    voltage = _voltage(weighing, turned, taken=(angle, output))
+    return LogColumns(time, channel, signal, kind, voltage)
 
 
-# --- which column is the motor angle, which the output ----------------------------------------------------
+# --- time -------------------------------------------------------------------------------
 
 
-def _signals(weighing: Weighing, time: Channel | None) -> tuple[int | None, int | None]:
-    """The places of the motor angle and of the output; None where a question asks for
-    it.
+def _time(weighing: Weighing) -> Channel | None:
+    """The channel of the stamps."""
+    statement, table = weighing.statement("time"), weighing.table
+    scale = statement.scale or 1.0
+    if statement.column == ROW_NUMBER:
+        unit = statement.unit or "s"
+        value = f"one sample every {scale:g} {unit}"
+        weighing.conclude("time", value, "stated", "the log has no stamps")
+        return Channel(ROW_NUMBER, unit, scale=scale)
+    place = weighing.place(statement)
+    if place is None and (parts := seconds_and_parts(table)):
+        place = weighing.add(parts, "s")
+    elif place is None:
+        place = _clock(weighing)
+    if place is None:
+        text = "No column rises as a clock does: how long is one sample?"
+        option = '--period-ms 4, or --column "time=NAME [s]"'
+        weighing.ask(Question("time", "period", text, ("4 ms",), "", option))
+        return None
+    named, label = names_time(weighing.name(place)), weighing.label(place)
+    steps = np.abs(np.diff(weighing.cells(place)))
+    step = float(np.median(steps))
+    rate = f"a sample every {step * scale:.6g}"
+    sure: Certainty = "certain" if named else "likely"
+    weighing.conclude("time", label, "stated" if statement.column else sure, rate)
+    own = statement.unit or weighing.unit(place)
+    fitting = [
+        unit
+        for unit, size in UNITS["time"].items()
+        if _FASTEST <= step * scale * size <= _SLOWEST
+    ]
+    # A column that rises by one may count samples or milliseconds: only a name of time
+    # makes it the latter.
+    counter = step == 1.0 and not named
+    # The name's unit stands unless nobody samples an arm so: then milliseconds were
+    # exported under the name of seconds.
+    if statement.unit or own in fitting or (own in UNITS["time"] and not fitting):
+        weighing.conclude("unit of time", own, "stated", f"{rate} {own}")
+        return Channel(label, own, scale=scale)
+    if len(fitting) == 1 and not counter and own not in UNITS["time"]:
+        why = f"{rate}: of s, ms, us and ns the one in which arms are sampled"
+        weighing.conclude("unit of time", fitting[0], "likely", why)
+        return Channel(label, fitting[0], scale=scale)
+    text = f"{label} rises by {step:.6g}" + (f" {own} by its name" if own else "")
+    text += ": how long is one step?" if counter else ": in which unit?"
+    example = f"{label} * 0.004 [s]" if counter else f"{label} [ms]"
+    option = f'--column "time={example}"'
+    choices = ("4 ms",) if counter else ("s", "ms", "us")
+    weighing.ask(Question("time", "unit", text, choices, "", option))
+    return None
+
+
+def _clock(weighing: Weighing) -> int | None:
+    """The place of the column that is named as a time, or else rises as one."""
+    table = weighing.table
+    clocks = [k for k, v in enumerate(table.values) if clock_step(v) is not None]
+    # A file may hold several recordings, each with its clock: of most signals, and of
+    # these the longest.
+    sizes = [values.size for values in table.values if _moves(values)]
+    most = max(((sizes.count(n), n) for n in sizes), default=(0, 0))[1]
+    clocks = [place for place in clocks if table.values[place].size == most]
+    # Stamps that jump back, or hold no number, are still those: the reader says what is
+    # wrong with them.
+    named = [k for k in clocks or range(len(table.names)) if _is_time(weighing, k)]
+    # A counter of rows last: it may be one.
+    clocks.sort(key=lambda place: clock_step(table.values[place]) == 1.0)
+    return next(iter([*named, *clocks]), None)
+
+
+def _is_time(weighing: Weighing, place: int) -> bool:
+    return names_time(weighing.name(place))
+
+
+# --- which column is the motor angle, which the output ----------------------------------
+
+
+def _signals(weighing: Weighing, time: Channel | None) -> dict[str, int]:
+    """The places of the motor angle and of the output, as far as they are stated or
+    match; a question asks for what does not.
     """
-    table, length = weighing.table, samples_of(weighing, time)
-    named = {place: role_of_name(name) for place, name in enumerate(table.names)}
-    clock = (
-        None
-        if time is None or time.column == ROW_NUMBER
-        else table.place(time.column, "time")
-    )
-    free = [
-        place
-        for place, values in enumerate(table.values)
+    table = weighing.table
+    roles = roles_of([weighing.name(place) for place in range(len(table.names))])
+    stated = {
+        role: place
+        for role in ("motor_angle", "output")
+        if (place := weighing.place(weighing.statement(role))) is not None
+    }
+    free = _free(weighing, time, roles, next(iter(stated.values()), None))
+    places: dict[str, int] = {}
+    wanted: dict[str, tuple[str, ...]]
+    wanted = {"motor_angle": ("motor_angle",), "output": ("torque", "deflection")}
+    for role, part in (("motor_angle", "motor angle"), ("output", "output")):
+        if role in stated:
+            places[role] = stated[role]
+            weighing.conclude(part, weighing.label(stated[role]), "stated", "as stated")
+            continue
+        left = [k for k in free if k not in (*places.values(), *stated.values())]
+        named = [place for place in left if roles[place][0] in wanted[role]]
+        if len(named) > 1 and role == "motor_angle":
+            # Of two angles the one at the motor's side is wanted.
+            hub = {"motor", "hub", "m", "joint"}
+            named = [k for k in named if hub & set(words_of(weighing.name(k)))] or named
+        tips = [place for place in left if roles[place][0] == "the tip"]
+        if not named and role == "output" and len(tips) == 1:
+            named = tips
+        if len(named) == 1:
+            places[role] = named[0]
+            _conclude_match(weighing, part, named[0], roles)
+        else:
+            # Never what was only asked for, nor what is measured of something else.
+            likely = ("", "the tip", "motor_angle", *wanted[role])
+            unnamed = [k for k in left if roles[k][0] in likely]
+            # Names of one letter are habits, and say little: u may be any input.
+            unnamed += [k for k in left if len(weighing.name(k)) == 1]
+            _ask_column(weighing, role, named or list(dict.fromkeys(unnamed)))
+    open_roles = [q for q in weighing.questions if q.part == "column"]
+    if time is not None and any(not question.choices for question in open_roles):
+        # Asked without a choice: there is nothing in this log to answer with.
+        if "motor_angle" not in places and not any(
+            q.role == "motor_angle" and q.choices for q in open_roles
+        ):
+            raise no_angle(weighing, time, free, roles)
+        raise no_output(weighing, time, places.get("motor_angle"), free, roles)
+    return places
+
+
+def _free(
+    weighing: Weighing, time: Channel | None, roles: Roles, stated: int | None
+) -> list[int]:
+    """The places of the signals: as long as the time, moving, and each once."""
+    table = weighing.table
+    clock = None
+    if time is not None and time.column != ROW_NUMBER:
+        clock = table.place(time.column, "time")
+    of_length = clock if clock is not None else stated
+    length = max(v.size for v in table.values)
+    length = length if of_length is None else table.values[of_length].size
+    places: list[int] = []
+    # Named columns first: of two that are equal the one with the better name stays.
+    for place in sorted(range(len(roles)), key=lambda k: not roles[k][0]):
+        values = table.values[place]
         # A column that only rises is another clock, unless its name says what it
         # measures and not when.
-        if place != clock and values.size == length and _moves(values)
-        if clock_step(values) is None
-        or (named[place][0] and not names_time(table.names[place]))
-    ]
-    places: dict[str, int | None] = {}
-    for role, part in (("motor_angle", "motor angle"), ("output", "output")):
-        places[role] = place = weighing.place(weighing.statement(role))
-        if place is not None:
-            weighing.conclude(part, weighing.label(place), "stated", "as stated")
-    taken = set(places.values())
-    # A column that was stated is taken at its word, even where its values look like a
-    # tip angle's.
-    settled = places["output"] is not None
-    if places["motor_angle"] is None:
-        places["motor_angle"] = _by_name(
-            weighing, "motor angle", ("motor_angle",), named, free, taken
+        rises = clock_step(values) is not None and (
+            not roles[place][0] or _is_time(weighing, place)
         )
-    if places["output"] is None:
-        places["output"] = _by_name(
-            weighing,
-            "output",
-            ("torque", "deflection"),
-            named,
-            free,
-            taken | {places["motor_angle"]},
-        )
-    if places["output"] is None:
-        places["output"] = _of_two(weighing, places["motor_angle"], named, free, time)
-    if None in places.values():
-        _by_vibration(
-            weighing, places, [place for place in free if not named[place][0]], time
-        )
-    if None in places.values():
-        _ask_columns(weighing, places, named, free, time)
-    angle, output = places["motor_angle"], places["output"]
-    if angle is None or output is None or settled or output >= len(named):
-        return angle, output
-    return angle, _in_space(weighing, angle, output, time)
-
-
-def _of_two(
-    weighing: Weighing,
-    angle: int | None,
-    named: Mapping[int, tuple[str, str]],
-    free: list[int],
-    time: Channel | None,
-) -> int | None:
-    """The place of an output that two gauges make, or the tip and the motor angle."""
-    pair = gauges(weighing, named, free)
-    tips = [place for place in free if named[place][0] == "the tip" and place != angle]
-    if pair is not None or angle is None or len(tips) != 1:
-        return pair
-    return tip_difference(weighing, angle, tips[0], time)
-
-
-def _in_space(weighing: Weighing, angle: int, output: int, time: Channel | None) -> int:
-    """The output, or the deflection that is made of it where its values are those of
-    the tip's angle.
-    """
-    own = weighing.unit(output)
-    if own and own not in UNITS["angle"]:
-        return output
-    said = len(weighing.guesses)
-    found = tip_difference(weighing, angle, output, time)
-    if found is None or found == output:
-        # Nothing was concluded after all: no sentence of the attempt may stand in the
-        # report.
-        del weighing.guesses[said:]
-        return output
-    weighing.guesses[:] = [
-        g for k, g in enumerate(weighing.guesses) if g.part != "output" or k >= said
-    ]
-    return found
+        again = any(np.array_equal(values, table.values[k]) for k in places)
+        moves = values.size == length and _moves(values)
+        if place != clock and moves and not rises and not again:
+            places.append(place)
+    return sorted(places)
 
 
 def _moves(values: Array) -> bool:
@@ -292,140 +327,247 @@ def _moves(values: Array) -> bool:
     return finite.size > 0.9 * values.size and bool(np.ptp(finite) > 0)
 
 
-def _by_name(
-    weighing: Weighing,
-    part: str,
-    roles: tuple[str, ...],
-    named: Mapping[int, tuple[str, str]],
-    free: list[int],
-    taken: set[int | None],
-) -> int | None:
-    """The one column whose name says the role; where several do, the one that names the
-    motor or a unit.
-    """
-    found = [place for place in free if named[place][0] in roles and place not in taken]
-    if len(found) > 1:
-        exact = [
-            p
-            for p in found
-            if any(
-                w in ("motor", "hub", "m", "joint")
-                for w in words_of(weighing.table.names[p])
-            )
-        ]
-        # Of two angles the one at the motor's side is wanted; of two outputs no word
-        # says which is better.
-        found = exact if part == "motor angle" and exact else found
-    if len(found) != 1:
-        return None
+def _conclude_match(weighing: Weighing, part: str, place: int, roles: Roles) -> None:
+    name, label = weighing.name(place), weighing.label(place)
     others = [
-        weighing.table.names[p]
-        for p, (role, _) in named.items()
-        if p in free and role.startswith(("a ", "the "))
+        weighing.name(k)
+        for k, (role, _) in enumerate(roles)
+        if role.startswith(("a ", "the ")) and k != place
     ]
-    evidence = f"its name says {named[found[0]][1]!r}" + (
-        f"; not used: {', '.join(others[:4])}" if others else ""
-    )
-    sure: Certainty = (
-        "stated" if is_stated(weighing.table.names[found[0]]) else "likely"
-    )
-    weighing.conclude(part, weighing.label(found[0]), sure, evidence)
-    return found[0]
+    evidence = f"its name says {roles[place][1]!r}"
+    evidence += f": {name}" if name != label else ""
+    evidence += f"; not used: {', '.join(others[:4])}" if others else ""
+    weighing.conclude(part, label, "stated" if is_stated(name) else "likely", evidence)
 
 
-def _by_vibration(
-    weighing: Weighing,
-    places: dict[str, int | None],
-    nameless: list[int],
-    time: Channel | None,
-) -> None:
-    """Fill in what one vibration tells: in which pair of columns the output rings with
-    the motor angle.
+def _ask_column(weighing: Weighing, role: str, choices: list[int]) -> None:
+    names = tuple(weighing.label(place) for place in choices)
+    first = names[0] if names else "NAME"
+    text = "Which column is the motor angle, and in which unit?"
+    option = f'--column "motor_angle={first} [deg]"'
+    if role == "output":
+        text = "Which column is the output of the link, its torque or deflection?"
+        option = f'--column "torque={first} [Nm]" or "deflection={first} [raw]"'
+    weighing.ask(Question(role, "column", text, names, "", option))
+
+
+# --- the motor angle --------------------------------------------------------------------
+
+
+def _angle(weighing: Weighing, place: int) -> Channel | None:
+    """The channel of the motor angle; None where its unit is a question."""
+    statement, own = weighing.statement("motor_angle"), weighing.unit(place)
+    label, raw = weighing.label(place), weighing.cells(place)
+    sign, scale = statement.sign or 1, statement.scale or 1.0
+    reach = float(np.abs(raw - raw[0]).max())
+    unit = statement.unit or (own if own in UNITS["angle"] else "")
+    if unit:
+        source = "as stated" if statement.unit else "by its name"
+        evidence = f"{source}; it moves by {scale * reach:.4g} {unit}"
+        weighing.conclude("unit of the motor angle", unit, "stated", evidence)
+        return Channel(label, unit, sign=sign, scale=scale)
+    if length := length_of_name(weighing.name(place)):
+        # Any radius makes an angle of its way, for all but the gain.
+        value = f"1 rad for 1 m of {label}"
+        why = "a linear axis: frequency, order and delay do not depend on the lever"
+        weighing.conclude("unit of the motor angle", value, "assumed", why)
+        return Channel(label, "rad", sign=sign, scale=UNITS_OF_LENGTH[length])
+    text, example = f"{label} moves by {reach:.4g}: in which unit?", "[deg]"
+    choices: tuple[str, ...] = ("rad", "deg")
+    if own in UNITS["voltage"]:
+        text, example = f"{label} is in volts: which angle is one volt?", "* 36.8 [deg]"
+        choices = ("36.8 deg", "0.64 rad")
+    # Whole numbers are counts, unless they are few: an angle in whole degrees.
+    elif reach > 2 * math.pi and (raw == np.round(raw)).all():
+        text, example = f"{label} counts: which angle is one count?", "* 1/4096 [rev]"
+        choices = ("1/4096 rev", "0.09 deg")
+    option = f'--column "motor_angle={label} {example}"'
+    weighing.ask(Question("motor_angle", "unit", text, choices, "", option))
+    return None
+
+
+# --- the output -------------------------------------------------------------------------
+
+
+def _from_the_hub(
+    weighing: Weighing, channel: Channel, turned: Array, output: int, period: float
+) -> int | None:
+    """The place of the output, or of the deflection that is made of it where it is the
+    tip's angle in space; None where that is a question.
+
+    A deflection δ = θm − θt answers an acceleration with a positive gain, a tip angle
+    with a negative one, and rings as a deflection of the other sign does: but what is
+    left of θm by subtracting it is then a vibration, and a clearer one.
     """
-    if time is None or len(nameless) > _PAIR_COLUMNS:
-        return
-    angles = nameless if places["motor_angle"] is None else [places["motor_angle"]]
-    outputs = nameless if places["output"] is None else [places["output"]]
-    stamps = stamps_of(weighing, time)
-    # Every n-th sample of the whole log, not its first part: many logs begin at rest. A
-    # vibration above the new Nyquist frequency is not found, and asked for instead.
-    stride = max(1, stamps.size // LONGEST_SCAN)
-    period = stride * float(np.median(np.abs(np.diff(stamps))))
-    shares: dict[tuple[int, int], float] = {}
-    for angle in angles:
-        for output in outputs:
-            if angle is None or output is None or angle == output or not period > 0:
-                continue
-            raw = weighing.cells(angle), weighing.cells(output)
-            mode = find_mode(raw[0][::stride], raw[1][::stride], period)
-            shares[angle, output] = 0.0 if mode is None else mode.share
-    ranked = sorted(shares, key=lambda pair: -shares[pair])
-    if not ranked or shares[ranked[0]] < STRONG:
-        return
-    # Another pair that explains nearly as much leaves it open: motor and tip angle both
-    # ring with the torque.
-    if len(ranked) > 1 and shares[ranked[1]] > _APART * shares[ranked[0]]:
-        return
-    share = f"one vibration explains {100 * shares[ranked[0]]:.3g} % of it"
-    for role, part, place in zip(
-        places, ("motor angle", "output"), ranked[0], strict=True
-    ):
-        if places[role] is None:
-            weighing.conclude(
-                part,
-                weighing.label(place),
-                "likely",
-                f"{share}, of no other pair as much",
-            )
-            places[role] = place
+    statement, own = weighing.statement("output"), weighing.unit(output)
+    name, length = weighing.label(output), length_of_name(weighing.name(output))
+    stated = statement.column is not None
+    if own in (*UNITS["torque"], *UNITS["voltage"]) or (stated and length):
+        return output
+    moved = weighing.cells(output) - weighing.cells(output)[0]
+    slope = float(moved @ turned) / float(turned @ turned) if turned.any() else 0.0
+    if length and not slope:
+        return output
+    # Without a unit it is taken to have that of the motor angle.
+    size = UNITS["angle"].get(own or channel.unit, 1.0)
+    factor = 1 / slope if length else size
+    itself = find_mode(turned, moved, period)
+    rest = find_mode(turned, turned - factor * moved, period)
+    if itself is None or rest is None:
+        return output
+    if not (itself.gain < 0 < rest.gain and rest.share > max(itself.share, _SHOWN)):
+        return output
+    angle = channel.column
+    unit_of_angle = UNITS["angle"][channel.unit] * channel.scale * channel.sign
+    if length:
+        text = (
+            f"{name} moves with the motor, so it sees the tip in space: how far does "
+        )
+        text += f"1 {length} of it turn the arm?"
+        option = f'--column "deflection={angle} - K * {name} [{channel.unit}]"'
+        weighing.ask(Question("output", "column", text, (name,), "", option))
+        return None
+    ratio = size / unit_of_angle
+    made = f"{angle} - {name}"
+    if abs(ratio - 1) > 1e-9:
+        made = f"{angle} {'-' if ratio > 0 else '+'} {abs(ratio):.9g} * {name}"
+    if stated:
+        raise LogError(
+            "column of output",
+            name,
+            "the angle of the tip: the motor angle less it is what vibrates",
+            allowed="the torque at the base, or the deflection: motor angle less tip angle",
+            remedy=f'state the difference, --column "deflection={made} [{channel.unit}]"',
+        )
+    if channel.scale != 1 or channel.sign != 1:
+        return output  # the difference of raw numbers would be none of angles
+    text = f"the motor angle less {name} is one vibration ({100 * rest.share:.3g} %): "
+    weighing.guesses[:] = [each for each in weighing.guesses if each.part != "output"]
+    weighing.conclude("output", made, "likely", text + "the tip in space")
+    return weighing.add(made, channel.unit)
 
 
-_NO_SIGNAL = (
-    "a commanded value",
-    "a speed",
-    "an acceleration",
-    "a current",
-    "a temperature",
-    "voltage",
-)
-
-
-def _ask_columns(
-    weighing: Weighing,
-    places: Mapping[str, int | None],
-    named: Mapping[int, tuple[str, str]],
-    free: list[int],
-    time: Channel | None,
-) -> None:
-    """Ask for each column that is open, by name; LogError where there is none left to
-    choose from.
+def _kind_and_unit(
+    weighing: Weighing, place: int, mode: Mode | None
+) -> tuple[OutputKind, str, float] | None:
+    """Torque or deflection, its unit and the factor to it; None where that is a
+    question.
     """
-    left = [
-        place
-        for place in free
-        if place not in places.values() and named[place][0] not in _NO_SIGNAL
-    ]
-    open_roles = [role for role, place in places.items() if place is None]
-    if len(left) < len(open_roles) and time is not None:
-        if places["motor_angle"] is None and not [
-            p for p in left if named[p][0] == "motor_angle"
-        ]:
-            raise no_angle(weighing, time, free, named)
-        raise no_output(weighing, time, places["motor_angle"], free, named)
-    if not left:
-        return  # the question for the time comes first
-    words = {
-        "motor_angle": "the motor angle",
-        "output": "the output of the link (torque or deflection)",
-    }
-    for role in open_roles:
-        names = tuple(weighing.label(place) for place in left)
-        spelled = "motor_angle" if role == "motor_angle" else "torque"
-        option = f'--column "{spelled}={names[0]}"' + (
-            ' or "deflection=…"' if role == "output" else ""
-        )
-        weighing.ask(
-            Question(
-                role, "column", f"Which column is {words[role]}?", names, "", option
+    statement, own = weighing.statement("output"), weighing.unit(place)
+    unit, scale = statement.unit or own, statement.scale or 1.0
+    name, part = weighing.label(place), "output measures"
+    source = "as stated" if statement.unit else "by its name"
+    if unit in UNITS["torque"] or (statement.role == "torque" and statement.unit):
+        size = scale * UNITS["torque"].get(unit, 1.0)
+        said = f"; {abs(mode.gain) * size:.3g} N·m/rad" if mode else ""
+        weighing.conclude(part, f"torque [{unit}]", "stated", source + said)
+        return "torque", unit, scale
+    gain = abs(mode.gain) if mode is not None else 0.0
+    if unit in UNITS["angle"] or (statement.unit and statement.unit != "raw"):
+        calibrated = gain * scale * UNITS["angle"].get(unit, 1.0)
+        odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT
+        if odd and not statement.unit:
+            text = f"{name} is in {own} by its name, but {calibrated:.3g} times what the motor turns: in which unit?"
+            option = (
+                f'--column "deflection={name} [deg]", or the unit of the motor angle'
             )
+            choices = ("rad", "deg", "raw")
+            weighing.ask(Question("output", "unit", text, choices, "", option))
+            return None
+        said = (
+            f"; gain {calibrated:.3g} on the motor angle, 1 in theory" if gain else ""
         )
+        weighing.conclude(part, f"deflection [{unit}]", "stated", source + said)
+        return "deflection", unit, scale  # `LogColumns` refuses a unit of none
+    role = roles_of([weighing.name(place)])[0][0]
+    beside = weighing.statement("motor_angle").unit or ""
+    if role == "motor_angle" and beside in UNITS["angle"] and not statement.unit:
+        why = "named as an angle: in the unit of the motor's"
+        weighing.conclude(part, f"deflection [{beside}]", "likely", why)
+        return "deflection", beside, scale
+    if (statement.role == "torque" or role == "torque") and statement.unit != "raw":
+        text = f"{name} is a torque: in which unit? (raw: not calibrated)"
+        option = f'--column "torque={name} [Nm]" or "torque={name} [mNm]"'
+        choices = ("Nm", "mNm", "raw")
+        weighing.ask(Question("output", "unit", text, choices, "", option))
+        return None
+    return _uncalibrated(weighing, place, gain)
+
+
+def _uncalibrated(
+    weighing: Weighing, place: int, gain: float
+) -> tuple[OutputKind, str, float]:
+    """A sensor without a unit, scaled so that it answers the motor angle as a
+    deflection does.
+    """
+    name, length = weighing.label(place), length_of_name(weighing.name(place))
+    if not gain:
+        raise LogError(
+            "column of output",
+            name,
+            "not calibrated, and no vibration that the motor's motion explains could scale it",
+            allowed="Nm, mNm, rad or deg",
+            remedy=f'state --column "torque={name} [Nm]" or "deflection={name} [deg]"',
+        )
+    # Four digits, as people write a calibration: the gain itself is known to a percent.
+    scale = float(f"{1 / gain:.4g}")
+    what = f"a link of {gain:.3g} {length}" if length else f"{name} is not calibrated"
+    why = (
+        f"{what}: scaled to a gain of 1 on the motor angle, as a deflection has; "
+        "frequency, order and delay do not depend on it"
+    )
+    weighing.conclude(
+        "output measures", f"deflection, {scale:g} rad each", "assumed", why
+    )
+    return "deflection", "rad", scale
+
+
+def _sign(weighing: Weighing, mode: Mode | None) -> Literal[1, -1]:
+    """The sign with which the output is positive where the motor speeds up."""
+    stated, part = weighing.statement("output").sign, "sign of the output"
+    if mode is not None:
+        explained = f"explains {100 * mode.share:.3g} % of the output"
+        frequency = f"{mode.frequency:.3g} rad/s"
+        weighing.conclude("vibration", frequency, "certain", explained)
+    # Where the motor speeds up the link is bent backwards, and Γ = c(θm − θt) is
+    # positive: the sign convention of rig and law.
+    sign: Literal[1, -1] = -1 if mode is not None and mode.gain < 0 else 1
+    mark = "+" if (stated or sign) > 0 else "-"
+    if stated:
+        weighing.conclude(part, mark, "stated", "as stated")
+        return stated
+    if mode is None or mode.delay * mode.frequency > 2 * math.pi * _LATE:
+        why = "no vibration that tells" if mode is None else "it answers late"
+        why += ": state a minus, as in torque=-bridge [mNm], where it is turned"
+        weighing.conclude(part, mark, "assumed", why)
+        return sign
+    way = "with" if sign > 0 else "against"
+    weighing.conclude(part, mark, "certain", f"it goes {way} the motor's acceleration")
+    return sign
+
+
+def _voltage(
+    weighing: Weighing, angle: Array, *, taken: tuple[int, int]
+) -> Channel | None:
+    """The channel of the amplifier's voltage, where one column is named so; a fit of
+    the link does not need it.
+    """
+    table, statement = weighing.table, weighing.statement("voltage")
+    place = weighing.place(statement)
+    roles = roles_of([weighing.name(k) for k in range(len(table.names))])
+    named = [k for k, r in enumerate(roles) if r[0] == "voltage" and k not in taken]
+    if place is None and len(named) == 1:
+        place = named[0]
+    if place is None or table.values[place].size != angle.size:
+        return None
+    raw, own, label = table.values[place], weighing.unit(place), weighing.label(place)
+    unit = statement.unit or (own if own in UNITS["voltage"] else "")
+    if not np.isfinite(raw).all() or not _moves(raw):
+        return None
+    # A motor runs where its voltage drives it, though a servo brakes as often.
+    relation = float(np.corrcoef(raw, np.gradient(angle))[0, 1])
+    sign: Literal[1, -1] = statement.sign or (-1 if relation < -_SHOWN else 1)
+    evidence = f"correlation {relation:.2g} with the motor's speed"
+    value = f"{'-' if sign < 0 else ''}{label} [{unit or 'V'}]"
+    weighing.conclude("voltage", value, "stated" if unit else "likely", evidence)
+    return Channel(label, unit or "V", sign=sign, scale=statement.scale or 1.0)

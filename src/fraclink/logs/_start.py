@@ -155,7 +155,7 @@ def start(
     place = Path(log)
     stated = statements(column, period)
     decisions = len(stated) + (payload is not None)
-    table = read_table(place)
+    table = read_table(place, numbered=True)
     found, answers = _resolved(table, str(log), stated, ask, interpolate)
     assert found.columns is not None  # `_resolved` ends with columns or an error  # noqa: S101
     # Through the one reader: what was guessed is stated to it, and it refuses or

@@ -111,7 +111,7 @@ def _listing(session: Session) -> Reply:
     if session.source is None:
         return Reply(head | _experiment(session)[0], _experiment(session)[1])
     listing = inspect_log(session.source)
-    table = read_table(session.source)
+    table = read_table(session.source, numbered=True)
     curves = {
         f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS)
         for k, values in enumerate(table.values)
@@ -194,7 +194,9 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
     columns = None
     if texts:
         guessed = guess_columns(
-            read_table(session.source), statements(texts, None), assume=True
+            read_table(session.source, numbered=True),
+            statements(texts, None),
+            assume=True,
         )
         columns = guessed.columns
         if columns is None:
