@@ -11,7 +11,7 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test quick coverage lint bench bench-short build docs fuzz reproduce clean lock dist-check
+.PHONY: setup demo test quick core coverage lint bench bench-short build docs fuzz reproduce clean lock dist-check
 
 setup: $(STAMP)
 
@@ -49,6 +49,10 @@ test: setup
 # What a contributor runs before every commit: under a minute on two cores.
 quick: setup
 	@$(PY) -m pytest -n 2 --dist loadfile -m "not slow" tests
+
+# The core in a copy without the packages around it: built, and its own tests.
+core: setup
+	@$(PY) tools/check_core.py
 
 # From Python 3.12 on the interpreter reports lines by itself; on 3.11 a tracer costs half the time again.
 coverage: setup

@@ -8,7 +8,9 @@ the class.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
 __all__ = ["displayed"]
@@ -16,25 +18,30 @@ __all__ = ["displayed"]
 Kind = TypeVar("Kind", bound=type)
 
 
-def _template(name: str) -> Any:
-    # By name and not imported above: this module lies floors below `_show`, which loads
-    # matplotlib.
-    return getattr(import_module("fraclink.view._notebook"), name)
+def _template(name: str) -> Callable[[Any], Any] | None:
+    # By name and not imported above: this module lies floors below `view`, which loads
+    # matplotlib, and which a copy of the core does not have.
+    if find_spec("fraclink.view") is None:
+        return None
+    template: Callable[[Any], Any] = getattr(
+        import_module("fraclink.view._notebook"), name
+    )
+    return template
 
 
 def _repr(result: Any) -> str:
-    text: str = _template("short")(result)
-    return text
+    short = _template("short")
+    return f"{type(result).__name__}(...)" if short is None else str(short(result))
 
 
-def _repr_html(result: Any) -> str:
-    text: str = _template("page_part")(result)
-    return text
+def _repr_html(result: Any) -> str | None:
+    page_part = _template("page_part")
+    return None if page_part is None else str(page_part(result))
 
 
 def _repr_svg(result: Any) -> str | None:
-    drawing: str | None = _template("drawing")(result)
-    return drawing
+    drawing = _template("drawing")
+    return None if drawing is None else drawing(result)
 
 
 def displayed(kind: Kind) -> Kind:
