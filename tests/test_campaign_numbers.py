@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,8 +19,6 @@ import fraclink as fl
 from campaigns import fault_bench, small
 from fraclink._simulate.links import batch_links
 from fraclink.errors import FieldError, SizeError
-from fraclink.trials import _run as run_module
-from fraclink.trials import _summary as summary_module
 from fraclink.trials._arms import arm_of, block_of, unit_paths
 from fraclink.trials._campaign import (
     Campaign,
@@ -39,9 +36,7 @@ from fraclink.trials._faults import (
     cases,
     fault_named,
 )
-from fraclink.trials._run import part_path, read_part, run_campaign, write_part
-from fraclink.trials._summary import _correlation, _metric, _ranks, columns, summarise
-from fraclink.view._views import view
+from fraclink.trials._run import part_path, read_part, write_part
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
@@ -405,191 +400,8 @@ def test_a_part_of_the_first_release_has_the_later_columns_as_they_were(
     assert everything is not None and "growth" not in everything
 
 
-def test_progress_counts_what_was_there_and_what_failed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done: set[int] = {0}
-    monkeypatch.setattr(
-        run_module, "_is_done", lambda campaign, place, part: part in done
-    )
-    monkeypatch.setattr(
-        run_module,
-        "compute",
-        lambda folder, part: (done.add(part), part)[1],  # type: ignore[func-returns-value]
-    )
-    failed = {1: np.array([1, 0, 0]), 2: np.array([1, 1, 0])}
-    monkeypatch.setattr(
-        run_module, "read_part", lambda c, p, part, names: {"passed": failed[part]}
-    )
-    seen: list[Any] = []
-    last = run_campaign(small(), tmp_path, watch=seen.append)
-    assert [(p.before, p.done, p.runs, p.failed) for p in seen] == [
-        (1000, 2000, 2500, 2),
-        (1000, 2500, 2500, 3),
-    ]
-    assert last == seen[-1]
-    again = run_campaign(small(), tmp_path)
-    assert (again.before, again.done, again.failed) == (2500, 2500, 0)
-    done.clear()
-    assert run_campaign(small(), tmp_path).failed == 0  # nobody watches, nobody counts
-
-
-def test_workers_are_kept_busy_and_pools_that_die_are_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from concurrent.futures.process import BrokenProcessPool
-
-    pools: list[list[int]] = []
-
-    def pool(place: Path, parts: list[int], workers: int) -> Any:
-        pools.append(parts)
-        yield parts[0]
-        if len(parts) > 1:
-            raise BrokenProcessPool("died")
-
-    monkeypatch.setattr(run_module, "_one_pool", pool)
-    parts = list(range(9))
-    assert (
-        list(run_module._on_pool(tmp_path, parts, 2)) == parts
-    )  # each pool does one: more than PATIENCE die
-    assert pools == [parts[k:] for k in range(9)]
-
-
-def test_a_script_is_run_again_by_workers_unless_it_asks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script = tmp_path / "arms.py"
-
-    def unguarded(text: str, name: str = "arms.py") -> Path | None:
-        path = tmp_path / name
-        path.write_text(text)
-        monkeypatch.setitem(
-            run_module.sys.modules, "__main__", SimpleNamespace(__file__=str(path))
-        )
-        return run_module._unguarded_script()
-
-    assert unguarded("work()") == script
-    assert unguarded('if __name__ == "__main__":\n    work()') is None
-    assert unguarded("if multiprocessing.parent_process() is None: work()") is None
-    assert unguarded("work()", "__main__.py") is None
-    for main in (
-        SimpleNamespace(),
-        SimpleNamespace(__file__=str(tmp_path / "gone.py")),
-    ):
-        monkeypatch.setitem(run_module.sys.modules, "__main__", main)
-        assert run_module._unguarded_script() is None
-
-
 # ── what they say together
 # ──────────────────────────────────────────────────────────────────────────────────
-
-
-def test_a_metric_has_its_worst_runs_and_what_drives_it() -> None:
-    run = np.arange(100, 106)
-    values = np.array([0.1, -0.9, 0.3, 0.2, -0.5, 0.4])
-    drawn = {
-        "payload": _ranks(np.arange(6.0)),
-        "noise": _ranks(-np.abs(values)),
-        "order": _ranks(np.zeros(6)),
-    }
-    found = _metric("steady_state_error", values, run, drawn)
-    assert found.worst == (
-        (101, -0.9),
-        (104, -0.5),
-        (105, 0.4),
-        (102, 0.3),
-        (103, 0.2),
-    )  # by size, with sign
-    assert [name for name, _ in found.drivers] == ["noise", "payload", "order"]
-    assert found.drivers[0][1] == pytest.approx(-1.0) and found.drivers[2][1] == 0.0
-    assert _metric("overshoot", values, run, drawn).worst[0] == (105, 0.4)
-    assert [q.probability for q in found.quantiles] == [0.05, 0.5, 0.95, 0.99, 0.999]
-    assert found.quantiles[1].value == 0.3 and found.quantiles[4].high == math.inf
-
-
-def test_ranks_of_ties_are_their_mean() -> None:
-    from scipy.stats import rankdata
-
-    values = np.array([3.0, 1.0, 3.0, 2.0, 3.0, 1.0])
-    ranks = rankdata(values) - 3.5
-    assert _ranks(values) == pytest.approx(ranks / np.linalg.norm(ranks))
-    assert _correlation(_ranks(values), _ranks(-values)) == pytest.approx(-1.0)
-
-
-@pytest.mark.parametrize(
-    ("missing", "damaged", "words"),
-    [
-        ([], (), ""),
-        ([2], (), "500 of 2500 runs are left out: 1 part not computed yet."),
-        ([0, 2], (), "1500 of 2500 runs are left out: 2 parts not computed yet."),
-        (
-            [1],
-            (1,),
-            "1000 of 2500 runs are left out: part-0000001.parquet damaged or edited.",
-        ),
-    ],
-)
-def test_runs_that_are_in_no_figure_are_named(
-    missing: list[int], damaged: tuple[int, ...], words: str
-) -> None:
-    found = summary_module._left_out(small(), Path(), missing, damaged)
-    assert found == (
-        f"{words} The command that began the campaign computes them" if words else ""
-    )
-
-
-def test_three_damaged_parts_are_named_and_the_others_counted() -> None:
-    many = replace(small(), runs=9000)
-    found = summary_module._left_out(many, Path(), list(range(6)), (0, 1, 2, 3, 4))
-    assert found.startswith("6000 of 9000 runs are left out: part-0000000.parquet, ")
-    assert (
-        "part-0000002.parquet and 2 more damaged or edited; 1 part not computed yet. The"
-        in found
-    )
-    assert "more" not in summary_module._left_out(many, Path(), [0, 1, 2], (0, 1, 2))
-
-
-def test_a_summary_of_a_finished_campaign_and_its_columns(one_part: Path) -> None:
-    found = summarise(small(30), one_part)
-    part = read_part(small(30), one_part, 0)
-    assert part is not None
-    assert (
-        found.failure.runs == 30
-        and found.left_out == ""
-        and found.damaged == ()
-        and found.given == ""
-    )
-    assert found.passed == bool(part["passed"].all()) and found.failed == tuple(
-        part["run"][~part["passed"]]
-    )
-    payload, shape = columns(small(30), one_part, "payload", "shape")
-    assert payload.tolist() == part["payload"].tolist() and set(shape.tolist()) <= {
-        0.0,
-        1.0,
-        2.0,
-    }
-    estimated = replace(small(30), payloads=(0.02, 0.04))
-    assert (
-        summary_module._given(estimated)
-        == "the law was given the payload that it estimated of each arm"
-    )
-    cut = replace(found, damaged=(3,))
-    assert not cut.passed
-    others = f"of the others, {found.failure.sentence}"
-    assert view(cut).headline == f"1 part of the campaign damaged or edited; {others}"
-    both = view(replace(found, damaged=(3, 4))).headline
-    assert both.startswith("2 parts of the campaign damaged or edited; of the others, ")
-    assert view(found).headline == found.failure.sentence
-
-
-def test_failures_are_told_with_their_interval() -> None:
-    told = summary_module._failure(25, 1000).sentence
-    assert told == "25 of 1000 runs failed: 2.5 % (95 % interval 1.62 to 3.67 %)"
-    none = summary_module._failure(0, 1000).sentence
-    assert none.startswith(
-        "0 of 1000 runs failed: less than 0.37 % fail, at 95 % confidence; to show a tenth"
-    )
-    assert "10000 runs without a failure are needed" in none
 
 
 # ── the table of faults

@@ -13,19 +13,17 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from command_line import RIG, Calls, Found, Line, made_design, prepared
+from command_line import RIG, Found, Line, made_design, prepared
 from fraclink import _kernels
-from fraclink._cli import console, main, options
+from fraclink._cli import console, main
 from fraclink._reading.reading import bundled_log
-from fraclink.errors import LogError, MissingExtraError
-from fraclink.lab._connections import SharedMemory, Udp
+from fraclink.errors import LogError
+from fraclink.lab._connections import SharedMemory
 
 
 @pytest.fixture
@@ -37,51 +35,6 @@ def line(
 
 
 # --- boards ----------------------------------------------------------------------------------------------
-
-
-def test_c_is_written_in_the_precision_and_proved_where_asked(line: Line) -> None:
-    written = line.hear("boards.export_c", [Path("f/law.c"), Path("f/law.h")])
-    told = line("export c design.json --out f --name block --title T --no-motor")
-    law = written.given[0]
-    assert (
-        law.precision == "single"
-        and law.drive is None
-        and written.given[1] == Path("f")
-    )
-    assert told == (0, "f/law.c\nf/law.h\n", "next: fraclink replay f demo\n")
-    assert written.last == {
-        "name": "block", "title": "T", "prove": False, "certificate": None, "estimator": None, "force": False,
-    }  # fmt: skip
-    line("export c design.json --precision double --estimate --force")
-    assert written.given[0].precision == "double" and written.given[0].drive is not None
-    assert (
-        written.last["estimator"] == made_design().estimator()
-        and written.last["force"] is True
-    )
-    certified = line.hear("boards.certify", "certificate")
-    claims = SimpleNamespace(passed=False, claims=())
-    line.patch.setattr(
-        "fraclink._cli.boards.Proof", SimpleNamespace(load=lambda place: claims)
-    )
-    told = line("export c design.json --out f --prove --json")
-    assert told.code == 1 and json.loads(told.out) == {
-        "out": ["f/law.c", "f/law.h"], "passed": False, "claims": [],
-    }  # fmt: skip
-    assert certified.given == (made_design(),) and certified.last["inner"] is None
-    assert (
-        certified.last["law"].precision == "single"
-        and written.last["certificate"] == "certificate"
-    )
-    line("export c design.json --out f --prove --no-motor")
-    assert certified.last["inner"] == "ideal"
-
-    def missing(*_: object, **__: object) -> None:
-        raise MissingExtraError("flint", "certify")
-
-    line.patch.setattr("fraclink._cli.boards.certify", missing)
-    told = line("export c design.json --out f --prove")
-    assert told.err.startswith("the loop is not certified: flint is not installed")
-    assert written.last["certificate"] is None and written.last["prove"] is True
 
 
 def test_an_fmu_has_a_library_of_each_compiler_or_none(line: Line) -> None:
@@ -149,72 +102,6 @@ class Run(Found):
                 "run", "9 of 99 samples", "lost", allowed="1 %", remedy="run it again"
             )
         return Found()
-
-
-@realtime
-def test_the_loop_in_real_time_gets_what_was_asked_for(line: Line) -> None:
-    awake = SimpleNamespace(check=lambda: None)
-    measured = line.hear("boards.lab.measure_wake_ups", awake)
-    run = Run("r.npz")
-    ran = line.hear("boards.lab.run_realtime", run)
-    words = "run-realtime design.json --io udp:127.0.0.1:5005 --out r.npz --amplitude 0.3 --move-time 0.6"
-    more = "--absolute --single --payload 0.03 --duration 2 --patience 7 --priority 50 --no-lock-memory"
-    told = line(f"{words} {more} --allowed-overruns 4 --log l.csv")
-    assert told.code == 0
-    limits = "the loop ran without it (limits rtprio and memlock of the user)"
-    assert told.err.splitlines()[1:] == [
-        f"priority: {run.scheduling}; {limits}", "written: r.npz", "written: l.csv",
-    ]  # fmt: skip
-    law, reference, way = ran.given
-    assert (
-        law.precision == "single"
-        and law.drive is not None
-        and way == Udp("127.0.0.1", 5005)
-    )
-    assert (reference.duration, float(reference.angle(np.array([9.0]))[0])) == (
-        0.6,
-        0.3,
-    )
-    assert ran.last == {
-        "relative": False, "out": Path("r.npz"), "estimator": None, "payload": 0.03, "duration": 2.0,
-        "patience": 7.0, "priority": 50, "lock_memory": False, "allowed_overruns": 4,
-    }  # fmt: skip
-    assert measured.given == (RIG.period,) and measured.last == {
-        "priority": 50,
-        "lock_memory": False,
-    }
-    line(
-        "run-realtime design.json --io shm:arm --force --out r.npz --estimate --no-motor --gear 50"
-    )
-    law, reference, way = ran.given
-    assert (
-        way == SharedMemory("arm") and law.drive is None and law.precision == "double"
-    )
-    assert reference.duration == 1.0 and ran.last["relative"] is True
-    assert (
-        ran.last["estimator"]
-        == options.load_design(Path("design.json"), gear=50.0).estimator()
-    )
-    line(
-        "run-realtime design.json --io shm:arm --force --out r.npz --excitation prbs --amplitude 0.2"
-    )
-    reference = ran.given[1]
-    assert reference.duration == pytest.approx(0.5 + 81 * 0.24, abs=0.3)
-    assert np.abs(reference.angle(np.arange(0.0, 20.0, 0.01))).max() == pytest.approx(
-        0.2
-    )
-    told = line("run-realtime design.json --io shm:arm --force --out other.npz")
-    assert "other.npz could not be written" in told.err and "written: r.npz" in told.err
-    run.lost = True
-    told = line(
-        "run-realtime design.json --io shm:arm --force --out r.npz --log m.csv --json"
-    )
-    assert told.code == 1 and json.loads(told.out)["out"] == "r.npz"
-    told = line("run-realtime design.json --io shm:arm --force --out r.npz --log m.csv")
-    assert (
-        "no log: run: lost (got 9 of 99 samples)" in told.err
-        and "written: m.csv" not in told.err
-    )
 
 
 @realtime
@@ -362,54 +249,6 @@ def test_a_record_is_watched_against_the_tuning_of_its_folder(line: Line) -> Non
 # --- the others ------------------------------------------------------------------------------------------
 
 
-def test_a_campaign_runs_what_was_asked_for(line: Line) -> None:
-    ran, made = line.hear("campaigns.run_campaign"), Calls()
-    summary = SimpleNamespace(passed=False, failed=(12, 15))
-    line.hear("campaigns.summarise", summary)
-
-    def of(*given: Any, **named: Any) -> str:
-        made.append((given, named))
-        return "campaign"
-
-    line.patch.setattr("fraclink._cli.campaigns.Campaign", SimpleNamespace(of=of))
-    words = "campaign montecarlo --design design.json --runs 7 --seed 3 --workers 2 --scheduler tcp://a:1"
-    told = line(f"{words} --told --out mc")
-    assert (told.code, told.err) == (1, "next: fraclink campaign replay mc --run 12\n")
-    rig, model, law = made.given
-    assert (rig, model, law.digest) == (
-        made_design().rig,
-        made_design().model,
-        made_design().law().digest,
-    )
-    assert made.last == {
-        "runs": 7,
-        "seed": 3,
-        "told": True,
-        "estimated": None,
-        "reference": None,
-    }
-    assert ran.given == ("campaign", Path("mc"))
-    assert ran.last == {"workers": 2, "scheduler": "tcp://a:1", "watch": None}
-    Path("p.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
-    line(
-        "campaign montecarlo --design design.json --estimate --reference p.csv --out mc"
-    )
-    assert made.last["estimated"] == made_design().payloads and made.last[
-        "reference"
-    ].duration == pytest.approx(0.7)
-    assert (made.last["runs"], ran.last["workers"]) == (10_000, 1)
-    summary.passed, summary.failed = True, ()
-    assert line("campaign montecarlo --design design.json --out mc") == (0, "", "")
-    told = line("campaign montecarlo --design design.json --told --estimate --out mc")
-    assert told.code == 2 and "told: given beside --estimate" in told.err
-    for words, said in (
-        ("", "run is required"),
-        ("--run 1 --case F01", "run: given beside --case (got 1)"),
-    ):
-        told = line(f"campaign replay mc {words}")
-        assert told.code == 2 and said in told.err, told.err
-
-
 def test_a_move_is_shaped_as_asked(line: Line) -> None:
     move = Found()
     move.reference, move.period, move.payloads = "reference", 0.004, (0.02, 0.04)  # type: ignore[attr-defined]
@@ -457,77 +296,6 @@ def test_a_move_is_shaped_as_asked(line: Line) -> None:
         assert told.code == 2 and said in told.err
 
 
-def test_a_first_model_is_started_from_what_is_known(line: Line) -> None:
-    found = Found()
-    fit = SimpleNamespace(model=RIG.model)
-    found.blanks, found.experiment, found.fit = 3, "log", fit  # type: ignore[attr-defined]
-    started = line.hear("starting.start_from", found)
-    figure = Found()
-    drawn = line.hear("starting.fit_figure", figure)
-    words = "start log.csv --period-ms 2.5 --payload 0.03 --resample --interpolate --column torque=x --out a"
-    told = line(words)
-    assert started.given == (Path("log.csv"),)
-    assert started.last == {
-        "column": ["torque=x"], "period": 0.0025, "payload": 0.03, "resample": True,
-        "interpolate": True, "ask": None,
-    }  # fmt: skip
-    assert (
-        found.saved == [Path("a")]
-        and figure.saved == [Path("a/fit.svg")]
-        and drawn.given == ("log", fit)
-    )
-    filled = "fill in the 3 blanks of a/rig.toml, then fraclink design --rig a/rig.toml --model a/model.json"
-    assert told == (0, "", f"written: a\nwritten: a/fit.svg\nnext: {filled}\n")
-    fit.model = replace(RIG.model, payload=None)
-    again = "fraclink identify log.csv --rig a/rig.toml --payload KG --out a/model.json --force"
-    assert line("start log.csv --out a").err.endswith(
-        f"next: fill in the 3 blanks of a/rig.toml, then {again}, with the payload of this log for KG\n"
-    )
-    found.passed = False
-    told = line("start log.csv --out a")
-    assert told.code == 1 and told.err.endswith(
-        "next: fraclink diagnose log.csv --rig a/rig.toml\n"
-    )
-    assert started.last["column"] == () and started.last["period"] is None
-
-
-def test_the_studio_opens_what_is_there(line: Line) -> None:
-    serving = pytest.importorskip("fraclink.studio._serving")
-    calls: Calls = Calls()
-    session = SimpleNamespace(folder=Path("results"))
-
-    def serve(*given: Any, **named: Any) -> Any:
-        calls.append((given, named))
-        return session
-
-    line.patch.setattr(serving, "serve", serve)
-    told = line("studio results --port 5006 --host 0.0.0.0 --unsafe-remote --no-open")
-    assert told == (0, "kept in results\n", "")
-    assert calls.last == {
-        "host": "0.0.0.0", "port": 5006, "unsafe_remote": True, "open_page": False, "say": console.emit,  # noqa: S104
-    }  # fmt: skip
-    session.folder = Path("nowhere")
-    assert line("studio") == (0, "nothing was kept\n", "")
-    assert calls.last["open_page"] is True and calls.last["unsafe_remote"] is False
-    made: Calls = Calls()
-
-    def opened(*given: Any, **named: Any) -> str:
-        made.append((given, named))
-        return "a session"
-
-    line.patch.setattr("fraclink.studio._session.opened", opened)
-    assert calls.given[0]() == "a session"  # made only once the page is there
-    assert made.given == (None,) and made.last == {"rig": None, "out": Path("results")}
-    line("studio results --rig paper-2023 --out kept")
-    calls.given[0]()
-    assert made.given == (Path("results"),) and made.last == {
-        "rig": RIG,
-        "out": Path("kept"),
-    }
-    told = line("studio nothing.json")
-    assert told.code == 2 and "place: no such file (got nothing.json)" in told.err
-
-
 def test_the_manual_is_installed_where_man_looks(line: Line) -> None:
     assert (
         line("man --out fraclink.1").err
@@ -567,42 +335,3 @@ def test_the_manual_is_installed_where_man_looks(line: Line) -> None:
     )
     assert inspect[3:7] == [".PP", ".EX", "$ fraclink inspect log.csv", ".EE"]
     assert '"fraclink export c DESIGN"' in at
-
-
-def test_doctor_names_what_is_missing_and_how_to_get_it(line: Line) -> None:
-    line.patch.setattr(
-        "fraclink._cli.installation.version",
-        lambda name: "9.9" if name != "h5py" else _absent(name),
-    )
-    others = {
-        "gcc": "/usr/bin/gcc",
-        "clang": "/usr/bin/clang",
-    }  # which replay and FMU do not call
-    line.patch.setenv("CC", "gcc")
-    line.patch.setattr("fraclink._cli.installation.shutil.which", others.get)
-    line.patch.setattr(_kernels, "REALTIME", False)
-    told = line("doctor")
-    assert "; without h5py, C compiler, real-time loop" in " ".join(told.out.split())
-    rows = {row.split("  ")[0]: row for row in told.out.splitlines()}
-    assert "pip install 'fraclink[io]'" in rows["h5py"] and rows["h5py"].endswith(
-        "! missing"
-    )
-    assert "none found" in rows["C compiler"] and "Linux only" in rows["real-time loop"]
-    assert rows["numpy"].endswith("✓ passed") and "9.9" in rows["matplotlib"]
-    assert (
-        told.code == 0
-        and told.err
-        == "next: fraclink run --rig paper-2023-geared --log demo --out results\n"
-    )
-    said = json.loads(line("doctor --json").out)
-    assert (
-        said["compiler"] is None
-        and said["extras"]["h5py"] is None
-        and said["extras"]["matplotlib"] == "9.9"
-    )
-
-
-def _absent(name: str) -> str:
-    from importlib.metadata import PackageNotFoundError
-
-    raise PackageNotFoundError(name)

@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Annotated, Any, Literal, TypedDict, Unpack
 
 import numpy as np
@@ -22,7 +21,6 @@ from fraclink._identify import identify
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fraclink.view._text import View
 from fracsys.checks import Between
 
 # --- the decorator ---------------------------------------------------------------------------------------
@@ -144,38 +142,6 @@ def test_a_declared_parameter_knows_its_marks() -> None:
     assert flag.param_decls == ("--wide-open/--no-wide-open",)
 
 
-def test_the_verdict_is_the_exit_code_and_doubts_leave_nothing_shown(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    doubt = Finding("W999", "error", "the log is upside down", {}, "turn it")
-    for answer, code in (
-        (Answer(text="t"), 0),
-        (Answer(text="t", passed=False), 1),
-        (Answer(text="t", doubts=(doubt,)), 1),
-    ):
-        assert application({}, answer)("p") == code
-    capsys.readouterr()
-    shown = View("good", (), (), state="passed")
-    application({}, Answer(text=shown, doubts=(doubt,)))("p")
-    out = capsys.readouterr().out
-    assert "the log is upside down" in out and "passed: good" not in out
-    opened: list[str] = []
-    page = Answer(text="t", opened=Path("a page.html"))
-    for browser, said in (
-        (True, ""),
-        (False, "no browser was found; open a page.html yourself\n"),
-    ):
-
-        def open_page(uri: str, found: bool = browser) -> bool:
-            opened.append(uri)
-            return found
-
-        monkeypatch.setattr("webbrowser.open", open_page)
-        assert application({}, page)("p") == 0
-        assert capsys.readouterr().err == said
-    assert opened == [Path("a page.html").resolve().as_uri()] * 2
-
-
 def test_what_is_said_goes_to_its_stream_in_order(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -231,28 +197,6 @@ def test_a_margin_in_degrees_becomes_one_in_radians() -> None:
     made = options.in_radians({"phase_margin_deg": 90.0, "gain_crossover": 12.0})
     assert made == {"phase_margin": math.pi / 2, "gain_crossover": 12.0}
     assert options.in_radians({"phase_margin_deg": None}) == {"phase_margin": None}
-
-
-def test_a_rig_is_a_file_or_a_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    replace(RIG, name="mine").save("mine.toml")
-    assert options.load_rig("paper-2023") == RIG
-    assert options.load_rig("mine.toml").name == "mine"
-    Path("mine.toml").rename("mine")
-    assert options.load_rig("mine").name == "mine"  # a file without the ending
-    for name in ("there/none", "back\\slash", "none.toml"):
-        with pytest.raises(FieldError, match=r"not a file|not there"):
-            options.load_rig(name)
-    with pytest.raises(FieldError, match="unknown"):
-        options.load_rig("paper-2032")
-    assert options.load_rig("paper-2023", link_mass=0.011).link.mass == 0.011
-    assert options.load_rig_for_logs("mine").name == "mine"
-    assert options.whole(RIG) is RIG and options.whole(SimpleNamespace()) is None  # type: ignore[arg-type]
-    with pytest.raises(FieldError, match=r"Give --model model\.json"):
-        options.required_model(replace(RIG, model=None))
-    assert options.required_model(RIG) is RIG.model
 
 
 def test_a_model_comes_from_a_model_or_a_design(tmp_path: Path) -> None:

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fracsys
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._identify import (
-    MotorFit,
     design_experiment,
     identify,
     identify_motor,
     simulated_torque,
 )
-from fraclink._identify.excitation import _followed, _multisine, _scaled, _Unit
-from fraclink._identify.motor import _Bumps, _judged, _narrowed
+from fraclink._identify.motor import _Bumps
 from fraclink.errors import FieldError, InfeasibleError, LogError
 from identify_cases import PERIOD
 from made_logs import example_motor_log
@@ -189,57 +185,6 @@ def test_a_held_voltage_is_integrated_exactly(delay: float) -> None:
         assert found[k] == pytest.approx(wanted, abs=2e-3 * width)
 
 
-def test_bumps_stand_where_the_motor_moves_one_way() -> None:
-    time = PERIOD * np.arange(2000)
-    angle = np.sin(2.0 * time)  # a turn every 1.57 s
-    bumps = _Bumps(angle, np.cos(5 * time), PERIOD, 15)
-    reach = 15 * PERIOD  # the bump itself: each of its velocities has the one sign
-    at = bumps.centres * PERIOD
-    speed = 2 * np.cos(2.0 * at)
-    assert np.array_equal(bumps.sign, np.sign(speed))
-    assert np.all(np.sign(2 * np.cos(2.0 * (at - reach))) == bumps.sign)
-    assert np.all(np.sign(2 * np.cos(2.0 * (at + reach))) == bumps.sign)
-    assert set(np.diff(bumps.places)) >= {3}  # a quarter of a half bump
-    # Integrals by parts are those of the derivatives themselves.
-    fine = np.linspace(-1, 1, 4001)
-    area = np.trapezoid(bump(fine), fine) * 15 * PERIOD
-    assert bumps.area == pytest.approx(area, rel=1e-6)
-    for name, part in (
-        ("velocity", lambda x: 2 * np.cos(x)),
-        ("acceleration", lambda x: -4 * np.sin(x)),
-    ):
-        wanted = [
-            np.trapezoid(bump(fine) * part(2.0 * (t + 15 * PERIOD * fine)), fine)
-            * 15
-            * PERIOD
-            for t in at[::40]
-        ]
-        assert getattr(bumps, name)[::40] == pytest.approx(wanted, rel=1e-3, abs=1e-5)
-    assert bumps.load is not None
-    loads = [
-        np.trapezoid(bump(fine) * np.cos(5 * (t + 15 * PERIOD * fine)), fine)
-        * 15
-        * PERIOD
-        for t in at[::40]
-    ]
-    assert bumps.load[::40] == pytest.approx(loads, rel=1e-4, abs=1e-6)
-
-
-def test_the_columns_of_the_regression() -> None:
-    u = np.random.default_rng(1).normal(size=1200)
-    columns = MOVING.matrix(u, 0.002, 0.3)
-    beyond = np.where(u > 0.3, u - 0.3, np.where(u < -0.3, u + 0.3, 0.0))
-    assert columns[:, 0] == pytest.approx(MOVING.driven(beyond, 0.002))
-    assert columns[:, 1] == pytest.approx(-MOVING.velocity)
-    assert columns[:, 2] == pytest.approx(-MOVING.sign * MOVING.area)
-    assert columns.shape[1] == 3
-    loaded = _Bumps(ANGLE, u, PERIOD, 15)
-    assert loaded.load is not None
-    assert loaded.matrix(u, 0.0, 0.0)[:, 3] == pytest.approx(-loaded.load)
-    rest = np.linalg.lstsq(columns, MOVING.acceleration, rcond=None)[1]
-    assert MOVING.cost(u, 0.002, 0.3) == pytest.approx(float(rest[0]), rel=1e-6)
-
-
 def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
     """An angle of many turns is the same motion: its second derivative is taken under
     the integral.
@@ -251,79 +196,6 @@ def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
     )
     for name in ("gain", "decay", "coulomb_voltage", "nmse"):
         assert getattr(away, name) == pytest.approx(getattr(here, name), rel=1e-6)
-
-
-def test_a_minimum_is_narrowed_down_to_its_edge() -> None:
-    assert _narrowed(lambda x: (x - 0.31) ** 2, 0.3, 0.1) == pytest.approx(
-        0.31, abs=1e-4
-    )
-    assert _narrowed(lambda x: (x + 1.0) ** 2, 0.05, 0.1) == 0.0  # never below zero
-    assert _narrowed(lambda x: (x - 9.0) ** 2, 0.5, 0.1) == pytest.approx(0.6, abs=1e-3)
-
-
-MOTOR = MotorFit(
-    gain=100.0, decay=5.0, coulomb_voltage=0.1, coulomb_torque=0.01, dead_zone=0.0, delay=0.0, inertia=0.001,
-    standard_errors={"gain": 1.0, "decay": 0.5, "coulomb_voltage": 0.01, "inertia": 1e-5}, nmse=0.01,
-    windows=90,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "refused"),
-    [
-        ("gain", 0.0, True),
-        ("gain", 0.1, False),
-        ("decay", -1.49, False),
-        ("decay", -1.51, True),
-        ("coulomb_voltage", -0.029, False),
-        ("coulomb_voltage", -0.031, True),
-        ("inertia", -0.001, True),
-    ],
-)
-def test_a_sign_is_impossible_beyond_three_standard_errors(
-    name: str, value: float, refused: bool
-) -> None:
-    fit = dataclasses.replace(MOTOR, **{name: value})
-    if not refused:
-        assert _judged(fit).findings == ()
-        return
-    with pytest.raises(LogError) as caught:
-        _judged(fit)
-    assert (caught.value.field, caught.value.value) == (name, value)
-    error = MOTOR.standard_errors[name] / (value**2 if name == "inertia" else 1.0)
-    assert f"standard error of {error:.3g}" in caught.value.problem
-
-
-def test_gates_of_a_motor() -> None:
-    assert _judged(MOTOR).passed
-    assert _judged(dataclasses.replace(MOTOR, nmse=0.499)).passed
-    poor = _judged(dataclasses.replace(MOTOR, nmse=0.501))
-    (finding,) = poor.findings
-    assert (finding.code, finding.evidence) == ("W331", {"nmse": 0.501, "most": 0.5})
-    assert not poor.passed
-    # 1/J is 1000 ± 340: a third of it is three of its errors, and no inertia.
-    for error, known in ((0.33e-3, True), (0.34e-3, False)):
-        vague = dataclasses.replace(
-            MOTOR, standard_errors={**MOTOR.standard_errors, "inertia": error}
-        )
-        found = _judged(vague)
-        assert found.passed
-        assert (found.inertia, found.coulomb_torque) == (
-            (0.001, 0.01) if known else (None, None)
-        )
-        assert [finding.code for finding in found.findings] == (
-            [] if known else ["W332"]
-        )
-    evidence = found.findings[0].evidence
-    assert evidence == {
-        "reciprocal": pytest.approx(1000.0),
-        "standard_error": pytest.approx(340.0),
-    }
-    # An inertia that was given has no error, and is not judged.
-    given = dataclasses.replace(
-        MOTOR, standard_errors={"gain": 1.0, "decay": 0.5, "coulomb_voltage": 0.01}
-    )
-    assert _judged(given).inertia == 0.001
 
 
 def test_errors_of_quotients_follow_from_the_covariance() -> None:
@@ -395,35 +267,6 @@ def test_the_window_sets_the_length_of_a_stretch() -> None:
 
 
 # --- the design of experiments ------------------------------------------------------------------------------
-
-
-def test_a_motor_loop_of_two_equal_poles() -> None:
-    """1/(1 + s/p)² of a held input: 1 − (1 + p t) e^(−p t) behind a step."""
-    followed = _followed(np.ones(50), 0.01, 30.0)
-    time = 0.01 * np.arange(50)
-    assert followed == pytest.approx(
-        1 - (1 + 30 * time) * np.exp(-30 * time), abs=1e-12
-    )
-    target = np.repeat([1.0, -0.5, 2.0], 40)
-    exact = fracsys.time_response(
-        1 / (1 + fracsys.s / 30.0) ** 2, target, 0.01, hold="zero"
-    ).output
-    assert _followed(target, 0.01, 30.0) == pytest.approx(exact, abs=1e-9)
-
-
-def test_a_multisine_is_flat_in_its_band() -> None:
-    time = 0.01 * np.arange(2001)
-    wave = _multisine(time, (5.0, 20.0))
-    assert np.abs(wave).max() == pytest.approx(1.0)
-    assert wave[0] == 0.0
-    lines = np.abs(np.fft.rfft(wave[:-1]))
-    w = 2 * np.pi * np.arange(lines.size) / 20.0
-    inside = (w > 5.5) & (w < 19.5)
-    assert lines[(w < 4.5) | (w > 20.5)].max() < 0.2 * np.median(lines[inside])
-    assert np.median(lines[inside]) / lines[inside].min() < 1.5
-    assert (
-        np.abs(wave).max() / wave.std() < 2.2
-    )  # Schroeder's phases: far from √(2 · 48) of equal ones
 
 
 @pytest.mark.parametrize("kind", ["prbs", "multisine"])
@@ -534,29 +377,3 @@ def test_a_log_has_two_hundred_samples() -> None:
             "duration",
             "0.8 to 4000 s",
         )
-
-
-@pytest.mark.parametrize(
-    ("limit", "reached", "named"), [(0.5, True, "none"), (0.4999, False, "deflection")]
-)
-def test_a_motion_up_to_its_limit(limit: float, reached: bool, named: str) -> None:
-    """A motion of 1 rad bends the link by 0.1 rad and leaves an error of 0.05: 0.01
-    takes 5 rad.
-    """
-    unit = _Unit(None, (1.0, 2.0), np.array([0.0, 1.0]), PERIOD, 0.05, 0.1, None)
-    design, met = _scaled(unit, 0.01, limit, None)
-    assert (met, design.limit) == (reached, named)
-    assert design.amplitude == pytest.approx(limit / 0.1)
-    assert design.standard_error == pytest.approx(0.05 / design.amplitude)
-    assert design.peak_deflection == pytest.approx(limit)
-    assert design.motor_angle.tolist() == [0.0, design.amplitude]
-    assert (design.peak_voltage, design.duration) == (None, PERIOD)
-    motor = Rig.named("paper-2023").motor
-    driven, _ = _scaled(
-        dataclasses.replace(unit, voltage=10.0 * motor.voltage_limit),
-        0.01,
-        limit,
-        motor,
-    )
-    assert (driven.limit, driven.amplitude) == ("voltage", pytest.approx(0.1))
-    assert driven.peak_voltage == pytest.approx(motor.voltage_limit)

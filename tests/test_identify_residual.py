@@ -5,7 +5,6 @@ of its log.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,21 +13,8 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from fraclink._arm.link import SecondMode
-from fraclink._identify import Fit, Interval, identify
-from fraclink._identify.fitting import (
-    _bounds,
-    _deviations,
-    _identified,
-    _tests,
-    _variances,
-    make_search,
-)
 from fraclink._identify.residual import (
     ResidualTests,
-    _noise,
-    _regressed,
-    _shows_again,
     autocovariance,
     autoregression,
     coloured_covariance,
@@ -37,10 +23,6 @@ from fraclink._identify.residual import (
     noise_behind,
     residual_tests,
 )
-from fraclink._identify.search import Solution
-from fraclink._identify.shape import Window, columns_of, largest_ratio
-from fraclink._identify.uncertainty import Uncertainty
-from identify_cases import made_log
 
 Array = NDArray[np.float64]
 
@@ -261,131 +243,4 @@ def test_a_residual_that_follows_the_motor_is_told_from_one_that_does_not() -> N
 # --- the second mode ----------------------------------------------------------------------------------------
 
 
-def test_a_regression_knows_its_error() -> None:
-    """Over forty noises the scatter of the coefficient is its standard error, colour
-    allowed for.
-    """
-    response = np.sin(0.05 * np.arange(1500))
-    for correlation in (0.0, 0.8):
-        found = np.array(
-            [
-                _regressed(
-                    0.3 * response + wandering(1500, correlation, seed), response
-                )
-                for seed in range(40)
-            ]
-        )
-        assert abs(found[:, 0].mean() - 0.3) < 3 * found[:, 0].std() / math.sqrt(40)
-        assert 0.6 < np.median(found[:, 1]) / found[:, 0].std() < 1.6
-    exact, error = _regressed(0.3 * response, response)
-    assert (exact, error) == (pytest.approx(0.3), pytest.approx(0.0, abs=1e-12))
-
-
-def test_noise_as_a_high_frequency_meets_it() -> None:
-    white = np.random.default_rng(0).normal(0, 0.2, 50_000)
-    assert _noise(white) == pytest.approx(0.2, rel=0.02)
-    slow = (
-        5.0 * np.sin(0.001 * np.arange(50_000)) + 3.0
-    )  # a misfit that no fast mode has
-    assert _noise(white + slow) == pytest.approx(0.2, rel=0.02)
-
-
-def test_a_mode_must_show_again_in_what_was_held_out() -> None:
-    """Of the same sign, three standard errors large and within a factor of three."""
-    period, count = 0.004, 3000
-    angle = np.asarray(
-        lfilter(
-            [0.1], [1, -0.9], np.repeat(np.random.default_rng(1).normal(size=60), 50)
-        )
-    )
-    window = Window(angle[:1800], np.zeros(1800), period, "first")
-    place = np.array([2.0, math.log(80.0), 0.02, 1.0, 0.0])
-    whole = Window(angle, np.zeros(count), period, "first")
-    mode = columns_of(whole.kernel(80.0, longest_delay=0.0), place)[0]
-    noise = 0.05 * float(mode.std()) * np.random.default_rng(2).normal(size=count)
-
-    def again(size: float, loud: float = 1.0) -> bool:
-        return _shows_again(window, place, 1.0, angle, size * mode + loud * noise)
-
-    assert again(1.0) and again(2.9) and again(0.35)
-    assert not again(3.1) and not again(0.32) and not again(-1.0) and not again(0.0)
-    assert not again(1.0, loud=500.0)  # it drowns
-    short = Window(angle[:2950], np.zeros(2950), period, "first")
-    assert _shows_again(
-        short, place, 1.0, angle, noise
-    )  # fifty samples show nothing, and refuse nothing
-
-
 # --- what a fit makes of its log ----------------------------------------------------------------------------
-
-
-def made_fit(**changes: object) -> Fit:
-    log = made_log(noise=0.05, samples=1501)
-    return replace(identify(log, "UD-FOM", details=False), **changes)  # type: ignore[arg-type]
-
-
-def test_what_the_log_showed_travels_in_the_model() -> None:
-    intervals = {
-        "order": Interval(1.9, 1.94, False, False),
-        "delay": Interval(0.001, 0.003, False, False),
-    }
-    mode = SecondMode(80.0, 0.4, 0.02)
-    fit = made_fit(
-        gain=-1.5, delay=0.002, intervals=intervals, standard_errors={"gain": 0.01}
-    )
-    model = _identified(fit, (mode, None), None)
-    assert (model.stiffness, model.gauge_gain, model.gauge_delay) == (1.5, 1.0, 0.002)
-    assert (model.second_mode, model.unseen_up_to) == (mode, None)
-    assert model.interval("order") == (1.9, 1.94)
-    assert model.interval("gauge_delay") == (0.001, 0.003)
-    assert model.interval("delay") is None
-    assert model.interval("stiffness") == (
-        pytest.approx(1.5 - 0.0196),
-        pytest.approx(1.5 + 0.0196),
-    )
-    bent = replace(fit, output_kind="deflection")
-    for stiffness, wanted in ((2.5, 2.5), (None, 1.0)):
-        deflection = _identified(bent, (None, 321.0), stiffness)
-        assert (deflection.stiffness, deflection.gauge_gain) == (wanted, 1.5)
-        assert deflection.interval("gauge_gain") == (
-            pytest.approx(1.4804),
-            pytest.approx(1.5196),
-        )
-        assert deflection.interval("stiffness") is None
-        assert deflection.unseen_up_to == 321.0
-    bare = _identified(replace(fit, intervals={}), (None, None), None)
-    assert bare.intervals == ()
-    unknown = _identified(replace(fit, standard_errors={}), (None, None), None)
-    assert unknown.interval("stiffness") is None
-    assert _identified(replace(fit, gain=0.0), (None, None), None).stiffness == 1e-12
-
-
-def test_colour_widens_and_never_narrows() -> None:
-    white, coloured = np.diag([1.0, 4.0]), np.diag([9.0, 1.0])
-    errors = Uncertainty(("order", "gain"), white, coloured, 5, 2.0, False, 0.01)
-    assert _variances(errors, True).tolist() == [9.0, 4.0]
-    assert _variances(errors, False).tolist() == [1.0, 4.0]
-    assert _variances(replace(errors, coloured=None), True).tolist() == [1.0, 4.0]
-    assert _deviations(("a", "b"), np.array([9.0, -1e-20])) == {"a": 3.0, "b": 0.0}
-    log = made_log(noise=0.05, samples=1501)
-    search = make_search(
-        log, heldout=0.0, stiffness=None, fixed=None, guess=None, hold="auto"
-    )
-    tests = _tests(search, np.random.default_rng(0).normal(size=1501), errors)
-    assert tests.variance_inflation == 9.0
-    assert tests.correlation_time == pytest.approx(5 * 0.004)
-    assert (
-        _tests(search, np.ones(1501), replace(errors, coloured=None)).variance_inflation
-        == 1.0
-    )
-
-
-def test_bounds_are_named_in_the_order_of_the_coordinates() -> None:
-    low, high = np.array([1.0, 0.0, 0.0, 0.1, 0.0]), np.array([2.0, 5.0, 0.9, 1.9, 0.1])
-    made = Solution(
-        "D-FOM", (1, 2, 3, 4), low.copy(), 1.0, 0.0, 1.0, np.eye(8), low, high, 0, 1
-    )
-    assert _bounds(made) == ("natural_frequency", "damping", "damping_order", "delay")
-    edge = np.array([2.0, 2.0, largest_ratio(0.5), 0.5, 0.05])
-    assert _bounds(replace(made, shape=edge)) == ("natural_frequency",)
-    assert _bounds(replace(made, shape=edge, free=(1, 2, 4))) == ()

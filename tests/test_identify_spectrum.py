@@ -15,8 +15,7 @@ from fraclink._identify import (
     frequency_response,
     identify_frequency_response,
 )
-from fraclink._identify.modal import ModalProblem, _levy, _places, _prominent, _seen
-from fraclink._identify.spectrum import _findings, _standing_out
+from fraclink._identify.modal import ModalProblem
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
 from shared_data import shared_data
@@ -232,21 +231,6 @@ def test_spectra_need_equal_lengths() -> None:
         frequency_response(np.ones(64), np.ones(63))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_linear_least_squares_return_an_exact_ratio(seed: int) -> None:
-    """Levy's fit of a rational function of its own degrees is that function, whatever
-    the weights.
-    """
-    g = np.random.default_rng(seed)
-    top, bottom = g.normal(size=3), np.concatenate([[1.0], g.uniform(0.5, 2.0, 3)])
-    x = (1j * np.geomspace(0.1, 10.0, 60)) ** 0.9
-    response = np.polyval(top, x) / np.polyval(bottom, x)
-    found = _levy(x, response, g.uniform(0.5, 2.0, 60), 2, 3)
-    np.testing.assert_allclose(found[0], top, rtol=1e-8)
-    np.testing.assert_allclose(found[1], bottom, rtol=1e-8)
-    assert found[2] < 1e-10
-
-
 # --- the pieces against closed forms ------------------------------------------------------------------------
 
 
@@ -270,60 +254,6 @@ def test_lines_of_whole_periods() -> None:
     assert (caught.value.field, caught.value.allowed) == (
         "output",
         ">= 16 samples of each",
-    )
-
-
-def test_lines_that_stand_out_from_their_neighbours() -> None:
-    rng = np.random.default_rng(0)
-    error = (
-        rng.normal(size=60) + 1j * rng.normal(size=60) + np.linspace(0, 4, 60)
-    )  # a smooth misfit
-    for size, told in ((30.0, [30]), (3.0, [])):
-        spoilt = error.copy()
-        spoilt[30] += size * 1j
-        assert np.flatnonzero(_standing_out(0.01 * spoilt)).tolist() == told
-    edges = rng.normal(size=60) + 0j
-    edges[[0, 59]] += 40.0
-    assert np.flatnonzero(_standing_out(edges)).tolist() == [0, 59]
-
-
-def test_prominence_is_the_height_over_the_saddle() -> None:
-    level = np.array([0.0, 3.0, 1.0, 5.0, 4.5, 4.8, 2.0, 2.5, 0.0])
-    assert _prominent(level, 1) == [3]
-    assert _prominent(level, 2) == [
-        1,
-        3,
-    ]  # 2 over its saddle; the peak at 5 stands 0.3 over its own
-    assert _prominent(level, 3) == [1, 3, 7]
-    assert _prominent(level, 9) == [1, 3, 5, 7]
-    assert _prominent(np.array([1.0, 2.0, 2.0, 1.0]), 3) == [1]  # a plateau is one peak
-    assert _prominent(np.array([3.0, 2.0, 1.0]), 3) == []
-
-
-def test_peaks_and_dips_by_eye() -> None:
-    w = np.geomspace(1.0, 100.0, 400)
-    s = 1j * w
-    response = (s**2 + 0.6 * s + 15.0**2) / (
-        (s**2 + 0.5 * s + 6.0**2) * (s**2 + 1.2 * s + 40.0**2)
-    )
-    found = _seen(w, response, 2, 1)
-    assert len(found) == 1
-    assert np.exp(found[0]) == pytest.approx([6.0, 40.0, 15.0], rel=0.02)
-    level = np.abs(response)
-    level[200] *= 50  # a single line of hum is no peak
-    for places in _seen(w, level + 0j, 2, 1):
-        assert np.exp(places[:2]) == pytest.approx([6.0, 40.0], rel=0.02)
-
-
-def test_roots_of_a_polynomial_in_s_to_the_order() -> None:
-    """x² + 5 x + 4 = (x + 1)(x + 4) with x = (s/3)^1.8: frequencies 3 and 3·4^(1/1.8)."""
-    found = np.exp(_places(np.array([1.0, 5.0, 4.0]), 1.8, 3.0))
-    assert found == pytest.approx([3.0, 3.0 * 4.0 ** (1 / 1.8)])
-    assert np.exp(_places(np.array([0.0, 0.0, 4.0]), 1.8, 3.0)) == pytest.approx(
-        [3.0, 3.0]
-    )
-    assert np.exp(_places(np.array([0.0, 1.0, 4.0]), 1.8, 3.0)) == pytest.approx(
-        [3.0 * 4.0 ** (1 / 1.8), 3.0]
     )
 
 
@@ -423,56 +353,6 @@ GOOD = SpectrumFit(
     False,
     np.ones(2),
 )
-
-
-@pytest.mark.parametrize(
-    ("changes", "codes"),
-    [
-        ({}, []),
-        ({"fit": 50.1}, []),
-        ({"fit": 49.9}, ["W341"]),
-        ({"resonances": (40.0,)}, []),
-        ({"resonances": (40.01,)}, ["W342"]),
-        ({"resonances": (0.99,)}, ["W342"]),
-        ({"standard_errors": {"resonance 1": 0.89}}, []),
-        ({"standard_errors": {"resonance 1": 0.91}}, ["W343"]),
-        ({"standard_errors": {"resonance 1": float("nan")}}, ["W343"]),
-        ({"delay": 0.499}, []),
-        ({"delay": 0.4999}, ["W344"]),
-        ({"delay": -0.4999}, ["W344"]),
-        ({"at_bound": True}, []),
-        ({"at_bound": True, "order": 1.0}, ["W345"]),
-        ({"gain": -1.5}, ["W346"]),
-        (
-            {
-                "gain": -1.5,
-                "anti_resonances": (5.0,),
-                "standard_errors": {"resonance 1": 0.1, "anti-resonance 1": 0.1},
-            },
-            [],
-        ),
-    ],
-)
-def test_gates_of_a_response_at_their_thresholds(
-    changes: dict[str, object], codes: list[str]
-) -> None:
-    found = list(_findings(replace(GOOD, **changes), FREQUENCY))  # type: ignore[arg-type]
-    assert [finding.code for finding in found] == codes
-    assert all(finding.severity == "error" for finding in found)
-
-
-def test_evidence_of_the_gates() -> None:
-    def evidence(**changes: object) -> object:
-        (finding,) = _findings(replace(GOOD, **changes), FREQUENCY)  # type: ignore[arg-type]
-        return dict(finding.evidence)
-
-    assert evidence(fit=12.0) == {"fit_percent": 12.0, "least": 50.0}
-    assert evidence(resonances=(50.0,)) == {"place": 50.0, "low": 1.0, "high": 40.0}
-    vague = evidence(standard_errors={"resonance 1": 1.8})
-    assert vague == {"place": 9.0, "relative_error": pytest.approx(0.2), "most": 0.1}
-    assert evidence(delay=0.5) == {"delay": 0.5, "bound": 0.5}
-    assert evidence(at_bound=True, order=1.0) == {"order": 1.0}
-    assert evidence(gain=-2.0) == {"gain": -2.0}
 
 
 def test_a_link_of_one_resonance() -> None:

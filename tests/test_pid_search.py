@@ -10,41 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 import fraclink as fl
-from fraclink._design import pid_search
-from fraclink._design.pid import _of_law, _problem
-from fraclink._design.pid_search import Candidates, PidProblem, itae
+from fraclink._design.pid_search import Candidates
 from fraclink.errors import FieldError, InfeasibleError
-from fracsys._fractional import FractionalTransferFunction, s
+from fracsys._fractional import s
 
 LAG = (1 / (0.4 * s**1.5 + 1)).delayed(0.05)
-SCAN = np.geomspace(1e-3, 1e3, 480)
-
-
-def problem(
-    plant: FractionalTransferFunction, form: Any = "PID", **changes: Any
-) -> PidProblem:
-    asked: dict[str, Any] = {
-        "phase_margin": fl.deg(60),
-        "gain_crossover": 2.0,
-        "flat_phase": True,
-    }
-    asked |= dict.fromkeys(
-        (
-            "gain_margin",
-            "max_sensitivity",
-            "integral_order",
-            "derivative_order",
-            "filter_time",
-        )
-    )
-    return _problem(plant, form, **(asked | changes))
-
-
-def curve(loop: FractionalTransferFunction) -> np.ndarray:
-    return np.asarray(loop(1j * SCAN))[None, :]
 
 
 def one(kp: float, ki: float = 0.0, kd: float = 0.0, **changes: float) -> Candidates:
@@ -62,110 +34,7 @@ def one(kp: float, ki: float = 0.0, kd: float = 0.0, **changes: float) -> Candid
 # --- one loop on the scan -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("loop", "origin", "stable"),
-    [
-        (2 / (s + 1), 0.0, True),
-        (0.5 / (s * (s + 1)), 1.0, True),
-        (7.9 / (s + 1) ** 3, 0.0, True),
-        (8.1 / (s + 1) ** 3, 0.0, False),
-        ((s + 0.1) / s**2 / (0.1 * s + 1), 2.0, True),
-        ((s + 11.0) / s**2 / (0.1 * s + 1), 2.0, False),
-        (1 / s**0.5, 0.5, True),
-    ],
-)
-def test_turns_of_the_curve_tell_stability(
-    loop: FractionalTransferFunction, origin: float, stable: bool
-) -> None:
-    assert bool(pid_search._stable(curve(loop), np.array([origin]))[0]) is stable
-
-
-def test_margins_between_the_points_of_the_scan() -> None:
-    """a/s crosses at a with 90°; a/(s + 1)³ reaches −180° at √3, where it is a/8."""
-    assert pid_search._least_margin(curve(1.7 / s))[0] == pytest.approx(
-        0.5 * math.pi, abs=1e-6
-    )
-    assert (
-        pid_search._least_margin(curve(0.5 / (s + 1)))[0] == math.pi
-    )  # never reaches one
-    assert pid_search._least_gain_margin(curve(2 / (s + 1) ** 3))[0] == pytest.approx(
-        4.0, rel=1e-3
-    )
-    assert pid_search._least_gain_margin(curve(16 / (s + 1) ** 3))[0] == pytest.approx(
-        2.0, rel=1e-3
-    )
-    assert pid_search._least_gain_margin(curve(1 / (s + 1)))[0] == pytest.approx(
-        math.exp(300.0)
-    )
-    # −180° to +180° on the side away from −1 is no passage: 1/(s+1)⁵ with its phase
-    # from 0° to −450°
-    both = pid_search._least_gain_margin(curve(1 / (s + 1) ** 5))[0]
-    assert both == pytest.approx((1 + math.tan(math.pi / 5) ** 2) ** 2.5, rel=1e-3)
-
-
-def test_itae_of_an_exponential() -> None:
-    """P = 1/s with C = k: e = exp(−kt), ∫ t e dt = (1 − (1 + kT) exp(−kT))/k²."""
-    for gain, horizon in ((1.0, 20.0), (3.0, 5.0)):
-        found = itae(problem(1 / s), one(gain, crossover=gain), horizon)[0]
-        exact = (1 - (1 + gain * horizon) * math.exp(-gain * horizon)) / gain**2
-        assert found == pytest.approx(exact, rel=2e-4)
-    # and with an error that changes its sign: P = 1/(s(s + 1)), C = 4
-    root = math.sqrt(3.75)
-
-    def error(t: float) -> float:
-        return math.exp(-t / 2) * (math.cos(root * t) + 0.5 / root * math.sin(root * t))
-
-    exact = sum(
-        quad(lambda t: t * abs(error(t)), a, b, limit=200)[0]
-        for a, b in ((0, 5), (5, 10), (10, 20))
-    )
-    found = itae(problem(1 / (s * (s + 1))), one(4.0, crossover=2.0), 20.0)[0]
-    assert found == pytest.approx(exact, rel=2e-3)
-
-
 # --- candidates ---------------------------------------------------------------------------------------------
-
-
-def test_gains_solve_the_equations_of_crossover_margin_and_slope() -> None:
-    asked = problem(LAG)
-    found = asked.solved(
-        np.array([0.9]), np.array([0.6]), np.array([-0.1]), np.array([3.0])
-    )
-    assert found.count == 1
-    c = found.controller(0)
-    assert c.filter_time == pytest.approx(1 / (20.0 * 3.0))
-    assert (c.integral_order, c.derivative_order) == (0.9, 0.6)
-
-    def loop(w: float) -> complex:
-        return complex(c.response(w) * LAG(1j * w))
-
-    assert abs(loop(3.0)) == pytest.approx(1.0, rel=1e-12)
-    assert np.angle(-loop(3.0)) == pytest.approx(fl.deg(60), abs=1e-12)
-    step = 1e-4
-    turn = np.angle(loop(3.0 * math.exp(step)) / loop(3.0 * math.exp(-step))) / (
-        2 * step
-    )
-    assert turn == pytest.approx(-0.1, abs=1e-6) == found.slope[0]
-    # at complex points of the right half plane it is the same function
-    point = np.array([0.3 + 2.0j])
-    assert found.response(point)[0, 0] == pytest.approx(
-        complex(c.transfer()(point[0])), rel=1e-12
-    )
-
-
-def test_candidates_with_a_negative_gain_or_without_a_solution_are_left_out() -> None:
-    asked = problem(LAG)
-    lam, mu = np.array([1.0, 0.9]), np.array([0.6, 0.6])
-    slope, crossover = np.array([50.0, -0.1]), np.array([3.0, 3.0])
-    assert asked.solved(lam, mu, slope, crossover).integral_order.tolist() == [0.9]
-    pi = problem(LAG, "PI", flat_phase=False)
-    kept = pi.solved(np.array([1.0]), np.ones(1), np.zeros(1), np.array([1.5]))
-    assert kept.count == 1 and kept.gains[0, 2] == 0.0
-    pd = problem(1 / (s * (s + 1)), "PD", flat_phase=False)
-    assert (
-        pd.solved(np.ones(1), np.ones(1), np.zeros(1), np.array([2.0])).gains[0, 1]
-        == 0.0
-    )
 
 
 def test_a_part_without_gain_has_the_order_one_and_no_filter() -> None:
@@ -181,53 +50,6 @@ def test_a_part_without_gain_has_the_order_one_and_no_filter() -> None:
         0.8,
         0.1,
     )
-
-
-def test_admitted_are_those_that_keep_every_bound() -> None:
-    """P = 1/(s + 1)³ and C = k: unstable from 8, gain margin 8/k."""
-    plant = 1 / (s + 1) ** 3
-    gains = np.array([[k, 0.0, 0.0] for k in (1.5, 3.0, 9.0)])
-    ones = np.ones(3)
-    found = Candidates(gains, ones, ones, 0 * ones, ones, 0 * ones)
-    kept = replace(problem(plant), phase_margin=fl.deg(20))
-    assert kept.admitted(found).gains[:, 0].tolist() == [1.5, 3.0]
-    assert replace(kept, gain_margin=3.0).admitted(found).gains[:, 0].tolist() == [1.5]
-    assert replace(kept, phase_margin=fl.deg(70)).admitted(found).gains[
-        :, 0
-    ].tolist() == [1.5]
-    # Ms of k = 1.5 is 1.56, of k = 3 it is 2.6
-    w = np.linspace(0.01, 5, 5001)
-    peaks = [float(np.max(1 / np.abs(1 + k * plant(1j * w)))) for k in (1.5, 3.0)]
-    assert replace(kept, max_sensitivity=0.5 * sum(peaks)).admitted(found).gains[
-        :, 0
-    ].tolist() == [1.5]
-    assert replace(kept, max_sensitivity=1.1 * peaks[1]).admitted(found).count == 2
-    assert kept.admitted(found[np.zeros(3, dtype=bool)]).count == 0
-
-
-def test_the_scan_is_dense_about_the_plants_own_modes() -> None:
-    plain, sharp = problem(1 / (s + 1)), problem(1 / (s**2 + 0.02 * s + 25))
-    assert plain.scan.size == 480 and sharp.scan.size == 480 + 32
-    assert (plain.scan[0], plain.scan[-1]) == (pytest.approx(2e-3), pytest.approx(2e3))
-    near = sharp.scan[np.abs(sharp.scan / 5.0 - 1.0) < 2e-4]
-    assert near.size >= 2
-    inner = (0.5 / (s + 1)).delayed(0.1)
-    assert (
-        problem(inner / (1 + inner)).scan.size == 480
-    )  # a delay in the denominator: no list of poles
-
-
-def test_the_origin_has_the_orders_of_plant_and_integral() -> None:
-    both = Candidates(
-        np.array([[1.0, 2.0, 0.0], [1.0, 0.0, 0.0]]),
-        *(np.full(2, 0.7) for _ in range(5)),
-    )
-    assert problem(1 / (s * (s + 1)))._origin(both).tolist() == [1.7, 1.0]
-    assert problem(s / (s + 1) ** 2)._origin(both).tolist() == [
-        0.0,
-        0.0,
-    ]  # a zero at the origin is no pole
-    assert problem(1 / (s + 1))._origin(both).tolist() == [0.7, 0.0]
 
 
 # --- what is refused, in words ------------------------------------------------------------------------------
@@ -287,22 +109,6 @@ def test_what_a_pd_leaves_of_a_step() -> None:
     )
     gone = fl.tune_pid(s * plant, **asked, phase_margin=fl.deg(77.5)).findings
     assert gone[0].evidence["lasting error, %"] == 100.0  # nothing gets through at rest
-
-
-def test_a_crossover_is_looked_for_below_where_the_delay_alone_turns_half_round() -> (
-    None
-):
-    asked = problem(LAG, gain_crossover=None)
-    assert asked.crossovers == (
-        pytest.approx(1e-3 * math.pi / 0.05),
-        pytest.approx(math.pi / 0.05),
-    )
-    grid = pid_search.crossover_grid(asked)
-    assert grid.size == 24 and (grid[0], grid[-1]) == pytest.approx(asked.crossovers)
-    with pytest.raises(
-        FieldError, match="gain_crossover: left out for a plant without a delay"
-    ):
-        problem(1 / (s + 1), gain_crossover=None)
 
 
 @pytest.mark.slow
@@ -528,32 +334,4 @@ def test_the_margins_of_the_shipped_law_count_a_period_of_computation(
     assert abs(loop(found.gain_crossover)) == pytest.approx(1.0, rel=1e-6)
     assert found.phase_margin == pytest.approx(
         float(np.angle(-loop(found.gain_crossover))), abs=1e-6
-    )
-
-
-@pytest.mark.slow
-def test_what_the_shipped_law_keeps_is_told_by_how_much(
-    made: fl.extend.PidTuning,
-) -> None:
-    """The same law on plants that are louder than the one it was tuned for."""
-    kept = abs(
-        made.sampled_margins(
-            made.law(output_limit=1.0, measurement_limit=1.0)
-        ).phase_margin
-    )
-    assert math.degrees(kept) == pytest.approx(60.0, abs=1.0) and not made.findings
-    (loud,) = _of_law(replace(made, plant=20.0 * made.plant))
-    assert (loud.code, loud.severity) == ("W422", "error")
-    assert loud.message == "the loop of the shipped law is not stable"
-    more = replace(made, phase_margin=kept + fl.deg(1.1))
-    (less,) = _of_law(more)
-    assert (less.code, less.severity) == ("W422", "warning")
-    assert less.evidence == pytest.approx(
-        {"asked, °": math.degrees(kept) + 1.1, "kept, °": math.degrees(kept)}, abs=1e-9
-    )
-    assert not _of_law(replace(made, phase_margin=kept + fl.deg(0.9)))
-    (half,) = _of_law(replace(made, phase_margin=2.01 * kept))
-    assert (
-        half.severity == "error"
-        and _of_law(replace(made, phase_margin=1.99 * kept))[0].severity == "warning"
     )

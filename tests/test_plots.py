@@ -11,7 +11,6 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import control
@@ -364,73 +363,6 @@ def test_shares_of_the_phase_stack_up_to_the_margin_in_the_colour_of_their_sign(
 # --- places and limits of what is drawn -------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_times_of_a_run_are_counted_in_logarithmic_bins() -> None:
-    run: Any = SimpleNamespace(
-        period=0.004, latency=np.array([1e-5, 2e-5, 0.0, 0.009]), work=np.full(4, 1e-4)
-    )
-    axis = plots.latency(run)
-    edges = [bar.get_x() for bar in axis.containers[0]] + [
-        axis.containers[0][-1].get_x() + axis.containers[0][-1].get_width()
-    ]
-    assert (edges[0], edges[-1], len(edges)) == (
-        pytest.approx(0.1),
-        pytest.approx(2 * 9000.0),
-        80,
-    )
-    ratios = np.array(edges[1:]) / np.array(edges[:-1])
-    assert np.ptp(ratios) < 1e-6
-    assert [sum(bar.get_height() for bar in group) for group in axis.containers] == [
-        4,
-        4,
-    ]
-    assert (
-        axis.containers[0][0].get_height() == 1
-    )  # no time at all counts as the smallest
-    assert axis.get_ylim() == (0.5, 10.0) and (
-        axis.get_xscale(),
-        axis.get_yscale(),
-    ) == ("log", "log")
-    assert [text.get_text() for text in axis.get_legend().get_texts()] == [
-        "wake-up latency",
-        "computing time",
-        "period",
-    ]
-    many: Any = SimpleNamespace(
-        period=0.004, latency=np.full(1000, 1e-5), work=np.full(1000, 1e-4)
-    )
-    assert plots.latency(many).get_ylim() == (
-        0.5,
-        10_000.0,
-    )  # room above a bar of a thousand
-    nothing: Any = SimpleNamespace(
-        period=0.004, latency=np.array([]), work=np.array([])
-    )
-    assert plots.latency(nothing).get_ylim() == (0.5, 10.0)
-
-
-def test_a_map_of_requests_has_its_orders_noise_and_settling() -> None:
-    noise = np.array([[0.4, 3.0], [8.0, np.nan]])
-    found: Any = SimpleNamespace(
-        gain_crossover=np.array([10.0, 20.0]),
-        phase_margin=np.radians([40.0, 60.0]),
-        order=np.array([[0.5, 0.6], [0.7, np.nan]]),
-        noise_gain=noise,
-        settling_time=2 * math.pi / np.array([[10.0, 20.0], [10.0, 20.0]]),
-    )
-    axis = plots.feasibility(found)
-    mesh = axis.collections[0]
-    assert mesh.get_array().compressed().tolist() == [0.5, 0.6, 0.7]
-    assert (axis.get_xlim(), axis.get_ylim()) == (
-        (5.0, 25.0),
-        pytest.approx((30.0, 70.0)),
-    )
-    assert axis.figure.axes[-1].get_ylabel() == "β"
-    labels = {text.get_text() for text in axis.texts}
-    assert any(text.startswith("noise ") for text in labels) and "0.4 s" in labels
-    assert mpl.colors.to_hex(axis.get_facecolor()) == colours()["faint"]
-
-
 def test_steps_are_drawn_until_their_slowest_pole_has_decayed() -> None:
     for system, wanted in (
         (1 / (s + 2), 4.0),
@@ -664,50 +596,6 @@ def test_a_response_of_given_frequencies_has_a_gap_at_a_pole() -> None:
     assert np.degrees(over.phase) == pytest.approx(
         [0.0, 0.0, -180.0, -180.0]
     )  # across a pole it falls
-
-
-def test_margins_of_every_kind_have_a_style_of_their_own() -> None:
-    def curve(kind: str) -> Any:
-        return SimpleNamespace(
-            kind=kind, payload=[0.02, 0.04], phase_margin=np.radians([40.0, 60.0])
-        )
-
-    kinds = ("ideal", "motor", "loop", "sampled", "other")
-    axis = plots.margins_against_payload(
-        [curve(kind) for kind in kinds], payloads=(0.02, 0.04), wanted=0.5
-    )
-    drawn = {line.get_label(): line for line in axis.get_lines()}
-    names = (
-        "L: Ĉ·G alone",
-        "LM: with filter and M(s)",
-        "with hold and delay, too",
-        "sampled, with the shipped law",
-    )
-    assert [drawn[name].get_linestyle() for name in names] == [":", "--", "-", "None"]
-    assert drawn[names[3]].get_marker() == "." and "other" in drawn
-    assert mpl.colors.to_hex(drawn[names[3]].get_color()) == colours()["ink"]
-    levels = sorted(float(line.get_ydata()[0]) for line in axis.get_lines() if len(set(line.get_xdata())) == 2
-                    and list(line.get_xdata()) == [0, 1])  # fmt: skip
-    assert levels == pytest.approx([0.0, math.degrees(0.5)])
-    (shade,) = axis.patches
-    assert (shade.get_x(), shade.get_width()) == pytest.approx((20.0, 20.0))
-
-
-def test_no_arrow_bridges_what_is_not_seen() -> None:
-    """Half of the seen length ends where the curve comes back from outside."""
-    from fraclink.view._planes import _arrows
-
-    told: list[Any] = []
-    axis = SimpleNamespace(
-        annotate=lambda text, xy, xytext, arrowprops: told.append((xytext, xy))
-    )
-    inside = np.array([0, 1, 2, 3, 4]) + 0j
-    back = np.array([4j, 3j, 2j, 1j, 0j])
-    _arrows(axis, np.concatenate([inside, [50.0], back]), "red", 10.0)
-    assert told == [((3.0, 0.0), (4.0, 0.0)), ((0.0, 4.0), (0.0, 3.0))]
-    told.clear()
-    _arrows(axis, np.array([0.0, 1.0, 2.0]) + 0j, "red", 10.0)
-    assert told == []  # too few points for a direction
 
 
 def test_a_plot_leaves_the_parameters_of_matplotlib_alone(tmp_path: Path) -> None:

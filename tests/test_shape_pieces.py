@@ -7,19 +7,13 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._arm.shapers import shaper_impulses
 from fraclink._simulate import Sensors, Twin
-from fraclink._simulate import shape as shape_module
-from fraclink._simulate import shaped_move as move_module
 from fraclink._simulate.shape_programme import (
     SIGNALS,
     MoveBounds,
@@ -33,11 +27,9 @@ from fraclink._simulate.shape_programme import (
     without_friction,
 )
 from fraclink._simulate.shaped_move import (
-    Candidate,
     Measured,
     MoveSetting,
     ShapedMove,
-    candidates,
     settling,
 )
 from fraclink.errors import FieldError
@@ -48,7 +40,6 @@ PERIOD = 0.004
 MODEL = RIG.model
 assert MODEL is not None
 
-Real = NDArray[np.float64]
 FREE = MoveBounds({"voltage": 100.0}, velocity=100.0, acceleration=1000.0)
 
 
@@ -281,129 +272,6 @@ def test_payloads_stand_so_near_that_the_frequency_changes_by_a_tenth(
     assert made.vibration == pytest.approx(2 * math.pi / abs(MODEL.pole.imag))
 
 
-def setting(**own: Any) -> MoveSetting:
-    made = MoveSetting(
-        law(), ShapedArm(RIG, MODEL, None), MODEL, (0.02, 0.04), False, None
-    )
-    return replace(made, **own)
-
-
-def test_bounds_leave_room_for_noise_friction_and_guards(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked = []
-    noise = dict(zip(SIGNALS, (1e-3, 0.1, 1e-3, 0.02, 0.01), strict=True))
-
-    def responses(
-        law: Any, arm: Any, payloads: Any, duration: float, *, told: bool
-    ) -> Responses:
-        asked.append((payloads, duration, told))
-        return direct()
-
-    monkeypatch.setattr(move_module, "responses_of", responses)
-    monkeypatch.setattr(move_module, "noise_of", lambda *_, told: noise)
-    made = setting()
-    limits, drive = made.law.limits, made.law.drive
-    assert drive is not None
-    found, left = made.programme(8.0, 3.0, 0.5)
-    assert asked == [(made.between(4), pytest.approx(8 * made.vibration), False)]
-    assert left == pytest.approx(4.5 * 0.1 + drive.coulomb_voltage)
-    assert found.bounds.signals == pytest.approx(
-        {
-            "voltage": 8.0 - left,
-            "motor_speed": 3.0 - 4.5 * 0.02,
-            "torque": 0.5 - 4.5 * 0.01,
-            "motor_step": 0.95 * limits.motor_step - 4.5e-3,
-        }
-    )
-    assert found.bounds.velocity == pytest.approx(0.95 * limits.reference_step / PERIOD)
-    assert found.bounds.acceleration == pytest.approx(0.95 * limits.acceleration_limit)
-    assert found.knot == max(1, round(made.vibration / 0.12))
-    wide, _ = made.programme(8.0, None, None)
-    assert "motor_speed" not in wide.bounds.signals
-    torque = min(4.0, 0.95 * limits.torque_limit) - 0.045
-    assert wide.bounds.signals["torque"] == pytest.approx(torque)
-    made.longer(found, 4)
-    assert asked[-1] == (made.between(4), pytest.approx(32 * made.vibration), False)
-    for options, field in (
-        ((left, None, None), "voltage"),
-        ((8.0, 0.09, None), "speed"),
-        ((8.0, None, 0.045), "torque"),
-    ):
-        with pytest.raises(
-            FieldError, match=f"{field}: less than noise and friction take"
-        ):
-            made.programme(*options)
-
-
-def test_a_setting_takes_the_middle_payload_and_refuses_none() -> None:
-    design: Any = SimpleNamespace(rig=RIG, model=MODEL, payloads=(0.02, 0.04), law=law)
-    made = MoveSetting.of(design, None, True, None, 0.05)
-    assert made.payloads == (0.02, 0.04) and made.told and made.gauge_offset == 0.05
-    assert (
-        made.link.payload == pytest.approx(math.sqrt(0.0008))
-        and made.law.drive == law().drive
-    )
-    assert MoveSetting.of(
-        design, (0.01, 0.09), False, None, None
-    ).link.payload == pytest.approx(0.03)
-    unknown: Any = SimpleNamespace(
-        rig=RIG, model=replace(MODEL, payload=None), payloads=(0.02, 0.04), law=law
-    )
-    assert MoveSetting.of(unknown, None, False, None, None).link is unknown.model
-    with pytest.raises(FieldError, match="payloads: no payload"):
-        MoveSetting.of(design, (0.0, 0.04), False, None, None)
-
-
-def test_the_worst_of_all_payloads_and_noises_is_measured(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked: list[tuple[float, int]] = []
-
-    def run(self: MoveSetting, reference: Any, payload: float, seed: int) -> Any:
-        asked.append((payload, seed))
-        k = len(asked)
-        metrics = SimpleNamespace(
-            settling_time=1.0 + (k == 3),
-            residual_vibration=0.1 * (k == 2),
-            peak_voltage=5.0 + k,
-        )
-        flags = np.array([_kernels.LAW_FLAG_STARTED, 64 * (k == 4)], dtype=np.uint32)
-        time = PERIOD * np.arange(2)
-        return SimpleNamespace(
-            metrics=metrics,
-            flags=flags,
-            finished=k != 6,
-            tip_angle=0.01 * k + 0 * time,
-            time=time,
-        )
-
-    monkeypatch.setattr(MoveSetting, "run", run)
-    made = setting(payloads=(0.03, 0.03))
-    tried = Candidate("quintic", fl.smooth_step(1.0, 0.5), 0.7, 0.01)
-    found = made.measured(tried, None, 6)
-    assert asked == [(0.03, seed) for seed in range(6)]
-    assert found == Measured(
-        "quintic",
-        0.5,
-        0.7,
-        2.0,
-        pytest.approx(math.nan, nan_ok=True),
-        0.1,
-        11.0,
-        pytest.approx(2 / 6),
-    )
-    assert found.computing_time == 0.01
-    asked.clear()
-    along = made.measured(tried, spline_path(np.array([0.0]), 0.1), 4)
-    assert along.largest_error == pytest.approx(0.04)
-    asked.clear()
-    setting().measured(tried, None, 1)
-    assert [payload for payload, _ in asked] == pytest.approx(
-        np.geomspace(0.02, 0.04, 9)
-    )
-
-
 # ── its rivals
 # ──────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -417,131 +285,8 @@ def test_settled_is_the_period_after_the_last_outside_of_any_payload() -> None:
     assert settling(tip, 1.0, 0.02, PERIOD) == math.inf
 
 
-VIBRATION = 2 * math.pi / abs(MODEL.pole.imag)
-
-
-def test_quintics_and_shapers_are_tried_at_every_duration_and_frequency() -> None:
-    durations = np.geomspace(0.15, 4.0, 40) * VIBRATION
-    quintics = list(move_module._tried(None, 1.0, MODEL))
-    assert [each.duration for _, each in quintics] == pytest.approx(durations)
-    assert [name for name, _ in quintics] == [
-        f"quintic of {duration:.2f} s" for duration in durations
-    ]
-    shaped = list(move_module._tried("ZVD", 1.0, MODEL))
-    assert len(shaped) == 400
-    frequency, ratio = abs(MODEL.pole), -MODEL.pole.real / abs(MODEL.pole)
-    for k, factor in enumerate(np.linspace(0.7, 1.6, 10)):
-        times, _ = shaper_impulses("ZVD", factor * frequency, ratio)
-        name, each = shaped[30 + k]
-        assert each.duration == pytest.approx(durations[3] + times[-1])
-        assert (
-            name
-            == f"ZVD at {factor * frequency:.1f} rad/s on a quintic of {durations[3]:.2f} s"
-        )
-        assert float(each.angle(9.0)) == pytest.approx(1.0)
-
-
-def test_the_first_to_settle_within_the_bounds_is_the_candidate(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Of a loop that follows its reference, the shortest quintic that keeps velocity
-    and acceleration.
-    """
-    monkeypatch.setattr(move_module, "_DURATIONS", np.array([0.5, 1.0, 1.5, 2.0]))
-    monkeypatch.setattr(move_module, "_FREQUENCIES", np.array([1.0, 1.2]))
-
-    def best(**bounds: float) -> dict[str, Candidate]:
-        whole = {"voltage": 1e6, "velocity": 1e6, "acceleration": 1e6} | bounds
-        made = MoveBounds({"voltage": whole.pop("voltage")}, **whole)
-        return {
-            each.name.split()[0]: each
-            for each in candidates(direct(500), 1.0, 0.02, made, MODEL)
-        }
-
-    durations = np.array([0.5, 1.0, 1.5, 2.0]) * VIBRATION
-    found = best(velocity=4.0)
-    assert list(found) == ["quintic", "ZV", "ZVD", "EI"]
-    # A quintic's largest speed is 15/8 of its mean, its largest acceleration 10/√3 over
-    # the time squared.
-    assert found["quintic"].reference.duration == pytest.approx(
-        durations[1.875 / durations <= 4.0].min()
-    )
-    first, *_ = shaper_impulses(
-        "ZV", 1.2 * abs(MODEL.pole), -MODEL.pole.real / abs(MODEL.pole)
-    )
-    assert best()["ZV"].reference.duration == pytest.approx(durations[0] + first[-1])
-    quickest = durations[10 / math.sqrt(3) / durations**2 <= 12.0].min()
-    assert best(acceleration=12.0)["quintic"].reference.duration == pytest.approx(
-        quickest
-    )
-    assert best(voltage=12.0)["quintic"].reference.duration == pytest.approx(quickest)
-    assert quickest == durations[2] and best()[
-        "quintic"
-    ].reference.duration == pytest.approx(durations[0])
-    assert best(voltage=1e-6) == {}
-
-
 # ── the search and what is said of it
 # ───────────────────────────────────────────────────────────────────────
-
-
-def test_a_longer_reference_gets_fewer_knots() -> None:
-    plain = programme()
-    assert shape_module._coarse(plain, 0.5) is plain
-    long = shape_module._coarse(programme(), 58 * 0.02 + 1e-3)  # 61 coefficients
-    assert long.knot == 10 and shape_module._coarse(programme(), 58 * 0.02).knot == 5
-    assert shape_module._coarse(programme(), 4.0).knot == 20  # 202
-
-
-def test_the_shortest_settling_is_found_by_bisection() -> None:
-    """A loop that follows its reference settles as soon as that may come within the
-    band.
-    """
-    bounds = MoveBounds({}, velocity=5.0, acceleration=1e4)
-    own: Any = SimpleNamespace(vibration=0.1, longer=None)
-    found, made = shape_module._fastest(
-        own, Programme(direct(200), 2, bounds), 1.0, 0.25
-    )
-    path = made.path(found)
-    time = PERIOD * np.arange(200)
-    late = (
-        np.flatnonzero(np.abs(path.angle(time) - 1.0) > 0.75 * 0.02 * (1 + 1e-3))[-1]
-        + 1
-    )
-    # 0.985 rad at 5 rad/s are 0.197 s, and a knot's length to get there.
-    assert 50 <= late <= 55
-    assert np.abs(path.velocity(np.linspace(0, 1, 2001))).max() <= 5.0 * (1 + 1e-3)
-
-
-@pytest.mark.slow
-def test_a_move_that_no_length_allows_is_refused() -> None:
-    bounds = MoveBounds({}, velocity=1e-3, acceleration=1e4)
-    asked: list[int] = []
-
-    def longer(made: Programme, factor: int) -> Programme:
-        asked.append(factor)
-        return replace(made, loops=direct(200 * factor))
-
-    own: Any = SimpleNamespace(vibration=0.4, longer=longer)
-    with pytest.raises(FieldError, match=r"move: not reached .* settles within 12.8 s"):
-        shape_module._fastest(own, Programme(direct(200), 5, bounds), 1.0, 0.25)
-    assert asked == [2, 4, 8, 16]
-
-
-def test_a_path_is_followed_from_rest_at_0_and_within_what_is_known() -> None:
-    wanted = spline_path(np.array([0.2, 0.3]), 0.1)
-    found = shape_module._following(programme(), wanted)
-    assert shape_module._distance(
-        direct(), programme().path(found), wanted
-    ) == pytest.approx(found.distance, abs=1e-3)
-    assert found.distance < 5e-3
-    with pytest.raises(FieldError, match=r"move: too long a path .* <= 0.78 s"):
-        shape_module._following(programme(), spline_path(np.array([0.1] * 6), 0.1))
-    begun = replace(wanted, coefficients=wanted.coefficients + 0.1 * np.eye(1, 4))
-    with pytest.raises(FieldError, match="move: not at 0 at first"):
-        shape_module._following(programme(), begun)
-    with pytest.raises(FieldError, match="not to be followed"):
-        shape_module._following(programme(MoveBounds({}, 1e-3, 1e-3)), wanted)
 
 
 def measured(**own: Any) -> Measured:
@@ -557,48 +302,6 @@ def moved(
         path, PERIOD, target, (0.03, 0.03), False, voltage, kept_back, 0.25, (best,), 1, np.array([0.03]),
         nothing, nothing, "0",
     )  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("best", "codes"),
-    [
-        (measured(), []),
-        (measured(settling_time=0.6 + 1.49 * PERIOD), []),
-        (measured(settling_time=0.6 + 1.51 * PERIOD), ["W501"]),
-        (measured(peak_voltage=8.0), []),
-        (measured(peak_voltage=8.01, limited=0.2), ["W502", "W503"]),
-    ],
-)
-def test_what_a_move_did_not_keep_is_a_finding(
-    best: Measured, codes: list[str]
-) -> None:
-    found = shape_module._findings(moved(best))
-    assert [finding.code for finding in found] == codes
-    assert replace(moved(best), findings=found).passed == (not codes)
-    evidence = {finding.code: dict(finding.evidence) for finding in found}
-    assert evidence.get("W502", {"measured": 8.01, "limit": 8.0, "left_to_them": 1.0}) == {
-        "measured": 8.01, "limit": 8.0, "left_to_them": 1.0,
-    }  # fmt: skip
-    assert evidence.get("W503", {"part_of_the_runs": 0.2}) == {"part_of_the_runs": 0.2}
-
-
-@pytest.mark.parametrize(
-    ("error", "predicted", "codes"),
-    [
-        (0.0149, 0.01, []),  # a quarter of 2 % of the path's span of 1 rad more
-        (0.0151, 0.01, ["W501"]),
-        (0.1, 0.1, []),
-        (0.1001, 0.1001, ["W504"]),
-    ],
-)
-def test_a_path_that_is_not_followed_is_a_finding(
-    error: float, predicted: float, codes: list[str]
-) -> None:
-    best = measured(largest_error=error, predicted=predicted, settling_time=math.inf)
-    found = shape_module._findings(
-        moved(best, target=spline_path(np.array([1.0]), 0.1))
-    )
-    assert [finding.code for finding in found] == codes
 
 
 def test_a_move_is_saved_with_all_but_the_time_that_it_took(tmp_path: Path) -> None:

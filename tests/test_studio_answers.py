@@ -10,7 +10,6 @@ import math
 import socket
 import sys
 import time
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +24,6 @@ from fraclink.errors import (
     FieldError,
     FraclinkError,
     InfeasibleError,
-    MissingExtraError,
 )
 from fraclink.findings import Finding
 from fraclink.studio import _logs as logs
@@ -33,10 +31,7 @@ from fraclink.studio import _outputs as outputs
 from fraclink.studio import _played as played
 from fraclink.studio import _server as server
 from fraclink.studio import _serving as serving
-from fraclink.studio import _session as session
-from fraclink.studio import _work as swept_module
 from fraclink.studio import _work as work
-from fraclink.studio import _worker as worker
 from fraclink.studio._copied import as_command, as_python, copies
 from fraclink.studio._history import History
 from fraclink.studio._messages import (
@@ -56,19 +51,12 @@ from fraclink.studio._regions import (
     parted,
     round_regions,
 )
-from fraclink.studio._session import Session, bare, opened
-from fraclink.studio._work import swept
-from fraclink.trials._fault_trial import Bench
-from fraclink.trials._faults import Case, Check, FaultTable, Outcome, cases
+from fraclink.studio._session import Session, opened
+from fraclink.trials._faults import Case, Check, FaultTable, Outcome
 from fraclink.view._text import number
 
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
 RIG = fl.Rig.named("paper-2023")
-COLUMNS = [
-    "time=time_s [s]",
-    "motor_angle=motor_angle_rad [rad]",
-    "torque=torque_Nm [Nm]",
-]
 
 
 @pytest.fixture(scope="module")
@@ -660,57 +648,6 @@ def test_the_steps_are_marked_by_what_was_done(
 
 
 @pytest.mark.slow
-def test_the_overview_has_the_tables_of_the_report_cut_to_the_page(
-    made: Session, tmp_path: Path
-) -> None:
-    told = made.overview()
-    design = made.study.design
-    assert (
-        told["name"] == "paper-2023" and told["title"] == f"paper-2023 · {made.folder}"
-    )
-    assert told["folder"] == str(made.folder) and told["spoken"].startswith(
-        "promise passed, model "
-    )
-    assert told["design"]["requirements"]["header"] == (
-        "requirement",
-        "required",
-        "achieved",
-        "verdict",
-    ) or told["design"]["requirements"]["header"] == [
-        "requirement",
-        "required",
-        "achieved",
-        "verdict",
-    ]
-    assert list(told["design"]["requirements"]["rows"][0]) == [
-        "gain crossover",
-        "≥ 12 rad/s",
-        "12 rad/s",
-        "✓ passed",
-    ]
-    assert [row[0] for row in told["design"]["moves"]["rows"]] == [
-        f"{1e3 * run.payload:g} g" for run in made.study.runs
-    ]
-    assert told["design"]["passed"] is design.passed and told["certificate"] is False
-    assert told["verdict"][0] == {
-        "name": "promise",
-        "what": "requirements and proof",
-        "state": "passed",
-        "shown": "✓ passed",
-        "reasons": ["nothing against it"],
-    }
-    assert told["marks"]["design"] == ["✓", "passed"] and told["proof_said"] == ""
-    assert told["board_said"] == "Nothing written yet."
-    empty = Session(fl.trials.Study(), tmp_path).overview()
-    assert (empty["name"], empty["title"], empty["design"]) == ("", str(tmp_path), None)
-    assert empty["board_said"] == "Make a design first (step 4)."
-    spoken = Session(
-        replace(made.study, certificate=SimpleNamespace(verdict="proved")), tmp_path
-    )  # type: ignore[arg-type]
-    assert spoken._proof_said() == "proved"
-
-
-@pytest.mark.slow
 def test_the_arm_is_sent_once_and_then_only_its_law(
     made: Session, tmp_path: Path
 ) -> None:
@@ -725,42 +662,6 @@ def test_the_arm_is_sent_once_and_then_only_its_law(
         "arm_key": "",
         "arm": None,
     }
-
-
-@pytest.mark.slow
-def test_what_was_proved_of_a_design_stays_while_it_is_the_same(
-    made: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Session, "arm", lambda self, known="": {})
-    own = Session(replace(made.study, uncertified="because"), tmp_path)
-    own.exact(ASKED)
-    assert own.study.uncertified == "because" and own.state == checked_request(ASKED)
-    own.exact({**ASKED, "phase_margin_deg": 49.0})
-    assert own.study.uncertified is None
-    stripped = bare(made.study)
-    assert (stripped.design, stripped.law, stripped.runs, stripped.rig) == (
-        None,
-        None,
-        (),
-        made.study.rig,
-    )
-    assert (
-        stripped.assumptions == made.study.rig.assumptions
-        and bare(fl.trials.Study()).assumptions == ()
-    )
-
-
-@pytest.mark.slow
-def test_a_longer_filter_of_the_second_mode_is_remembered(made: Session) -> None:
-    subject = session._subject_of(made.study)
-    assert subject is not None
-    told = any(finding.code == "W406" for finding in made.study.design.findings)
-    c = made.study.design.controller
-    assert subject.lengthened == ((c.filter_time, c.filter_order) if told else None)
-    mode = replace(made.study.design, findings=(Finding("W406", "info", "longer"),))
-    subject = session._subject_of(replace(made.study, design=mode))
-    assert subject is not None and subject.lengthened == (c.filter_time, c.filter_order)
-    assert session._subject_of(fl.trials.Study()) is None
 
 
 @pytest.mark.slow
@@ -957,188 +858,7 @@ def table() -> FaultTable:
     )
 
 
-@pytest.mark.slow
-def test_step_six_shows_what_was_proved_and_tried(made: Session) -> None:
-    statement = SimpleNamespace(
-        modulus=0.35,
-        payload_low=0.02,
-        payload_high=0.04,
-        delay_low=0.002,
-        delay_high=0.008,
-    )
-    failure = SimpleNamespace(count=14, runs=100)
-    quantile = SimpleNamespace(probability=0.5, value=0.6)
-    metric = SimpleNamespace(
-        name="settling_time", quantiles=(quantile,), drivers=(("payload", 0.5),)
-    )
-    arms = SimpleNamespace(failure=failure, failed=tuple(range(20)), metrics=(metric,))
-    study: Any = SimpleNamespace(
-        certificate=SimpleNamespace(statement=statement, verdict="proved"),
-        arms=arms,
-        faults=table(),
-    )
-    told = work.proof_of(study)
-    assert told["proved"] == {
-        "modulus": 0.35,
-        "payloads": pytest.approx([20.0, 40.0]),
-        "delays": pytest.approx([2.0, 8.0]),
-        "text": "proved",
-    }
-    assert told["failures"] == {"count": 14, "runs": 100, "failed": tuple(range(12))}
-    assert told["spread"]["rows"] == (("settling time [s]", "0.6", "payload +0.50"),)
-    assert told["faults"]["header"] == ("fault", "runs", "failed", "verdict")
-    assert told["faults"]["rows"][0][1:] == ("3", "2", "✗ failed")
-    assert told["cells"] == [
-        {
-            "fault": "F09",
-            "severity": 1,
-            "payload": 0.02,
-            "phase": "mid",
-            "passed": True,
-        },
-        {
-            "fault": "F11",
-            "severity": 1,
-            "payload": 0.02,
-            "phase": "mid",
-            "passed": False,
-        },  # the first that failed
-    ]
-    assert (
-        work.proof_of(SimpleNamespace(certificate=None, arms=None, faults=None)) == {}
-    )  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_the_worker_does_one_job_in_its_folder(
-    made: Session,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    kept: list[Any] = []
-    asked: list[Any] = []
-    monkeypatch.setattr(worker, "load_study", lambda place: made.study)
-    monkeypatch.setattr(
-        worker, "save_study", lambda study, place: kept.append((study, place))
-    )
-
-    def noted(result: str, *of: Any) -> str:
-        asked.append(of)
-        return result
-
-    monkeypatch.setattr(
-        worker, "identified", lambda study, heldout: noted("identified", heldout)
-    )
-    monkeypatch.setattr(worker, "proved", lambda study: noted("proved", study))
-    monkeypatch.setattr(
-        worker, "tried", lambda study, runs, folder: noted("tried", runs, folder)
-    )
-    for verb, options, said in (
-        ("identify", {"heldout": 0.2}, "fitting four structures"),
-        ("prove", {}, "proving every payload and delay"),
-        ("arms", {"runs": 200.0}, "trying 200 arms"),
-    ):
-        assert worker.main([str(tmp_path), verb, json.dumps(options)]) == 0
-        assert json.loads(capsys.readouterr().out) == {"said": said}
-    assert kept == [("identified", tmp_path), ("proved", tmp_path), ("tried", tmp_path)]
-    assert asked[0] == (0.2,) and asked[2] == (200, tmp_path / "arms")
-    assert asked[1][0].certificate is None and asked[1][0].design is made.study.design
-
-    def refused(study: Any, heldout: Any) -> Any:
-        raise FraclinkError("no signal")
-
-    monkeypatch.setattr(worker, "identified", refused)
-    assert worker.main([str(tmp_path), "identify", '{"heldout": null}']) == 2
-    assert capsys.readouterr().err == "no signal\n" and len(kept) == 3
-
-
-@pytest.mark.slow
-def test_the_worker_tells_every_fault_that_it_has_run(
-    made: Session, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    outcomes = table().outcomes
-
-    def run_faults(bench: Any, planned: Any, watch: Any) -> FaultTable:
-        assert planned == cases(bench, seeds=(1,))
-        for outcome in outcomes[:2]:
-            watch(outcome)
-        return table()
-
-    monkeypatch.setattr(worker, "run_faults", run_faults)
-    assert worker._with_faults(made.study).faults == table()
-    begun, *told = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    count = len(cases(Bench.of(made.study.design, made.study.rig), seeds=(1,)))
-    assert begun == {
-        "said": f"0 of {count} runs",
-        "done": 0,
-        "all": count,
-        "payloads": list(Bench.of(made.study.design, made.study.rig).payloads),
-    }
-    assert [entry["said"] for entry in told] == [
-        f"1 of {count} runs, F09",
-        f"2 of {count} runs, F11",
-    ]
-    assert told[1] == {
-        "said": f"2 of {count} runs, F11",
-        "done": 2,
-        "all": count,
-        "passed": True,
-        "fault": "F11",
-        "severity": 1,
-        "payload": 0.02,
-        "phase": "start",
-    }
-
-
-@pytest.mark.slow
-def test_the_map_about_minus_one_has_its_payloads_and_delays(
-    made: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Any] = []
-
-    def distance(design: Any, law: Any, payload: float, late: float) -> float:
-        seen.append((payload, late))
-        return -0.5
-
-    monkeypatch.setattr(swept_module, "_distance", distance)
-    design, law = made.study.design, made.study.law
-    head, curves = swept(design, law)
-    own = design.sampled_plant(design.natural_frequency(0.02)).delay
-    payloads, delays = np.asarray(head["payloads"]), np.asarray(head["delays"])
-    assert (payloads[0], payloads[-1], payloads.size) == pytest.approx((10.0, 60.0, 11))
-    assert (delays[0], delays[-1], delays.size) == pytest.approx(
-        (0.0, 1e3 * (own + 6 * 0.004), 8)
-    )
-    assert head["names"] == ["20 g", "30 g", "40 g"] and np.asarray(
-        head["near"]
-    ).tolist() == 8 * [11 * [-0.5]]
-    assert seen[0] == pytest.approx((0.01, -own)) and seen[-1] == pytest.approx(
-        (0.06, 0.024)
-    )
-    w = np.geomspace(2e-3 * math.pi / 0.004, 0.999 * math.pi / 0.004, 400)
-    for row, (mass, late) in enumerate(
-        [(m, d) for m in (0.02, 0.03, 0.04) for d in (0.0, 0.012)]
-    ):
-        plant = design.sampled_plant(design.natural_frequency(mass))
-        value = law.frequency_response(w) * replace(plant, delay=plant.delay + late)(w)
-        value = np.where(np.abs(value) > 10.0, 10.0 * value / np.abs(value), value)
-        assert curves["sweep_x"][row] + 1j * curves["sweep_y"][row] == pytest.approx(
-            value
-        )
-
-
 # --- logs and fits --------------------------------------------------------------------------------------
-
-
-def test_a_channel_is_told_in_a_line() -> None:
-    channel: Any = SimpleNamespace(minimum=-1.0, maximum=2.5, period=0.004, missing=3)
-    assert (
-        logs._facts(channel, "motor angle")
-        == "motor angle · −1 … 2.5 · every 0.004 · 3 missing"
-    )
-    channel.period, channel.missing = None, 0
-    assert logs._facts(channel, None) == "−1 … 2.5"
 
 
 @pytest.mark.slow
@@ -1169,26 +889,6 @@ def test_a_listing_has_every_channel_and_what_it_is_taken_for(fitted: Session) -
     assert degrees_.max() == pytest.approx(
         math.degrees(fitted.study.experiment.motor_angle.max())
     )
-
-
-@pytest.mark.slow
-def test_columns_that_leave_a_question_are_refused_with_it(tmp_path: Path) -> None:
-    own = opened(None, out=tmp_path)
-    columns = logs.LOG_VERBS["columns"]
-    with pytest.raises(FieldError, match="log is required"):
-        columns(own, {"columns": []})
-    logs.LOG_VERBS["log"](own, {"name": "prbs_30g"})
-    for wrong in ("x", 17 * ["time=t"], [1]):
-        with pytest.raises(FieldError, match="columns: not statements"):
-            columns(own, {"columns": wrong})
-    answer = columns(own, {"columns": COLUMNS, "payload": 0.025})
-    assert (own.payload, own.columns, own.heldout) == (0.025, tuple(COLUMNS), None)
-    assert (
-        answer.head["experiment"]["payload"] == 0.025
-        and "motor_angle_rad" in answer.head["toml"]
-    )
-    assert "toml" not in columns(own, {"columns": []}).head
-    assert logs._stretch(None) is None and logs._stretch([1, 2.5]) == (1.0, 2.5)
 
 
 def test_a_question_with_a_default_is_answered_by_it_and_any_other_is_asked(
@@ -1382,63 +1082,7 @@ def test_before_a_fit_the_step_says_what_is_missing(tmp_path: Path) -> None:
     )
 
 
-def test_a_fit_is_said_in_the_words_of_a_workshop() -> None:
-    def said(delay: float, **more: float) -> str:
-        link = fl.LinkModel(
-            **({"stiffness": 1.5, "natural_frequency": 10.0, "order": 2.0} | more)
-        )  # type: ignore[arg-type]
-        return logs.words_of(SimpleNamespace(model=link, delay=delay))  # type: ignore[arg-type]
-
-    damped = 2 * 0.05 * 10.0
-    hertz = 10.0 * math.sqrt(1 - 0.05**2) / (2 * math.pi)
-    assert (
-        said(0.0021, damping=damped)
-        == f"swings at {hertz:.3g} Hz with 5 % damping, gauge 2.1 ms late"
-    )
-    assert said(-0.0021, damping=damped).endswith("gauge 2.1 ms early")
-    assert (
-        said(0.0, damping=50.0) == "does not oscillate, gauge 0.0 ms late"
-    )  # overdamped
-    assert said(0.0, natural_frequency=0.0, damping=50.0).startswith(
-        "does not oscillate"
-    )
-
-
 # --- runs for the page ----------------------------------------------------------------------------------
-
-
-def test_a_hand_holds_on_the_side_to_which_the_tip_goes() -> None:
-    rising, falling = (lambda t: 2.0 * t), (lambda t: 1.0 - 2.0 * t)
-    hold = {"hold": {"begin": 0.2, "until": 0.2, "angle": 0.5}}
-    (event,), said = played._events(hold, rising)
-    assert (event.side, said) == (1, "held at 28.6° from 0.20 s on")
-    assert (event.time, event.until) == (0.2, pytest.approx(0.201))
-    assert played._events(hold, falling)[0][0].side == -1
-    level = {"hold": {"begin": 0.2, "until": 0.7, "angle": 1.0}}
-    assert (
-        played._events(level, rising)[0][0].side == 1
-    )  # at the place where it wants to be 0.3 s later
-    thrown, said = played._events({"throw": {"time": 0.5, "payload": 0.01}}, rising)
-    assert (
-        said == "the payload falls to 10 g at 0.50 s, and nobody tells the law"
-        and len(thrown) == 1
-    )
-    assert played._events({}, rising) == ([], "the move as it is")
-    both, said = played._events(
-        {**hold, "throw": {"time": 0.5, "payload": 0.01}}, rising
-    )
-    assert len(both) == 2 and "; the payload" in said
-
-
-def test_what_a_fault_made_of_a_reading_is_replaced_by_the_value_before() -> None:
-    curves = {
-        "gauge": [1.0, math.nan, 2.0, math.inf, 1e6, -5.0],
-        "tip": [math.nan, 1.0, 1e5, 0, 0, 0],
-    }
-    answer = played._reply("said", 0.03, 57.3, curves)
-    assert answer.curves["gauge"].tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, -5.0]  # type: ignore[union-attr]
-    assert answer.curves["tip"].tolist() == [0.0, 1.0, 1e5, 0.0, 0.0, 0.0]  # type: ignore[union-attr]
-    assert answer.head == {"ok": True, "said": "said", "payload": 0.03, "move": 57.3}
 
 
 @pytest.mark.slow
@@ -1475,71 +1119,6 @@ def test_a_run_for_the_page_is_no_longer_than_its_engine_holds(
 
 
 # --- files for a board ----------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_every_output_names_its_file_and_its_command(
-    made: Session, tmp_path: Path, monkeypatch: Any
-) -> None:
-    own = Session(made.study, tmp_path / "out")
-    monkeypatch.setattr(outputs, "write_arm_page", lambda study, path: _written(path))
-    monkeypatch.setattr(outputs, "write_report", lambda study, path: _written(path))
-    out = own.folder
-    wanted = {
-        "c": (
-            f"fraclink export c design.json --precision double --out {out / 'firmware'}",
-            "firmware/law.c",
-        ),
-        "fmu": (
-            f"fraclink export fmu design.json --source --precision double --out {out / 'arm_law.fmu'}",
-            "arm_law.fmu",
-        ),
-        "share": (f"fraclink share {out} --out {out / 'arm.html'}", "arm.html"),
-        "report": (f"fraclink report {out} --out {out / 'report.html'}", "report.html"),
-    }
-    for target, (command, name) in wanted.items():
-        answer = outputs.OUTPUT_VERBS["export"](
-            own, {"target": target, "precision": "double"}
-        ).head
-        assert (answer["export_command"], answer["target"], answer["ok"]) == (
-            command,
-            target,
-            True,
-        )
-        assert (
-            answer["written"][name] == (out / name).stat().st_size == own.written[name]
-        )
-        assert answer["board_said"] == f"Written into {out}."
-        with pytest.raises(FraclinkError):
-            outputs.OUTPUT_VERBS["export"](own, {"target": target})
-        outputs.OUTPUT_VERBS["export"](own, {"target": target, "force": True})
-    packed = outputs.OUTPUT_VERBS["zip"](own, {}).head["size"]
-    assert all(
-        verb(own, {"precision": "single"}).head["ok"] is True
-        for verb in (
-            outputs.OUTPUT_VERBS["zip"],
-            outputs.OUTPUT_VERBS["board"],
-            logs.LOG_VERBS["log"],
-            logs.LOG_VERBS["model"],
-        )
-    )
-    with zipfile.ZipFile(own.draft / "studio.zip") as archive:
-        assert sorted(archive.namelist()) == sorted(own.written)
-        assert archive.read("arm_law.m") == (out / "arm_law.m").read_bytes()
-    assert packed == (own.draft / "studio.zip").stat().st_size
-    for wrong in ({"target": "pdf"}, {"target": "c", "precision": "half"}, {}):
-        with pytest.raises(FieldError, match="target: unknown"):
-            outputs.OUTPUT_VERBS["export"](own, wrong)
-    fresh = Session(fl.trials.Study(rig=RIG), tmp_path / "fresh")
-    with pytest.raises(FieldError, match="design is required"):
-        outputs.OUTPUT_VERBS["export"](fresh, {"target": "c"})
-    with pytest.raises(FieldError, match="files is required"):
-        outputs.OUTPUT_VERBS["zip"](fresh, {})
-
-
-def _written(path: Path) -> Path:
-    path.write_text("page")
-    return path
 
 
 @pytest.mark.slow
@@ -1592,17 +1171,6 @@ def test_a_port_that_is_taken_is_named() -> None:
         listener.close()
 
 
-def test_the_socket_is_spoken_by_what_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    there = {"wsproto", "websockets"}
-    monkeypatch.setattr(serving, "find_spec", lambda name: name in there or None)
-    assert serving._sockets() == "wsproto"
-    there.discard("wsproto")
-    assert serving._sockets() == "websockets-sansio"
-    there.clear()
-    with pytest.raises(MissingExtraError, match="wsproto"):
-        serving._sockets()
-
-
 @pytest.mark.parametrize(
     ("pages", "alone", "failed", "ends"),
     [
@@ -1629,39 +1197,6 @@ def test_the_studio_ends_ten_minutes_after_the_last_page(
 
     asyncio.run(look())
     assert watched.should_exit is ends
-
-
-def test_serve_tells_its_address_and_closes_the_session(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    told: list[str] = []
-    shown: list[str] = []
-    kept: dict[str, Any] = {}
-
-    async def served(uvicorn_server: Any, listener: socket.socket, studio: Any) -> None:
-        kept.update(
-            studio=studio, config=uvicorn_server.config, port=listener.getsockname()[1]
-        )
-        listener.close()
-
-    monkeypatch.setattr(serving, "_served", served)
-    monkeypatch.setattr(serving.webbrowser, "open", shown.append)
-    done = serving.serve(lambda: opened(None, out=tmp_path), say=told.append)
-    address = f"http://127.0.0.1:{kept['port']}/#{kept['studio'].token}"
-    assert told == shown == [address] and not done.draft.exists()
-    assert kept["studio"].hosts == {
-        f"127.0.0.1:{kept['port']}",
-        f"localhost:{kept['port']}",
-    }
-    assert len(kept["studio"].token) == 32  # 24 bytes in base64
-    config = kept["config"]
-    assert (config.ws_max_size, config.h11_max_incomplete_event_size) == (
-        4 * LONGEST,
-        LONGEST,
-    )
-    assert config.access_log is False and config.server_header is False
-    serving.serve(lambda: opened(None, out=tmp_path), say=told.append, open_page=False)
-    assert len(shown) == 1
 
 
 @pytest.fixture

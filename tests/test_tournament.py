@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,12 +14,7 @@ import pytest
 import fraclink as fl
 from fraclink._law import Modes
 from fraclink._simulate import Twin, geared
-from fraclink.errors import NotConvergedError
-from fraclink.trials import _tournament as module
 from fraclink.trials._rival_runs import (
-    _plant,
-    linear_growth,
-    mode_gain,
     run_rival,
 )
 from fraclink.trials._rivals import (
@@ -34,7 +28,6 @@ from fraclink.trials._setting import (
     NominalLoop,
     Setting,
     prepare,
-    tune,
 )
 from fraclink.trials._tournament import Standing, Tournament
 
@@ -101,22 +94,6 @@ def test_equal_is_who_differs_by_two_percent_and_a_floor(
         for k, value in enumerate((best, edge * 0.9999, edge * 1.0001))
     ]
     assert tournament(*rivals).winners()[figure] == ("r0", "r1")
-
-
-def test_only_the_sound_win_and_all_share_what_none_reaches() -> None:
-    quick, growing, failed = (
-        standing("a", settling_time=2.0),
-        standing("b", growth=0.1),
-        standing("c", passed=False),
-    )
-    assert quick.sound and not growing.sound and not failed.sound
-    found = tournament(quick, growing, failed).winners()
-    assert list(found) == list(module._FIGURES) and set(found.values()) == {("a",)}
-    endless = tournament(
-        standing("a", settling_time=math.inf), standing("b", settling_time=math.inf)
-    )
-    assert endless.winners()["settling_time"] == ("a", "b")
-    assert tournament(growing, failed).winners() == {}
 
 
 def test_a_rival_is_run_with_a_jump_of_the_gauges_offset(setting: Setting) -> None:
@@ -217,63 +194,3 @@ def test_radius_and_peak_of_a_loop_with_one_pole() -> None:
     assert loop.frequencies[[0, -1]] == pytest.approx([0.1, 0.999 * math.pi / PERIOD])
     ratio = loop.frequencies[1:] / loop.frequencies[:-1]
     assert ratio.max() == pytest.approx(1.02, abs=0.001)
-
-
-def test_a_knob_is_turned_up_to_the_target_and_not_past_a_worse_range() -> None:
-    seen: list[float] = []
-
-    def loop(shape: Any) -> Any:
-        return SimpleNamespace(peak=lambda made: (seen.append(made), shape(made))[1])  # type: ignore[func-returns-value]
-
-    value, made, reached = tune(loop(lambda k: 1.0 + k), lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
-    assert reached and value == made == pytest.approx(2.0, rel=1e-5)
-    value, _, reached = tune(loop(lambda k: 1.0), lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
-    assert reached and value == pytest.approx(10.0)  # good to the end: the end
-    seen.clear()
-    valley = loop(lambda k: 2.0 if 0.5 < k < 1.0 or k > 5.0 else math.inf)
-    value, _, reached = tune(valley, lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
-    assert reached and value == pytest.approx(1.0, rel=1e-4) and max(seen) < 1.2
-    value, _, reached = tune(
-        loop(lambda k: 4.0 + math.log(k / 2.0) ** 2),
-        lambda k: k,  # type: ignore[return-value]
-        (0.1, 10.0),
-        3.0,
-    )
-    assert not reached and value == pytest.approx(2.0, rel=1e-4)
-    with pytest.raises(NotConvergedError, match="tuning"):
-        tune(loop(lambda k: math.inf), lambda k: k, (0.1, 10.0), 3.0)  # type: ignore[arg-type,return-value]
-
-
-def test_growth_is_the_logarithm_of_the_radius_in_a_second(setting: Setting) -> None:
-    twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
-    strong = Filter(np.zeros((0, 0)), np.zeros(0), np.zeros(0), 30.0)
-    rival = Rival(
-        "wild",
-        "",
-        "",
-        1.0,
-        0,
-        0,
-        setting.law,
-        correction=strong,
-    )
-    _, seen = _plant(setting, twin)
-    closed = seen.a - 30.0 * np.outer(seen.b, seen.c)
-    radius = np.abs(np.linalg.eigvals(closed)).max()
-    assert radius > 1 and linear_growth(setting, twin, rival) == pytest.approx(
-        math.log(radius) / PERIOD
-    )
-
-
-@pytest.mark.slow
-def test_the_gain_at_the_second_mode_is_the_largest_around_it(setting: Setting) -> None:
-    twin = Twin.from_rig(RIG, link_mass=0.00735, payload=0.030)
-    plant, seen = _plant(setting, twin)
-    mode = float(plant.modes.frequencies[1])
-    w = np.linspace(0.8 * mode, 1.25 * mode ** (2 / 1.92), 20_000)
-    largest = np.abs(seen.response(np.exp(1j * w * PERIOD))).max()
-    for gain in (1.0, 0.25):
-        rival = Rival("flat", "", "", 1.0, 0, 0, setting.law, correction=constant(gain))
-        assert mode_gain(setting, twin, rival) == pytest.approx(
-            gain * largest, rel=2e-3
-        )

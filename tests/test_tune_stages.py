@@ -7,29 +7,21 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import _kernels
-from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._identify import identify_motor, simulated_torque
-from fraclink._law import Law
-from fraclink.errors import FieldError, FraclinkError, InfeasibleError, LogError
-from fraclink.lab import _tune_link as linking
-from fraclink.lab._connections import Callback, Command
+from fraclink.errors import FieldError, FraclinkError
+from fraclink.lab._connections import Callback
 from fraclink.lab._line import open_line
 from fraclink.lab._tune_guard import Guard, Record
 from fraclink.lab._tune_link import (
     experiment_of,
-    loaded_motor,
     shortfall,
-    tune_link,
 )
 from fraclink.lab._tune_motion import (
     Follower,
@@ -39,13 +31,12 @@ from fraclink.lab._tune_motion import (
     follow,
     motor_law,
 )
-from fraclink.lab._tune_wiring import WiringFault, _grown, check_wiring
+from fraclink.lab._tune_wiring import WiringFault, check_wiring
 from tuned_arms import LIMITS, PERIOD, RIG, Stages, arm, guarded, staged
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-Real = NDArray[np.float64]
 MOTOR = MotorGain(60.0, 10.0)
 
 
@@ -326,177 +317,6 @@ def test_calming_ends_after_as_long_as_was_said() -> None:
 # --- the link --------------------------------------------------------------------------------------------
 
 
-def test_what_suffices_is_a_figure_for_each_parameter() -> None:
-    model = replace(RIG.model, natural_frequency=10.0)  # type: ignore[type-var]
-    for name, enough in (
-        ("order", 0.006),
-        ("natural_frequency", 0.04),
-        ("gain", 0.03),
-        ("delay", 0.5e-3),
-    ):
-        fit: Any = SimpleNamespace(
-            model=model, gain=-2.0, standard_errors={name: enough}
-        )
-        assert shortfall(fit) == pytest.approx(1.0), name
-
-
-@pytest.mark.slow
-def test_the_first_excitation_is_planned_within_the_limits(
-    stages: Stages, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, guard, wiring, motor, link = stages
-    resonance = abs(RIG.model.pole)  # type: ignore[union-attr]
-    assert linking._planned(None, wiring, motor, guard) == (
-        0.05,
-        pytest.approx(math.pi / (0.7 * wiring.natural_frequency)),
-    )
-    plan = SimpleNamespace(peak_deflection=0.10, amplitude=0.10, bit=0.31)
-    asked: list[dict[str, Any]] = []
-
-    def planned(model: LinkModel, **given: Any) -> Any:
-        asked.append(given)
-        return plan
-
-    monkeypatch.setattr(linking, "design_experiment", planned)
-    assert linking._planned(link.fit, wiring, motor, guard) == (
-        pytest.approx(0.15),
-        0.31,
-    )
-    given = asked[0]
-    assert given["standard_error"] == pytest.approx(0.004) and given["duration"] == 8.0
-    assert given["noise"] == wiring.gauge_noise and given["period"] == PERIOD
-    assert given["inner_pole"] == motor.loop.pole
-    assert given["deflection_limit"] == pytest.approx(0.6 * 2.0 / abs(link.fit.gain))
-    made = given["motor"]
-    assert made.voltage_limit == 6.0 and made.gain == pytest.approx(motor.fit.gain)
-    assert made.decay == pytest.approx(motor.fit.decay)
-    plan.amplitude = plan.peak_deflection = 0.01
-    assert (
-        linking._planned(link.fit, wiring, motor, guard)[0] == 0.1
-    )  # less would show less than friction
-    plan.amplitude = plan.peak_deflection = 0.9
-    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(
-        0.6 * 0.6
-    )
-    plan.peak_deflection = (
-        9.0  # ten times the deflection: the gauge's limit is the nearer one
-    )
-    bent = abs(link.fit.gain) * 10.0
-    assert linking._planned(link.fit, wiring, motor, guard)[0] == pytest.approx(
-        0.6 * 2.0 / bent
-    )
-
-    def none(*_: object, **__: object) -> None:
-        raise InfeasibleError("motor", "too weak", {})
-
-    monkeypatch.setattr(linking, "design_experiment", none)
-    reach, bit = linking._planned(link.fit, wiring, motor, guard)
-    assert reach == 0.05 and bit == pytest.approx(math.pi / (0.7 * resonance), rel=0.05)
-
-
-@pytest.mark.slow
-def test_an_excitation_grows_until_its_errors_suffice(
-    stages: Stages, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first record is taken for one whose λ is known five times too badly; the
-    second suffices.
-    """
-    _, _, wiring, motor, link = stages
-    paths: list[Real] = []
-    shorts = iter([5.0, 0.9])
-
-    def followed(guard: Guard, law: Law, path: Real, **_: object) -> Record:
-        paths.append(path)
-        zero = np.zeros(path.shape[1])
-        return Record(PERIOD, zero + 1.0, path[0], 2.0 * path[0])
-
-    monkeypatch.setattr(linking, "follow", followed)
-    monkeypatch.setattr(linking, "calm", lambda *_, **__: None)
-    monkeypatch.setattr(
-        linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9)))
-    )
-    monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
-    monkeypatch.setattr(linking, "shortfall", lambda _: next(shorts))
-    monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
-    found, record = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030)
-    assert [round(reach, 9) for reach, _, _ in found.rounds] == [
-        0.05,
-        0.15,
-    ]  # three times, at most
-    assert np.abs(paths[0][0]).max() == pytest.approx(0.05) and np.abs(
-        paths[1][0]
-    ).max() == pytest.approx(0.15)
-    # Five times the errors: three of them by the amplitude, and the length is what a
-    # limit of it allows.
-    assert found.rounds[0][1] == pytest.approx(8.5, abs=1.0) and found.rounds[1][
-        1
-    ] == pytest.approx(16.5, abs=1.0)
-    assert record.angle.size == paths[1].shape[1]
-    shorts = iter([0.9])
-    found, _ = tune_link(
-        guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=1.5
-    )
-    assert len(found.rounds) == 1 and found.rounds[0][1] == pytest.approx(12.5, abs=1.0)
-
-
-@pytest.mark.slow
-def test_an_excitation_that_may_not_grow_gets_longer_and_then_ends(
-    stages: Stages, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, _, wiring, motor, link = stages
-
-    def followed(guard: Guard, law: Law, path: Real, **_: object) -> Record:
-        loud = np.zeros(path.shape[1])
-        loud[5] = 1.15  # N·m: 0.6 of 2 N·m are 1.2
-        return Record(PERIOD, 1.0 + 0 * loud, path[0], loud)
-
-    monkeypatch.setattr(linking, "follow", followed)
-    monkeypatch.setattr(linking, "calm", lambda *_, **__: None)
-    monkeypatch.setattr(
-        linking, "_shaken", lambda *_: Record(PERIOD, *np.zeros((3, 9)))
-    )
-    monkeypatch.setattr(linking, "_fitted", lambda *_: link.fit)
-    monkeypatch.setattr(linking, "shortfall", lambda _: 1.3)
-    monkeypatch.setattr(linking, "loaded_motor", lambda motor, record, fit: motor)
-    found, _ = tune_link(guarded(arm(seed=1).callback), wiring, motor, 0.030)
-    assert found.rounds[1][0] == pytest.approx(0.05 * 1.2 / 1.15)
-    wanted = 8.0 * (1.2 * 1.3 / (1.2 / 1.15)) ** 2
-    assert found.rounds[1][1] == pytest.approx(min(wanted, 16.0) + 0.5, abs=1.2)
-    found, _ = tune_link(
-        guarded(arm(seed=1).callback), wiring, motor, 0.030, longer=2.0
-    )
-    assert len(found.rounds) == 1  # neither larger nor longer
-
-
-@pytest.mark.slow
-def test_the_motor_is_loaded_by_the_links_torque_where_that_shows_an_inertia(
-    stages: Stages, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    _, _, _, motor, link = stages
-    record = Record(PERIOD, *np.zeros((3, 50)))
-    shown = SimpleNamespace(inertia=0.02, standard_errors={"inertia": 1e-4})
-    asked: list[dict[str, Any]] = []
-
-    def identified(voltage: Real, angle: Real, **given: Any) -> Any:
-        asked.append(given)
-        if shown.inertia == 99.0:
-            raise LogError(
-                "log", "it", "too short", allowed="more", remedy="record more"
-            )
-        return shown
-
-    monkeypatch.setattr(linking, "identify_motor", identified)
-    loaded = loaded_motor(motor, record, link.fit)
-    assert loaded.fit.inertia == 0.02 and loaded.fit.standard_errors["inertia"] == 1e-4
-    assert loaded.fit.coulomb_torque == pytest.approx(
-        motor.fit.coulomb_voltage * motor.fit.gain * 0.02
-    )
-    assert loaded.fit.standard_errors["gain"] == motor.fit.standard_errors["gain"]
-    assert asked[0]["period"] == PERIOD and not asked[0]["torque"].any()
-    for shown.inertia in (None, 0.0, -0.1, 99.0):
-        assert loaded_motor(motor, record, link.fit) is motor
-
-
 def test_a_record_is_a_log_that_says_where_it_is_from() -> None:
     record = Record(PERIOD, np.full(20, 3.0), np.full(20, 1.0), np.full(20, 2.0))
     log = experiment_of(record, 0.03)
@@ -522,50 +342,3 @@ def test_an_arm_that_turns_by_itself_is_no_arm_at_rest() -> None:
     with pytest.raises(WiringFault, match=r"the motor turns by 2\.2° at 0 V"):
         check_wiring(guard, None)
     assert guard.count == 8 * round(0.4 / PERIOD) and not made.record[:, 4].any()
-
-
-@pytest.mark.slow
-def test_doublets_grow_by_a_quarter_until_something_answers() -> None:
-    sent: list[float] = []
-    shown, at = {"angle": 0.0, "torque": 0.0, "from": 3.0}, [0.0]
-
-    def write(command: Command) -> None:
-        sent.append(command.voltage if command.mode == 1 else 0.0)
-
-    def read() -> tuple[float, float]:
-        on = bool(sent) and abs(sent[-1]) >= shown["from"]
-        at[0] += 0.3 * (
-            on * shown["angle"] - at[0]
-        )  # in small steps: eight counts of an encoder are needed
-        return at[0], on * shown["torque"]
-
-    def grown(**change: float) -> float:
-        sent.clear()
-        at[0] = 0.0
-        shown.update(change)
-        guard = Guard(
-            partial(open_line, Callback(read, write), PERIOD, clock="none"),
-            replace(LIMITS, angle=99.0, speed=9e3, torque=99.0),
-        )
-        guard.rest(0.1)
-        return _grown(guard, (0.012, 0.006))
-
-    assert 3.0 <= grown(angle=0.02) < 1.25 * 3.0
-    levels = [abs(a) for a, b in zip(sent, [0.0, *sent], strict=False) if a and not b]
-    assert levels[0] == pytest.approx(0.04) and np.allclose(
-        np.diff(np.log(levels)), math.log(1.25)
-    )
-    firsts = [a for a, b in zip(sent, [0.0, *sent], strict=False) if a and not b]
-    assert (
-        firsts[0] > 0 > firsts[1]
-    )  # of alternating signs, so that the arm does not wander
-    halves = (
-        np.flatnonzero(np.array(sent) == firsts[0]).size,
-        np.flatnonzero(np.array(sent) == -firsts[0]).size,
-    )
-    assert halves == (10, 10)  # 40 ms each way
-    alone = grown(angle=0.005, torque=0.007)  # the gauge alone, twice in a row
-    assert alone >= 1.25 * 3.0 and alone < 1.25**2 * 3.0 * 1.001
-    with pytest.raises(WiringFault, match="neither encoder nor gauge answers 10 V"):
-        grown(angle=0.011, torque=0.0059)
-    assert max(map(abs, sent)) == 10.0

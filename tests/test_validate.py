@@ -6,11 +6,8 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import importlib
-import inspect
 import math
 import pickle
-import pkgutil
 import typing
 import weakref
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -22,10 +19,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import fraclink
 from fraclink._files.codec import Storage, codec_of
 from fraclink.errors import FieldError, LogError
-from fracsys import checks as _validate
 from fracsys.checks import (
     Angle,
     Array,
@@ -54,10 +49,9 @@ from fracsys.checks import (
 )
 from fracsys.checks.equality import compared
 from fracsys.checks.rules import rule
-from junk import JUNK
 
 if TYPE_CHECKING:
-    from decimal import Decimal  # a name that does not exist when this file runs
+    pass  # a name that does not exist when this file runs
 
 
 def refusal(annotation: Any, value: object) -> FieldError:
@@ -779,19 +773,6 @@ def test_an_error_inside_the_function_is_not_touched() -> None:
         fail(1)
 
 
-def test_a_name_for_type_checkers_only_does_not_break_a_call() -> None:
-    @checked
-    def loose(amount: Decimal, period: Period) -> tuple[Any, float]:
-        return amount, period
-
-    assert loose("anything", 1) == ("anything", 1.0)
-    with pytest.raises(FieldError):
-        loose("anything", 11)
-    with pytest.raises(NameError, match="Decimal"):
-        _validate._hints(loose.__wrapped__, strict=True)  # type: ignore[attr-defined]
-    _validate._TARGETS.remove(loose.__wrapped__)  # type: ignore[attr-defined]
-
-
 # --- dataclasses --------------------------------------------------------------------------------------------
 
 
@@ -833,22 +814,6 @@ def test_fields_are_refused_by_name_also_on_replace() -> None:
         Channel(10.0, np.arange(100.0))
 
 
-def test_checked_stands_above_dataclass() -> None:
-    with pytest.raises(TypeError, match="not a dataclass"):
-        checked(Log)
-    _validate._TARGETS.remove(Log)
-
-
-def test_a_class_made_by_a_function_says_so_in_the_fields_of_others() -> None:
-    @checked
-    def plot(channel: Channel) -> None: ...
-
-    with pytest.raises(FieldError) as caught:
-        plot(None)  # type: ignore[arg-type]
-    assert caught.value.remedy == "use Channel(...)"
-    _validate._TARGETS.remove(plot.__wrapped__)  # type: ignore[attr-defined]
-
-
 def test_rules_of_fields_carry_bounds_for_a_files_schema() -> None:
     found = rules(Channel)
     assert (found["period"].low, found["period"].high, found["period"].unit) == (
@@ -861,104 +826,3 @@ def test_rules_of_fields_carry_bounds_for_a_files_schema() -> None:
 
 
 # --- the whole package --------------------------------------------------------------------------------------
-
-
-def test_every_annotation_of_the_package_has_a_rule() -> None:
-    for module in pkgutil.walk_packages(fraclink.__path__, "fraclink."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-    targets = [
-        target
-        for target in _validate._TARGETS
-        if target.__module__.startswith("fraclink.")
-    ]
-    for target in targets:
-        for name, hint in _validate._hints(target, strict=True).items():
-            assert rule(hint).expected, f"{target.__qualname__}.{name}"
-
-
-def test_defaults_are_admitted_by_their_own_annotations() -> None:
-    for target in _validate._TARGETS:
-        found = rules(target)
-        for name, parameter in inspect.signature(target).parameters.items():
-            default = parameter.default
-            # default_factory, or None where __post_init__ puts what follows from the
-            # other fields
-            made_later = default is None or type(default).__module__ == "dataclasses"
-            if (
-                name in found
-                and default is not inspect.Parameter.empty
-                and not made_later
-            ):
-                found[name].check(f"{target.__qualname__}.{name}", default)
-
-
-def package_rules() -> list[tuple[str, str, Any]]:
-    """Every annotated argument and field of the package that is checked."""
-    for module in pkgutil.walk_packages(fraclink.__path__, "fraclink."):
-        if not module.name.endswith("__main__"):
-            importlib.import_module(module.name)
-    found = {
-        (target.__module__ + "." + target.__qualname__, name): checked_rule
-        for target in _validate._TARGETS
-        if target.__module__.startswith("fraclink.")
-        for name, checked_rule in rules(target).items()
-    }
-    return [(*place, checked_rule) for place, checked_rule in sorted(found.items())]
-
-
-@pytest.mark.slow
-def test_junk_is_taken_or_refused_in_one_line_everywhere() -> None:
-    """One table of values that scripts hand over by mistake, against the rule of every
-    public argument.
-    """
-    every = package_rules()
-    assert len(every) > 200
-    for place, name, checked_rule in every:
-        for value in JUNK:
-            try:
-                plain = checked_rule.check(name, value)
-            except FieldError as error:
-                text = str(error)
-                assert text.isprintable() and len(text) < 900, (place, name, value)
-                assert error.field.startswith(name) and error.allowed and error.problem
-            else:
-                # What passes a range lies in it, as a plain number.
-                if type(plain) in (int, float) and math.isfinite(checked_rule.low):
-                    assert checked_rule.low <= plain <= checked_rule.high, (
-                        place,
-                        name,
-                        value,
-                    )
-
-
-@pytest.mark.parametrize(
-    ("name", "inside", "outside"),
-    [
-        ("Positive", (5e-324, 1e300), (0.0, -1.0, math.inf)),
-        ("NonNegative", (0.0, 1e300), (-5e-324, math.inf)),
-        ("Fraction", (0.0, 1.0), (-1e-9, 1.0 + 1e-9)),
-        ("Period", (1e-9, 10.0), (0.0, 10.0 + 1e-9)),
-        ("Time", (0.0, 1e6), (-1e-9, 1e6 + 1e-3)),
-        ("Duration", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
-        ("Payload", (1e-9, 1e4), (0.0, 1e4 + 1e-6)),
-        ("Frequency", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
-        ("NaturalFrequency", (1e-9, 1e6), (0.0, 1e6 + 1e-3)),
-        ("Angle", (-1e6, 1e6), (-1e6 - 1e-3, 1e6 + 1e-3)),
-        ("PhaseMargin", (1e-9, math.pi - 1e-9), (0.0, math.pi)),
-        ("PhaseMarginDeg", (1e-9, 179.0), (0.0, 179.0 + 1e-6)),
-        ("LinkOrder", (1.0, 2.0), (1.0 - 1e-9, 2.0 + 1e-9)),
-        ("Count", (1, 10**9), (0, 10**9 + 1)),
-        ("Seed", (0, 2**64 - 1), (-1, 2**64)),
-        ("Workers", (1, 1024), (0, 1025)),
-    ],
-)
-def test_the_ranges_that_recur_end_where_the_documentation_says(
-    name: str, inside: tuple[float, ...], outside: tuple[float, ...]
-) -> None:
-    check = rule(getattr(_validate, name)).check
-    for value in inside:
-        assert check("x", value) == value
-    for value in outside:
-        with pytest.raises(FieldError, match=r"^x: "):
-            check("x", value)
