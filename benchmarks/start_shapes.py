@@ -220,7 +220,6 @@ def forms() -> dict[str, Shape]:
         f"{k + 1},{row}" for k, row in enumerate(body(degrees).splitlines())
     )
     raw = np.column_stack((t, DEG * a, g))
-    numbers = (("raw float64", "$ python"),)
     gaps = table(plain).splitlines()
     del gaps[700:708]
     holes = table(plain).splitlines()
@@ -324,25 +323,9 @@ def forms() -> dict[str, Shape]:
             written(table(degrees) + "\nEnd of run\n"),
             (("cut off the rest", "$ cut off the rest by "),),
         ),
-        "raw float64": Shape(
-            written(raw.tobytes(), "log.bin"),
-            (
-                *numbers,
-                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
-                ("Which column is the output", "deflection=#3 [raw]"),
-            ),
-            kind="deflection",
-            raw=True,
-        ),
+        "raw float64": Shape(written(raw.tobytes(), "log.bin"), (("np.fromfile", ""),)),
         "raw float64, channel after channel": Shape(
-            written(raw.T.tobytes(), "log.bin"),
-            (
-                *numbers,
-                ("Which column is the motor angle", "motor_angle=#2 [deg]"),
-                ("Which column is the output", "deflection=#3 [raw]"),
-            ),
-            kind="deflection",
-            raw=True,
+            written(raw.T.tobytes(), "log.bin"), (("np.fromfile", ""),)
         ),
         "NumPy": Shape(
             numpy_file,

@@ -354,25 +354,10 @@ def test_an_array_of_objects_is_not_unpickled(tmp_path: Path) -> None:
         read_table(tmp_path / "log.npy")
 
 
-@pytest.mark.parametrize(
-    ("kind", "turned"), [("<f8", False), ("<f8", True), ("<f4", False)]
-)
-def test_raw_numbers_are_told_by_their_shape(
-    kind: str, turned: bool, tmp_path: Path
-) -> None:
-    numbers = NUMBERS.T if turned else NUMBERS
-    np.ascontiguousarray(numbers, dtype=kind).tofile(tmp_path / "log.bin")
-    with pytest.raises(
-        FileFormatError, match=r"3 (columns|rows) the first of them rises"
-    ) as caught:
+def test_raw_numbers_are_refused_with_the_way_to_read_them(tmp_path: Path) -> None:
+    NUMBERS.tofile(tmp_path / "log.bin")
+    with pytest.raises(FileFormatError, match=r"np\.fromfile\('log\.bin'\)"):
         read_table(tmp_path / "log.bin")
-    line = re.search(r'python -c "(.*)" and', caught.value.remedy)
-    assert line is not None
-    script = line[1].replace("'log.", f"'{tmp_path}/log.")
-    exec(script)  # noqa: S102
-    np.testing.assert_allclose(
-        np.load(tmp_path / "log.npy"), NUMBERS, rtol=1e-6, atol=1e-9
-    )
 
 
 def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:

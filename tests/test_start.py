@@ -821,6 +821,29 @@ def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
     assert found.columns.voltage.column == "motor_V"
 
 
+def test_recorded_names_serve_though_they_do_not_fit_the_columns() -> None:
+    table = read_table(shared_data("rig_a_late_gauge", "unit7.csv"), numbered=True)
+    (question,) = guess_columns(table, {}).questions
+    assert (question.role, question.part) == ("time", "unit")  # "s", in steps of 1
+    found = guess_columns(table, statements(["time=[ms]"], None))
+    assert found.columns is not None
+    assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
+        "#2",
+        "rad",
+    )
+    assert (found.columns.output.column, found.columns.output.sign) == ("#3", -1)
+
+
+def test_recorded_structures_offer_no_reference_and_no_column_twice() -> None:
+    table = read_table(shared_data("rig_b_two_stage", "lqg30.mat"))
+    angle, output = guess_columns(table, {}).questions
+    names = set(angle.choices) | set(output.choices)
+    assert {"theta11", "theta12"} <= names
+    assert not any(word in name for name in names for word in ("ref", "sim", "dot"))
+    values = [table.values[table.names.index(name)].tobytes() for name in names]
+    assert len(set(values)) == len(values)
+
+
 @pytest.mark.parametrize("name", ["2_lab_a05_f04", "2_lab_a10_f04", "2_lab_a15_f10"])
 def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     place = shared_data("ist_flexbar", f"{name}.csv")

@@ -10,7 +10,6 @@ import shlex
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fraclink._reading.forms import (
     CLOCK,
@@ -171,10 +170,6 @@ def cell_remedy(cell: str) -> str:
 
 
 _HEADER = 200  # lines among which names stand; what is behind them are numbers
-# numbers of a file that is looked at: the shortest log that can be fitted has more
-_FEWEST = 200
-_MOST_COLUMNS = 32
-_LARGEST, _SMALLEST = 1e12, 1e-15  # no unit of a laboratory makes numbers beyond
 _WIDE = (  # their marks; that of UTF-32 begins as that of UTF-16 does
     (b"\xff\xfe\x00\x00", "utf-32"),
     (b"\x00\x00\xfe\xff", "utf-32"),
@@ -199,7 +194,13 @@ def normal_bytes(raw: bytes, path: Path) -> bytes:
                 path, f"damaged {encoding.upper()} text", "save it as UTF-8"
             ) from error
     if b"\x00" in raw:
-        raise _binary(raw, path)
+        # Which shape raw numbers have, only who wrote them knows.
+        problem = f"damaged or binary (NUL at byte {raw.index(0)})"
+        remedy = (
+            "export the log as CSV in UTF-8; raw numbers: np.save('log.npy', "
+            "np.fromfile('log.bin').reshape(-1, columns)), and read log.npy"
+        )
+        raise _not_text(path, problem, remedy)
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     try:
         raw.decode("utf-8")
@@ -231,67 +232,3 @@ def _of_windows(raw: bytes, path: Path, error: UnicodeDecodeError) -> bytes:
         return raw.decode("cp1252").encode()
     except UnicodeDecodeError:
         raise _not_text(path, problem, remedy) from error
-
-
-def _binary(raw: bytes, path: Path) -> FileFormatError:
-    """The error for bytes that are no text, with a line to paste where they look like
-    raw numbers.
-    """
-    # Doubles first: any file of doubles is one of twice as many floats, while floats
-    # read as doubles seldom make a clock.
-    for kind, words in (("<f8", "float64"), ("<f4", "float32")):
-        if len(raw) % np.dtype(kind).itemsize == 0 and (
-            shape := _shape_of(np.frombuffer(raw, kind))
-        ):
-            columns, order, clock = shape
-            turned = ".T" if order == "rows" else ""
-            at = f"({columns}, -1){turned}" if turned else f"(-1, {columns})"
-            name, target = path.name, f"{path.stem}.npy"
-            line = f"import numpy as np; np.save({target!r}, np.fromfile({name!r}, '{kind}').reshape{at})"
-            quoted = (
-                f'"{line}"' if re.fullmatch(r"[\w. -]+", name) else shlex.quote(line)
-            )
-            seen = f"raw {words}: as {columns} {order} the {clock} of them rises steadily, as a time does"
-            return _not_text(
-                path,
-                seen,
-                f"if that is its shape, run python -c {quoted} and read {target}",
-            )
-    return _not_text(
-        path,
-        f"damaged or binary (NUL at byte {raw.index(0)})",
-        "export the log as CSV in UTF-8; raw numbers: np.save('log.npy', "
-        "np.fromfile('log.bin').reshape(-1, columns)), and read log.npy",
-    )
-
-
-def _shape_of(numbers: NDArray[np.floating]) -> tuple[int, str, str] | None:
-    """Columns, and whether they stand one after the other, with which one of them is a
-    clock.
-    """
-    if numbers.size < _FEWEST or not np.isfinite(numbers).all():
-        return None
-    size = np.abs(numbers)
-    # Bytes that are no numbers, read as numbers, have exponents all over the range of
-    # doubles.
-    if size.max() > _LARGEST or np.any((size > 0) & (size < _SMALLEST)):
-        return None
-    for columns in (n for n in range(2, _MOST_COLUMNS + 1) if numbers.size % n == 0):
-        for order in ("columns", "rows"):
-            table = (
-                numbers.reshape(-1, columns).T
-                if order == "columns"
-                else numbers.reshape(columns, -1)
-            )
-            for place, values in enumerate(table):
-                steps = np.diff(values)
-                # Steadily, as a time with jitter does: an angle that happens to rise
-                # over the whole log changes its speed.
-                if np.all(steps > 0) and np.ptp(steps) < 0.5 * np.median(steps):
-                    named = ("first", "second", "third")
-                    return (
-                        columns,
-                        order,
-                        named[place] if place < len(named) else f"{place + 1}th",
-                    )
-    return None
