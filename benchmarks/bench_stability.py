@@ -14,10 +14,10 @@ from functools import partial
 import control
 import numpy as np
 
+from fracsys import to_control
 from fracsys._discrete import _target as discrete_target
 from fracsys._discrete import fit_discrete
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._interop import to_control
 from fracsys._margins import margins
 from fracsys._minimax import PartialFractions, improve, score
 from fracsys._roots import log_zeros

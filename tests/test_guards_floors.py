@@ -110,7 +110,7 @@ EXTRAS = {
 LATE = {
     ("fraclink._cli", "fraclink._cli.app"): "needs the extra [cli]",
     ("fraclink._cli.studio", "fraclink.studio._serving"): "needs the extra [studio]",
-    ("fracsys._interop", "fracsys._control_adapter"): "needs the extra [control]",
+    ("fracsys._to_control", "fracsys._control_adapter"): "needs the extra [control]",
     (
         "fraclink._reading.worker",
         "scipy.io",

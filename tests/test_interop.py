@@ -19,8 +19,8 @@ import pytest
 
 import fracsys
 from fraclink.errors import FieldError, MissingExtraError
+from fracsys import from_control, to_control
 from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._interop import from_control, to_control
 from fracsys._margins import margins
 
 mpl.use("Agg")

@@ -35,7 +35,6 @@ from fraclink.studio import _work as work
 from fraclink.studio._copied import as_command, as_python, copies
 from fraclink.studio._history import History
 from fraclink.studio._messages import (
-    LONGEST,
     Reply,
     checked_request,
     parsed,
@@ -43,6 +42,7 @@ from fraclink.studio._messages import (
     wanted_of,
 )
 from fraclink.studio._preview import Subject, nearest, preview
+from fraclink.studio._protocol import LONGEST
 from fraclink.studio._regions import (
     Region,
     checked_regions,

@@ -2,8 +2,7 @@ from fracsys import checks as checks
 from fracsys import errors as errors
 from fracsys._fractional import FractionalTransferFunction as FractionalTransferFunction
 from fracsys._fractional import s as s
-from fracsys._interop import from_control as from_control
-from fracsys._interop import to_control as to_control
+from fracsys._from_control import from_control as from_control
 from fracsys._margins import Margins as Margins
 from fracsys._margins import margins as margins
 from fracsys._mittag_leffler import mittag_leffler as mittag_leffler
@@ -19,5 +18,6 @@ from fracsys._response import time_response as time_response
 from fracsys._stability import StabilityVerdict as StabilityVerdict
 from fracsys._stability import is_stable as is_stable
 from fracsys._stability import poles as poles
+from fracsys._to_control import to_control as to_control
 
 __all__: list[str]

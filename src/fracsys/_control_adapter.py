@@ -16,7 +16,7 @@ import control
 import numpy as np
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._interop import continuous
+from fracsys._from_control import continuous
 from fracsys._sweep import frequency_grid
 from fracsys.errors import FracsysError
 

@@ -330,10 +330,10 @@ class FractionalTransferFunction:
 
     def to_control(self, *, name: str | None = None) -> Any:
         """Return the function as a python-control system (see
-        `fracsys._interop.to_control`).
+        `fracsys.to_control`).
         """
         # By name and at call time: this module knows nothing of the floors above it.
-        return import_module("fracsys._interop").to_control(self, name=name)
+        return import_module("fracsys._to_control").to_control(self, name=name)
 
     @staticmethod
     def power(order: float) -> FractionalTransferFunction:
@@ -487,7 +487,7 @@ def _operand(value: object) -> Any:
     if isinstance(value, FractionalTransferFunction):
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
-        return import_module("fracsys._interop").continuous(value)
+        return import_module("fracsys._from_control").continuous(value)
     if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction, too
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented

@@ -22,7 +22,7 @@ from fraclink._law.requirement import LEAST_SHARE
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._interop import from_control
+from fracsys._from_control import from_control
 from fracsys._stability import is_stable
 from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
 

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+import fraclink._law.block as layout
 from fraclink import _kernels
 from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
 from fraclink._files.codec import Storage, codec_of
-from fraclink._law import block as layout
 from fraclink._law.block import Drive, Modes, Tracking, block_values
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, FileFormatError, MissingExtraError

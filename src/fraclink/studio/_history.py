@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from fraclink.errors import FieldError
-from fraclink.studio._messages import LONGEST
+from fraclink.studio._protocol import LONGEST
 
 __all__ = ["History"]
 

@@ -19,13 +19,12 @@ from numpy.typing import ArrayLike
 
 from fraclink._design import Specification
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
-from fraclink.studio._server import LONGEST
+from fraclink.studio._protocol import LONGEST
 from fraclink.view._records import plain
 from fracsys.checks import PhaseMarginDeg
 from fracsys.checks.rules import rule
 
 __all__ = [
-    "LONGEST",
     "NAMES",
     "USUAL",
     "Message",

@@ -26,7 +26,7 @@ from fraclink.view._pages import squeezed, template_text, tightened
 if TYPE_CHECKING:
     from fraclink.studio._session import Session
 
-__all__ = ["LONGEST", "Studio", "application"]
+__all__ = ["Studio", "application"]
 
 # No inline script or style, no other host, no frame: what a hostile name in a log could
 # smuggle into the page does not run. WebAssembly must be compiled, hence
@@ -51,8 +51,6 @@ _KINDS = {
     ".svg": "image/svg+xml",
 }
 _SCRIPTS = ("arm_engine.js", "arm_drawing.js", "arm_page.js")
-# bytes of a request: a state takes 400, the statements of twelve columns 2000
-LONGEST = 16_384
 UPLOAD_LIMIT = 200_000_000  # bytes: as much as the readers of logs take
 # A plain file name with an ending: no folder, no leading dot, nothing that a file
 # system or a shell takes for something else.

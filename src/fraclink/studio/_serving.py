@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Literal
 import uvicorn
 
 from fraclink.errors import FieldError, MissingExtraError
-from fraclink.studio._server import LONGEST, Studio, application
+from fraclink.studio._protocol import LONGEST
+from fraclink.studio._server import Studio, application
 
 if TYPE_CHECKING:
     from fraclink.studio._session import Session
