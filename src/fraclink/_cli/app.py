@@ -45,7 +45,9 @@ _SECTIONS: dict[str, dict[str, str]] = {
         "studio": "studio",
     },
     "More on logs and models": {
-        **dict.fromkeys(("compare-structures", "identify-payloads"), "models"),
+        **dict.fromkeys(
+            ("compare-structures", "identify-payloads", "validate"), "models"
+        ),
         **dict.fromkeys(
             ("identify-motor", "identify-spectrum", "identify-driven-link"),
             "recordings",

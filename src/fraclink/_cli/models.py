@@ -40,11 +40,18 @@ from fraclink._simulate import Twin, simulate_log
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fraclink.logs._diagnosis import diagnose as examine
+from fraclink.view._figures import validation_figure
 from fracsys.checks import Between, Payload
 
 StructureName = Annotated[
     str | None,
     "UD-IOM, D-IOM, UD-FOM or D-FOM; the one that the log supports where it is left out",
+]
+
+Payloads = Annotated[
+    list[float] | None,
+    typer.Option(metavar="KG"),
+    "Payload of each log [kg], in their order",
 ]
 
 app = group()
@@ -156,27 +163,13 @@ def compare_structures(
     return Answer(comparison, doubts=doubts)
 
 
-@command(app)
-def identify_payloads(
-    logs: Annotated[
-        list[str],
-        typer.Argument(metavar="LOG"),
-        "Two or more logs, each of another payload",
-    ],
-    rig: RigName,
-    structure: StructureName = None,
-    payload: Annotated[
-        list[float] | None,
-        typer.Option(metavar="KG"),
-        "Payload of each log [kg], in their order",
-    ] = None,
-    tied: Annotated[bool, "Tie ω₀ to the payload by equation (5)"] = False,
-    column: Columns = None,
-) -> Answer:
-    """Fit several payloads together and test whether their parameters may be common.
-
-    $ fraclink identify-payloads 20g.csv 40g.csv --rig rig.toml
-    """
+def _logs_of(
+    logs: list[str],
+    known: Rig | RigDraft,
+    column: list[str] | None,
+    payload: list[float] | None,
+) -> list[Experiment]:
+    """Several logs, each with its payload."""
     # In the order of the logs: a mass that went to another log would tie ω₀ to the
     # wrong payload and look like physics.
     if payload and len(payload) != len(logs):
@@ -188,16 +181,66 @@ def identify_payloads(
             allowed=f"{len(logs)} values",
             remedy=remedy,
         )
-    known = load_rig(rig)
     masses: list[float | None] = list(payload) if payload else [None] * len(logs)
-    experiments = [
+    return [
         load_log(log, known, column, mass)
         for log, mass in zip(logs, masses, strict=True)
     ]
+
+
+@command(app)
+def identify_payloads(
+    logs: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG"),
+        "Two or more logs, each of another payload",
+    ],
+    rig: RigName,
+    structure: StructureName = None,
+    payload: Payloads = None,
+    tied: Annotated[bool, "Tie ω₀ to the payload by equation (5)"] = False,
+    column: Columns = None,
+) -> Answer:
+    """Fit several payloads together and test whether their parameters may be common.
+
+    $ fraclink identify-payloads 20g.csv 40g.csv --rig rig.toml
+    """
+    known = load_rig(rig)
+    experiments = _logs_of(logs, known, column, payload)
     fit = identification.identify_payloads(
         experiments, structure, tied=tied, length=known.link.length
     )
     return Answer(fit, fit.test.common)
+
+
+@command(app)
+def validate(
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL"), "Model made by `fraclink identify`"
+    ],
+    logs: Annotated[
+        list[str],
+        typer.Argument(metavar="LOG"),
+        "One or more logs that the model was not made from",
+    ],
+    rig: RigName,
+    out: Annotated[
+        Path | None, "Figure of the logs under the prediction (.svg)", Writes()
+    ] = None,
+    payload: Payloads = None,
+    column: Columns = None,
+) -> Answer:
+    """Hold a model against other logs of the arm: its error on each, and what each log
+    says of the link by itself.
+
+    $ fraclink validate model.json other.csv --rig rig.toml
+    """
+    fit = identification.Fit.load(model)
+    known = load_rig_for_logs(rig)
+    found = fit.validate(*_logs_of(logs, known, column, payload))
+    if out is not None:
+        validation_figure(found).save(out)
+    return Answer(found, found.passed, written=() if out is None else (out,))
 
 
 @command(app)

@@ -27,6 +27,7 @@ from fraclink._identify.residual import ResidualTests
 from fraclink._identify.spectrum import frequency_response, identify_frequency_response
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import identify_structure
+from fraclink._identify.validation import LogValidation, Validation
 
 __all__ = [
     "SYMBOLS",
@@ -39,11 +40,13 @@ __all__ = [
     "Interval",
     "JointFit",
     "LikelihoodRatio",
+    "LogValidation",
     "MotorFit",
     "Recording",
     "ResidualTests",
     "SpectrumFit",
     "StructureFit",
+    "Validation",
     "aic",
     "bic",
     "coincidence_text",

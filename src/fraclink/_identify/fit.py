@@ -26,7 +26,9 @@ from fraclink.findings import Finding, errors_of
 from fracsys.checks.equality import compared
 
 if TYPE_CHECKING:
+    from fraclink._arm.experiment import Experiment
     from fraclink._arm.rig import Rig
+    from fraclink._identify.validation import Validation
 
 _SAMPLES_MOST = (
     300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
@@ -261,6 +263,33 @@ class Fit:
             # θm − Γ/c of the law.
             model = dataclasses.replace(model, stiffness=rig.link.stiffness)
         return in_loop(model, rig)
+
+    def validate(self, *logs: Experiment) -> Validation:
+        """Hold the fit against other logs of the same arm: error and bias of its
+        prediction, over frequency too, and what each log says of the link by itself.
+
+        Parameters
+        ----------
+        logs
+            one or more, each from rest. Where log and fit state their payloads, ω₀ is
+            moved to that of the log by eq. (5).
+
+        Raises
+        ------
+        FieldError
+            no log, or one of another output.
+
+        Examples
+        --------
+        >>> import fraclink as fl
+        >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")))
+        >>> fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
+        Validation(the model predicts the other log: error 1.3... % (NMSE)...)
+        """
+        # Here and not above: it fits every log by itself, with what makes fits.
+        from fraclink._identify.validation import validate
+
+        return validate(self, logs)
 
     def save(self, path: Path | str) -> None:
         """Write the fit as JSON, complete or not at all; `load` reads back an equal

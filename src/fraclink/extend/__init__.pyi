@@ -51,6 +51,7 @@ from fraclink._identify.motor import MotorFit as MotorFit
 from fraclink._identify.payloads import JointFit as JointFit
 from fraclink._identify.spectrum import frequency_response as frequency_response
 from fraclink._identify.structure_fit import StructureFit as StructureFit
+from fraclink._identify.validation import Validation as Validation
 from fraclink._law.discretization import equip as equip
 from fraclink._law.estimator import Estimates as Estimates
 from fraclink._law.estimator import PayloadEstimator as PayloadEstimator

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fraclink._arm.experiment import Experiment
-from fraclink._identify import Fit, StructureFit
+from fraclink._identify import Fit, LogValidation, StructureFit, Validation
 from fraclink.view._drawing import Figure, Panel
 from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
 from fraclink.view._scales import Scale, envelope
@@ -27,7 +27,12 @@ __all__ = [
     "residual_figure",
     "response_figure",
 ]
-__all__ += ["residual_density", "response_estimate", "structure_figure"]
+__all__ += [
+    "residual_density",
+    "response_estimate",
+    "structure_figure",
+    "validation_figure",
+]
 
 OUTPUT_LABEL = {
     "torque": "base torque Γ [N·m]",
@@ -116,6 +121,34 @@ def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Ma
     """A residual, with the place behind which nothing was fitted."""
     held = Upright(edge, "held out from here") if edge < time[-1] else None
     return [_record(time, residual, line), *([held] if held else [])]
+
+
+def validation_figure(found: Validation) -> Figure:
+    """Draw each other log under the prediction of the fit, and what it leaves."""
+    panels = [panel for each in found.logs for panel in _predicted(each)]
+    longest = max(float(each.log.time[-1]) for each in found.logs)
+    said = "Logs that the fit has not seen under its prediction, and what it leaves"
+    return Figure("validation", said, Scale(0.0, longest), panels, "time [s]", "log")
+
+
+def _predicted(each: LogValidation) -> list[Panel]:
+    log, rest = each.log, each.log.output - each.predicted
+    return [
+        Panel(
+            f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", "),
+            Scale.around(log.output, each.predicted),
+            [
+                _record(log.time, log.output, 0, "measured", wide=True),
+                Curve(*envelope(log.time, each.predicted), 1, "predicted"),
+            ],
+        ),
+        Panel(
+            "what the prediction leaves",
+            Scale.around(rest),
+            [_record(log.time, rest, 1), Across(each.bias, "bias", limit=False)],
+            60.0,
+        ),
+    ]
 
 
 def structure_figure(fit: StructureFit) -> Figure:

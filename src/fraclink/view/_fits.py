@@ -23,7 +23,7 @@ __all__ += [
     "response_view",
     "spectrum_view",
 ]
-__all__ += ["structure_view", "worth_reading"]
+__all__ += ["structure_view", "validation_view", "worth_reading"]
 
 
 def worth_reading(findings: Sequence[Finding]) -> tuple[str, ...]:
@@ -53,6 +53,52 @@ def payloads_view(fit: Any) -> View:
     return View(
         fit.verdict, (Table(("payload", *names, "MSE together", "MSE alone"), rows),)
     )
+
+
+# Name of a figure of `Validation.figures`, its unit's factor and the words of it.
+_FIGURES = {
+    "resonance": ("resonance [rad/s]", 1.0),
+    "order": ("λ", 1.0),
+    "damping": ("μ", 1.0),
+    "damping_order": ("α", 1.0),
+    "delay": ("delay [ms]", 1e3),
+    "gain": ("gain", 1.0),
+}
+
+
+def validation_view(found: Any) -> View:
+    """A fit beside logs that it has not seen."""
+    named = {
+        source_name(each.log) or f"log {k}": each
+        for k, each in enumerate(found.logs, 1)
+    }
+    errors: tuple[Row, ...] = tuple(
+        (
+            name,
+            f"{100 * each.nmse:.3g} %",
+            number(each.bias, 3),
+            number(float(each.frequencies[each.share.argmax()]), 3),
+        )
+        for name, each in named.items()
+    )
+    columns = (found.figures, *map(found.figures_of, found.logs))
+    rows = tuple(
+        (
+            words,
+            *(
+                uncertain(factor * x.value, 0.5 * factor * (x.high - x.low))
+                for x in (column[key] for column in columns)
+            ),
+        )
+        for key, (words, factor) in _FIGURES.items()
+        if key in found.figures
+    )
+    tables = (
+        Table(("log", "error (NMSE)", "bias", "worst at [rad/s]"), errors),
+        Table(("95 % interval", "the model", *named), rows),
+    )
+    state = "passed" if found.passed else "failed"
+    return View(found.verdict, tables, worth_reading(found.findings), state)
 
 
 def motor_view(fit: Any) -> View:

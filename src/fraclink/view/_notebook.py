@@ -31,6 +31,7 @@ _DRAWINGS: dict[str, Callable[[Any], Figure | str]] = {
     "Design": loops.bode_figure,
     "PidTuning": loops.pid_figure,
     "StructureFit": figures.structure_figure,
+    "Validation": figures.validation_figure,
     "DrivenLinkFit": lambda found: figures.structure_figure(found.fit),
     "FeasibilityMap": loops.map_figure,
     "Rig": lambda rig: arm_sketch(sketch_notes(rig, rig.model)),

@@ -183,6 +183,8 @@ _NAMES = {
     "DrivenLinkFit": "passed output order anti_resonance peak parameters intervals:fit.intervals findings",
     "StructureFit": "passed expression parameters intervals standard_errors at_bound undetermined offset "
     "nmse heldout_nmse findings",
+    "LogValidation": "source:log.source payload:log.payload nmse bias frequencies share fit",
+    "Validation": "passed verdict nmse spread logs findings",
     "ExperimentDesign": "kind amplitude bit duration standard_error peak_deflection peak_voltage band",
     "Controller": "gain order filter_time filter_order",
     "Requirement": "name unit passed wanted achieved at_payload slack",

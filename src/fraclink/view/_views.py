@@ -24,6 +24,7 @@ from fraclink.view._fits import (
     response_view,
     spectrum_view,
     structure_view,
+    validation_view,
     worth_reading,
 )
 from fraclink.view._tables import (
@@ -380,6 +381,7 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "MotorFit": motor_view,
     "SpectrumFit": spectrum_view,
     "StructureFit": structure_view,
+    "Validation": validation_view,
     "DrivenLinkFit": driven_view,
     "Recording": recording_view,
     "FrequencyResponse": response_view,

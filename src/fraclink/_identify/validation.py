@@ -1,0 +1,294 @@
+"""A fit held against logs that it has not seen: its error on each, and what each log
+says of the link by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.link import LinkModel
+from fraclink._identify.compare import identify
+from fraclink._identify.findings import HELDOUT_MOST
+from fraclink._identify.fit import Fit
+from fraclink._identify.fitting import simulated_torque
+from fraclink._identify.shape import moving_angle
+from fraclink._display import displayed
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, errors_of, worst_first
+from fracsys.checks.equality import compared
+
+__all__ = ["LogValidation", "Validation", "Value", "validate"]
+
+Floats = NDArray[np.float64]
+# Segments of Welch's method: their average of half-overlapping ones has a standard
+# error of a quarter, which is enough to see where over frequency a model errs.
+_SEGMENTS = 8
+# Of the prediction's largest power: Hann's window leaks less than this, and a frequency
+# with less of the motion says nothing of the link.
+_LEAST_POWER = 1e-4
+
+
+class Value(NamedTuple):
+    """A figure of the link with its 95 % interval; nan where the fit has none."""
+
+    value: float
+    low: float
+    high: float
+
+    def disagrees(self, other: Value) -> bool:
+        """Whether both intervals are known and have nothing in common."""
+        return self.high < other.low or other.high < self.low
+
+
+@compared
+@dataclass(frozen=True, eq=False)
+class LogValidation:
+    """One log beside the prediction of a fit that was made without it.
+
+    Parameters
+    ----------
+    log
+        the log.
+    predicted
+        output that the fit predicts from the motor angle, its offset included, shape
+        (N,) [unit of the output].
+    nmse
+        mean square of (output − predicted − bias) over that of (output − its mean): 0
+        is perfect, 1 as bad as an arm at rest.
+    bias
+        mean of output − predicted: the gauge has drifted by that much [unit].
+    frequencies
+        where the log has motion, shape (K,) [rad/s].
+    ratio
+        measured over predicted output at each of them, complex, shape (K,): its modulus
+        is the gain and its angle the phase [rad] that the model misses.
+    share
+        of the measured power at each frequency that the prediction leaves, shape (K,).
+    fit
+        the same structure fitted to this log alone.
+    """
+
+    log: Experiment
+    predicted: Floats
+    nmse: float
+    bias: float
+    frequencies: Floats
+    ratio: NDArray[np.complex128]
+    share: Floats
+    fit: Fit
+
+
+@displayed
+@compared
+@dataclass(frozen=True, eq=False, repr=False)
+class Validation:
+    """A fit held against logs that it has not seen.
+
+    Parameters
+    ----------
+    fit
+        what was held against them.
+    logs
+        one `LogValidation` for each.
+    findings
+        W361 (error) where it does not predict a log, W362 (warning) where a log's own
+        fit lies beyond the intervals of both.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")))
+    >>> found = fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
+    >>> found.passed, round(found.nmse, 3)
+    (True, 0.013)
+    """
+
+    fit: Fit
+    logs: tuple[LogValidation, ...]
+    findings: tuple[Finding, ...]
+
+    __made_by__ = "fit.validate(log)"
+
+    @property
+    def passed(self) -> bool:
+        """Whether the fit predicts every log."""
+        return not errors_of(self.findings)
+
+    @property
+    def nmse(self) -> float:
+        """The worst error of all logs [1]."""
+        return max(each.nmse for each in self.logs)
+
+    @property
+    def models(self) -> tuple[LinkModel, ...]:
+        """The link as each log alone shows it: `others` of `ParameterBox.of`."""
+        return tuple(each.fit.model for each in self.logs)
+
+    @property
+    def spread(self) -> Mapping[str, tuple[float, float]]:
+        """Least and largest value of each figure over the fit and all logs."""
+        rows = [self.figures, *map(self.figures_of, self.logs)]
+        return {
+            name: (
+                min(row[name].value for row in rows),
+                max(row[name].value for row in rows),
+            )
+            for name in self.figures
+        }
+
+    @property
+    def figures(self) -> Mapping[str, Value]:
+        """Resonance [rad/s], order, damping, delay [s] and gain of the fit."""
+        return _figures(self.fit, self.fit.model)
+
+    def figures_of(self, each: LogValidation) -> Mapping[str, Value]:
+        """The same of a log's own fit, at the payload of this fit where both are known."""
+        return _figures(each.fit, _at_payload(each.fit.model, self.fit.model.payload))
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        error = f"error {100 * self.nmse:.3g} % (NMSE)"
+        if not self.passed:
+            return f"the model does not predict the other log: {error}"
+        which = (
+            "the other log" if len(self.logs) == 1 else f"{len(self.logs)} other logs"
+        )
+        apart = any(finding.code == "W362" for finding in self.findings)
+        rest = ", but they differ by more than their intervals allow" if apart else ""
+        return f"the model predicts {which}: {error}{rest}"
+
+    def __repr__(self) -> str:
+        return f"Validation({self.verdict})"
+
+    def __str__(self) -> str:
+        return "\n".join([self.verdict, *map(str, self.findings)])
+
+
+def _at_payload(model: LinkModel, payload: float | None) -> LinkModel:
+    if payload is None or model.payload is None:
+        return model
+    return model.at_payload(payload)
+
+
+def _figures(fit: Fit, model: LinkModel) -> dict[str, Value]:
+    """The figures of a fit that another log of the same arm should show alike."""
+
+    def interval(field: str, value: float) -> Value:
+        low, high = model.interval(field) or (math.nan, math.nan)
+        return Value(value, low, high)
+
+    # ω₀ is in s^(−λ/2), which differs with λ: what two logs share is the resonance. Its
+    # own interval is shorter than that of ω₀, with which λ trades.
+    frequency = interval("natural_frequency", model.natural_frequency)
+    ends = (
+        abs(replace(model, natural_frequency=end, intervals=()).pole)
+        if end > 0.0
+        else math.nan
+        for end in frequency
+    )
+    gain = 1.96 * fit.standard_errors.get("gain", math.nan)
+    figures = {"resonance": Value(*ends)}
+    for name in ("order", "damping", "damping_order"):
+        if name in fit.standard_errors:
+            figures[name] = interval(name, getattr(model, name))
+    figures["delay"] = interval("gauge_delay", fit.delay)
+    figures["gain"] = Value(fit.gain, fit.gain - gain, fit.gain + gain)
+    return figures
+
+
+def _segments(signal: Floats, size: int) -> NDArray[np.complex128]:
+    """Transforms of a signal's segments above zero frequency, as Welch's method takes
+    them: half over one another, their mean off, under Hann's window.
+    """
+    rows = sliding_window_view(signal, size)[:: size // 2]
+    rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
+    return np.asarray(np.fft.rfft(rows)[:, 1:])
+
+
+def _power(transforms: NDArray[np.complex128]) -> Floats:
+    """Mean power of the segments at each frequency."""
+    return np.asarray(np.mean(np.abs(transforms) ** 2, axis=0))
+
+
+def _validated(fit: Fit, log: Experiment) -> LogValidation:
+    if log.output_kind != fit.output_kind:
+        problem = "not what the fit predicts"
+        remedy = "state the same output in both [log] tables, or fit that log by itself"
+        raise FieldError(
+            "output_kind",
+            log.output_kind,
+            problem,
+            allowed=fit.output_kind,
+            remedy=remedy,
+        )
+    link = replace(_at_payload(fit.model, log.payload), stiffness=1.0)
+    angle = moving_angle(log)
+    swing = simulated_torque(link, angle, log.period, delay=fit.delay)
+    predicted = fit.gain * swing[-log.output.size :] + fit.offset
+    bias = float(np.mean(log.output - predicted))
+    left = log.output - predicted - bias
+    power = float(np.var(log.output))
+    size = max(2 * log.output.size // (_SEGMENTS + 1), 4)
+    expected, measured, rest = (
+        _segments(signal, size) for signal in (predicted, log.output, left)
+    )
+    motion, cross = _power(expected), np.mean(expected.conj() * measured, axis=0)
+    kept = motion > _LEAST_POWER * motion.max()
+    return LogValidation(
+        log=log,
+        predicted=predicted,
+        nmse=float(np.mean(left**2)) / power if power > 0.0 else math.inf,
+        bias=bias,
+        frequencies=2 * math.pi * np.fft.rfftfreq(size, log.period)[1:][kept],
+        ratio=cross[kept] / motion[kept],
+        share=(_power(rest) / _power(measured))[kept],
+        fit=identify(log, fit.structure),
+    )
+
+
+def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
+    """Hold a fit against other logs of the same arm; see `Fit.validate`."""
+    if not logs:
+        problem, remedy = "none given", "give a log that the fit was not made from"
+        raise FieldError("logs", 0, problem, allowed="one at least", remedy=remedy)
+    found = Validation(fit, tuple(_validated(fit, log) for log in logs), ())
+    findings = (finding for each in found.logs for finding in _findings(found, each))
+    return replace(found, findings=worst_first(findings))
+
+
+def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
+    name = each.log.source or "the log"
+    if not each.nmse <= HELDOUT_MOST:
+        yield Finding(
+            "W361",
+            "error",
+            f"the model does not predict {name}",
+            {"nmse": each.nmse, "most": HELDOUT_MOST},
+            "check that both logs are of one arm, with one payload and the same wiring; or fit this log by itself",
+        )
+    own = found.figures_of(each)
+    apart = [
+        key
+        for key, value in found.figures.items()
+        if key in own and value.disagrees(own[key])
+    ]
+    if apart:
+        evidence: dict[str, float] = {}
+        for key in apart:
+            evidence |= {key: found.figures[key].value, f"{key}_here": own[key].value}
+        yield Finding(
+            "W362",
+            "warning",
+            f"{name} shows another {', '.join(apart).replace('_', ' ')}: the 95 % intervals have nothing in common",
+            evidence,
+            "give the models of both logs to the design: ParameterBox.of(model, rig, others=validation.models)",
+        )
