@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink.errors import FieldError
+from fracsys import time_response
 
 PERIOD = 0.004
 LINK = fl.LinkModel(1.5, 10.0, order=1.92, payload=0.030)
@@ -32,7 +33,7 @@ def log(
 ) -> fl.Experiment:
     """A log by `time_response`, which shares no code with the fit's kernel."""
     angle = motion(seed)
-    torque = fl.time_response(link.torque(), angle, PERIOD, hold="first").output
+    torque = time_response(link.torque(), angle, PERIOD, hold="first").output
     torque = torque + noise * np.random.default_rng(100 + seed).standard_normal(
         angle.size
     )

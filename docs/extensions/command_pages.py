@@ -41,6 +41,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "share": ("arm", "how-to/share-an-arm"),
     "compare-structures": ("structures", "how-to/choose-a-structure"),
     "identify-payloads": ("damping", "how-to/choose-a-structure"),
+    "validate": ("validation", "how-to/validate-on-a-second-log"),
     "identify-motor": ("arm", "how-to/include-your-motor-loop"),
     "identify-spectrum": ("response", "how-to/identify-a-frequency-response"),
     "identify-driven-link": ("response", "how-to/identify-a-frequency-response"),

@@ -448,6 +448,13 @@ PICTURES: dict[str, Picture] = {
         "how-to/choose-a-structure",
         lambda: figures.models_figure(comparison().fits, comparison().preferred),
     ),
+    "validation": Picture(
+        "A second log",
+        "how-to/validate-on-a-second-log",
+        lambda: figures.validation_figure(
+            fit().validate(fl.read_log(fl.bundled_log("pulse_30g"), rig=rig()))
+        ),
+    ),
     "damping": Picture("Two kinds of damping", "explanation/why-fractional", damping),
     "steps": Picture(
         "Steps of fractional links", "how-to/fractional-calculus", shaped_or_smooth

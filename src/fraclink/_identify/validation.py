@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
+from fraclink._display import displayed
 from fraclink._identify.compare import identify
 from fraclink._identify.findings import HELDOUT_MOST
 from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import simulated_torque
 from fraclink._identify.shape import moving_angle
-from fraclink._display import displayed
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of, worst_first
 from fracsys.checks.equality import compared
