@@ -66,6 +66,10 @@ class InfeasibleError(FraclinkError, ValueError):
     request as keyword arguments of the same call (empty where none was found).
     """
 
+    condition: str
+    explanation: str
+    nearest: dict[str, float]
+
     def __init__(
         self, condition: str, explanation: str, nearest: dict[str, float] | None = None
     ) -> None:
@@ -90,6 +94,10 @@ class NotCertifiedError(FraclinkError, ValueError):
     known.
     """
 
+    reason: str
+    payload: float | None
+    frequency: float | None
+
     def __init__(
         self,
         reason: str,
@@ -105,6 +113,9 @@ class FraclinkWarning(UserWarning):
     """A finding that does not stop the work; ``code`` (``W101`` ...) is stable across
     releases.
     """
+
+    code: str
+    message: str
 
     def __init__(self, code: str, message: str) -> None:
         self.code, self.message = code, message

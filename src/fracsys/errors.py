@@ -84,6 +84,12 @@ class FieldError(FracsysError, ValueError):
     fracsys.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
     """
 
+    field: str
+    value: object
+    problem: str
+    allowed: str
+    remedy: str
+
     def __init__(
         self, field: str, value: object, problem: str, *, allowed: str, remedy: str
     ) -> None:
@@ -140,6 +146,11 @@ class NotConvergedError(FracsysError, RuntimeError):
     at.
     """
 
+    what: str
+    reached: float
+    wanted: float
+    remedy: str
+
     def __init__(
         self, what: str, *, reached: float, wanted: float, remedy: str
     ) -> None:
@@ -160,6 +171,9 @@ class MissingExtraError(FracsysError, ImportError):
     `install` is the requirement for pip where the package is not one that the extra
     brings.
     """
+
+    package: str
+    extra: str
 
     def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:
         self.package, self.extra = package, extra
