@@ -90,6 +90,7 @@ def carried_out(
         gain_crossover=crossover,
         phase_margin=margin,
         margins="ideal",
+        procedure="published",
         law=False,
         **options,  # type: ignore[arg-type]
     )
@@ -231,6 +232,7 @@ def in_loop() -> Pair:
         payloads=(0.020, 0.040),
         gain_crossover=12.0,
         phase_margin=math.radians(50.0),
+        procedure="published",
     )
     return Pair("in the loop", base.controller, _matched_in_loop(base))
 

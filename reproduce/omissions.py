@@ -112,6 +112,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
         gain_crossover=12.0,
         phase_margin=math.radians(50.0),
         filter_time=0.0,
+        procedure="published",
         law=False,
     )
     return tuple(

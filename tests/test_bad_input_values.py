@@ -252,7 +252,7 @@ def test_b43_a_move_beyond_the_motor_does_not_hold() -> None:
     assert "unstable" not in run.verdict.reason
 
 
-@pytest.mark.parametrize("value", ["12", True, [12.0], 10**400, None])
+@pytest.mark.parametrize("value", ["12", True, [12.0], 10**400])
 def test_b44_b45_a_request_that_is_no_number(value: object) -> None:
     error = refused(lambda: planned(gain_crossover=value), "gain_crossover")
     assert len(str(error)) < 300

@@ -295,10 +295,6 @@ def test_a_folder_that_is_there_is_kept(
         ),
         ("twin D --gear -7", "gear: out of range (got -7.0); expected > 0."),
         (
-            "optimise D --least-percent -7",
-            "least_percent: out of range (got -7.0); expected 0 to 100 %.",
-        ),
-        (
             "compare --rig paper-2023 --phase-margin-deg -7",
             "phase_margin_deg: out of range (got -7.0); expected > 0 and <= 179 °.",
         ),

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -178,31 +177,6 @@ def test_a_proof_is_kept_only_where_it_passed(line: Line) -> None:
 
 
 # --- assessments -----------------------------------------------------------------------------------------
-
-
-def test_an_optimisation_is_bounded_as_asked(line: Line) -> None:
-    @dataclass
-    class Better:
-        design: Any
-
-    design = Found()
-    design.with_law = lambda: design  # type: ignore[attr-defined]
-    asked = line.hear("assessments.better", Better(design))
-    words = "optimise design.json --goal crossover --max-sensitivity 1.5 --gain-crossover 9 --noise-gain 2"
-    told = line(f"{words} --mode-gain 0.4 --least-percent 5 --out o.json")
-    assert told == (0, "", "written: o.json\nnext: fraclink assess o.json\n")
-    assert asked.given == (made_design(),) and design.saved == [Path("o.json")]
-    bounds = {
-        "max_sensitivity": 1.5,
-        "gain_crossover": 9.0,
-        "noise_gain": 2.0,
-        "mode_gain": 0.4,
-    }
-    assert asked.last == bounds | {"goal": "crossover", "least": 0.05}
-    line("optimise design.json --out p.json")
-    assert asked.last["goal"] == "noise" and asked.last["least"] == pytest.approx(0.02)
-    design.passed = False
-    assert line("optimise design.json --out q.json").code == 1
 
 
 def test_a_pid_is_tuned_for_a_formula_or_a_fit(line: Line) -> None:

@@ -20,9 +20,6 @@ SLOW = {
     "run",
     "report",
     "design-geared",
-    "optimise",
-    "optimised noise",
-    "optimised crossover",
 }
 ENTRIES = [
     pytest.param(

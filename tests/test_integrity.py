@@ -55,7 +55,6 @@ def _eight_times(data: dict[str, Any]) -> None:
 
 COMMANDS = (
     "assess FILE",
-    "optimise FILE --out o.json",
     "simulate FILE --payload 0.03 --out run.npz",
     "twin FILE",
     "certify FILE --out c.json",

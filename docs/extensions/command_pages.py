@@ -49,7 +49,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "plan-experiment": ("log", "explanation/identification"),
     "record": ("log", "how-to/run-the-twin"),
     "assess": ("budget", "explanation/margins"),
-    "optimise": ("filters", "how-to/design-a-controller"),
     "compare": ("published", "how-to/compare-rivals"),
     "design-map": ("refused", "how-to/design-a-controller"),
     "tune-pid": ("pid-step", "how-to/tune-a-fractional-pid"),

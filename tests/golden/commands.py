@@ -81,7 +81,6 @@ COMMANDS: dict[str, str] = {
     "certify-fails": "certify design.json --modulus-margin 0.9 --out no.json",
     "assess": "assess design.json --link-mass 0.00735",
     "assess-json": "assess design.json --link-mass 0.00735 --json",
-    "optimise": "optimise design.json",
     "export-c": "export c design.json",
     "export-fmu": "export fmu design.json --source",
     "export-io": "export io",
@@ -121,7 +120,6 @@ NEEDS: dict[str, str] = {
         "certify-fails",
         "assess",
         "assess-json",
-        "optimise",
     ),
     "design",
 )

@@ -41,7 +41,6 @@ sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 # The names that are not at the root: all of them here, so that a move of modules is one
 # edit.
 from fraclink._certify import Certificate  # noqa: E402
-from fraclink._design import optimise  # noqa: E402
 from fraclink._export import export_fmu, export_io  # noqa: E402
 from fraclink._identify import (  # noqa: E402
     design_experiment,
@@ -642,12 +641,6 @@ def answer(rig: fl.Rig, asked: Plain) -> Plain:
         return plain({"condition": error.condition, "nearest": error.nearest})
 
 
-def _optimised(options: Plain) -> Plain:
-    best = optimise(design_of(RIG), **options)
-    steps = {step.structure: [step.value, step.taken] for step in best.steps}
-    return plan_figures(best.design) | {"steps": plain(steps)}
-
-
 def _of_damped_link() -> Plain:
     link = fl.LinkModel(1.56, 11.0, damping=0.8, damping_order=0.6, payload=0.03)
     asked: Plain = {
@@ -659,9 +652,7 @@ def _of_damped_link() -> Plain:
 
 
 def designs() -> Entries:
-    """Designs over a grid of requests, of other links, with a bound on higher modes,
-    and optimised ones.
-    """
+    """Designs over a grid of requests, of other links, with a bound on higher modes."""
     made: Entries = {
         title: partial(answer, RIG, asked) for title, asked in REQUESTS.items()
     }
@@ -679,8 +670,6 @@ def designs() -> Entries:
     for bound in (0.9, 0.05):
         mode: Plain = {"mode_gain": bound, "phase_margin": fl.deg(40)}
         made[f"mode gain {bound:g}"] = partial(answer, massive, mode)
-    made["optimised noise"] = partial(_optimised, {})
-    made["optimised crossover"] = partial(_optimised, {"goal": "crossover"})
     return made
 
 

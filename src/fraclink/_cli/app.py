@@ -56,7 +56,7 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("plan-experiment", "record"), "models"),
     },
     "More on designs and laws": {
-        **dict.fromkeys(("assess", "optimise", "compare", "design-map"), "assessments"),
+        **dict.fromkeys(("assess", "compare", "design-map"), "assessments"),
         "shape": "moves",
         "tune-pid": "assessments",
         "campaign": "campaigns",

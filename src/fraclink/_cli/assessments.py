@@ -1,4 +1,4 @@
-"""Commands that say what a design is worth: assess, optimise, compare, design-map."""
+"""Commands that say what a design is worth: assess, compare, design-map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from fraclink._cli.options import (
     DesignFile,
     FilterTime,
     LinkMass,
-    ModeGain,
     ModelFile,
     MotorLoopKind,
     PayloadRange,
@@ -29,10 +28,6 @@ from fraclink._cli.options import (
     required_model,
 )
 from fraclink._design import Design, Requirement
-from fraclink._design import optimise as better
-from fraclink._design.alternatives import (
-    feasibility_map,
-)
 from fraclink._design.assess import (
     CurveKind,
     MarginCurve,
@@ -40,6 +35,9 @@ from fraclink._design.assess import (
     margin_curve,
     mode_gains,
     phase_budget,
+)
+from fraclink._design.feasibility import (
+    feasibility_map,
 )
 from fraclink._design.pid import tune_pid as pid_for
 from fraclink._files import output_path, write_json, write_text
@@ -136,53 +134,6 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
     write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
 
 
-class BoundOptions(TypedDict):
-    """What an optimisation minimises, and what it must keep."""
-
-    goal: Annotated[
-        Literal["noise", "crossover"],
-        "noise: least at the motor reference; crossover: the fastest loop",
-        Default("noise"),
-    ]
-    max_sensitivity: Annotated[float | None, "Bound on Ms; default: the design's own"]
-    gain_crossover: Annotated[
-        float | None,
-        "Least crossover [rad/s], for the goal noise; default: as designed",
-    ]
-    noise_gain: Annotated[
-        float | None, "Bound on the noise, for the goal crossover; default: as designed"
-    ]
-    mode_gain: ModeGain
-
-
-@command(app)
-def optimise(
-    design_file: DesignFile,
-    out: Annotated[Path, "File to write the design to", Writes()] = Path(
-        "optimised.json"
-    ),
-    least_percent: Annotated[
-        float,
-        Between(0.0, 100.0, "%"),
-        "Improvement below which the simpler structure is kept",
-    ] = 2.0,
-    **bounds: Unpack[BoundOptions],
-) -> Answer:
-    """Optimise k_d, β, δ and n for the worst payload, from a closed-form design.
-
-    $ fraclink optimise design.json --goal crossover --noise-gain 2
-    """
-    with steps(1) as begin:
-        begin("optimising")
-        # Two per cent by default: less is no reason for two more parameters.
-        found = better(Design.load(design_file), least=0.01 * least_percent, **bounds)
-    found = replace(found, design=found.design.with_law())
-    found.design.save(out)
-    return Answer(
-        found, found.design.passed, written=(out,), following=f"fraclink assess {out}"
-    )
-
-
 @command(app)
 def compare(
     rig: RigName,
@@ -201,7 +152,7 @@ def compare(
     ] = 12.0,
     phase_margin_deg: Annotated[
         PhaseMarginDeg, "Phase margin of the design by fraclink"
-    ] = 50.0,
+    ] = 45.0,
     filter_time: FilterTime = None,
     seed: SeedNumber = 0,
 ) -> Answer:

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.controller import Controller
-from fraclink._design.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink._law.design import Design, Requirement
+from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
 from fracsys.checks import (
     Between,

@@ -33,7 +33,11 @@ __all__ = [
     "Task",
     "attempt",
     "candidates",
+    "check_bandwidth",
+    "check_modes",
     "equation",
+    "range_of",
+    "reason",
     "task_of",
 ]
 
@@ -116,18 +120,11 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
     missing.
     """
     link = with_payload(model, rig)
-    if rig.link.mass <= 0.0 and link.second_mode is None and spec.mode_gain is not None:
-        raise FieldError(
-            "mode_gain",
-            spec.mode_gain,
-            "asked for on a massless link, which has one mode",
-            allowed="a rig that states the mass of its link, or a model that knows its second mode",
-            remedy="state mass_kg in [link] (--link-mass on the command line)",
-        )
-    low, high, payloads = _range(link, rig, spec)
+    check_modes(link, rig, spec)
+    low, high, payloads = range_of(link, rig, spec)
     crossover, margin = _crossover(spec), _margin(spec)
     if spec.margins == "loop":
-        _check_bandwidth(crossover, rig)
+        check_bandwidth(crossover, rig)
     settings = rig.motor_loop
     motor_loop = MotorLoop(
         settings.pole, int(settings.delay_samples), spec.inner, spec.placement
@@ -153,7 +150,19 @@ def task_of(model: LinkModel, rig: Rig, spec: Specification) -> Task:
     )
 
 
-def _range(
+def check_modes(link: LinkModel, rig: Rig, spec: Specification) -> None:
+    """FieldError for a bound on modes that a massless link does not have."""
+    if rig.link.mass <= 0.0 and link.second_mode is None and spec.mode_gain is not None:
+        raise FieldError(
+            "mode_gain",
+            spec.mode_gain,
+            "asked for on a massless link, which has one mode",
+            allowed="a rig that states the mass of its link, or a model that knows its second mode",
+            remedy="state mass_kg in [link] (--link-mass on the command line)",
+        )
+
+
+def range_of(
     link: LinkModel, rig: Rig, spec: Specification
 ) -> tuple[float, float, tuple[float, float]]:
     """(ω₀ low, ω₀ high, payloads) from whichever of the two was given; else the rig's
@@ -199,7 +208,7 @@ def _margin(spec: Specification) -> float:
     raise FieldError("phase_margin", None, "missing", allowed="> 0 rad", remedy=remedy)
 
 
-def _check_bandwidth(crossover: float, rig: Rig) -> None:
+def check_bandwidth(crossover: float, rig: Rig) -> None:
     """Above Nyquist nothing crosses; above the motor loop's pole its own lag alone
     exceeds 90°.
     """
@@ -412,6 +421,35 @@ def candidates(task: Task) -> tuple[ClosedForm, ...]:
     explained from.
     """
     return tuple(solutions(task, task.filter_order or 1))
+
+
+def reason(task: Task, found: tuple[ClosedForm, ...]) -> tuple[str, str]:
+    """Return (condition, sentence) of the bound that a task without a solution hits."""
+    if not found:
+        where = "below the Nyquist frequency " if task.inside else ""
+        return (
+            "phase margin unreachable",
+            f"no ω̄_c {where}solves equation (55) for this phase margin",
+        )
+    # Of several inadmissible solutions the one in the middle of 0 < β < 2 is the
+    # closest to being one.
+    best = min(found, key=lambda s: abs(s.order - 1.0))
+    violated = best.violated(task.model.order)
+    if violated is None:
+        return (
+            "phase margin at the other gain crossing",
+            f"β = {best.order:.6g} solves (55), but where |L| rises through one the loop passes -1 closer",
+        )
+    if "peak" not in violated:
+        return (
+            f"phase margin unreachable ({violated})",
+            f"equation (55) asks for β = {best.order:.6g}",
+        )
+    needed = Loop.ideal(task.model).sufficient(task.low)
+    return violated, (
+        f"ω_c = {task.gain_crossover:.6g} rad/s lies left of the peak of |L|, where the margins fall the "
+        f"other way; condition (39) asks for more than {needed:.6g} rad/s"
+    )
 
 
 def _filter_afterwards(task: Task, solution: ClosedForm, n: int) -> float:

@@ -24,6 +24,7 @@ from fraclink._law.discretization import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._law.requirement import (
     LAW_MARGIN,
+    LAW_MODULUS,
     Looked,
     Requirement,
     kept_by_law,
@@ -31,6 +32,7 @@ from fraclink._law.requirement import (
     law_margins,
     margins_of,
     no_law,
+    no_law_kept,
 )
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
@@ -380,20 +382,29 @@ class Design:
         )
 
     def with_law(self) -> Design:
-        """Return the design with the worst sampled phase margin of its law as a further
-        requirement.
+        """Return the design with the requirements on its law as it ships: the worst
+        phase margin of the sampled loop, and its distance from -1.
 
-        It is the margin asked for less the law's own tolerance of 0.5°, over the
-        payloads and over the box; the findings are those of `warned_of_law`. A design
-        for the paper's reading (`margins` "ideal") gets the findings alone: the sampled
-        loop was not what it was asked for.
+        The margin is the one asked for less the law's own tolerance of 0.5°, over the
+        payloads and over the box. A design for the paper's reading (`margins` "ideal")
+        gets the findings of `warned_of_law` instead: the sampled loop was not what it
+        was asked for.
         """
-        found, findings = self._law_looked_at()
-        # Asked twice, it is still one requirement.
-        requirements = tuple(r for r in self.requirements if r.name != LAW_MARGIN)
-        if self.margins_kind == "loop" and found:
-            requirements += (kept_by_law(self, found),)
-        return replace(self, requirements=requirements, findings=findings)
+        if self.margins_kind == "ideal":
+            return self.warned_of_law()
+        # Asked twice, it is still one requirement each.
+        others = tuple(
+            r for r in self.requirements if r.name not in (LAW_MARGIN, LAW_MODULUS)
+        )
+        try:
+            rows = kept_by_law(self, law_margins(self))
+        except FieldError as error:
+            if error.field != "order":
+                raise
+            findings = tuple(dict.fromkeys((*self.findings, no_law(error))))
+            kept = (*others, no_law_kept(self))
+            return replace(self, requirements=kept, findings=findings)
+        return replace(self, requirements=(*others, *rows))
 
     def warned_of_law(self) -> Design:
         """Return the design with what its law keeps less in the sampled loop, as

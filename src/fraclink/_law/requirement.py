@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.beam import unmodelled_modes
 from fraclink._arm.box import Arm, arms_of
+from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import SampledPlant
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LAW_MARGIN",
+    "LAW_MODULUS",
     "LEAST_SHARE",
     "Looked",
     "Requirement",
@@ -35,6 +37,7 @@ __all__ = [
     "law_margins",
     "margins_of",
     "no_law",
+    "no_law_kept",
 ]
 
 # relative: the equations are solved to 1e-15, a requirement met with equality must pass
@@ -90,15 +93,21 @@ class Requirement:
         """Whether the bound is kept, to rounding."""
         return self.slack >= -_ROUNDING * max(1.0, abs(self.wanted))
 
-    def __str__(self) -> str:
-        shown = [
+    @property
+    def shown(self) -> tuple[str, str]:
+        """What is wanted and what is achieved as text, an angle in degrees."""
+        unit = "°" if self.unit == "rad" else f" {self.unit}".rstrip()
+        wanted, achieved = (
             math.degrees(x) if self.unit == "rad" else x
             for x in (self.wanted, self.achieved)
-        ]
-        unit = "°" if self.unit == "rad" else f" {self.unit}".rstrip()
+        )
+        return f"{wanted:.5g}{unit}", f"{achieved:.5g}{unit}"
+
+    def __str__(self) -> str:
         verdict = "passed" if self.passed else "FAILED"
+        wanted, achieved = self.shown
         return (
-            f"{self.name}: wanted {shown[0]:.5g}{unit}, achieved {shown[1]:.5g}{unit} "
+            f"{self.name}: wanted {wanted}, achieved {achieved} "
             f"at {1e3 * self.at_payload:g} g, {verdict}"
         )
 
@@ -107,7 +116,9 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 LAW_MARGIN = "phase margin, shipped law"
+LAW_MODULUS = "distance to -1, shipped law"
 _ALLOWANCE = math.radians(0.5)  # of the fit of C, which the law states as its own error
+_MODULUS = 0.25  # what `certify` asks for where nothing is stated
 # Of a payload range, for the law: each asks for a sampled plant with its aliases, for
 # every motor loop.
 _PAYLOADS = 9
@@ -161,8 +172,10 @@ def margins_of(response: Callable[[Real], Complex], plant: SampledPlant) -> Marg
 
 
 def law_margins(design: Design) -> tuple[Looked, ...]:
-    """Return what the law has in the sampled loop, over the payloads, or at every arm
-    of the design's box.
+    """Return what the law has in the sampled loop where it is worst: at the smallest
+    phase margin and at the smallest |1 + L|, over the payloads, or over the box.
+
+    A table of each loop says where that is; the engine then measures it there.
     """
     # One law for every payload and arm, as one ships: the fit does not know the
     # payload.
@@ -170,19 +183,55 @@ def law_margins(design: Design) -> tuple[Looked, ...]:
         discretize_controller(design.controller, design.rig.period),
         design.rig.period,
     )
+    figures: list[tuple[float, float]] = []
+    looks: list[tuple[SampledPlant, float, str]] = []
+    for arm, payload in _arms(design):
+        higher = unmodelled_modes(arm.model, design.rig, payload)
+        for settings in _motor_loops(design):
+            plant = arm.plant(settings, design.rig, period, higher=higher)
+            figures.append(_tabled(law.frequency_response, plant, arm.model))
+            looks.append((plant, payload, settings.kind))
+    chosen = {
+        min(range(len(looks)), key=lambda k: figures[k][which]) for which in (0, 1)
+    }
     return tuple(
-        Looked(
-            margins_of(
-                law.frequency_response,
-                arm.plant(settings, design.rig, period, higher=higher),
-            ),
-            payload,
-            settings.kind,
-        )
-        for arm, payload in _arms(design)
-        for higher in (unmodelled_modes(arm.model, design.rig, payload),)
-        for settings in _motor_loops(design)
+        Looked(margins_of(law.frequency_response, plant), payload, kind)
+        for plant, payload, kind in (looks[k] for k in sorted(chosen))
     )
+
+
+def _tabled(
+    response: Callable[[Real], Complex], plant: SampledPlant, model: LinkModel
+) -> tuple[float, float]:
+    """(smallest phase margin [rad], negative beyond -180°; smallest |1 + L|) of a
+    sampled loop, from a table.
+    """
+    nyquist = math.pi / plant.period
+    mode = min(abs(model.pole), 0.3 * nyquist)
+    near = np.geomspace(1e-4, 0.2, 16)
+    parts = [
+        np.geomspace(0.05 * mode, nyquist, 160),
+        mode * (1.0 + near),
+        mode / (1.0 + near),
+    ]
+    if model.second_mode is not None:
+        width = model.second_mode.damping_ratio * np.linspace(-8.0, 8.0, 65)
+        parts.append(model.second_mode.frequency * np.exp(width))
+    if model.gauge_delay:
+        turns = int(6.0 * model.gauge_delay * nyquist / math.pi) + 2
+        parts.append(np.linspace(0.05 * mode, nyquist, min(turns, 2000)))
+    w = np.unique(np.minimum(np.concatenate(parts), nyquist))
+    loop = response(w) * plant(w)
+    level, phase = np.log(np.abs(loop)), np.unwrap(np.angle(loop))
+    i = np.flatnonzero((level[:-1] > 0.0) != (level[1:] > 0.0))
+    share = level[i] / (level[i] - level[i + 1])
+    at = phase[i] + share * (phase[i + 1] - phase[i])
+    rising = level[i] <= 0.0
+    turns = np.floor((at + math.pi) / (2.0 * math.pi))
+    stable = np.sum(np.where(rising, turns, -turns)) == 0.0
+    margin = math.pi - np.abs(np.remainder(at + math.pi, 2.0 * math.pi) - math.pi)
+    least = float(np.min(margin, initial=math.pi))
+    return least if stable else -least - 1.0, float(np.min(np.abs(1.0 + loop)))
 
 
 def _motor_loops(design: Design) -> tuple[MotorLoop, ...]:
@@ -222,15 +271,41 @@ def _arms(design: Design) -> Iterator[tuple[Arm, float]]:
             yield replace(arm, model=replace(arm.model, natural_frequency=w0)), payload
 
 
-def kept_by_law(design: Design, looked: Sequence[Looked]) -> Requirement:
-    """Return the requirement on the law's worst phase margin: what was asked less the
-    law's tolerance.
+def kept_by_law(
+    design: Design, looked: Sequence[Looked]
+) -> tuple[Requirement, Requirement]:
+    """Return the requirements on the law as it ships: its worst phase margin and its
+    least |1 + L|.
+
+    The margin is what was asked for less the law's tolerance; the distance half of the
+    2 sin(φ_m/2) that a margin φ_m leaves at most, and no more than a proof asks for.
     """
     least = min(looked, key=_phase_margin)
-    wanted = design.phase_margin - _ALLOWANCE
-    return Requirement.at_least(
-        LAW_MARGIN, wanted, least.phase_margin, "rad", least.payload
+    nearest = min(looked, key=lambda one: one.margins.modulus_margin)
+    distance = nearest.margins.modulus_margin if nearest.margins.stable else 0.0
+    return (
+        Requirement.at_least(
+            LAW_MARGIN,
+            design.phase_margin - _ALLOWANCE,
+            least.phase_margin,
+            "rad",
+            least.payload,
+        ),
+        Requirement.at_least(
+            LAW_MODULUS,
+            min(_MODULUS, math.sin(0.5 * design.phase_margin)),
+            distance,
+            "",
+            nearest.payload,
+        ),
     )
+
+
+def no_law_kept(design: Design) -> Requirement:
+    """Return the requirement on the law's margin where no law follows the controller."""
+    wanted = design.phase_margin - _ALLOWANCE
+    payload = design.payloads[0]
+    return Requirement.at_least(LAW_MARGIN, wanted, -math.pi, "rad", payload)
 
 
 def law_findings(design: Design, looked: Sequence[Looked]) -> tuple[Finding, ...]:

@@ -19,8 +19,6 @@ from fraclink._arm.rig_parts import Payloads as Payloads
 from fraclink._certify.search import Enclosure as Enclosure
 from fraclink._certify.search import enclose_phase_margin as enclose_phase_margin
 from fraclink._certify.statement import Statement as Statement
-from fraclink._design.alternatives import FeasibilityMap as FeasibilityMap
-from fraclink._design.alternatives import feasibility_map as feasibility_map
 from fraclink._design.assess import MarginCurve as MarginCurve
 from fraclink._design.assess import PhaseShare as PhaseShare
 from fraclink._design.assess import VibrationMode as VibrationMode
@@ -28,8 +26,8 @@ from fraclink._design.assess import margin_curve as margin_curve
 from fraclink._design.assess import mode_gains as mode_gains
 from fraclink._design.assess import phase_budget as phase_budget
 from fraclink._design.assess import spillover as spillover
-from fraclink._design.optimisation import Optimised as Optimised
-from fraclink._design.optimisation import optimise as optimise
+from fraclink._design.feasibility import FeasibilityMap as FeasibilityMap
+from fraclink._design.feasibility import feasibility_map as feasibility_map
 from fraclink._design.pid_tuning import PidStep as PidStep
 from fraclink._design.pid_tuning import PidTuning as PidTuning
 from fraclink._export.board import export_io as export_io

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -35,32 +36,9 @@ from fraclink.lab._tune_wiring import Wiring
 
 __all__ = ["Built", "build_law", "built_laws", "link_twins", "measured_rig"]
 
-# Crossover over the torque resonance of the heaviest payload (below 1 nothing crosses
-# right of the peak), the phase margin [°] that the whole box keeps, and the filter's
-# time times that resonance. The filter of `design`'s rule is shorter than a period:
-# with a late gauge β is above one, and the noise saturates the voltage. Three tenths
-# cost little margin, as β grows with them, and take a fifth of the noise and a third of
-# the gain at a second mode that nobody has seen.
-_WANTED: tuple[tuple[float, float, float], ...] = (
-    (1.05, 32.0, 0.3),
-    (1.05, 32.0, 0.5),
-    (1.035, 34.0, 0.4),  # less gain at a second mode, and just as well damped
-    (1.02, 46.0, 0.4),
-    (1.05, 28.0, 0.5),
-    (1.1, 32.0, 0.3),
-    (1.1, 25.0, 0.5),
-    (1.05, 40.0, 0.3),
-    (1.1, 25.0, 0.15),
-)
-# Where none of these gives a law: crossovers and filters at which a margin is looked
-# for between one with which moves ring and one with which the second mode is too loud;
-# its lowest value, widest gap [°], halvings.
-_BETWEEN = ((1.035, 0.4), (1.02, 0.4), (1.05, 0.3))
-_LOWEST, _GAP, _HALVINGS = 25.0, 12.0, 3
 # Loop gain at a second mode that was measured: below one over the whole box no phase of
-# the mode matters, and the proof holds the mode besides; below 0.7 is preferred, by the
-# 3 dB that `design_for` keeps.
-_MODE_GAIN, _MODE_PREFERRED = 0.95, 0.7
+# the mode matters, and the proof holds the mode besides.
+_MODE_GAIN = 0.95
 # What a second mode may differ by from where a burst showed it a minute ago, relative:
 # with the payload it moves by 3 %. The 5 and 20 % of an arm that nobody has measured so
 # cost a heavy link its law.
@@ -190,8 +168,8 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         yield Built(rig, None, None, None, (f"the model failed a gate: {gates}",))
         return
     refused: Built | None = None
-    any_passed, missed = False, list[Design]()
-    for made, words in _designs(rig, late_free(fit.model), missed):
+    any_passed, reasons = False, list[str]()
+    for made, words in _designs(rig, late_free(fit.model), reasons):
         built = _proved(rig, made.doubted(fit.findings), words)
         any_passed |= built.passed
         if built.passed:
@@ -199,56 +177,61 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
         else:
             refused = refused or built
     if not any_passed:
-        yield refused or Built(rig, None, None, None, (_none(rig, fit.model, missed),))
+        yield refused or Built(rig, None, None, None, tuple(reasons))
 
 
 def _designs(
-    rig: Rig, model: LinkModel, missed: list[Design]
+    rig: Rig, model: LinkModel, reasons: list[str]
 ) -> Iterator[tuple[Design, tuple[str, ...]]]:
-    """The designs that keep their requirements over the box, the preferred one first;
-    the others go to `missed`.
+    """The designs that keep their requirements over the box, the preferred one first:
+    what the rig asks for, the fastest, and the one with the largest margin at its
+    speed. Why there is none goes to `reasons`.
     """
+    mode = model.second_mode
+    box = ParameterBox.of(model, rig)
+    if mode is not None:
+        box = replace(
+            box,
+            mode_frequency=_about(mode.frequency, _MODE_FREQUENCY),
+            mode_gain=_about(mode.gain, _MODE_SIZE),
+        )
+    options: dict[str, Any] = {
+        "mode_gain": None if mode is None else _MODE_GAIN,
+        "inner": "sampled",
+        "placement": "direct",
+        "box": box,
+        "nearest": False,
+        "law": True,
+    }
     asked: tuple[str, ...] = ()
     if rig.design is not None:
         try:
-            # The nearest feasible request costs a quarter of a minute; `fraclink
-            # design` says it at leisure.
-            yield design_for(rig, model, box=True, nearest=False)
+            yield design_for(rig, model, **options)
             asked = ("what the rig asks for has no law that passes; instead:",)
         except InfeasibleError as error:
             asked = (f"what the rig asks for is not feasible ({error}); instead:",)
-    # By the heaviest payload, whose resonance is the lowest: a crossover left of any
-    # resonance has the margin that falls the other way.
-    heavy = model.at_payload(rig.payloads.high)
-    resonance = heavy.torque_resonance or heavy.natural_frequency ** (2.0 / heavy.order)
-    second_choice: list[tuple[float, Design, tuple[str, ...]]] = []
-    tried: dict[tuple[float, float], list[tuple[float, Design | None]]] = {}
-    for ratio, degrees, share in _WANTED:
-        made = _asked(model, rig, ratio * resonance, degrees, share / resonance)
-        tried.setdefault((ratio, share), []).append((degrees, made))
-        if made is None:
-            continue
-        if not made.passed:
-            missed.append(made)
-            continue
-        gain = _mode_gain(made)
-        if gain <= _MODE_PREFERRED:
-            yield made, (*asked, *_words(made, degrees))
-        else:
-            second_choice.append((gain, made, (*asked, *_words(made, degrees))))
-    for _, made, words in sorted(second_choice, key=lambda row: row[0]):
-        yield made, words
-    for ratio, share in _BETWEEN:
-        for degrees, made in _between(
-            model, rig, ratio * resonance, share / resonance, tried[ratio, share]
-        ):
-            yield made, (*asked, *_words(made, degrees))
+    try:
+        fastest = design(model, rig, **options)
+        yield fastest, (*asked, *_words(fastest))
+        speed = fastest.gain_crossover
+        made = design(model, rig, **options, gain_crossover=speed, goal="margin")
+        yield made, (*asked, *_words(made))
+    except InfeasibleError as error:
+        reasons.append(f"requirements over the box: {error}")
 
 
-def _words(made: Design, degrees: float) -> tuple[str, ...]:
-    gain = _mode_gain(made)
+def _words(made: Design) -> tuple[str, ...]:
+    margin = min(
+        math.degrees(item.achieved)
+        for item in made.requirements
+        if item.name == "phase margin"
+    )
+    gain = max(
+        (item.achieved for item in made.requirements if "mode" in item.name),
+        default=0.0,
+    )
     words = (
-        f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {degrees:.3g}°, which the whole "
+        f"gain crossover {made.gain_crossover:.3g} rad/s and phase margin {margin:.3g}°, which the whole "
         "box keeps",
     )
     return (
@@ -258,44 +241,8 @@ def _words(made: Design, degrees: float) -> tuple[str, ...]:
     )
 
 
-def _mode_gain(made: Design) -> float:
-    return max(
-        (item.achieved for item in made.requirements if "mode" in item.name),
-        default=0.0,
-    )
-
-
-def _between(
-    model: LinkModel,
-    rig: Rig,
-    crossover: float,
-    filter_time: float,
-    tried: list[tuple[float, Design | None]],
-) -> Iterator[tuple[float, Design]]:
-    """The design whose margin damps the moves and leaves the second mode quiet, where
-    halving meets one.
-    """
-    low, high, tried = _LOWEST, math.inf, list(tried)
-    for turn in range(_HALVINGS + len(tried)):
-        if turn < len(tried):
-            degrees, made = tried[turn]
-        else:
-            degrees = 0.5 * (low + min(high, low + _GAP))
-            made = _asked(model, rig, crossover, degrees, filter_time)
-        if made is not None and made.passed:
-            if turn >= len(tried):  # the others have been offered
-                yield degrees, made
-            return
-        rings = made is not None and any(one.code == "W409" for one in made.findings)
-        loud = made is None or not all(item.passed for item in made.requirements)
-        if rings == loud:  # both, or neither: no other margin mends what is missed
-            return
-        low, high = (max(low, degrees), high) if rings else (low, min(high, degrees))
-
-
 def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
     """The law of a design, its proof, and its moves on the model and on heavier links."""
-    design = design.with_law()
     reasons = tuple(str(item) for item in design.requirements if not item.passed)
     reasons += tuple(str(item) for item in design.doubts)
     if reasons:
@@ -323,37 +270,6 @@ def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
         f"at rest the gauge's noise takes {100 * share:.2g} % of the voltage limit",
     )
     return Built(rig, design, law, certificate, reasons, words)
-
-
-def _none(rig: Rig, model: LinkModel, missed: list[Design]) -> str:
-    """Why there is no design: what each of those that keep their margins over the box
-    misses.
-    """
-    second, least = model.second_mode, min(degrees for _, degrees, _ in _WANTED)
-    low, high = (1e3 * payload for payload in (rig.payloads.low, rig.payloads.high))
-    text = (
-        f"requirements over the box: no law with a phase margin of {least:g}° or more right of the resonance "
-        f"for every arm that the measurement leaves open (gauge delay {1e3 * model.gauge_delay:.3g} ms, "
-        f"payloads {low:.3g} to {high:.3g} g)"
-    )
-    rings = sum(any(one.code == "W409" for one in made.findings) for made in missed)
-    gains = [
-        item.achieved
-        for made in missed
-        for item in made.requirements
-        if not item.passed
-    ]
-    parts, unkept = [f"of {len(_WANTED)} tried"], len(_WANTED) - len(missed)
-    if unkept:
-        parts.append(f"{unkept} do not keep their margin")
-    if rings:
-        parts.append(f"{rings} ring for more than ten periods after a move")
-    if gains and second is not None:
-        parts.append(
-            f"{len(gains)} have a loop gain of {min(gains):.2f} or more at the second mode "
-            f"({second.frequency:.3g} rad/s), where {_MODE_GAIN:g} is allowed"
-        )
-    return f"{text}: {', '.join(parts)}; a faster gauge or a narrower range of payloads helps"
 
 
 def _noise(made: Design, law: Law) -> float:
@@ -431,37 +347,6 @@ def _with_link(made: Design, ratio: float) -> Twin:
     )
     arm = replace(rig, link=link)
     return Twin.from_rig(arm, model=model, payload=payload, damping=damping_of(model))
-
-
-def _asked(
-    model: LinkModel, rig: Rig, crossover: float, degrees: float, filter_time: float
-) -> Design | None:
-    box, mode = ParameterBox.of(model, rig), model.second_mode
-    if mode is not None:
-        box = replace(
-            box,
-            mode_frequency=_about(mode.frequency, _MODE_FREQUENCY),
-            mode_gain=_about(mode.gain, _MODE_SIZE),
-        )
-    try:
-        return design(
-            model,
-            rig,
-            gain_crossover=crossover,
-            phase_margin=math.radians(degrees),
-            filter_time=filter_time,
-            mode_gain=None if mode is None else _MODE_GAIN,
-            # Two poles, whatever β is: a loop gain that stays level up to half the
-            # sampling rate comes close to -1 there.
-            filter_order=2,
-            inner="sampled",
-            placement="direct",
-            box=box,
-            law=False,  # looked at once, below
-            nearest=False,
-        )
-    except InfeasibleError:
-        return None
 
 
 def _about(value: float, share: float) -> tuple[float, float]:

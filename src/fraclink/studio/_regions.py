@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
-from fraclink._design.alternatives import feasibility_map
 from fraclink._design.completed import design_for
+from fraclink._design.feasibility import feasibility_map
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.studio._messages import checked_request, wanted_of
 from fraclink.view._text import number

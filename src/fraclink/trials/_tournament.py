@@ -59,7 +59,7 @@ def _chosen(known: tuple[str, ...], names: Sequence[str] | None) -> list[str]:
 
 
 PAYLOADS = (0.008, 0.012, 0.016, 0.020, 0.025, 0.030, 0.035, 0.040)
-PHASE_MARGIN = math.radians(50.0)
+PHASE_MARGIN = math.radians(45.0)
 AFTER = 5.0  # [s] of every run after the reference has come to rest
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
-from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare, margin_curve
+from fraclink._design.feasibility import FeasibilityMap
 from fraclink._design.pid_tuning import PidTuning
 from fraclink._law import Law
 from fraclink.errors import FieldError

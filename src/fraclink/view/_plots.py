@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fraclink._design.alternatives import FeasibilityMap
 from fraclink._design.assess import MarginCurve, PhaseShare
+from fraclink._design.feasibility import FeasibilityMap
 from fraclink.errors import FieldError
 from fraclink.view._axes import finish, labelled, new_axes, tint
 from fraclink.view._bode import bode, margin_plot
@@ -312,7 +312,7 @@ def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
     Examples
     --------
     >>> import fraclink as fl
-    >>> from fraclink._design.alternatives import feasibility_map
+    >>> from fraclink._design.feasibility import feasibility_map
     >>> rig = fl.Rig.named("paper-2023")
     >>> grid = {"gain_crossovers": np.linspace(9, 15, 6), "phase_margins": np.linspace(0.5, 1.2, 6)}
     >>> feasibility(feasibility_map(rig.model, rig, filter_order=1, **grid)).get_ylabel()

@@ -189,7 +189,6 @@ _NAMES = {
     "Controller": "gain order filter_time filter_order",
     "Requirement": "name unit passed wanted achieved at_payload slack",
     "Design": "passed margins:margins_kind controller requirements findings",
-    "Step": "structure value taken",
     "FractionalPid": "proportional integral integral_order derivative derivative_order filter_time",
     "PidTuning": "passed controller stable gain_crossover:margins.gain_crossover "
     "phase_margin:margins.phase_margin gain_margin:margins.gain_margin "
@@ -208,9 +207,6 @@ _RECORDS: dict[str, Callable[[Any], dict[str, Any]]] = {
     "MotorFit": lambda fit: {
         item.name: plain(getattr(fit, item.name)) for item in fields(fit)
     },
-    "Optimised": lambda found: (
-        to_json(found.design) | _record("pays tried:steps", found)
-    ),
     "Certificate": lambda certificate: (
         _record("passed verdict payload frequency", certificate)
         | {"sha256": certificate.sha256 if certificate.passed else None}

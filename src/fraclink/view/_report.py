@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fraclink._design import Design
-from fraclink._design.alternatives import feasibility_map
 from fraclink._design.assess import phase_budget
+from fraclink._design.feasibility import feasibility_map
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import Campaign

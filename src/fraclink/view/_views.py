@@ -6,9 +6,7 @@ every package whatever is shown.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -188,30 +186,6 @@ def _law_view(law: Law) -> View:
     return View(headline, notes=(f"SHA-256 {law.digest}",))
 
 
-def _optimised_view(found: Any) -> View:
-    figure = (
-        "worst noise gain" if found.goal == "noise" else "smallest crossover [rad/s]"
-    )
-    rows = tuple(
-        (
-            s.structure,
-            "none found in the bounds" if math.isnan(s.value) else number(s.value),
-            "taken" * s.taken,
-        )
-        for s in found.steps
-    )
-    shown = _design_view(found.design)
-    # A search that finds nothing is an answer; said first, or the table of structures
-    # reads as a failure.
-    kept = f"no structure is better by {100 * found.least:g} %: the closed-form design is kept"
-    notes = shown.notes if found.pays else (kept, *shown.notes)
-    return replace(
-        shown,
-        tables=(Table(("structure", figure, ""), rows), *shown.tables),
-        notes=notes,
-    )
-
-
 def _assessment_view(found: Any) -> View:
     payloads = found.payloads
     shares = tuple((share.element, degrees(share.phase, 2)) for share in found.budget)
@@ -389,7 +363,6 @@ _VIEWS: dict[str, Callable[[Any], View]] = {
     "Design": _design_view,
     "Law": _law_view,
     "PidTuning": pid_view,
-    "Optimised": _optimised_view,
     "Assessment": _assessment_view,
     "FeasibilityMap": _map_view,
     "Run": _run_view,

@@ -28,7 +28,7 @@ from fraclink._arm.beam import Beam, assumed_ratio, material_law, modal_shares, 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.rig import Rig
-from fraclink._law.design import Requirement
+from fraclink._law.requirement import Requirement
 from fraclink.findings import Finding
 from fracsys.checks import checked_between
 

@@ -1,0 +1,642 @@
+"""From a specification to the solver's problem and back: which arms and links it looks
+at, what each has to keep, and what the controller that comes of it achieves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.box import Arm, ParameterBox, arms_of
+from fraclink._arm.controller import Controller
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop, worst_margins
+from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.rig import Rig
+from fraclink._design.equations import check_bandwidth, check_modes, range_of
+from fraclink._design.sheet import Sheet, stacked, tabulated
+from fraclink._design.solver import (
+    EMPTY,
+    LAW,
+    MODEL,
+    Goal,
+    Problem,
+    Rows,
+    Solution,
+    Wanted,
+)
+from fraclink._law.design import Specification
+from fraclink._law.modes import (
+    MODE_LIMIT,
+    HigherModes,
+    higher_modes,
+    mode_requirements,
+    vibration,
+)
+from fraclink._law.requirement import Requirement
+from fraclink._law.rows import (
+    DAMPING,
+    EMPTY_SHARE,
+    NOISE_SHARE,
+    SENSITIVITY,
+    key_of,
+    row,
+)
+from fraclink.errors import FieldError
+
+__all__ = ["Request", "Solved"]
+
+Real = NDArray[np.float64]
+
+_ALLOWANCE = math.radians(0.5)  # of the law's fit, which states it as its own error
+_LINKS = 3  # of the range, on the model; on an arm of a box its two ends
+_MEASURED = 9  # links at which Ms and noise are measured: both are smooth over ω₀
+_ROUNDS = 6  # in which arms of a box are taken in
+# δ times the crossover: of the start, as a loop is quiet with a long filter and a steep
+# Ĉ, and of the lattice
+_LAG, _LAGS = 1.2, np.array([0.01, 0.1, 0.4, 1.0, 2.0])
+_TRIED = 3  # of the lattice
+_GIVEN = 0.1  # of a goal reached, for less noise
+_TOLERANCE = 1e-4  # of a row in the table, before the engine measures it
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A controller with its slack (0 where every row is kept), and where it comes from."""
+
+    controller: Controller
+    solution: Solution
+    problem: Problem
+    active: tuple[int, ...]  # the arms that were taken in
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A specification on one arm, or on every arm of a box."""
+
+    model: LinkModel  # with a known payload
+    rig: Rig
+    spec: Specification
+    box: ParameterBox | None
+    goal: Goal
+    notch: bool = False
+
+    # ---- what is asked
+
+    @cached_property
+    def _range(self) -> tuple[float, float, tuple[float, float]]:
+        return range_of(self.model, self.rig, self.spec)
+
+    @property
+    def payloads(self) -> tuple[float, float]:
+        """(lightest, heaviest) [kg]."""
+        return self._range[2]
+
+    @property
+    def natural_frequencies(self) -> tuple[float, float]:
+        """ω₀ of the heaviest and of the lightest payload."""
+        return self._range[:2]
+
+    def check(self) -> None:
+        """FieldError for what contradicts the arm."""
+        check_modes(self.model, self.rig, self.spec)
+        if self.gain_crossover is not None:
+            check_bandwidth(self.gain_crossover, self.rig)
+        if self.spec.inner == "sampled":
+            # refused at once where its poles cannot be placed
+            self.motor_loop.sampled(self.rig.motor, self.rig.period)
+
+    @cached_property
+    def gain_crossover(self) -> float | None:
+        """The least crossover [rad/s]; of 2π/t_s where only a settling time is asked."""
+        if self.spec.gain_crossover is not None or self.spec.settling_time is None:
+            return self.spec.gain_crossover
+        return 2.0 * math.pi / self.spec.settling_time
+
+    @cached_property
+    def max_sensitivity(self) -> float | None:
+        """The bound on Ms; the customary one where no margin is asked for."""
+        if self.spec.max_sensitivity is not None or self.spec.phase_margin is not None:
+            return self.spec.max_sensitivity
+        return SENSITIVITY
+
+    @cached_property
+    def phase_margin(self) -> float:
+        """The least phase margin [rad]; the least that the bound on Ms allows where
+        only that one is asked for.
+        """
+        if self.spec.phase_margin is not None:
+            return self.spec.phase_margin
+        assert self.max_sensitivity is not None  # one of the two is  # noqa: S101
+        return 2.0 * math.asin(0.5 / self.max_sensitivity)
+
+    @cached_property
+    def highest(self) -> float:
+        """Where nothing may cross any more [rad/s]: the motor loop's pole."""
+        return min(self.rig.motor_loop.pole, 0.9 * math.pi / self.rig.period)
+
+    @cached_property
+    def mode_gain(self) -> float | None:
+        """The bound on the loop gain at the higher modes; None where they are part of
+        the loop's own margins, or none is known.
+        """
+        if self.rig.link.mass <= 0.0 and self.model.second_mode is None:
+            return None
+        if self.spec.mode_gain is not None:
+            return self.spec.mode_gain
+        return MODE_LIMIT
+
+    @cached_property
+    def empty(self) -> float | None:
+        """The payload of the empty gripper [kg]."""
+        return EMPTY_SHARE * self.payloads[0]
+
+    def wanted(self, soft: frozenset[str]) -> Wanted:
+        """Return the rows as the solver has them."""
+        voltage = self.rig.gauge.noise > 0.0
+        return Wanted(
+            gain_crossover=self.gain_crossover,
+            phase_margin=self.phase_margin,
+            highest=self.highest,
+            allowance=0.5 * _ALLOWANCE,
+            max_sensitivity=self.max_sensitivity,
+            noise_gain=self.spec.noise_gain,
+            mode_gain=self.mode_gain,
+            noise_voltage=NOISE_SHARE if voltage else None,
+            filter_time=self.spec.filter_time,
+            link_order=self.model.order,
+            soft=soft,
+        )
+
+    def own_key(self, item: Requirement) -> str | None:
+        """The user's own quantity behind a requirement, None where there is none."""
+        key = key_of(item)
+        if key == "phase_margin" and self.spec.phase_margin is None:
+            return None
+        if key == "gain_crossover" and self.gain_crossover is None:
+            return None
+        return key if key in (*self.soft, "settling_time") else None
+
+    @property
+    def soft(self) -> frozenset[str]:
+        """The rows that the slack may give: what was asked for, or takes the place of
+        it.
+        """
+        return frozenset(
+            (
+                "gain_crossover",
+                "phase_margin",
+                "max_sensitivity",
+                "noise_gain",
+                "mode_gain",
+            )
+        )
+
+    # ---- where it is asked
+
+    @cached_property
+    def motor_loop(self) -> MotorLoop:
+        """The motor loop that the design assumes."""
+        settings = self.rig.motor_loop
+        return MotorLoop(
+            settings.pole,
+            int(settings.delay_samples),
+            self.spec.inner,
+            self.spec.placement,
+        )
+
+    @cached_property
+    def motor_loops(self) -> tuple[MotorLoop, ...]:
+        """The assumed motor loop, and the one that the law runs where it is another."""
+        assumed = self.motor_loop
+        if assumed.kind == "sampled":
+            return (assumed,)
+        shipped = replace(assumed, kind="sampled")
+        try:
+            shipped.sampled(self.rig.motor, self.rig.period)
+        except FieldError:
+            return (assumed,)
+        return assumed, shipped
+
+    @cached_property
+    def arms(self) -> tuple[Arm, ...]:
+        """The model, and the corners of the box."""
+        corners = () if self.box is None else arms_of(self.box, self.model)
+        return (Arm(self.model), *corners)
+
+    def links(self, number: int, count: int) -> Real:
+        """ω₀ of `count` payloads on an arm; the box widens the range of its corners."""
+        low, high = self.natural_frequencies
+        if number and self.box is not None:
+            known = self.model.natural_frequency
+            low *= self.box.natural_frequency[0] / known
+            high *= self.box.natural_frequency[1] / known
+        return np.geomspace(low, high, count)
+
+    def bare(self, number: int, settings: MotorLoop) -> Loop:
+        """The loop beside Ĉ of an arm."""
+        unit = Controller(gain=1.0, order=1.0, inner=settings, period=self.rig.period)
+        loop = self.arms[number].loop(unit, self.rig)
+        return replace(loop, gain=1.0, order=0.0, filter_time=0.0)
+
+    @cached_property
+    def loops(self) -> tuple[Loop, ...]:
+        """The loop beside Ĉ of every arm and motor loop."""
+        return tuple(
+            self.bare(number, settings)
+            for number in range(len(self.arms))
+            for settings in self.motor_loops
+        )
+
+    def sheet(self, number: int) -> Sheet:
+        """Return the table of one arm: its links under either motor loop, the empty
+        gripper on the model.
+        """
+        rig, parts = self.rig, []
+        extra = [] if self.gain_crossover is None else [self.gain_crossover]
+        voltage = None
+        if rig.gauge.noise > 0.0:
+            size = rig.gauge.noise / self.model.stiffness / rig.motor.voltage_limit
+            voltage = size, rig.motor.gain, rig.motor.decay
+        count = 2 if number else _LINKS
+        for i in range(len(self.motor_loops)):
+            arm = number * len(self.motor_loops) + i
+            bare = self.loops[arm]
+            w0 = self.links(number, count)
+            found = None
+            if i == 0 and self.mode_gain is not None:
+                modes = self._modes(number, bare)
+                found = modes.frequency.ravel(), modes.level.ravel()
+            parts.append(
+                tabulated(
+                    bare,
+                    w0,
+                    rig.period,
+                    kind=LAW if i else MODEL,
+                    arm=arm,
+                    noisy=i == 0,
+                    voltage=voltage,
+                    modes=found,
+                    extra=extra,
+                )
+            )
+            if not number and self.empty is not None:
+                light = np.array([self.model.at_payload(self.empty).natural_frequency])
+                parts.append(
+                    tabulated(
+                        bare,
+                        light,
+                        rig.period,
+                        kind=EMPTY,
+                        arm=arm,
+                        noisy=False,
+                        voltage=None,
+                        modes=None,
+                        extra=extra,
+                    )
+                )
+        return stacked(parts)
+
+    def _modes(self, number: int, loop: Loop) -> HigherModes:
+        modes = higher_modes(self.arms[number].model, self.rig, loop, self.payloads)
+        assert modes is not None  # a mode_gain is asked for  # noqa: S101
+        return modes
+
+    @cached_property
+    def sheets(self) -> tuple[Sheet, ...]:
+        """The table of every arm."""
+        return tuple(self.sheet(number) for number in range(len(self.arms)))
+
+    # ---- the answer
+
+    def start(self, order: int) -> Real:
+        """Parameters to begin from: the closed form of one link, whose phase is met at
+        the crossover, with a long filter.
+        """
+        loop, high = self.loops[0], self.natural_frequencies[1]
+        reference = self.reference()
+        ratio = (high / self.natural_frequencies[0]) ** (2.0 / self.model.order)
+        w = min(reference * ratio, 0.6 * self.highest)
+        delta = _LAG / w if self.spec.filter_time is None else self.spec.filter_time
+        rest = complex(loop.log(w, high))
+        beta = 2.0 / math.pi * (self.phase_margin - math.pi - rest.imag)
+        beta += 2.0 / math.pi * order * math.atan(delta * w)
+        beta = min(max(beta, 0.1), min(self.model.order, float(order)) - 0.05)
+        return self._through(reference, beta, delta, order)
+
+    def _through(self, w: float, beta: float, delta: float, order: int) -> Real:
+        """Parameters with which |L| is one at `w` at the heaviest payload."""
+        gain = -float(self.loops[0].log(w, self.natural_frequencies[0]).real)
+        gain -= beta * math.log(w / self.reference())
+        gain += 0.5 * order * math.log1p((delta * w) ** 2)
+        return np.array([gain, beta, math.log(max(delta, 1e-12))])
+
+    def scanned(self, problem: Problem) -> list[Real]:
+        """The best of a lattice of parameters, by the row that is missed by most: where
+        a search from them ends differs, as what is feasible may be in parts.
+        """
+        given, reference = self.spec.filter_time, self.reference()
+        delays = _LAGS / reference if given is None else [given]
+        orders = np.linspace(0.15, self.model.order - 0.1, 7)
+        found: list[tuple[float, Real]] = []
+        wanted = replace(problem.wanted, damping=None)
+        problem = replace(problem, wanted=wanted)
+        for ratio in (1.0, 1.15):
+            for delta in delays:
+                for beta in orders:
+                    x = self._through(
+                        ratio * reference,
+                        float(beta),
+                        float(delta),
+                        problem.filter_order,
+                    )
+                    with np.errstate(all="ignore"):
+                        goal = problem.start_goal(x)
+                        least = float(np.min(problem.rows(x, goal).value))
+                    found.append((least, x))
+        found.sort(key=lambda pair: -pair[0])
+        return [x for _, x in found[:_TRIED]]
+
+    def reference(self) -> float:
+        """ω_r [rad/s]: the crossover asked for, or just above the heaviest payload's
+        resonance.
+        """
+        if self.gain_crossover is not None:
+            return self.gain_crossover
+        return 1.1 * float(self.loops[0].peak(self.natural_frequencies[0]))
+
+    @property
+    def filter_orders(self) -> tuple[int, ...]:
+        """The n to try: with a free δ two poles can do what one does."""
+        if self.spec.filter_order is not None:
+            return (self.spec.filter_order,)
+        if self.spec.filter_time is None:
+            return (2,)
+        return (1,) if self.spec.filter_time == 0.0 else (1, 2)
+
+    def solved(self) -> Solved:
+        """Return the best controller, or the one nearest to the request."""
+        best: Solved | None = None
+        for order in self.filter_orders:
+            problem = Problem(
+                self.sheets[0],
+                self.loops,
+                self.wanted(self.soft),
+                self.goal,
+                self.reference(),
+                order,
+            )
+            answer = self._over_arms(problem, *self._quiet_start(problem))
+            starts = self.scanned(answer.problem) if answer.solution.slack else []
+            for x in starts:
+                other = self._over_arms(answer.problem, x, answer.active)
+                if other.solution.slack < answer.solution.slack:
+                    answer = other
+                if answer.solution.slack == 0.0:
+                    break
+            if best is None or answer.solution.slack < best.solution.slack:
+                best = answer
+            if best.solution.slack == 0.0:
+                return self._quieter(best)
+        assert best is not None  # one order at least  # noqa: S101
+        return best
+
+    def _quiet_start(self, problem: Problem) -> tuple[Real, tuple[int, ...]]:
+        """(parameters to begin from, the arms that are known to be worst).
+
+        For another goal than noise the quiet loop of a modest crossover: from a loop
+        without a filter, where δ counts for nothing, the search ends without one.
+        """
+        start = self.start(problem.filter_order)
+        if self.goal == "noise":
+            return start, (0,)
+        least = problem.wanted.gain_crossover or self.reference()
+        wanted = replace(problem.wanted, gain_crossover=least)
+        quiet = replace(problem, goal="noise", wanted=wanted)
+        answer = self._over_arms(quiet, start)
+        return (
+            (answer.solution.x, answer.active)
+            if answer.solution.slack < 1.0
+            else (start, (0,))
+        )
+
+    def _quieter(self, best: Solved) -> Solved:
+        """The least noise with nine tenths of what the goal reached.
+
+        The last tenth costs most: the fastest loop alone has no filter at all. (A tenth
+        is what the published procedure gives its filter, too.)
+        """
+        if self.goal == "noise":
+            return best
+        problem, goal = best.problem, best.solution.goal
+        wanted = problem.wanted
+        if self.goal == "settling":
+            least = math.exp(goal) * (1.0 - _GIVEN)
+            wanted = replace(
+                wanted, gain_crossover=max(least, wanted.gain_crossover or 0.0)
+            )
+        else:
+            wanted = replace(
+                wanted, phase_margin=max((1.0 - _GIVEN) * goal, wanted.phase_margin)
+            )
+        problem = replace(problem, wanted=wanted, goal="noise")
+        answers = [best]
+        # The fastest loop has hardly a filter, whose time no longer counts there: its
+        # gradient would not lengthen it.
+        longer = best.solution.x.copy()
+        longer[2] = max(longer[2], math.log(0.2 / self.reference()))
+        for start in (longer, best.solution.x):
+            quiet = self._over_arms(problem, start, best.active)
+            if quiet.solution.slack == 0.0:
+                answers.append(quiet)
+        return min(answers[1:], key=lambda one: one.solution.goal, default=best)
+
+    def tightened(self, solved: Solved, reserves: dict[str, float]) -> Solved:
+        """Return the solution with more in reserve for some rows."""
+        old = solved.problem
+        total = {
+            key: old.reserves.get(key, 0.0) + more for key, more in reserves.items()
+        }
+        problem = replace(old, reserves={**old.reserves, **total})
+        return self._over_arms(problem, solved.solution.x, solved.active)
+
+    def _over_arms(
+        self, problem: Problem, start: Real, active: tuple[int, ...] = (0,)
+    ) -> Solved:
+        """The solution for every arm, the worst ones taken in as they turn up."""
+        if len(active) > 1:
+            parts = [self.sheets[number] for number in active]
+            problem = problem.with_sheet(stacked(parts))
+        solution = problem.solve(start)
+        for _ in range(_ROUNDS):
+            changed = False
+            if problem.wanted.damping is None and self._rings(problem, solution):
+                changed = True
+                problem = replace(
+                    problem, wanted=replace(problem.wanted, damping=DAMPING)
+                )
+            worse = self._worse(problem, solution, active)
+            if worse:
+                changed, active = True, (*active, *worse)
+                sheets = [self.sheets[number] for number in active]
+                problem = problem.with_sheet(stacked(sheets))
+            if not changed:
+                break
+            solution = problem.solve(solution.x)
+        controller = self.controller(problem, solution)
+        return Solved(controller, solution, problem, active)
+
+    def _rings(self, problem: Problem, solution: Solution) -> bool:
+        controller = self.controller(problem, solution)
+        for w0 in self.natural_frequencies:
+            loop = self.arms[0].loop(controller, self.rig)
+            found = vibration(loop, w0)
+            if found is not None and found.damping_ratio < DAMPING:
+                return True
+        return False
+
+    @cached_property
+    def _whole(self) -> Sheet:
+        return stacked(self.sheets)
+
+    def _missed(
+        self, problem: Problem, solution: Solution
+    ) -> tuple[Rows, NDArray[np.int64]]:
+        """(the rows at every arm of the box, the arm of each)."""
+        wanted = replace(problem.wanted, damping=None)
+        with np.errstate(all="ignore"):
+            rows = replace(problem, wanted=wanted).rows(
+                solution.x,
+                solution.goal,
+                min(solution.slack, 1.0),
+                sheet=self._whole,
+            )
+        return rows, self._whole.arm[rows.link] // len(self.motor_loops)
+
+    def _worse(
+        self, problem: Problem, solution: Solution, active: tuple[int, ...]
+    ) -> list[int]:
+        """The arms that miss a row by most, of those that are not in."""
+        if len(self.arms) == 1:
+            return []
+        rows, number = self._missed(problem, solution)
+        least = np.full(len(self.arms), np.inf)
+        np.minimum.at(least, number, rows.value)
+        least[list(active)] = np.inf
+        order = np.argsort(least)
+        return [int(k) for k in order[:2] if least[k] < -_TOLERANCE]
+
+    # ---- what is achieved, measured by the engine
+
+    def worst_arms(self, solved: Solved) -> dict[str, int]:
+        """The arm of the box that is worst for each row, by the table."""
+        if len(self.arms) == 1:
+            return {}
+        rows, number = self._missed(solved.problem, solved.solution)
+        found: dict[str, tuple[float, int]] = {}
+        for key, value, arm in zip(rows.key, rows.value, number, strict=True):
+            if key not in found or value < found[key][0]:
+                found[key] = float(value), int(arm)
+        return {key: arm for key, (_, arm) in found.items()}
+
+    def requirements(self, solved: Solved, crossover: float) -> tuple[Requirement, ...]:
+        """Return every row with its worst value over payloads and arms.
+
+        `crossover` is the one that is asked for, or was reached where the fastest was.
+        """
+        numbers = {0, *self.worst_arms(solved).values()}
+        worst: dict[tuple[str, int | None], Requirement] = {}
+        for number in sorted(numbers):
+            for key, index, item in self._measured(
+                number, solved.controller, crossover
+            ):
+                known = worst.get((key, index))
+                if known is None or item.slack < known.slack:
+                    worst[key, index] = item
+        return tuple(worst.values())
+
+    def _measured(
+        self, number: int, controller: Controller, crossover: float
+    ) -> Iterator[tuple[str, int | None, Requirement]]:
+        """(key, number of the mode, requirement) of one arm."""
+        arm = self.arms[number]
+        loop, w0 = arm.loop(controller, self.rig), self.links(number, _MEASURED)
+        low, high = self.payloads
+
+        def at(frequency: float) -> float:
+            # the box's interval of ω₀ is no other payload
+            return min(max(arm.model.payload_at(frequency), low), high)
+
+        def row_of(
+            key: str,
+            wanted: float,
+            achieved: float,
+            frequency: float,
+            index: int | None = None,
+        ) -> tuple[str, int | None, Requirement]:
+            item = row(key).measured(wanted, achieved, at(frequency), index)
+            return key, index, item
+
+        (slowest, at_slow), (margin, at_margin) = worst_margins(
+            loop, float(w0[0]), float(w0[-1])
+        )
+        if self.spec.gain_crossover is not None or self.spec.settling_time is None:
+            yield row_of("gain_crossover", crossover, slowest, at_slow)
+        last = loop.margins(w0)[0]
+        top = int(np.argmax(last))
+        yield row_of(
+            "highest_crossover", self.highest, float(last[top]), float(w0[top])
+        )
+        if self.spec.settling_time is not None:
+            time = 2.0 * math.pi / slowest if slowest else math.inf
+            yield row_of("settling_time", self.spec.settling_time, time, at_slow)
+        yield row_of("phase_margin", self.phase_margin, margin, at_margin)
+        if self.max_sensitivity is not None:
+            peak = np.where(
+                loop.margins(w0)[1] > 0.0, loop.sensitivity_peak(w0), math.inf
+            )
+            top = int(np.argmax(peak))
+            yield row_of(
+                "max_sensitivity",
+                self.max_sensitivity,
+                float(peak[top]),
+                float(w0[top]),
+            )
+        if self.mode_gain is not None:
+            modes = self._modes(number, loop)
+            for index, item in mode_requirements(modes, loop, self.mode_gain):
+                yield "mode_gain", index, item
+        if self.spec.noise_gain is not None:
+            noise = loop.noise_gain(w0, self.rig.period)
+            top = int(np.argmax(noise))
+            yield row_of(
+                "noise_gain", self.spec.noise_gain, float(noise[top]), float(w0[top])
+            )
+        found = [(vibration(loop, float(x)), float(x)) for x in (w0[0], w0[-1])]
+        ratio, where = min(
+            (1.0 if one is None else one.damping_ratio, x) for one, x in found
+        )
+        yield row_of("damping", DAMPING, ratio, where)
+        if number == 0 and self.empty is not None:
+            light = self.model.at_payload(self.empty).natural_frequency
+            kept = float(loop.margins(light)[1][0])
+            yield "empty", None, row("empty").measured(0.0, kept, self.empty)
+
+    def controller(self, problem: Problem, solution: Solution) -> Controller:
+        """The controller of a solution."""
+        x = solution.x
+        free = self.spec.filter_time
+        return Controller(
+            gain=math.exp(x[0] - x[1] * math.log(problem.reference)),
+            order=float(x[1]),
+            filter_time=math.exp(x[2]) if free is None else free,
+            filter_order=solution.filter_order,
+            link=self.model.at_payload(self.rig.payloads.nominal),
+            inner=self.motor_loop,
+            period=self.rig.period,
+        )

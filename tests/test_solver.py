@@ -1,0 +1,179 @@
+"""One solver for every requirement: rows measured anew, gradients, arms of a box,
+offers that pass when they are followed, and the published procedure beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink._arm.link import SecondMode
+from fraclink._design.procedure import request_of
+from fraclink._design.solver import Problem
+from fraclink._law.design import Specification
+from fraclink.errors import FieldError, InfeasibleError
+
+RIG = fl.Rig.named("paper-2023")
+MODEL = RIG.model
+assert MODEL is not None
+RANGE = (0.020, 0.040)
+
+
+def written_out(made: fl.Design, payload: float, w: np.ndarray) -> np.ndarray:
+    """L once more: Ĉ, motor loop, one and a half periods, and the link."""
+    c, s, order = made.controller, 1j * w, MODEL.order
+    stiff = made.natural_frequency(payload) ** 2
+    value = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
+    value = value * np.exp(-1.5 * RIG.period * s) / (1 + s / 80) ** 2
+    return np.asarray(value * stiff / (s**order + stiff))
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"phase_margin": fl.deg(50)},
+        {"phase_margin": fl.deg(50), "max_sensitivity": 1.5},
+        {"max_sensitivity": 1.705},
+        {"phase_margin": fl.deg(40), "filter_time": 0.02},
+    ],
+)
+def test_every_row_is_kept_by_the_loop_written_out(asked: dict[str, float]) -> None:
+    made = fl.design(MODEL, RIG, payloads=RANGE, gain_crossover=12.0, **asked)
+    assert made.passed
+    w = np.geomspace(1.0, math.pi / RIG.period, 40_000)
+    for payload in (*RANGE, 0.03):
+        loop = written_out(made, payload, w)
+        crossed = np.flatnonzero((np.abs(loop[:-1]) > 1) & (np.abs(loop[1:]) <= 1))
+        assert crossed.size == 1 and w[crossed[0]] > 11.99
+        margin = math.pi + np.angle(loop[crossed[0]])
+        assert margin > asked.get("phase_margin", 0.0) - 1e-3
+        bound = asked.get("max_sensitivity", math.inf)
+        assert 1.0 / np.abs(1.0 + loop).min() < bound + 1e-3
+
+
+def test_it_is_quieter_than_the_closed_form_for_the_same_request() -> None:
+    asked = {"payloads": RANGE, "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    made = fl.design(MODEL, RIG, **asked, law=False)
+    paper = fl.design(MODEL, RIG, **asked, law=False, procedure="published")
+    ends = made.natural_frequencies
+    noise, published = (
+        one.full_loop.noise_gain(ends, RIG.period).max() for one in (made, paper)
+    )
+    assert noise < 0.36 and published > 1.0
+
+
+@pytest.mark.parametrize("goal", ["noise", "settling", "margin"])
+@pytest.mark.parametrize("notch", [None, (150.0, 200.0)])
+def test_gradients_are_those_of_differences(
+    goal: str, notch: tuple[float, float] | None
+) -> None:
+    model = replace(
+        MODEL,
+        gauge_delay=0.004,
+        second_mode=SecondMode(frequency=177.5, gain=0.05, damping_ratio=0.02),
+    )
+    bounds = {"max_sensitivity": 1.6, "noise_gain": 1.0, "phase_margin": fl.deg(40)}
+    spec = Specification(payloads=RANGE, gain_crossover=12.0, **bounds)
+    request = request_of(model, RIG, spec, None, goal)  # type: ignore[arg-type]
+    wanted = replace(request.wanted(request.soft), damping=0.06)
+    problem = Problem(
+        request.sheets[0],
+        request.loops,
+        wanted,
+        goal,
+        12.0,
+        2,
+        notch,  # type: ignore[arg-type]
+    )
+    x = np.array([-0.9, 1.3, -3.2, math.log(177.0), -1.2, -1.0][: problem.size])
+    z = np.array([*x, 0.8, 0.1])
+    rows = problem.rows(z[:-2], z[-2], z[-1])
+    for k in range(z.size):
+        step = 1e-6 * np.eye(z.size)[k]
+        above, below = (
+            problem.rows(y[:-2], y[-2], y[-1]).value for y in (z + step, z - step)
+        )
+        slope = (above - below) / 2e-6
+        near = np.abs(rows.value) < 0.7  # the others bind nothing
+        assert slope[near] == pytest.approx(rows.gradient[k][near], abs=1e-2)
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"gain_crossover": 12.0, "phase_margin": fl.deg(100), "noise_gain": 0.5},
+        {"gain_crossover": 30.0, "phase_margin": fl.deg(60)},
+        {"settling_time": 0.2, "max_sensitivity": 1.4},
+    ],
+)
+def test_an_offer_passes_when_it_is_followed(asked: dict[str, float]) -> None:
+    with pytest.raises(InfeasibleError) as refused:
+        fl.design(MODEL, RIG, payloads=RANGE, **asked)
+    offer = refused.value.nearest
+    assert offer and set(offer) <= set(asked)
+    assert fl.design(MODEL, RIG, payloads=RANGE, **(asked | offer)).passed
+    for name, value in offer.items():
+        shown = math.degrees(value) if name == "phase_margin" else value
+        assert float(f"{shown:.3g}") == pytest.approx(shown, rel=1e-12)
+
+
+def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
+    late = replace(MODEL, gauge_delay=0.03)
+    with pytest.raises(InfeasibleError, match=r"at .* g at most .* is asked for") as e:
+        fl.design(
+            late, RIG, gain_crossover=25.0, phase_margin=fl.deg(60), nearest=False
+        )
+    assert "30 ms late" in str(e.value) and not e.value.nearest
+
+
+@pytest.mark.slow
+def test_nothing_asked_is_the_fastest_for_everything_that_is_open() -> None:
+    made = fl.design(MODEL, RIG)
+    assert made.passed and made.box is not None
+    rows = {item.name: item for item in made.requirements}
+    assert rows["sensitivity peak"].wanted == 2.0
+    with pytest.raises(InfeasibleError):
+        fl.design(
+            MODEL,
+            RIG,
+            gain_crossover=1.2 * made.gain_crossover,
+            max_sensitivity=2.0,
+            box=True,
+            nearest=False,
+        )
+
+
+@pytest.mark.slow
+def test_every_arm_of_a_box_keeps_the_margins() -> None:
+    made = fl.design(
+        MODEL,
+        RIG,
+        payloads=RANGE,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(45),
+        box=True,
+    )
+    assert made.passed and made.box is not None
+    draw = np.random.default_rng(1)
+    for _ in range(40):
+        pick = {
+            name: draw.uniform(*getattr(made.box, name))
+            for name in ("order", "gauge_gain", "gauge_delay")
+        }
+        ratio = draw.uniform(*made.box.natural_frequency) / MODEL.natural_frequency
+        loop = fl.Design.full_loop.fget(replace(made, model=replace(MODEL, **pick)))  # type: ignore[attr-defined]
+        crossover, margin = loop.margins([w * ratio for w in made.natural_frequencies])
+        assert crossover.min() > 12.0 - 1e-6 and margin.min() > fl.deg(45) - 1e-6
+
+
+def test_the_published_procedure_knows_crossover_and_margin_alone() -> None:
+    asked = {"payloads": RANGE, "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    for extra in ({"max_sensitivity": 1.5}, {"box": True}, {"noise_gain": 1.0}):
+        with pytest.raises(FieldError, match="published"):
+            fl.design(MODEL, RIG, **asked, **extra, procedure="published")
+    with pytest.raises(FieldError, match="procedure"):
+        fl.design(MODEL, RIG, **asked, procedure="own")  # type: ignore[arg-type]
