@@ -1,8 +1,6 @@
 """Requests to `design`: the table of known ones, random ones against a random search of
 their own, and what refusals offer, followed.
 
-    python benchmarks/bench_requests.py [how many random requests]
-
 A random request draws an arm (λ 1.86 to 2, with and without damping, a second mode, a
 gauge 0 to 30 ms late), payloads and bounds. Each ends as one of: a design with every
 row kept; a refusal with an offer, which is followed and has to pass; a refusal without
@@ -13,7 +11,6 @@ from __future__ import annotations
 
 import collections
 import math
-import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -28,6 +25,7 @@ from fraclink._design.request import Request
 from fraclink._design.solver import Problem
 from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError
+from harness import line, sizes
 
 CONTROLLERS = 2000
 RIG = Rig.named("paper-2023")
@@ -163,8 +161,9 @@ def judged(seed: int) -> tuple[str, float]:
     return word, time.process_time() - begin
 
 
-def main(count: int) -> None:
+def main() -> None:
     """Print the table and what came of the random requests."""
+    count = sizes(__doc__, requests=(500, 2)).requests
     table()
     words: collections.Counter[str] = collections.Counter()
     times = collections.defaultdict(list)
@@ -172,15 +171,19 @@ def main(count: int) -> None:
         word, spent = judged(seed)
         words[word] += 1
         times[word.split(":")[0]].append(spent)
-        if word.isupper() or "MISSED" in word or "FAIL" in word:
-            print(f"seed {seed}: {word}", flush=True)
+        if "MISSED" in word or "FAIL" in word:
+            print(f"     seed {seed}: {word}", flush=True)
     for word, number in words.most_common():
-        print(f"{number:5} {word}")
+        print(f"     {number:5} {word}")
     for word, spent in times.items():
-        print(
-            f"{word:24} CPU median {1e3 * np.median(spent):.0f} ms, most {1e3 * max(spent):.0f}"
+        middle, most = 1e3 * float(np.median(spent)), 1e3 * max(spent)
+        print(f"     {word:24} CPU median {middle:.0f} ms, most {most:.0f} ms")
+    for what, wanted in (("MISSED", 0.01 * count), ("FAIL", 0.0)):
+        found = sum(number for word, number in words.items() if what in word)
+        line(
+            f"requests {what}", f"{found} of {count}", f"<= {wanted:g}", found <= wanted
         )
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500)
+    main()
