@@ -21,7 +21,7 @@ from harness import line, median, sizes
 ROOT = Path(__file__).resolve().parent.parent
 # Public names are loaded when they are first used, so the root alone costs less than
 # numpy does.
-SESSION = "import fraclink as fl; fl.Rig, fl.read_log, fl.identify, fl.design, fl.Law, fl.simulate, fracsys.s"
+SESSION = "import fraclink as fl, fracsys; fl.Rig, fl.read_log, fl.identify, fl.design, fl.Law, fl.simulate, fracsys.s"
 DEMO = ("-m", "fraclink", "run", "--rig", "paper-2023-geared", "--log", "demo")
 
 

@@ -1,5 +1,7 @@
 from fracsys import checks as checks
 from fracsys import errors as errors
+from fracsys._calculus import derivative as derivative
+from fracsys._calculus import integral as integral
 from fracsys._fractional import FractionalTransferFunction as FractionalTransferFunction
 from fracsys._fractional import s as s
 from fracsys._from_control import from_control as from_control
