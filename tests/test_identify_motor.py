@@ -77,6 +77,19 @@ def test_the_links_torque_gives_the_inertia() -> None:
     assert fit.gain == pytest.approx(GAIN, rel=0.02)
 
 
+def test_no_bump_lies_across_the_start_of_another_recording() -> None:
+    """Two recordings one behind the other, with a jump between: told where, the fit is
+    that of a motor; not told, the jump is taken for a motion.
+    """
+    voltage, angle = example_motor_log(samples=2000)
+    both = np.concatenate([angle[:1200], angle[:1200] + 3.0])
+    volts = np.concatenate([voltage[:1200], voltage[:1200]])
+    fit = identify_motor(volts, both, period=PERIOD, starts=[1200])
+    assert fit.gain == pytest.approx(GAIN, rel=0.02)
+    with pytest.raises(LogError):
+        identify_motor(volts, both, period=PERIOD)
+
+
 def test_bad_motor_logs() -> None:
     voltage, angle = example_motor_log(samples=1000)
     with pytest.raises(LogError, match="too short"):

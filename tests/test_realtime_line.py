@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import math
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -579,3 +580,19 @@ def test_rest_and_quiet_last_as_long_as_said() -> None:
     ]  # then it rests, and is looked at until the ringing has left the window
     guard.quiet(0.01, 3.0)
     assert guard.count == 191 + 75 + 60
+
+
+def test_an_open_line_asks_for_the_priority_of_the_real_time_loop() -> None:
+    seen: list[int] = []
+
+    def read() -> tuple[float, float]:
+        seen.append(os.sched_getscheduler(0))
+        return 0.0, 0.0
+
+    board = Callback(read, lambda _: None)
+    before = os.sched_getscheduler(0)
+    with open_line(board, PERIOD) as (line, _):
+        line.exchange(0.0)
+    granted = measure_wake_ups(PERIOD, duration=0.02).scheduling.startswith("SCHED")
+    assert seen[-1] == (os.SCHED_FIFO if granted else before)
+    assert os.sched_getscheduler(0) == before

@@ -303,6 +303,9 @@ void bind_realtime(nb::module_ &m) {
     m.def("realtime_watch_signals", &realtime_watch_signals);
     m.def("realtime_signalled", &realtime_signalled);
     m.def("realtime_release_signals", &realtime_release_signals);
+    nb::class_<realtime_privileges>(m, "RealtimePrivileges");
+    m.def("realtime_prepare", &realtime_prepare);
+    m.def("realtime_relax", [](const realtime_privileges &before) { realtime_relax(&before); });
     m.attr("REALTIME_COLUMNS") = int(REALTIME_COLUMNS);
     m.attr("REALTIME_MARKS") = int(REALTIME_MARKS);
     m.attr("SERVED_COLUMNS") = int(SERVED_COLUMNS);

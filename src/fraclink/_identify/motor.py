@@ -11,7 +11,7 @@ and (A, B, C, 1/J) follow from linear equations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated
@@ -98,6 +98,7 @@ def identify_motor(
     delay: float | None = None,
     dead_zone: float | None = None,
     window: float | None = None,
+    starts: Sequence[int] = (),
 ) -> MotorFit:
     """Identify the motor of eq. (1) with friction from voltage and angle; no guess is
     needed.
@@ -125,6 +126,9 @@ def identify_motor(
         where they are known [s], [V]; searched for otherwise.
     window
         length of a bump [s]; 30 samples or 80 ms by default.
+    starts
+        samples at which another recording begins, in one that was put together: no bump
+        lies across one.
 
     Raises
     ------
@@ -163,7 +167,7 @@ def identify_motor(
     # second still holds a bump. Fewer than 30 samples would not follow the bump's
     # second derivative.
     half = max(15, round((0.04 if window is None else window / 2) / period))
-    bumps = _Bumps(angle, load, period, half)
+    bumps = _Bumps(angle, load, period, half, starts)
     if bumps.places.size < _LEAST_WINDOWS:
         allowed = f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s"
         problem, remedy = (
@@ -243,7 +247,12 @@ class _Bumps:
     """
 
     def __init__(
-        self, angle: Reals, load: Reals | None, period: float, half: int
+        self,
+        angle: Reals,
+        load: Reals | None,
+        period: float,
+        half: int,
+        starts: Sequence[int] = (),
     ) -> None:
         self.period, self.half = period, half
         width = half * period
@@ -260,6 +269,8 @@ class _Bumps:
         second *= np.sum(_BUMP(x)) / (0.5 * second @ (x * width) ** 2)
         slope = -np.correlate(angle, first, "valid") * period  # ∫ φ θ'
         mean = slope / (np.sum(_BUMP(x)) * period)
+        for start in starts:  # a velocity of zero is one that no bump may touch
+            mean[max(start - 2 * half, 0) : start] = 0.0
         wide = np.lib.stride_tricks.sliding_window_view(mean, 2 * half + 1)
         # A share of the fastest motion: nearer to rest friction takes any value up to
         # Γc.

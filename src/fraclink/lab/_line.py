@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from fraclink import _kernels
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Callback, Command, Connection, controller_end
-from fraclink.lab._machine import check_machine, period_ns
+from fraclink.lab._machine import check_machine, period_ns, real_time
 
 __all__ = ["ArmLine", "ArmLost", "Reading", "Stopped", "open_line"]
 
@@ -186,6 +186,8 @@ def open_line(
     time = _NoClock() if clock == "none" else clock or _kernels.RealtimeClock(0)
     with contextlib.ExitStack() as stack:
         signals = stack.enter_context(_noted_signals())
+        if clock is None:
+            stack.enter_context(real_time())
         if isinstance(connection, Callback):
             way: Any = _Called(connection)
         else:

@@ -203,6 +203,18 @@ def period_ns(period: float) -> int:
 
 
 @contextlib.contextmanager
+def real_time() -> Iterator[None]:
+    """Run the block under SCHED_FIFO with its memory locked, where the machine grants
+    it; `WakeUps.check` refuses one that cannot keep the period without.
+    """
+    before = _kernels.realtime_prepare(PRIORITY, 1)
+    try:
+        yield
+    finally:
+        _kernels.realtime_relax(before)
+
+
+@contextlib.contextmanager
 def signals_held() -> Iterator[threading.Event]:
     """Hold every signal that would end or stop the process until the block ends, in any
     thread.

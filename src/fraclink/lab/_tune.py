@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from fraclink._arm.experiment import Experiment
 from fraclink._design import Design
@@ -19,7 +19,7 @@ from fraclink._law import Law
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Connection
 from fraclink.lab._line import Stopped, open_line
-from fraclink.lab._machine import signals_held
+from fraclink.lab._machine import measure_wake_ups, signals_held
 from fraclink.lab._tune_build import Built, built_laws, measured_rig
 from fraclink.lab._tune_guard import Guard, LimitReached
 from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
@@ -32,6 +32,8 @@ from fracsys.checks import checked
 
 __all__ = ["tune"]
 
+Found = TypeVar("Found")
+
 # A repeated experiment is twice as long, and its errors 0.7 of the first one's: what
 # three do not show is not a matter of length.
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
@@ -42,6 +44,8 @@ _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
 # times the errors that suffice: less of an excess is in the box, and costs a degree of
 # margin
 _FAR_OFF = 2.0
+# of the planned motion, where that reaches a limit: a torque falls with size and speed
+_SIZES = (1.0, 0.5, 0.25)
 _FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
 # First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %,
 # another gear K/J by more. of the first guesses, which scatter by a tenth, between a
@@ -191,6 +195,13 @@ class _Session:
         opened = partial(open_line, self.connection, self.plan.period, clock=self.clock)
         guard = Guard(opened, self.plan.limits)
         plan = self.plan
+        if self.clock is None:
+            # Behind the first sample, which states the arm's period, and before
+            # anything moves: a machine that misses periods loses the arm in mid-motion.
+            guard.release()
+            awake = measure_wake_ups(guard.period)
+            self._tell((str(awake),))
+            awake.check()
         self.state = self.before or Tuning(
             plan.limits,
             plan.payload,
@@ -222,14 +233,10 @@ class _Session:
         begin = None
         if self.state.motor is None:
             self.begin("motor")
-            motor, begin = tune_motor(guard, wiring)
-            self._tell(
-                (
-                    f"K/J {motor.fit.gain:.4g} rad/(s²·V), ν/J {motor.fit.decay:.3g} 1/s, friction "
-                    f"{motor.friction:.3g} V, delay {1e3 * motor.fit.delay:.3g} ms; loop at "
-                    f"{motor.loop.pole:g} rad/s",
-                )
+            motor, begin = self._within_limits(
+                guard, partial(tune_motor, guard, wiring), wiring.gauge_noise
             )
+            self._tell((str(motor),))
             self._write(guard, motor=motor)
         assert self.state.motor is not None  # measured now, or before  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
@@ -311,29 +318,35 @@ class _Session:
         """The link's experiments, at most three where a gate or the proof fails, and
         the law.
         """
-        state, plan = self.state, self.plan
-        assert state.wiring is not None and state.motor is not None  # noqa: S101
+        plan, wiring = self.plan, self.state.wiring
+        state = self.state
+        assert wiring is not None and state.motor is not None  # noqa: S101
         # A link that was fitted before is designed for at once; its experiment counts.
         link, attempt = state.link, state.attempts
         while True:
             if link is None:
                 attempt += 1
                 self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
-                longer = 1.0 if attempt == 1 else 2.0
-                link, _ = tune_link(
+                assert self.state.motor is not None  # measured  # noqa: S101
+                excite = partial(
+                    tune_link,
                     guard,
-                    state.wiring,
-                    state.motor,
+                    wiring,
+                    self.state.motor,
                     plan.payload,
                     begin=begin,
-                    longer=longer,
+                    longer=1.0 if attempt == 1 else 2.0,
                 )
+                link, _ = self._within_limits(guard, excite, wiring.gauge_noise)
                 self._tell(tuple(str(link.fit).splitlines()))
-                self._write(guard, link=link, attempts=attempt)
+                again = link.motor
+                self._tell((f"motor, with the link's torque: {again}",))
+                self._write(guard, link=link, motor=again, attempts=attempt)
+                guard.learn(again.fit.gain, again.fit.delay)
             self.begin("design, proof and law")
             guard.release()
             rig = measured_rig(
-                state.wiring,
+                wiring,
                 link,
                 plan.limits,
                 plan.range,
@@ -358,6 +371,22 @@ class _Session:
                 return link, built, laws
             self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
             link = None
+
+    def _within_limits(
+        self, guard: Guard, stage: Callable[..., Found], noise: float
+    ) -> Found:
+        """What a stage finds; where its own motion reaches a limit, at a half and then
+        at a quarter of its size.
+        """
+        for size in _SIZES:
+            try:
+                return stage(size=size)
+            except LimitReached as error:
+                if size == _SIZES[-1]:
+                    raise
+                self._tell((f"{error}; once more, half as large",))
+                guard.recover(noise)
+        raise AssertionError
 
     def _wrote(self, built: Built, link: LinkResult) -> None:
         """Write what came of the model, each part to its own file."""

@@ -33,6 +33,7 @@ _TRIP, _SPEED_TRIP = (
     0.8,
     0.95,
 )  # what is sent acts a period or two later, and speeds are those of some periods ago
+_RECOVERY = 5.0  # [s] at most in which a swing behind a limit dies down
 _QUIET = 0.6  # [s]: a vibration period of a slow arm
 _SPEED_SAMPLES = (
     2  # over which speed is taken: a longer mean would miss a fast vibration
@@ -111,6 +112,7 @@ class Guard:
         )  # the voltage that acted last, and those to come
         self._opened, self._stack, self._line = opened, contextlib.ExitStack(), None
         self._rows: list[tuple[float, float, float]] = []
+        self.starts: list[int] = []  # rows at which the way to the arm was opened
         self._angles: deque[float] = deque(maxlen=_SPEED_SAMPLES)
         self._apart = 1  # periods between the two
         self.lost = 0  # samples that did not come in time
@@ -123,6 +125,7 @@ class Guard:
         """Open the way to the arm where it is closed, and return the newest reading."""
         if self._line is None:
             self._line, self.reading = self._stack.enter_context(self._opened())
+            self.starts.append(len(self._rows))
             self.period = self._line.period
             self._angles.extend([self.reading.angle] * _SPEED_SAMPLES)
             self._apart = 1
@@ -139,6 +142,13 @@ class Guard:
     def angle(self) -> float:
         """Newest motor angle from where the arm stood at the start [rad]."""
         return self.reading.angle - self.origin
+
+    def connect_angle(self) -> float:
+        """Newest motor angle from where the arm stood at the start [rad], with the way
+        opened where it is closed: a link that swings turns a motor that is off.
+        """
+        self.connect()
+        return self.angle
 
     @property
     def torque(self) -> float:
@@ -235,6 +245,15 @@ class Guard:
             and float(np.std([row[2] for row in self._rows[-window:]])) > 1.1 * noise
         ):
             self.rest(_QUIET / 4)
+
+    def recover(self, noise: float) -> None:
+        """Switch the drive off and wait behind a limit, unguarded as nothing is driven,
+        until the arm rests; `noise` of the gauge [N·m].
+        """
+        self.release()
+        self._driven = False
+        self.quiet(noise, _RECOVERY)
+        self.release()
 
     def record(self, start: int = 0) -> Record:
         """What was recorded from period `start` on."""

@@ -23,15 +23,15 @@ from fraclink._identify import (
     simulated_torque,
 )
 from fraclink._law import Law
-from fraclink.errors import FraclinkError, InfeasibleError, LogError
+from fraclink.errors import FraclinkError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
-from fraclink.lab._tune_motor import MotorResult
+from fraclink.lab._tune_motor import MotorResult, closed_motor
 from fraclink.lab._tune_wiring import Wiring
 
 Real = NDArray[np.float64]
 
-__all__ = ["LinkResult", "experiment_of", "loaded_motor", "tune_link"]
+__all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 
 # Standard errors that suffice: their 95 % intervals are no wider than what an arm may
 # drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms
@@ -78,11 +78,13 @@ def tune_link(
     *,
     begin: Record | None = None,
     longer: float = 1.0,
+    size: float = 1.0,
 ) -> tuple[LinkResult, Record]:
     """Excite the link until every standard error suffices, or the limits are reached.
 
     `begin` is what the motor stage recorded, from which the first excitation is
-    planned; `longer` stretches every excitation, for an experiment that is repeated.
+    planned; `longer` stretches every excitation, for an experiment that is repeated;
+    `size` below 1 makes every motion smaller.
     """
     limits, period = guard.limits, guard.period
     fit = None if begin is None else _first_fit(begin)
@@ -90,6 +92,7 @@ def tune_link(
         motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction
     )
     reach, bit = _planned(fit, wiring, motor, guard)
+    reach, part = size * reach, size * PLANNED
     rounds: list[tuple[float, float, float]] = []
     duration = min(_DURATION * longer, _LONGEST)
     for _ in range(_ROUNDS):
@@ -97,7 +100,7 @@ def tune_link(
         # motor's loop to follow: a reference that saturates the voltage excites less
         # than it says.
         rise = max(
-            2 * 1.875 * reach / (PLANNED * limits.speed),
+            2 * 1.875 * reach / (part * limits.speed),
             3.0 / motor.loop.pole,
             6 * period,
         )
@@ -113,9 +116,16 @@ def tune_link(
             noise=wiring.gauge_noise,
             longest=_RINGING,
         )
-        path = random_steps(reach, max(bit, 1.2 * rise), rise, bits, period)
-        record = follow(guard, law, path)
-        whole = _shaken(guard, law, motor, guard.count - path.shape[1])
+        path = random_steps(
+            reach,
+            max(bit, 1.2 * rise),
+            rise,
+            bits,
+            period,
+            start=guard.connect_angle(),
+        )
+        record = follow(guard, law, path, origin=guard.origin)
+        whole = _shaken(guard, law, motor, guard.count - path.shape[1], size)
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
@@ -128,8 +138,8 @@ def tune_link(
         if short <= 1.0 and fit.passed:
             break
         most = min(
-            PLANNED * limits.angle / reach,
-            PLANNED * limits.torque / float(abs(record.torque).max()),
+            part * limits.angle / reach,
+            part * limits.torque / float(abs(record.torque).max()),
             PLANNED * limits.voltage / float(abs(record.voltage).max()),
         )
         # A tenth more of size is less than the errors' own scatter: another round would
@@ -141,14 +151,16 @@ def tune_link(
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
     assert fit is not None  # there was a round  # noqa: S101
-    return LinkResult(fit, loaded_motor(motor, record, fit), tuple(rounds)), record
+    return LinkResult(fit, motor_again(motor, guard, fit), tuple(rounds)), record
 
 
-def _shaken(guard: Guard, law: Law, motor: MotorResult, start: int) -> Record:
+def _shaken(
+    guard: Guard, law: Law, motor: MotorResult, start: int, size: float
+) -> Record:
     """The record from `start` on, with a burst at its end that shows the second mode."""
     # What turns the motor by that speed within one bit; friction comes on top, or the
     # burst would not move it.
-    push = _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
+    push = size * _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
     voltages = burst(voltage, _BIT, _BURST, guard.period)
     follow(guard, law, np.zeros((2, voltages.size)), shaken=voltages)
@@ -262,40 +274,41 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
     )
 
 
-def loaded_motor(motor: MotorResult, record: Record, fit: Fit) -> MotorResult:
-    """The motor with the inertia that the link's torque shows, in the gauge's units.
+def motor_again(motor: MotorResult, guard: Guard, fit: Fit) -> MotorResult:
+    """The motor as everything recorded shows it once the link is known, and its loop.
 
-    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power
-    law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
-    smaller by it, and Γ/J, which the law compensates, is what acts on the hub at the
-    vibration.
-
-    The torque is the model's, which is neither noisy nor late: a regressor with errors
-    loses part of its slope, and the inertia would come out small.
+    The load is the model's torque, which is neither noisy nor late: behind a gauge that
+    lags by 30 ms K/J comes out a sixth too large and the delay four periods too long,
+    and a regressor with errors loses part of its slope. A gauge reads curvature, and
+    the moment on the hub is D(s) times that: of a power law |jω|^(2−λ), 1.22 at the
+    11.9 rad/s of the paper's arm. The inertia comes out smaller by it, and Γ/J, which
+    the law compensates, is what acts on the hub at the vibration.
     """
+    record = guard.record()
+    # Recordings with computing between them: the arm stood still somewhere else.
+    starts = sorted({start for start in guard.starts if 0 < start < guard.count})
+    pieces = [piece - piece[0] for piece in np.split(record.angle, starts)]
+    load = np.concatenate(
+        [
+            simulated_torque(fit.model, piece, record.period, hold="first")
+            for piece in pieces
+        ]
+    )
     try:
-        found = identify_motor(
+        again = identify_motor(
             record.voltage,
             record.angle,
             period=record.period,
-            torque=simulated_torque(
-                fit.model, record.angle, record.period, hold="first"
-            ),
+            torque=load,
+            starts=starts,
         )
-    except LogError:
+        # A negative inertia is the noise of moves that hardly load the motor: then the
+        # motor alone is known, and no load is made up.
+        if again.inertia is None or again.inertia <= 0 or not again.passed:
+            return motor
+        return closed_motor(again, record.period, motor.rounds)
+    except FraclinkError:
         return motor
-    # A negative one is the noise of moves that hardly load the motor: then the motor
-    # alone is known, and no load is made up.
-    if found.inertia is None or found.inertia <= 0:
-        return motor
-    fitted = replace(
-        motor.fit,
-        inertia=found.inertia,
-        coulomb_torque=motor.fit.coulomb_voltage * motor.fit.gain * found.inertia,
-        standard_errors=motor.fit.standard_errors
-        | {"inertia": found.standard_errors["inertia"]},
-    )
-    return replace(motor, fit=fitted)
 
 
 def _first_fit(record: Record) -> Fit | None:

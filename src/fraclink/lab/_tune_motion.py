@@ -242,13 +242,19 @@ def follow(
 
 
 def random_moves(
-    reach: float, speed: float, duration: float, period: float, *, seed: int
+    reach: float,
+    speed: float,
+    duration: float,
+    period: float,
+    *,
+    seed: int,
+    start: float = 0.0,
 ) -> Real:
     """Smooth moves between random angles within ± reach [rad], rest to rest, at most at
-    `speed` [rad/s].
+    `speed` [rad/s]; from `start` [rad] to 0.
     """
     random = np.random.default_rng(seed)
-    at, parts, total = 0.0, [], 0.0
+    at, parts, total = start, [], 0.0
     while total < duration:
         # To the other side each time: the motor must reverse for friction to be told
         # from damping.
@@ -272,17 +278,29 @@ def random_moves(
 
 
 def random_steps(
-    reach: float, bit: float, rise: float, bits: int, period: float
+    reach: float,
+    bit: float,
+    rise: float,
+    bits: int,
+    period: float,
+    *,
+    start: float = 0.0,
 ) -> Real:
     """A pseudo-random binary sequence of ± reach [rad] whose edges are smooth moves of
-    `rise` [s].
+    `rise` [s]; from `start` [rad] to 0.
     """
     # 511 bits before it repeats: the longest excitation has fewer.
     levels = prbs(reach, bit, bits=bits, register=9).coefficients[:-1, 0]
+    # Rest in front, as an identification takes the first samples for rest.
+    parts = [np.tile([[start], [0.0]], (1, round(0.2 / period)))]
+    if start:
+        # An edge is 2 reach at most: what lies farther away is reached as slowly.
+        slow = rise * max(1.0, abs(start) / reach)
+        back, grid = smooth_step(-start, slow), period * np.arange(round(slow / period))
+        parts.append(np.array([start + back.angle(grid), back.acceleration(grid)]))
     count = max(round(bit / period), 2)
     grid = period * np.arange(count)
-    # Rest in front, as an identification takes the first samples for rest.
-    parts, at = [np.zeros((2, round(0.2 / period)))], 0.0
+    at = 0.0
     for to in (*levels.tolist(), 0.0):
         move = smooth_step(to - at, min(rise, bit)) if to != at else hold(0.0)
         parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))

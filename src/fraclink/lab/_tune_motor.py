@@ -16,7 +16,7 @@ from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
 from fraclink.lab._tune_wiring import Wiring
 
-__all__ = ["MotorResult", "tune_motor"]
+__all__ = ["MotorResult", "closed_motor", "tune_motor"]
 
 # The first guess of K/J is good to a quarter; the link adds up to the arm's own inertia
 # at low frequencies.
@@ -57,10 +57,21 @@ class MotorResult:
         """What friction and dead zone cost [V]."""
         return self.fit.coulomb_voltage + self.fit.dead_zone
 
+    def __str__(self) -> str:
+        fit = self.fit
+        return (
+            f"K/J {fit.gain:.4g} rad/(s²·V), ν/J {fit.decay:.3g} 1/s, friction {self.friction:.3g} V, "
+            f"delay {1e3 * fit.delay:.3g} ms; loop at {self.loop.pole:g} rad/s"
+        )
 
-def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
+
+def tune_motor(
+    guard: Guard, wiring: Wiring, *, size: float = 1.0
+) -> tuple[MotorResult, Record]:
     """Identify the motor with moves that grow until K/J is known to 2 %, and place its
     loop.
+
+    `size` below 1 makes every move smaller and slower.
     """
     period = guard.period
     # Without its damping: more phase is lost than in truth, and the loop errs on the
@@ -73,7 +84,8 @@ def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
     limits = guard.limits
     # A quarter of what may be planned: until K/J is known the guard alone keeps the
     # speed.
-    reach, speed = min(_FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
+    part = size * PLANNED
+    reach, speed = min(size * _FIRST, part * limits.angle), part * limits.speed / 4
     fit: MotorFit | None = None
     for number in range(1, _ROUNDS + 1):
         # What is not compensated yet lets the arm lag: the moves are slow enough for
@@ -81,12 +93,16 @@ def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
         fast = min(speed, 0.35 * loop.pole * reach)
         # For the link's first fit, which takes the beginning of the record for rest.
         guard.quiet(wiring.gauge_noise, _RINGING)
-        record = follow(guard, law, random_moves(reach, fast, 3.0, period, seed=number))
+        # From where a swinging link has left the motor, and about where it stood first.
+        path = random_moves(
+            reach, fast, 3.0, period, seed=number, start=guard.connect_angle()
+        )
+        record = follow(guard, law, path, origin=guard.origin)
         guard.release()
         fit = _fitted(record)
         most = min(
-            PLANNED * limits.angle / reach,
-            PLANNED * limits.torque / _peak(record.torque),
+            part * limits.angle / reach,
+            part * limits.torque / _peak(record.torque),
         )
         if (
             fit is not None
@@ -108,7 +124,7 @@ def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
         # Not to the limit at once: the torque of a move grows with its speed as well as
         # with its size.
         reach *= min(most, 1.8)
-        speed = min(PLANNED * limits.speed, 1.8 * speed)
+        speed = min(part * limits.speed, 1.8 * speed)
     if fit is None:
         raise FraclinkError(
             "the motor could not be identified: too little motion within the limits"
@@ -117,16 +133,25 @@ def tune_motor(guard: Guard, wiring: Wiring) -> tuple[MotorResult, Record]:
         raise FraclinkError(
             f"the motor could not be identified: {fit.findings[0].message}"
         )
+    return closed_motor(fit, period, number), record
+
+
+def closed_motor(fit: MotorFit, period: float, rounds: int) -> MotorResult:
+    """Return a motor with the fastest loop that a fit good to a few per cent allows."""
     # Below zero by their own errors; a loop that counted on negative friction would be
     # too fast.
     fit = replace(
         fit, decay=max(fit.decay, 0.0), coulomb_voltage=max(fit.coulomb_voltage, 0.0)
     )
-    sure = MotorGain(fit.gain, fit.decay)
-    closed = fastest_loop(
-        sure, fit.delay, period, ratios=_SURE, margin=_MARGIN, most=_FAST
+    loop = fastest_loop(
+        MotorGain(fit.gain, fit.decay),
+        fit.delay,
+        period,
+        ratios=_SURE,
+        margin=_MARGIN,
+        most=_FAST,
     )
-    return MotorResult(fit, closed, number), record
+    return MotorResult(fit, loop, rounds)
 
 
 def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
