@@ -355,6 +355,55 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([*command, "--force"]) == 1
 
 
+def swept() -> fl.FrequencyResponse:
+    """The arm's response up to a second mode at 150 rad/s and into its noise."""
+    rng, w = np.random.default_rng(3), np.geomspace(2.0, 500.0, 240)
+    p = 1j * w
+    mode = 1 + 0.5 * p**2 / (p**2 + 6 * p + 150**2)
+    noise = rng.standard_normal((2, w.size)) + 1j * rng.standard_normal((2, w.size))
+    h = arm()(p) * mode * (1 + 0.02 * noise[0]) + 2e-3 * noise[1]
+    return fl.FrequencyResponse(w, h)
+
+
+@pytest.mark.slow
+def test_a_link_of_one_mode_is_fitted_where_it_holds() -> None:
+    found = fl.extend.identify_driven_link(swept(), details=False)
+    assert found.passed
+    assert found.order == pytest.approx(1.92, abs=0.03)
+    assert found.anti_resonance == pytest.approx(100 ** (1 / 1.92), rel=0.02)
+    (said,) = (finding for finding in found.findings if finding.code == "W349")
+    assert said.evidence["low"] == pytest.approx(2.0)
+    assert 20.0 < said.evidence["high"] < 150.0
+    # What is stated is taken as it is.
+    stated = fl.extend.identify_driven_link(swept(), band=(2.0, 500.0), details=False)
+    assert not stated.passed
+
+
+@pytest.mark.slow
+def test_a_table_without_header_ends_in_a_design(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured, table = noisy(), tmp_path / "bare.csv"
+    h = measured.response
+    columns = (LINES / (2 * np.pi), 20 * np.log10(np.abs(h)), np.degrees(np.angle(h)))
+    np.savetxt(table, np.column_stack(columns), delimiter=",")
+    model, rig = tmp_path / "model.json", ["--rig", "paper-2023-geared"]
+    stated = [
+        word
+        for name in ("frequency [Hz]", "gain [dB]", "phase [deg]")
+        for word in ("--column", name)
+    ]
+    command = ["identify-driven-link", str(table), *rig, "--out", str(model)]
+    assert run([*command, *stated, "--payload", "0.03", "--band", "2", "50"]) == 0
+    assert fl.load(model).payload == 0.03
+    out = tmp_path / "design.json"
+    asked = ["--gain-crossover", "9", "--phase-margin-deg", "40", "--filter-time", "0"]
+    assert run(["design", *rig, "--model", str(model), "--out", str(out), *asked]) == 0
+    spectrum = ["identify-spectrum", str(table), *stated, "--anti-resonances", "1"]
+    assert run(spectrum) in (0, 1)
+    capsys.readouterr()
+
+
 @pytest.fixture(scope="module")
 def driven() -> DrivenLinkFit:
     """A fit of the motor's angle, to be changed."""

@@ -29,9 +29,30 @@ from fraclink._cli.options import (
 from fraclink._reading.reading import read_log
 from fraclink._reading.responses import read_frequency_response, read_recording
 from fraclink.errors import FieldError, LogError
-from fracsys.checks import Between
+from fracsys.checks import Between, Payload
+
+ResponseColumns = Annotated[
+    list[str] | None,
+    typer.Option(metavar="ROLE=NAME [UNIT]"),
+    'A column of the table, such as "frequency=f [Hz]"; without "=" the columns of a table '
+    'that has no header, in their order: "frequency [Hz]", "gain [dB]", "phase [deg]"',
+]
+ResponseBand = Annotated[
+    tuple[float, float] | None,
+    typer.Option(metavar="FROM UNTIL"),
+    "Lines to fit [rad/s]; default: all, or the widest part in which the model holds",
+]
 
 app = group()
+
+
+def _columns(texts: list[str] | None) -> dict[str, str] | list[str] | None:
+    """Columns of a response as `read_frequency_response` takes them."""
+    if not texts:
+        return None
+    if not any("=" in text for text in texts):
+        return texts
+    return dict(_named("column", texts))
 
 
 @command(app)
@@ -112,6 +133,8 @@ def identify_spectrum(
         typer.Argument(metavar="TABLE"),
         "Table with frequency_rad_s or frequency_Hz, gain or gain_dB, phase_rad or phase_deg",
     ],
+    column: ResponseColumns = None,
+    band: ResponseBand = None,
     resonances: Annotated[int, Between(1, 6), "Number of resonances"] = 1,
     anti_resonances: Annotated[int, Between(0, 6), "Number of anti-resonances"] = 0,
 ) -> Answer:
@@ -120,7 +143,8 @@ def identify_spectrum(
 
     $ fraclink identify-spectrum response.csv --resonances 2
     """
-    measured = read_frequency_response(response)
+    measured = read_frequency_response(response, _columns(column))
+    measured = measured if band is None else measured.between(*band)
     fit = identification.identify_frequency_response(
         measured.frequency,
         measured.response,
@@ -146,20 +170,25 @@ def identify_driven_link(
     output: Annotated[
         Literal["motor_angle", "torque"], "What was measured"
     ] = "motor_angle",
+    column: ResponseColumns = None,
+    band: ResponseBand = None,
+    payload: Annotated[Payload | None, "Payload; default: the rig's nominal"] = None,
     out: Annotated[Path, "File to write the model to", Writes()] = Path("model.json"),
 ) -> Answer:
     """Fit link and motor to a frequency response from the amplifier's voltage.
 
     $ fraclink identify-driven-link response.csv --rig rig.toml
     """
-    motor = load_rig(rig).motor
+    known = load_rig(rig)
     found = identification.identify_driven_link(
-        read_frequency_response(response), output=output
+        read_frequency_response(response, _columns(column)), output=output, band=band
     )
     if not found.passed:
         return Answer(found, passed=False)
     # J n² [kg·m²]: the response is that of the gear's output.
-    identification.save_model(found.model(motor.inertia * motor.gear_ratio**2), out)
+    inertia = known.motor.inertia * known.motor.gear_ratio**2
+    carried = known.payloads.nominal if payload is None else payload
+    identification.save_model(found.model(inertia, payload=carried), out)
     return Answer(
         found, written=(out,), following=f"fraclink design --rig {rig} --model {out}"
     )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -23,13 +23,14 @@ from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
-from fraclink.errors import FieldError
+from fraclink.errors import FieldError, NotConvergedError
 from fraclink.findings import Finding, errors_of
 from fracsys.checks import Between, Positive, checked
 
 __all__ = ["DrivenLinkFit", "Output", "identify_driven_link"]
 
 Output = Literal["motor_angle", "torque"]
+Band = tuple[float, float]
 
 # λ up to 2.2: that of a classical link is then inside of its range, and its interval
 # says that it is 2.
@@ -42,6 +43,7 @@ _BEYOND = (
     3.0  # times the band: a peak that it misses is sought there, so that it can be said
 )
 _GRID = 3000
+_LEAST_OCTAVES = 2  # anti-resonance and peak, and lines on either side of them
 _AROUND = 3  # lines on either side of a place that the response is said to show
 
 
@@ -169,6 +171,7 @@ def identify_driven_link(
     measured: FrequencyResponse,
     *,
     output: Output = "motor_angle",
+    band: Band | None = None,
     weighting: Weighting | None = None,
     details: bool = True,
 ) -> DrivenLinkFit:
@@ -185,6 +188,9 @@ def identify_driven_link(
         torque.
     output
         what was measured, "motor_angle" or "torque".
+    band
+        lines to fit, from and until [rad/s]; default: the widest band of whole octaves
+        off either end in which the fit passes, said by W349 where it is not all lines.
     weighting
         of the errors: "relative" to each line, by "coherence" (the default where there
         is one), or "absolute".
@@ -213,6 +219,69 @@ def identify_driven_link(
     >>> round(found.order, 4), round(found.anti_resonance, 3), round(found.peak, 3)
     (1.92, 11.007, 12.004)
     """
+    if band is not None:
+        return _fitted(measured.between(*band), output, weighting, details)
+    found = _fitted(measured, output, weighting, details)
+    if found.passed:
+        return found
+    for part in _narrower(measured.band):
+        if _holds(measured, part, output, weighting):
+            narrowed = _fitted(measured.between(*part), output, weighting, details)
+            if narrowed.passed:
+                said = _of_the_rest(part, measured.band)
+                return replace(narrowed, findings=(said, *narrowed.findings))
+    return found
+
+
+def _narrower(band: Band) -> Iterator[Band]:
+    """Parts of a band, an octave less at one end or the other, the widest first.
+
+    A link of one mode on a motor holds neither where higher modes or the noise floor
+    begin nor, far below the anti-resonance, where friction does. Between them lie
+    anti-resonance and peak, within two octaves.
+    """
+    low, high = band
+    octaves = int(math.log2(high / low)) - _LEAST_OCTAVES
+    for lost in range(1, octaves + 1):
+        for above in range(lost, -1, -1):
+            yield low * 2.0 ** (lost - above), high / 2.0**above
+
+
+def _holds(
+    measured: FrequencyResponse,
+    part: Band,
+    output: Output,
+    weighting: Weighting | None,
+) -> bool:
+    try:
+        lines = measured.between(*part)
+        return _fitted(lines, output, weighting, details=False).passed
+    except (FieldError, NotConvergedError):
+        return False  # too few lines for the parameters, or nothing fits them
+
+
+def _of_the_rest(part: Band, band: Band) -> Finding:
+    low, high = part
+    return Finding(
+        "W349",
+        "warning",
+        f"fitted from {low:.4g} to {high:.4g} rad/s: over all lines no link of one mode on a motor passes",
+        {
+            "low": low,
+            "high": high,
+            "lowest": band[0],
+            "highest": band[1],
+        },
+        "look at the rest for higher modes, friction and noise; give band to choose another part",
+    )
+
+
+def _fitted(
+    measured: FrequencyResponse,
+    output: Output,
+    weighting: Weighting | None,
+    details: bool,
+) -> DrivenLinkFit:
     straight = _structure(output, "s**l/w")
     # Straight in 1/w, so that its start is found by linear least squares; z then has an
     # interval of its own.
