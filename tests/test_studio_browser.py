@@ -162,7 +162,7 @@ def test_a_preview_behind_the_exact_answer_takes_nothing_from_it(page, tmp_path)
                 "!document.querySelector('#controller').classList.contains('preview')"
             )
         )
-        ask_for(page, "9")
+        ask_for(page, "60")  # far beyond what any law of the family reaches
         page.until("document.querySelector('#refused button')", "the nearest")
         page.until(lambda: handed_on("window.refusals"), "the preview")
         refused = "document.querySelector('#refused')"
