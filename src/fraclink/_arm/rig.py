@@ -148,7 +148,7 @@ class Rig:
         """The names of the rigs that come with the package.
 
         >>> Rig.names()
-        ('paper-2023', 'paper-2023-geared')
+        ('flexible-joint', 'paper-2023', 'paper-2023-geared')
         """
         return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
 
