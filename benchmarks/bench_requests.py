@@ -163,7 +163,7 @@ def judged(seed: int) -> tuple[str, float]:
 
 def main() -> None:
     """Print the table and what came of the random requests."""
-    count = sizes(__doc__, requests=(500, 2)).requests
+    count = sizes(__doc__, requests=(500, 1)).requests
     table()
     words: collections.Counter[str] = collections.Counter()
     times = collections.defaultdict(list)
