@@ -413,6 +413,8 @@ def _floored(value: float) -> float:
     >>> _floored(11.567), _floored(-0.12345)
     (11.5, -0.124)
     """
+    if value == 0.0:
+        return 0.0
     digit = 10.0 ** (2 - math.floor(math.log10(abs(value))))
     whole = math.floor(value * digit * (1.0 + math.copysign(1e-12, value)))
     return float(f"{whole / digit:.3g}")

@@ -19,14 +19,13 @@ from fraclink._identify import (
     Fit,
     design_experiment,
     identify,
-    identify_motor,
     simulated_torque,
 )
 from fraclink._law import Law
 from fraclink.errors import FraclinkError, InfeasibleError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import burst, calm, follow, motor_law, random_steps
-from fraclink.lab._tune_motor import MotorResult, closed_motor
+from fraclink.lab._tune_motor import MotorResult, closed_motor, fitted_motor
 from fraclink.lab._tune_wiring import Wiring
 
 Real = NDArray[np.float64]
@@ -275,38 +274,21 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
 
 
 def motor_again(motor: MotorResult, guard: Guard, fit: Fit) -> MotorResult:
-    """The motor as everything recorded shows it once the link is known, and its loop.
+    """The motor as everything recorded shows it once the gauge's delay is known, and
+    its loop.
 
-    The load is the model's torque, which is neither noisy nor late: behind a gauge that
-    lags by 30 ms K/J comes out a sixth too large and the delay four periods too long,
-    and a regressor with errors loses part of its slope. A gauge reads curvature, and
-    the moment on the hub is D(s) times that: of a power law |jω|^(2−λ), 1.22 at the
-    11.9 rad/s of the paper's arm. The inertia comes out smaller by it, and Γ/J, which
-    the law compensates, is what acts on the hub at the vibration.
+    A gauge reads curvature, and the moment on the hub is D(s) times that: of a power
+    law |jω|^(2−λ), 1.22 at the 11.9 rad/s of the paper's arm. The inertia comes out
+    smaller by it, and Γ/J, which the law compensates, is what acts on the hub at the
+    vibration.
     """
-    record = guard.record()
-    # Recordings with computing between them: the arm stood still somewhere else.
-    starts = sorted({start for start in guard.starts if 0 < start < guard.count})
-    pieces = [piece - piece[0] for piece in np.split(record.angle, starts)]
-    load = np.concatenate(
-        [
-            simulated_torque(fit.model, piece, record.period, hold="first")
-            for piece in pieces
-        ]
-    )
     try:
-        again = identify_motor(
-            record.voltage,
-            record.angle,
-            period=record.period,
-            torque=load,
-            starts=starts,
-        )
+        again = fitted_motor(guard.record(), fit.model.gauge_delay, guard.starts)
         # A negative inertia is the noise of moves that hardly load the motor: then the
         # motor alone is known, and no load is made up.
         if again.inertia is None or again.inertia <= 0 or not again.passed:
             return motor
-        return closed_motor(again, record.period, motor.rounds)
+        return closed_motor(again, guard.period, motor.rounds)
     except FraclinkError:
         return motor
 

@@ -4,6 +4,7 @@ then closed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
 from fraclink.lab._tune_wiring import Wiring
 
-__all__ = ["MotorResult", "closed_motor", "tune_motor"]
+__all__ = ["MotorResult", "closed_motor", "fitted_motor", "tune_motor"]
 
 # The first guess of K/J is good to a quarter; the link adds up to the arm's own inertia
 # at low frequencies.
@@ -99,7 +100,7 @@ def tune_motor(
         )
         record = follow(guard, law, path, origin=guard.origin)
         guard.release()
-        fit = _fitted(record)
+        fit = _fitted(record, wiring.gauge_delay)
         most = min(
             part * limits.angle / reach,
             part * limits.torque / _peak(record.torque),
@@ -158,10 +159,28 @@ def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
     return max(float(np.max(np.abs(torque))), 1e-12)
 
 
-def _fitted(record: Record) -> MotorFit | None:
+def fitted_motor(
+    record: Record, gauge_delay: float, starts: Sequence[int] = ()
+) -> MotorFit:
+    """Return the motor under the torque as it was when the motor felt it; `starts` as
+    in `identify_motor`.
+
+    A load that is late turns into a motor that is late, and too lively: behind a gauge
+    that lags by 30 ms K/J comes out a sixth too large and the delay four periods too
+    long.
+    """
+    time = np.arange(record.torque.size) * record.period
+    return identify_motor(
+        record.voltage,
+        record.angle,
+        period=record.period,
+        torque=np.interp(time + gauge_delay, time, record.torque),
+        starts=starts,
+    )
+
+
+def _fitted(record: Record, gauge_delay: float) -> MotorFit | None:
     try:
-        return identify_motor(
-            record.voltage, record.angle, period=record.period, torque=record.torque
-        )
+        return fitted_motor(record, gauge_delay)
     except LogError:
         return None
