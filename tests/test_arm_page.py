@@ -117,7 +117,7 @@ def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     texts = " ".join(" ".join(parsed(page).texts).split())
     assert "designed for payloads from 20 to 40 g" in texts.replace("  ", " ")
     assert "Outside this range nothing is promised" in texts
-    assert "promise passed, model not run, reality not run" in texts
+    assert "promise passed, model not run, twin not run, arm not run" in texts
     assert "No certificate came with this design" in texts
     assert "The mass of the link" in texts
     refuted = render_arm_page(replace(study, uncertified="because of the moon"))

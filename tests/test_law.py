@@ -14,19 +14,18 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
+from fraclink import _kernels, extend
 from fraclink._arm.link import LinkModel
 from fraclink._law import (
     Law,
     LawInputs,
     Modes,
-    Moves,
-    derive_limits,
     discretize_controller,
 )
 from fraclink._law import block as layout
 from fraclink._law.discretization import _crossover, _is_met
 from fraclink.errors import FieldError, FileFormatError
+from fraclink.extend import Moves
 from law_bench import PERIOD, default_controller, law, run, signals
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -210,20 +209,12 @@ def test_saved_laws_come_back_to_the_bit(tmp_path: Path) -> None:
         assert back.block == made.block
 
 
-FIRST_FORMAT = Path(__file__).parent / "golden" / "laws" / "default.json"
-
-
-@pytest.mark.parametrize("version", [1, 3])
-def test_a_changed_file_is_refused(version: int, tmp_path: Path) -> None:
+def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     place = tmp_path / "law.json"
-    if version == 1:
-        place.write_bytes(FIRST_FORMAT.read_bytes())
-    else:
-        law().save(place)
+    law().save(place)
     data = json.loads(place.read_text(encoding="utf-8"))
-    assert data["format"] == version
     Law.load(place)
-    content = data if version == 1 else data["content"]
+    content = data["content"]
     for change in (
         {"stiffness": (1.57).hex()},
         {"stiffness": "1.57x"},
@@ -234,7 +225,7 @@ def test_a_changed_file_is_refused(version: int, tmp_path: Path) -> None:
         {"band": [1]},
     ):
         changed = content | change
-        changed = changed if version == 1 else data | {"content": changed}
+        changed = data | {"content": changed}
         place.write_text(json.dumps(changed), encoding="utf-8")
         with pytest.raises((FileFormatError, FieldError)):
             Law.load(place)
@@ -276,10 +267,16 @@ def test_a_value_beyond_single_precision_is_refused() -> None:
 def test_limits_follow_the_move() -> None:
     link = fl.Rig.named("paper-2023").model
     assert link is not None
-    slow, fast = (derive_limits(link, PERIOD, Moves(velocity=v)) for v in (3.0, 6.0))
+    made = law()
+    rig = fl.Rig.named("paper-2023")
+    slow, fast = (
+        extend.equip(made, replace(rig, moves=Moves(velocity=v)), link).limits
+        for v in (3.0, 6.0)
+    )
     assert fast.motor_step == pytest.approx(2 * slow.motor_step)
     assert fast.reference_step == pytest.approx(2 * slow.reference_step)
-    railed = derive_limits(link, PERIOD, Moves(), gauge_limit=4.0)
+    gauge = replace(rig.gauge, limit=4.0)
+    railed = extend.equip(made, replace(rig, gauge=gauge), link).limits
     assert railed.torque_limit < 4.0
 
 

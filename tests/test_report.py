@@ -275,7 +275,7 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults
-    assert back.verdict.reality == Scope(
+    assert back.verdict.twin == Scope(
         "failed", ("1 of 2 faults miss their requirement",)
     )
     assert back.verdict.promise == replace(saved, faults=None).verdict.promise

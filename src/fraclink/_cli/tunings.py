@@ -148,8 +148,15 @@ def tune(
 
 
 def _following(found: Tuning, io: str, out: Path) -> str:
-    if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
-        return f"fraclink run-realtime {out / 'design.json'} --io {io}"
+    if found.passed or (found.has_law and found.verdict.arm.state == "not run"):
+        command = f"fraclink run-realtime {out / 'design.json'} --io {io}"
+        # the move that the arm has made, with the payload that it was made with
+        move = found.moves[-1] if found.moves else None
+        return command + (
+            f" --payload {move.payload:g} --amplitude {move.amplitude:.3g} --move-time {move.duration:.3g}"
+            if move
+            else f" --payload {found.payload:g} --amplitude {0.5 * found.limits.angle:.3g} --move-time 2"
+        )
     # What ended early goes on with the stages that are whole.
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --resume"

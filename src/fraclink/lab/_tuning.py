@@ -198,7 +198,7 @@ class Tuning:
 
     @property
     def verdict(self) -> Verdict:
-        """The three scopes: the proof, the model's moves, the arm's own."""
+        """The scopes: the proof, the model's moves, the arm's own."""
         if self.certified and self.design_passed:
             promise = Scope("passed")
         elif self.reasons or self.stopped:
@@ -213,6 +213,7 @@ class Tuning:
             return Verdict(
                 promise,
                 Scope("not run"),
+                Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # By the promise and not by the arm: this scope is the model's.
@@ -224,7 +225,7 @@ class Tuning:
             if settles
             else Scope("failed", ("the model's move does not settle",))
         )
-        return Verdict(promise, model, self._reality())
+        return Verdict(promise, model, Scope("not run"), self._arm())
 
     @property
     def _fast(self) -> tuple[FirstMove, ...]:
@@ -233,7 +234,7 @@ class Tuning:
         """
         return tuple({move.payload: move for move in self.moves}.values())
 
-    def _reality(self) -> Scope:
+    def _arm(self) -> Scope:
         off = [str(move) for move in self._fast if not move.kept]
         off += [
             f"jump of {move.jump:.2g} rad at the hand-over"
