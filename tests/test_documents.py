@@ -686,6 +686,17 @@ def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
         fl.extend.Proof.load(edited(path, damage))
 
 
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a study without arms that differ."""
+    folder = tmp_path_factory.mktemp("study") / "study"
+    rig = fl.Rig.named("paper-2023-geared")
+    log = fl.read_log(fl.bundled_log("prbs_30g"), rig=rig)
+    fl.trials.run(rig, log, arms=0, out=folder)
+    return folder
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "field"),
     [
@@ -698,8 +709,10 @@ def test_d8_a_damaged_proof_is_refused(damage: Any, tmp_path: Path) -> None:
         (lambda d: d.update(assumptions=[1]), "assumptions.0"),
     ],
 )
-def test_d8_a_damaged_study_is_refused(damage: Any, field: str, tmp_path: Path) -> None:
-    folder = shutil.copytree(GOLDEN / "study", tmp_path / "study")
+def test_d8_a_damaged_study_is_refused(
+    damage: Any, field: str, study: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(study, tmp_path / "study")
     assert fl.trials.load_study(folder).comparison is not None
     edited(folder / "study.json", damage)
     with pytest.raises(FileFormatError) as caught:
