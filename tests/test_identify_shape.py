@@ -21,6 +21,7 @@ from fraclink._identify.fitting import (
     make_search,
     motion_after,
 )
+from fraclink._identify.problem import inverted
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -33,7 +34,6 @@ from fraclink._identify.shape import (
     largest_ratio,
     lowest_valleys,
     mask_of,
-    model_gradients,
     model_of,
     moving_angle,
     shape_of,
@@ -41,11 +41,6 @@ from fraclink._identify.shape import (
     undamped_as_damped,
 )
 from fraclink._identify.uncertainty import (
-    _basis,
-    _Profile,
-    inverted,
-    profile_interval,
-    reduced,
     uncertainty,
 )
 from fraclink.errors import LogError, NotConvergedError
@@ -119,22 +114,6 @@ def test_the_undamped_link_of_fractional_order_is_one_with_fractional_damping() 
 def test_the_largest_ratio() -> None:
     assert largest_ratio(0.5) == pytest.approx(0.5)
     assert [largest_ratio(x) for x in (1.0, 1.5)] == [0.9, 0.9]
-
-
-@pytest.mark.parametrize("link", LINKS[2:])
-def test_gradients_of_the_parameters(link: LinkModel) -> None:
-    shape, rows = shape_of(link), model_gradients(shape_of(link))
-    for k in range(4):
-        moved = shape.copy()
-        moved[k] += 1e-4
-        parts = []
-        for sign in (1, -1):
-            moved[k] = shape[k] + sign * 1e-4
-            damping, square = damping_and_square(moved)
-            parts.append(np.array([math.sqrt(square), moved[0], damping, moved[3]]))
-        assert rows[:, k] == pytest.approx(
-            (parts[0] - parts[1]) / 2e-4, rel=1e-4, abs=1e-6
-        )
 
 
 def test_coordinates_and_their_bits() -> None:
@@ -415,50 +394,6 @@ def test_what_is_fixed_is_not_free(log: Experiment) -> None:
     assert math.isnan(searched(deflection, stiffness=1.5).gain)
 
 
-def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(
-    log: Experiment,
-) -> None:
-    """Cost, slope and curvature against the projection of the written-out columns."""
-    for options in (
-        {},
-        {"fixed": {"gain": 1.5}},
-        {"fixed": {"offset": 0.2}},
-        {"fixed": {"gain": 1.5, "offset": 0.2}},
-    ):
-        search = searched(log, **options)
-        shape = shape_of(TRUTH, 0.003)
-        shape[0] -= 0.01
-        gram = search.kernel.gram(shape, mask_of((0, 1, 4)))
-        assert gram is not None
-        normal, slope, cost = reduced(gram, search)
-        raw = columns_of(search.kernel, shape, mask_of((0, 1, 4)))
-        straight = []
-        measured = log.output.copy()
-        for name, column in (("gain", raw[0]), ("offset", np.ones(raw.shape[1]))):
-            if name in options.get("fixed", {}):
-                measured = measured - options["fixed"][name] * column
-            else:
-                straight.append(column)
-        basis = (
-            np.linalg.qr(np.stack(straight, axis=1))[0]
-            if straight
-            else np.zeros((raw.shape[1], 0))
-        )
-        left = measured - basis @ (basis.T @ measured)
-        gain = (
-            1.5
-            if "gain" in options.get("fixed", {})
-            else np.linalg.lstsq(np.stack(straight, axis=1), measured, rcond=None)[0][0]
-        )
-        columns = gain * raw[1:]
-        columns = columns - (columns @ basis) @ basis.T
-        assert cost == pytest.approx(float(left @ left), rel=1e-8)
-        assert slope == pytest.approx(
-            columns @ left, rel=1e-6, abs=1e-6 * float(left @ left)
-        )
-        assert normal == pytest.approx(columns @ columns.T, rel=1e-6)
-
-
 def test_a_singular_matrix_is_told_and_still_inverted() -> None:
     normal = np.diag([4.0, 1e-8])
     inverse, singular = inverted(normal)
@@ -664,63 +599,3 @@ def test_errors_under_white_noise_written_out(log: Experiment) -> None:
     assert coloured.coloured is not None
     assert np.diag(coloured.coloured) == pytest.approx(np.diag(wanted), rel=0.5)
     assert 3.0 < coloured.effective < 9.0
-
-
-def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> None:
-    """At each end of an interval a fit with that value costs exp(1.96²/n) times the
-    least.
-    """
-    search = searched(log)
-    solution = search.solve("UD-FOM")
-    error = math.sqrt(uncertainty(search, solution, coloured=False).white[1, 1])
-    interval = profile_interval(search, solution, "order", error, 1.0)
-    assert not interval.low_open and not interval.high_open
-    assert interval.low < solution.shape[0] < interval.high
-    for end in (interval.low, interval.high):
-        held = searched(log, fixed={"order": end}).solve("UD-FOM")
-        told = log.output.size * math.log(held.cost / solution.cost)
-        assert math.sqrt(told) == pytest.approx(1.96, abs=5e-3)
-    wide = profile_interval(search, solution, "order", 2 * error, 4.0)
-    assert wide.high - wide.low == pytest.approx(
-        2 * (interval.high - interval.low), rel=0.05
-    )
-    own = profile_interval(search, solution, "natural_frequency", 0.01, 1.0)
-    assert own.contains(model_of(solution.shape, 1.0, None).natural_frequency)
-
-
-def test_a_profile_knows_its_parameter_and_its_range(log: Experiment) -> None:
-    """Of a classical link ω₀ is the resonance, a coordinate with limits; elsewhere it
-    is any above zero.
-    """
-    search = searched(log)
-    viscous, fractional = search.solve("D-IOM"), search.solve("UD-FOM")
-    inside = tuple(np.exp([viscous.lower[1], viscous.upper[1]]))
-    assert _Profile(search, viscous, "natural_frequency").limits() == pytest.approx(
-        inside
-    )
-    assert _Profile(search, fractional, "natural_frequency").limits() == (0.0, math.inf)
-    assert _Profile(search, viscous, "damping").limits() == (0.0, math.inf)
-    assert _Profile(search, fractional, "order").limits() == (1.01, 2.0)
-    model = model_of(viscous.shape, 1.0, None)
-    for name in ("natural_frequency", "damping"):
-        profile = _Profile(search, viscous, name)
-        value = profile.value(viscous.shape)
-        assert value == pytest.approx(getattr(model, name))
-        cost, near = profile.cost(value * 1.001, viscous.shape)
-        assert profile.value(near) == pytest.approx(value * 1.001, rel=1e-6)
-        assert viscous.cost < cost < 1.01 * viscous.cost
-    assert (profile.samples, profile.least) == (2501, viscous.cost)
-
-
-def test_on_the_edge_the_ratio_follows_alpha() -> None:
-    """Where ω₀ = 0 there is one direction less: dζ/dα of the largest ratio,
-    tan(απ/2)/2.
-    """
-    edge = solution([2.0, 2.0, largest_ratio(0.5), 0.5, 0.0], (1, 2, 3))
-    basis = _basis(edge, [1, 2, 3], 2)
-    assert basis.shape == (5, 4)
-    slope = (largest_ratio(0.5 + 1e-6) - largest_ratio(0.5 - 1e-6)) / 2e-6
-    assert basis[:, 1] == pytest.approx([0.0, slope, 1.0, 0.0, 0.0], rel=1e-6)
-    assert basis[:, [0, 2, 3]] == pytest.approx(np.eye(5)[:, [0, 3, 4]])
-    inside = solution([2.0, 2.0, 0.1, 0.5, 0.0], (1, 2, 3))
-    assert _basis(inside, [1, 2, 3], 2) == pytest.approx(np.eye(5))
