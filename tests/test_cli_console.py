@@ -577,3 +577,41 @@ def test_nobody_is_asked_where_one_end_is_a_pipe(
         tunings._confirmed()
     with pytest.raises(FieldError, match=r"angle_deg is required; .*Give --angle-deg"):
         tunings._asked("angle_deg", None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", None])
+def test_an_output_without_a_sign_or_closed_has_the_same_verdict(
+    encoding: str | None, tmp_path: Path
+) -> None:
+    verdict = "import sys; from fraclink._cli import main; sys.exit(main(sys.argv[1:]))"
+    command = (sys.executable, "-c", verdict, "doctor")
+    environment = os.environ | {"LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0"}
+    if encoding is not None:
+        environment["PYTHONIOENCODING"] = encoding
+        run = subprocess.run(  # noqa: S603
+            command, env=environment, capture_output=True, check=False
+        )
+        assert b"\\u2713" in run.stdout and b"\xe2\x9c\x93" not in run.stdout
+    else:
+        run = subprocess.run(  # noqa: S603
+            ("/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command),
+            env=environment,
+            check=False,
+        )
+    assert run.returncode == 0
+
+
+def test_memory_that_does_not_suffice_is_no_defect(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def load() -> None:
+        raise ImportError("linalg.so: failed to map segment from shared object")
+
+    def allocate() -> None:
+        raise MemoryError
+
+    for work in (load, allocate):
+        assert guarded(work, as_json=False) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("error: memory: ") and "ulimit" in error

@@ -1703,6 +1703,25 @@ def test_files_are_served_with_their_kind(client: TestClient) -> None:
     )
 
 
+def test_an_upload_that_no_file_system_takes_is_refused(
+    client: TestClient, studio: server.Studio
+) -> None:
+    token = {"x-studio-token": studio.token}
+
+    def answer(name: str) -> tuple[int, str]:
+        reply = client.post(
+            "/upload", params={"name": name}, content=b"x", headers=token
+        )
+        assert "content-security-policy" in reply.headers
+        return reply.status_code, reply.text
+
+    assert answer(80 * "中" + ".csv")[0] == 204
+    status, why = answer(101 * "中" + ".csv")
+    assert status == 400 and "255 bytes" in why
+    (studio.session.draft / "upload" / "taken.csv").mkdir()
+    assert answer("taken.csv")[0] == 507
+
+
 def test_an_upload_of_more_than_the_readers_take_is_refused(
     client: TestClient, studio: server.Studio, monkeypatch: pytest.MonkeyPatch
 ) -> None:

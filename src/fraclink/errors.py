@@ -107,6 +107,12 @@ class FieldError(FraclinkError, ValueError):
     fraclink.errors.FieldError: rig is required; expected a Rig. Use Rig.named or Rig.load.
     """
 
+    field: str
+    value: object
+    problem: str
+    allowed: str
+    remedy: str
+
     def __init__(
         self, field: str, value: object, problem: str, *, allowed: str, remedy: str
     ) -> None:
@@ -179,6 +185,10 @@ class InfeasibleError(FraclinkError, ValueError):
     request as keyword arguments of the same call (empty where none was found).
     """
 
+    condition: str
+    explanation: str
+    nearest: dict[str, float]
+
     def __init__(
         self, condition: str, explanation: str, nearest: dict[str, float] | None = None
     ) -> None:
@@ -203,6 +213,10 @@ class NotCertifiedError(FraclinkError, ValueError):
     known.
     """
 
+    reason: str
+    payload: float | None
+    frequency: float | None
+
     def __init__(
         self,
         reason: str,
@@ -218,6 +232,11 @@ class NotConvergedError(FraclinkError, RuntimeError):
     """An iteration stopped before its tolerance; ``reached`` is the value it stopped
     at.
     """
+
+    what: str
+    reached: float
+    wanted: float
+    remedy: str
 
     def __init__(
         self, what: str, *, reached: float, wanted: float, remedy: str
@@ -240,6 +259,9 @@ class MissingExtraError(FraclinkError, ImportError):
     brings.
     """
 
+    package: str
+    extra: str
+
     def __init__(self, package: str, extra: str, *, install: str | None = None) -> None:
         self.package, self.extra = package, extra
         requirement = f"'fraclink[{extra}]'" if install is None else install
@@ -252,6 +274,9 @@ class FraclinkWarning(UserWarning):
     """A finding that does not stop the work; ``code`` (``W101`` ...) is stable across
     releases.
     """
+
+    code: str
+    message: str
 
     def __init__(self, code: str, message: str) -> None:
         self.code, self.message = code, message

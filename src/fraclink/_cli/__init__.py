@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from collections.abc import Sequence
 
@@ -24,4 +26,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         sys.stderr.write(f"error: {MissingExtraError(error.name, 'cli')}\n")
         return 2
+    _accept_any_text()
     return run(sys.argv[1:] if arguments is None else arguments)
+
+
+def _accept_any_text() -> None:
+    """Let a pipe in ASCII or an output that is closed take what is printed: the exit
+    code is a verdict on the arm and not on the terminal.
+    """
+    for name in ("stdin", "stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # closed by whoever started the process
+            mode = "r" if name == "stdin" else "w"
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
+        elif name != "stdin" and isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")

@@ -60,6 +60,8 @@ UNREAD = (
     141  # 128 + SIGPIPE, as of any program whose reader left before it had said all
 )
 
+_NO_ROOM = "failed to map segment from shared object"  # of the dynamic loader
+
 # Words keep their signs where there are no colours: pipes, NO_COLOR, readers of
 # screens.
 _COLOURS = (
@@ -251,6 +253,12 @@ def _answer(error: BaseException) -> tuple[int, str]:
         # A full disk or a loader names no file.
         name = error.filename if error.filename is not None else "file"
         return BAD_INPUT, f"error: {name}: {error.strerror or error}"
+    # A shared library that finds no room is an ImportError, and its package is there.
+    if isinstance(error, MemoryError) or _NO_ROOM in str(error):
+        return BAD_INPUT, (
+            f"error: memory: not enough for this command ({error or 'an array'}); expected 1 GB of address space."
+            " Raise the limit of the process (ulimit -v)."
+        )
     if isinstance(error, KeyboardInterrupt):
         return (
             INTERRUPTED,

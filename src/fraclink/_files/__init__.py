@@ -88,6 +88,7 @@ __all__ = [
 ]
 
 T = TypeVar("T")
+U = TypeVar("U")
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
@@ -238,6 +239,8 @@ _ENVELOPE = {
 
 @overload
 def load(path: Path | str, kind: type[T]) -> T: ...
+@overload
+def load(path: Path | str, kind: tuple[type[T], type[U]]) -> T | U: ...
 @overload
 def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
 def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:

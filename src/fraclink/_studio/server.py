@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import hmac
+import os
 import re
 import secrets
 import time
@@ -241,10 +242,13 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
     name = request.query_params.get("name", "")
     if not _NAME.fullmatch(name):
         return refused(400, "name: letters, digits, spaces, and an ending")
+    # A file system counts bytes; 255 of them is what the common ones take.
+    if len(os.fsencode(name)) > 255:
+        return refused(400, "name: longer than 255 bytes; give the file a shorter one")
     place = studio.session.draft / "upload" / name
-    place.parent.mkdir(exist_ok=True)
     size = 0
     try:
+        place.parent.mkdir(exist_ok=True)
         with place.open("wb") as file:
             async for part in request.stream():
                 size += len(part)
@@ -255,6 +259,10 @@ async def _uploaded(studio: Studio, request: Request) -> Response:
     except (ValueError, ClientDisconnect):
         place.unlink(missing_ok=True)
         return refused(413, f"at most {UPLOAD_LIMIT} bytes")
+    except OSError as error:  # a full disk, or a folder of that name
+        if place.is_file():
+            place.unlink()
+        return refused(507, f"not stored: {error.strerror}")
     studio.session.upload = place
     return Response(status_code=204, headers=_HEADERS)
 
