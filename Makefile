@@ -11,28 +11,38 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src/fraclink prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test quick coverage lint bench build docs fuzz reproduce clean lock dist-check
+.PHONY: setup demo test quick coverage lint bench build docs fuzz reproduce clean lock dist-check interpreters
 
-setup: $(STAMP)
+setup: $(VENV)/.locked $(VENV)/.proving
 
-$(VENV)/.locked: requirements.lock
-	@echo "setting up $(VENV), once: a few minutes"
+$(BIN)/python:
+	@echo "setting up $(VENV), once"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --require-hashes -r requirements.lock
+
+# What a run and the compiler need: a third of the whole. Compiled where it is imported, not all at once.
+$(VENV)/.demo: requirements-demo.lock | $(BIN)/python
+	@$(PIP) --no-compile --require-hashes -r requirements-demo.lock
 	@touch $@
 
-$(MODULES): $(VENV)/.locked
+$(VENV)/.locked: requirements.lock | $(VENV)/.demo
+	@$(PIP) --no-compile --require-hashes -r requirements.lock
+	@touch $@
+
+$(MODULES): | $(VENV)/.demo
 	@rm -f $(VENV)/.modules-*
 	@touch $@
 
-$(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml prove/pyproject.toml CMakeLists.txt $(CSRC)
+$(STAMP): $(VENV)/.demo $(MODULES) pyproject.toml CMakeLists.txt $(CSRC)
 	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.proving: $(STAMP) prove/pyproject.toml
 	@$(PIP) --no-deps --no-build-isolation --editable prove
 	@touch $@
 
 build: setup
 
-demo: setup
+demo: $(STAMP)
 	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force
 
 # Their tests start browsers, solvers, compilers, a fuzzer, a cluster: in a run of their own, which has loaded
@@ -80,10 +90,20 @@ dist-check: setup
 reproduce: setup
 	$(PY) -m reproduce
 
-# `make lock` needs uv on the path; everybody else installs from the file it wrote.
-lock:
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
-	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
+# Versions and hashes for every Python and system; the demo's are a part of the whole.
+LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+  --no-emit-index-url --no-emit-find-links
+lock: setup
+	$(LOCK) requirements.in -o requirements.lock
+	$(LOCK) -c requirements.lock requirements-demo.in -o requirements-demo.lock
+
+# The core's tests, as other interpreters and versions of its libraries run them.
+CORE_TESTS := $(patsubst %,tests/test_%.py,validate files fractional link loop motor rig experiment identify design \
+  law certify simulate export cli stability_margins stability_norms interop readers_text readers_binary report plots)
+
+# On every interpreter of this machine, with the newest and the lowest versions that pyproject.toml allows.
+interpreters: setup
+	@$(PY) tools/try_interpreters.py $(CORE_TESTS)
 
 clean:
-	rm -rf build prove/build results .pytest_cache .mypy_cache .ruff_cache $(VENV)
+	rm -rf build prove/build results .pytest_cache .mypy_cache .ruff_cache $(VENV) .venv-*
