@@ -414,7 +414,7 @@ def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
     )
     # With its mass the whole box keeps no more than 13°.
     massless = replace(RIG, link=replace(RIG.link, mass=0.0))
-    built = build_law(massless, found)  # type: ignore[arg-type]
+    built = build_law(massless, found, LIMITS)  # type: ignore[arg-type]
     assert built.design is not None and built.law is None and built.certificate is None
     assert not built.passed and any(
         "no law follows this controller" in why for why in built.reasons

@@ -378,10 +378,10 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
 def test_a_motor_of_which_nothing_more_was_recorded_stays_as_it_was(
     stages: Stages,
 ) -> None:
-    _, _, _, motor, link = stages
+    _, _, wiring, motor, link = stages
     still = guarded(arm(seed=1).callback)
     still.rest(0.5)
-    assert motor_again(motor, still, link.fit) is motor
+    assert motor_again(motor, still, wiring, link.fit) is motor
 
 
 @pytest.mark.slow

@@ -357,7 +357,9 @@ class _Session:
             )
             # A law that the arm has refused is refused after a resumption, too: they
             # are made in the same order.
-            laws = itertools.islice(built_laws(rig, link), state.refused, None)
+            laws = itertools.islice(
+                built_laws(rig, link, plan.limits), state.refused, None
+            )
             built = next(laws, None) or Built(
                 rig, None, None, None, state.reasons
             )  # all refused before

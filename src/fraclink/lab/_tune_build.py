@@ -4,6 +4,7 @@ the certificate.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,7 +31,7 @@ from fraclink._law import Law
 from fraclink._simulate.arm import Twin, damping_of
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.lab._tune_guard import MotionLimits
+from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_wiring import Wiring
 
@@ -57,6 +58,7 @@ _DRIFT = StatedTolerances(
 # reach the limit, and a loop that saturates has no margin.
 _NOISE, _AT_REST = 0.12, 1.5  # [s]
 _MOVE, _PERIODS = 0.3, 1.2  # [rad], periods of the heaviest payload's vibration
+_LONGEST = 0.9  # of the limit of the angle: the rest is for the overshoot that passes
 # Mass of a uniform link over the tuning's payload that a burst without a second mode
 # leaves open. A beam clamped at one end moves like 0.243 of its mass at the tip.
 _LINK_MASSES, _AT_TIP = (0.0, 0.1, 0.25), 0.243
@@ -146,12 +148,12 @@ def measured_rig(
     return replace(rig, name=stated.name, gauge=gauge, design=stated.design)
 
 
-def build_law(rig: Rig, link: LinkResult) -> Built:
+def build_law(rig: Rig, link: LinkResult, limits: MotionLimits) -> Built:
     """The first of `built_laws`."""
-    return next(built_laws(rig, link))
+    return next(built_laws(rig, link, limits))
 
 
-def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
+def built_laws(rig: Rig, link: LinkResult, limits: MotionLimits) -> Iterator[Built]:
     """Laws with a design over the box of what the fit leaves open, a proof, and moves
     on links with mass.
 
@@ -170,7 +172,7 @@ def built_laws(rig: Rig, link: LinkResult) -> Iterator[Built]:
     refused: Built | None = None
     any_passed, reasons = False, list[str]()
     for made, words in _designs(rig, late_free(fit.model), reasons):
-        built = _proved(rig, made.doubted(fit.findings), words)
+        built = _proved(rig, made.doubted(fit.findings), words, limits)
         any_passed |= built.passed
         if built.passed:
             yield built
@@ -241,7 +243,9 @@ def _words(made: Design) -> tuple[str, ...]:
     )
 
 
-def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
+def _proved(
+    rig: Rig, design: Design, words: tuple[str, ...], limits: MotionLimits
+) -> Built:
     """The law of a design, its proof, and its moves on the model and on heavier links."""
     reasons = tuple(str(item) for item in design.requirements if not item.passed)
     reasons += tuple(str(item) for item in design.doubts)
@@ -254,7 +258,7 @@ def _proved(rig: Rig, design: Design, words: tuple[str, ...]) -> Built:
             f"noise of the gauge: at rest it takes {100 * share:.0f} % of the voltage limit; the gauge is "
             f"{1e3 * design.model.gauge_delay:.3g} ms late, with {rig.gauge.noise:.2g} N·m of noise",
         )
-    reasons = reasons or _moves_fail(design, law)
+    reasons = reasons or _moves_fail(design, law, limits)
     if reasons:
         return Built(rig, design, law, None, reasons)
     try:
@@ -291,21 +295,27 @@ def _noise(made: Design, law: Law) -> float:
     )
 
 
-def _moves_fail(made: Design, law: Law) -> tuple[str, ...]:
-    """What is wrong with gentle moves of both ends of the payloads, with noise, on
-    links with mass.
+def _moves_fail(made: Design, law: Law, limits: MotionLimits) -> tuple[str, ...]:
+    """What is wrong with moves of both ends of the payloads, with noise, on links with
+    mass: a gentle one, and one over the planned part of the speed that nearly reaches
+    the limit of the angle.
     """
     heavy = made.model.at_payload(made.payloads[1])
-    move = smooth_step(_MOVE, _PERIODS * 2.0 * math.pi / abs(heavy.pole))
-    for twin in link_twins(made):
-        for payload in made.payloads:
-            run = simulate(law, move, arm=twin, payload=payload, told=True)
-            if not run.verdict.passed:
-                mass = 1e3 * twin.beam.link_mass
-                return (
-                    f"moves of {1e3 * payload:.3g} g on a link of {mass:.2g} g fail in the simulation: "
-                    f"{run.verdict.reason}",
-                )
+    swing = _PERIODS * 2.0 * math.pi / abs(heavy.pole)
+    far = _LONGEST * limits.angle
+    long = max(1.875 * far / (PLANNED * limits.speed), swing)
+    moves = ((min(_MOVE, far), swing), (far, long))
+    for twin, (angle, duration), payload in itertools.product(
+        link_twins(made), moves, made.payloads
+    ):
+        move = smooth_step(angle, duration)
+        run = simulate(law, move, arm=twin, payload=payload, told=True)
+        if not run.verdict.passed:
+            mass = 1e3 * twin.beam.link_mass
+            return (
+                f"a move of {math.degrees(angle):.3g}° in {duration:.2g} s with {1e3 * payload:.3g} g on a "
+                f"link of {mass:.2g} g fails in the simulation: {run.verdict.reason}",
+            )
     return ()
 
 

@@ -150,7 +150,9 @@ def tune_link(
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
     assert fit is not None  # there was a round  # noqa: S101
-    return LinkResult(fit, motor_again(motor, guard, fit), tuple(rounds)), record
+    return LinkResult(
+        fit, motor_again(motor, guard, wiring, fit), tuple(rounds)
+    ), record
 
 
 def _shaken(
@@ -273,7 +275,9 @@ def experiment_of(record: Record, payload: float | None) -> Experiment:
     )
 
 
-def motor_again(motor: MotorResult, guard: Guard, fit: Fit) -> MotorResult:
+def motor_again(
+    motor: MotorResult, guard: Guard, wiring: Wiring, fit: Fit
+) -> MotorResult:
     """The motor as everything recorded shows it once the gauge's delay is known, and
     its loop.
 
@@ -288,7 +292,7 @@ def motor_again(motor: MotorResult, guard: Guard, fit: Fit) -> MotorResult:
         # motor alone is known, and no load is made up.
         if again.inertia is None or again.inertia <= 0 or not again.passed:
             return motor
-        return closed_motor(again, guard.period, motor.rounds)
+        return closed_motor(again, guard, wiring, motor.rounds)
     except FraclinkError:
         return motor
 

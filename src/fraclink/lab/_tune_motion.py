@@ -165,9 +165,10 @@ def fastest_loop(
     ratios: tuple[float, ...],
     margin: float,
     most: float,
+    kick: float = math.inf,
 ) -> MotorLoop:
     """The fastest motor loop that keeps its distance from −1 on motors with `ratios`
-    times that gain.
+    times that gain, and answers a step of the angle with at most `kick` [V/rad].
 
     Its poles are placed in z with the delay inside the equation: at the same pole this
     leaves three times the distance that a discretised PID does.
@@ -179,7 +180,8 @@ def fastest_loop(
     for pole in _POLES:
         loop = MotorLoop(pole, samples, "sampled", "direct")
         if pole <= most and all(
-            _keeps(loop, motor, ratio, period, frequency, margin) for ratio in ratios
+            _keeps(loop, motor, ratio, period, frequency, margin, kick)
+            for ratio in ratios
         ):
             return loop
     raise FraclinkError(
@@ -195,10 +197,19 @@ def _keeps(
     period: float,
     frequency: Real,
     margin: float,
+    kick: float,
 ) -> bool:
     try:
         pid = loop.pid(motor, period)
     except FieldError:
+        return False
+    at_once = (
+        pid.direct
+        + pid.angle_direct
+        + pid.integral_gain * pid.integral_now
+        + (pid.filter_gain + pid.angle_filter_gain) * pid.filter_now
+    )
+    if at_once > kick:
         return False
     true = SampledMotorLoop(
         pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples

@@ -30,6 +30,9 @@ _SLOW, _FAST = (
     60.0,
 )  # [rad/s], at most: a faster loop takes more voltage for the same noise
 _ENOUGH = 0.02  # of K/J, standard error
+# of the voltage limit, at most, for one count of the encoder: a reading that flickers
+# by one then takes an eighth of it, as the gauge's noise may
+_COUNT = 0.25
 _FIRST = 0.12  # [rad], 7°
 _ROUNDS = 4
 # [s] at most: the motor's fit knows the torque, the first fit of the link prefers an
@@ -128,17 +131,23 @@ def tune_motor(
         speed = min(part * limits.speed, 1.8 * speed)
     if fit is None:
         raise FraclinkError(
-            "the motor could not be identified: too little motion within the limits"
+            "the motor could not be identified: no stretches of 30 samples in one "
+            f"direction within the limits, which take {30 * period:.2g} s at a period of "
+            f"{1e3 * period:.3g} ms; a shorter period or wider limits help"
         )
     if not fit.passed:
         raise FraclinkError(
             f"the motor could not be identified: {fit.findings[0].message}"
         )
-    return closed_motor(fit, period, number), record
+    return closed_motor(fit, guard, wiring, number), record
 
 
-def closed_motor(fit: MotorFit, period: float, rounds: int) -> MotorResult:
-    """Return a motor with the fastest loop that a fit good to a few per cent allows."""
+def closed_motor(
+    fit: MotorFit, guard: Guard, wiring: Wiring, rounds: int
+) -> MotorResult:
+    """Return a motor with the fastest loop that a fit good to a few per cent, and the
+    encoder's count, allow.
+    """
     # Below zero by their own errors; a loop that counted on negative friction would be
     # too fast.
     fit = replace(
@@ -147,10 +156,11 @@ def closed_motor(fit: MotorFit, period: float, rounds: int) -> MotorResult:
     loop = fastest_loop(
         MotorGain(fit.gain, fit.decay),
         fit.delay,
-        period,
+        guard.period,
         ratios=_SURE,
         margin=_MARGIN,
         most=_FAST,
+        kick=_COUNT * guard.limits.voltage / max(wiring.encoder_step, 1e-12),
     )
     return MotorResult(fit, loop, rounds)
 

@@ -186,7 +186,9 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         moved = float(np.max(np.abs(_smoothed(record.angle) - angle)))
         # The encoder's own step is looked at each time: it is not known before
         # something moves.
-        if moved >= max(wanted, _COUNTS * _step(record.angle)):
+        # Never beyond what the plan says: a coarse encoder is told as one.
+        counts = min(_COUNTS * _step(record.angle), _MOST / 1.6)
+        if moved >= max(wanted, counts):
             return pulse
         # Twice, as one swing of the gauge may be chance.
         answer = float(np.max(np.abs(_smoothed(record.torque) - torque)))
