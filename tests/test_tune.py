@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from fraclink.lab._connections import Callback, Command
 from fraclink.lab._line import open_line
 from fraclink.lab._machine import VirtualClock
 from fraclink.lab._tune import _lateness
-from fraclink.lab._tune_build import _designs, build_law
+from fraclink.lab._tune_build import _designs
 from fraclink.lab._tune_guard import Guard, LimitReached
 from fraclink.lab._tune_link import _fitted
 from fraclink.lab._tune_motion import random_steps
@@ -392,33 +391,6 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
-
-
-@pytest.mark.slow
-def test_a_controller_that_no_law_follows_is_a_reason_and_keeps_the_design(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def none(design: fl.Design) -> None:
-        raise FieldError(
-            "order",
-            "3 pairs",
-            "more than law.c holds",
-            allowed="2 pairs",
-            remedy="lower it",
-        )
-
-    monkeypatch.setattr("fraclink._law.design.law_margins", none)
-    assert RIG.design is not None and RIG.model is not None
-    found = SimpleNamespace(
-        fit=SimpleNamespace(passed=True, model=RIG.model, findings=())
-    )
-    # With its mass the whole box keeps no more than 13°.
-    massless = replace(RIG, link=replace(RIG.link, mass=0.0))
-    built = build_law(massless, found, LIMITS)  # type: ignore[arg-type]
-    assert built.design is not None and built.law is None and built.certificate is None
-    assert not built.passed and any(
-        "no law follows this controller" in why for why in built.reasons
-    )
 
 
 @pytest.mark.slow
