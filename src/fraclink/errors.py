@@ -19,6 +19,8 @@ exit code 1 (failed). Warnings are ``FraclinkWarning`` with a stable code (``W10
 
 from __future__ import annotations
 
+import math
+
 from fracsys.errors import (
     FieldError,
     FracsysError,
@@ -44,9 +46,6 @@ __all__ = [
 
 # One base for both packages: it catches everything that either raises on purpose.
 FraclinkError = FracsysError
-
-# Of the arguments that a request names; the others have none.
-_UNITS = {"phase_margin": " rad", "gain_crossover": " rad/s"}
 
 
 class LogError(FieldError):
@@ -78,15 +77,18 @@ class InfeasibleError(FraclinkError, ValueError):
             explanation,
             dict(nearest or {}),
         )
-        # As arguments of the same call, in its units: six digits can be typed, and the
-        # bound that was hit is not known better.
-        hint = ", ".join(
-            f"{n} = {value:.6g}{_UNITS.get(n, '')}" for n, value in self.nearest.items()
-        )
+        hint = ", ".join(_argument(*item) for item in self.nearest.items())
         super().__init__(
             f"{condition}: {explanation}"
             + (f"; nearest feasible: {hint}" if hint else "")
         )
+
+
+def _argument(name: str, value: float) -> str:
+    """As it is typed into the same call: an angle in degrees, six digits."""
+    if name == "phase_margin":
+        return f"{name}=fl.deg({math.degrees(value):.6g})"
+    return f"{name}={value:.6g}"
 
 
 class NotCertifiedError(FraclinkError, ValueError):

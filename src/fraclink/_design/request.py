@@ -5,7 +5,6 @@ at, what each has to keep, and what the controller that comes of it achieves.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from fraclink._arm.box import Arm, ParameterBox, arms_of
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop, worst_margins
+from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._design.equations import check_bandwidth, check_modes, range_of
@@ -35,7 +34,6 @@ from fraclink._law.modes import (
     MODE_LIMIT,
     HigherModes,
     higher_modes,
-    mode_requirements,
     vibration,
 )
 from fraclink._law.requirement import Requirement
@@ -45,7 +43,6 @@ from fraclink._law.rows import (
     NOISE_SHARE,
     SENSITIVITY,
     key_of,
-    row,
 )
 from fraclink.errors import FieldError
 
@@ -55,7 +52,6 @@ Real = NDArray[np.float64]
 
 _ALLOWANCE = math.radians(0.5)  # of the law's fit, which states it as its own error
 _LINKS = 3  # of the range, on the model; on an arm of a box its two ends
-_MEASURED = 9  # links at which Ms and noise are measured: both are smooth over ω₀
 _ROUNDS = 6  # in which arms of a box are taken in
 # δ times the crossover: of the start, as a loop is quiet with a long filter and a steep
 # Ĉ, and of the lattice
@@ -270,7 +266,7 @@ class Request:
             w0 = self.links(number, count)
             found = None
             if i == 0 and self.mode_gain is not None:
-                modes = self._modes(number, bare)
+                modes = self.modes(number, bare)
                 found = modes.frequency.ravel(), modes.level.ravel()
             parts.append(
                 tabulated(
@@ -302,7 +298,8 @@ class Request:
                 )
         return stacked(parts)
 
-    def _modes(self, number: int, loop: Loop) -> HigherModes:
+    def modes(self, number: int, loop: Loop) -> HigherModes:
+        """Return the higher modes of an arm, where their gain is bounded."""
         modes = higher_modes(self.arms[number].model, self.rig, loop, self.payloads)
         assert modes is not None  # a mode_gain is asked for  # noqa: S101
         return modes
@@ -531,8 +528,6 @@ class Request:
         order = np.argsort(least)
         return [int(k) for k in order[:2] if least[k] < -_TOLERANCE]
 
-    # ---- what is achieved, measured by the engine
-
     def worst_arms(self, solved: Solved) -> dict[str, int]:
         """The arm of the box that is worst for each row, by the table."""
         if len(self.arms) == 1:
@@ -543,89 +538,6 @@ class Request:
             if key not in found or value < found[key][0]:
                 found[key] = float(value), int(arm)
         return {key: arm for key, (_, arm) in found.items()}
-
-    def requirements(self, solved: Solved, crossover: float) -> tuple[Requirement, ...]:
-        """Return every row with its worst value over payloads and arms.
-
-        `crossover` is the one that is asked for, or was reached where the fastest was.
-        """
-        numbers = {0, *self.worst_arms(solved).values()}
-        worst: dict[tuple[str, int | None], Requirement] = {}
-        for number in sorted(numbers):
-            for key, index, item in self._measured(
-                number, solved.controller, crossover
-            ):
-                known = worst.get((key, index))
-                if known is None or item.slack < known.slack:
-                    worst[key, index] = item
-        return tuple(worst.values())
-
-    def _measured(
-        self, number: int, controller: Controller, crossover: float
-    ) -> Iterator[tuple[str, int | None, Requirement]]:
-        """(key, number of the mode, requirement) of one arm."""
-        arm = self.arms[number]
-        loop, w0 = arm.loop(controller, self.rig), self.links(number, _MEASURED)
-        low, high = self.payloads
-
-        def at(frequency: float) -> float:
-            # the box's interval of ω₀ is no other payload
-            return min(max(arm.model.payload_at(frequency), low), high)
-
-        def row_of(
-            key: str,
-            wanted: float,
-            achieved: float,
-            frequency: float,
-            index: int | None = None,
-        ) -> tuple[str, int | None, Requirement]:
-            item = row(key).measured(wanted, achieved, at(frequency), index)
-            return key, index, item
-
-        (slowest, at_slow), (margin, at_margin) = worst_margins(
-            loop, float(w0[0]), float(w0[-1])
-        )
-        if self.spec.gain_crossover is not None or self.spec.settling_time is None:
-            yield row_of("gain_crossover", crossover, slowest, at_slow)
-        last = loop.margins(w0)[0]
-        top = int(np.argmax(last))
-        yield row_of(
-            "highest_crossover", self.highest, float(last[top]), float(w0[top])
-        )
-        if self.spec.settling_time is not None:
-            time = 2.0 * math.pi / slowest if slowest else math.inf
-            yield row_of("settling_time", self.spec.settling_time, time, at_slow)
-        yield row_of("phase_margin", self.phase_margin, margin, at_margin)
-        if self.max_sensitivity is not None:
-            peak = np.where(
-                loop.margins(w0)[1] > 0.0, loop.sensitivity_peak(w0), math.inf
-            )
-            top = int(np.argmax(peak))
-            yield row_of(
-                "max_sensitivity",
-                self.max_sensitivity,
-                float(peak[top]),
-                float(w0[top]),
-            )
-        if self.mode_gain is not None:
-            modes = self._modes(number, loop)
-            for index, item in mode_requirements(modes, loop, self.mode_gain):
-                yield "mode_gain", index, item
-        if self.spec.noise_gain is not None:
-            noise = loop.noise_gain(w0, self.rig.period)
-            top = int(np.argmax(noise))
-            yield row_of(
-                "noise_gain", self.spec.noise_gain, float(noise[top]), float(w0[top])
-            )
-        found = [(vibration(loop, float(x)), float(x)) for x in (w0[0], w0[-1])]
-        ratio, where = min(
-            (1.0 if one is None else one.damping_ratio, x) for one, x in found
-        )
-        yield row_of("damping", DAMPING, ratio, where)
-        if number == 0 and self.empty is not None:
-            light = self.model.at_payload(self.empty).natural_frequency
-            kept = float(loop.margins(light)[1][0])
-            yield "empty", None, row("empty").measured(0.0, kept, self.empty)
 
     def controller(self, problem: Problem, solution: Solution) -> Controller:
         """The controller of a solution."""

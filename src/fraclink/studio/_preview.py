@@ -6,10 +6,9 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -42,14 +41,12 @@ class Subject:
     """What is designed for: rig and link; and what a preview borrows of the last exact
     design.
 
-    Of its `law` the poles; and its filter (δ [s], n) where the bound at the second mode
-    had it `lengthened`: to search that again takes half a second.
+    Of its `law` the poles.
     """
 
     rig: Rig
     model: LinkModel
     law: Law | None = None
-    lengthened: tuple[float, int] | None = None
 
     @cached_property
     def payloads(self) -> Real:
@@ -76,21 +73,6 @@ class Subject:
         nyquist = math.pi / self.rig.period
         return np.geomspace(min(0.1 * slowest, 0.01 * nyquist), nyquist, _POINTS)
 
-    def borrowed(self, request: Mapping[str, Any]) -> dict[str, Any]:
-        """What a preview of `request` takes over of the last exact design's filter:
-        nothing, or δ and n.
-        """
-        bounds = (
-            "filter_time",
-            "filter_order",
-            "noise_gain",
-            "mode_gain",
-            "max_sensitivity",
-        )
-        if self.lengthened is None or any(request[name] is not None for name in bounds):
-            return {}
-        return {"filter_time": self.lengthened[0], "filter_order": self.lengthened[1]}
-
     def axes(self) -> dict[str, Any]:
         """What does not change while a hand drags: a page that scaled its axes would
         hide what it does.
@@ -115,16 +97,7 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     try:
         asked, regions = parted(state)
         request = checked_request(asked)
-        borrowed = subject.borrowed(request)
-        made, assumed = design_for(
-            subject.rig, subject.model, **wanted_of(request) | borrowed
-        )
-        # W401 says what a filter takes of the phase: true, but of a filter that stands
-        # in no field.
-        if borrowed:  # nobody asked for this filter, so nobody is told what it costs
-            made = replace(
-                made, findings=tuple(f for f in made.findings if f.code != "W401")
-            )
+        made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
         shown = _shown(subject, made, assumed)
         entered = violated(made, regions, subject.frequencies) if regions else []
         words = [
@@ -140,37 +113,20 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
 
 
 def nearest(subject: Subject, state: object) -> Reply:
-    """Return the state nearest to a refused one, in round figures that are feasible.
-
-    The nearest feasible request lies on a bound, and rounding may leave it: both sides
-    are tried.
+    """Return the state nearest to a refused one: the offer of the refusal, which passed
+    when it was followed.
     """
     request = checked_request(parted(state)[0])
     try:
         design_for(subject.rig, subject.model, **wanted_of(request))
         return Reply({"ok": True, "state": request})
     except InfeasibleError as error:
-        found = dict(error.nearest)
-    if "phase_margin" in found:
-        found["phase_margin_deg"] = math.degrees(found.pop("phase_margin"))
-    # Rounded down, up, and as it is, in every combination: which side is feasible
-    # depends on the bound that binds, and the unrounded request is feasible in any
-    # case.
-    sides: tuple[Callable[[float], float], ...] = (
-        math.floor,
-        math.ceil,
-        lambda value: value,
-    )
-    for sided in product(sides, repeat=len(found)):
-        values = zip(found.items(), sided, strict=True)
-        tried = request | {
-            name: side(100 * value) / 100 for (name, value), side in values
-        }
-        try:
-            design_for(subject.rig, subject.model, **wanted_of(checked_request(tried)))
-        except FraclinkError:
-            continue
-        return Reply({"ok": True, "state": tried})
+        offer = dict(error.nearest)
+    if "phase_margin" in offer:
+        margin = math.degrees(offer.pop("phase_margin"))
+        offer["phase_margin_deg"] = float(f"{margin:.6g}")
+    if offer:
+        return Reply({"ok": True, "state": request | offer})
     allowed, remedy = (
         "a request near one that is feasible",
         "move crossover or margin by hand",

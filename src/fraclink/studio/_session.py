@@ -356,17 +356,7 @@ def _subject_of(study: Study) -> Subject | None:
         rig, model, _ = subject(study)
     except FieldError:
         return None
-    made = study.design
-    # W406: the filter was made longer for the bound at the second mode.
-    longer = made is not None and any(
-        finding.code == "W406" for finding in made.findings
-    )
-    own = (
-        (made.controller.filter_time, made.controller.filter_order)
-        if made and longer
-        else None
-    )
-    return Subject(rig, model, study.law, own)
+    return Subject(rig, model, study.law)
 
 
 def _digests(folder: Path) -> dict[str, str]:

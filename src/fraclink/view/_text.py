@@ -119,22 +119,15 @@ def option(name: str, value: float) -> str:
 
     >>> option("phase_margin", math.radians(50.0)), option("gain_crossover", 12.346)
     ('--phase-margin-deg 50', '--gain-crossover 12.346')
-    >>> option("mode_gain", 0.505987)
-    '--mode-gain 0.506'
     """
-    # The nearest request lies on a bound, the highest or the lowest: half a digit
-    # further would be infeasible again. It has five digits already, on the feasible
-    # side; what is allowed at most is rounded up.
     word = f"--{name.replace('_', '-')}"
     shown, word = (
         (math.degrees(value), f"{word}-deg")
         if name == "phase_margin"
         else (value, word)
     )
-    # Eight digits: the request itself, on its bound as far as the solver went.
-    if name in ("phase_margin", "gain_crossover"):
-        return f"{word} {shown:.8g}"
-    return f"{word} {math.ceil(1000 * shown * (1 + 1e-6)) / 1000:g}"
+    # Eight digits: a request on its bound would be infeasible with fewer.
+    return f"{word} {shown:.8g}"
 
 
 def sentence(text: str) -> str:
