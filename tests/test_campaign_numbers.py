@@ -121,28 +121,6 @@ def test_a_parameter_is_drawn_from_its_range(
             replace(small().draws, **{name: own})
 
 
-def test_what_came_later_is_drawn_behind_the_others() -> None:
-    """From the generator itself: the parameters of release 0.1, the shape, then the
-    later ones.
-    """
-    draws = replace(
-        small().draws,
-        gauge_delay=Distribution("uniform", 0.0, 1.0),
-        payload_given=Distribution("uniform", 0.0, 1.0),
-    )
-    found = draw(draws, 7, 3, 5)
-    generator = np.random.Generator(
-        np.random.Philox(np.random.SeedSequence(7, spawn_key=(3,)))
-    )
-    first = generator.random((10, 5))
-    assert found["payload"] == pytest.approx(0.02 + 0.02 * first[0])
-    assert found["amplitude"] == pytest.approx(0.2 + first[9])
-    assert found["shape"].tolist() == np.floor(generator.random(5) * 2**31).tolist()
-    assert found["gauge_delay"].tolist() == generator.random(5).tolist()
-    generator.random(5)  # the gauge's gain
-    assert found["payload_given"].tolist() == generator.random(5).tolist()
-
-
 # ── the campaign
 # ────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -373,31 +351,6 @@ def test_a_part_of_another_length_place_or_campaign_is_not_believed(
     some = read_part(small(30), one_part, 0, names=("payload", "passed"))
     assert some is not None and sorted(some) == ["passed", "payload"]
     assert some["payload"].tolist() == good["payload"].tolist()
-
-
-def test_a_part_of_the_first_release_has_the_later_columns_as_they_were(
-    one_part: Path, tmp_path: Path
-) -> None:
-    """Without the columns and digests that came later: no gauge delay, a gain of one,
-    no growth.
-    """
-    from pyarrow import parquet
-
-    table = parquet.read_table(part_path(one_part, 0))
-    old = table.drop_columns(
-        ["gauge_delay", "gauge_gain", "payload_given", "damping", "growth"]
-    )
-    meta = {k: v for k, v in table.schema.metadata.items() if k != b"digests"}
-    meta[b"columns"] = ",".join(old.column_names).encode()
-    parquet.write_table(old.replace_schema_metadata(meta), part_path(tmp_path, 0))
-    names = ("gauge_delay", "gauge_gain", "growth", "damping", "payload")
-    found = read_part(small(30), tmp_path, 0, names=names)
-    assert found is not None and sorted(found) == sorted(names)
-    assert [set(found[name].tolist()) for name in names[:4]] == [
-        *({0.0}, {1.0}, {0.0}, {1.0})
-    ]
-    everything = read_part(small(30), tmp_path, 0)
-    assert everything is not None and "growth" not in everything
 
 
 # ── what they say together

@@ -32,7 +32,6 @@ from fraclink._simulate import (
     damping_of,
     geared,
 )
-from fraclink._simulate import run as run_module
 from fraclink._simulate import sensors as columns
 from fraclink._simulate.engine import (
     engine_link,
@@ -723,47 +722,6 @@ def test_who_estimates_the_payload() -> None:
     for options in ((), (replace(RIG, model=None),)):
         with pytest.raises(FieldError, match="told: without a model of the link"):
             estimator_for(law(), "estimated", *options)
-
-
-def test_runs_of_the_first_release_are_what_was_said_of_them() -> None:
-    time = PERIOD * np.arange(3)
-    old = {
-        "time": time, "tip_angle": time + 1, "contact_force": 2 * time, "metrics": {"overshoot": 0.1},
-        "verdict": {"passed": True},
-    }  # fmt: skip
-    made = run_module._of_model(
-        old | {"settings": {"inner": "ideal", "payload": None, "seed": 3}}
-    )
-    assert made["about"] == {
-        "arm": "model",
-        "motor_loop": "ideal",
-        "seed": 3,
-    } and math.isnan(made["payload"])
-    assert (
-        made["metrics"] == {"overshoot": 0.1, "growth": 0.0} and made["findings"] == []
-    )
-    assert list(made["extras"]) == ["contact_force"] and np.isnan(made["voltage"]).all()
-    assert made["tip_angle"].tolist() == (time + 1).tolist() and made[
-        "voltage"
-    ].shape == (3,)
-    known = run_module._of_model(
-        old | {"settings": {"inner": "sampled", "payload": 0.02}}
-    )
-    assert known["payload"] == 0.02
-    twin = run_module._of_twin(
-        old
-        | {
-            "about": {"seed": 4},
-            "payload": np.array([0.03, 0.01, 0.01]),
-            "finished": False,
-        }
-    )
-    assert (twin["about"], twin["payload"], twin["finished"]) == (
-        {"arm": "twin", "seed": 4},
-        0.03,
-        False,
-    )
-    assert sorted(twin["extras"]) == ["contact_force", "payload"]
 
 
 @pytest.mark.slow

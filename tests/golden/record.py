@@ -70,8 +70,8 @@ from reproduce.published import read_published  # noqa: E402
 from reproduce.values import computed  # noqa: E402
 
 HERE = Path(__file__).resolve().parent
+
 from golden.commands import record_commands  # type: ignore[attr-defined]  # noqa: E402
-from golden.formats import formats  # type: ignore[attr-defined]  # noqa: E402
 
 ROOT = HERE.parents[1]
 LINK_MASS = 0.00735  # [kg], of the twin: a quarter of the nominal payload
@@ -924,7 +924,6 @@ TOPICS: dict[
     "designs": (designs, 1e-9),
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
-    "formats": (formats, 1e-12),
 }
 
 

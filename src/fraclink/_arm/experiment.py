@@ -28,7 +28,6 @@ __all__ = ["Experiment"]
     "log",
     version=2,
     container="npz",
-    upgrades={1: dict},  # without a digest and without findings
     period=lambda log: log.period,
     sources=lambda log: {log.source: log.sha256} if log.sha256 else {},
 )

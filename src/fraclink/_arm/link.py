@@ -168,7 +168,7 @@ class SecondMode:
         )
 
 
-@document("model", version=2, upgrades={1: lambda data: data["model"]})
+@document("model", version=2)
 @dataclass(frozen=True)
 class LinkModel:
     """A flexible link with a payload, seen from the motor angle, and the gauge that

@@ -3,7 +3,7 @@
 A class becomes a document by one decorator; its type hints say how each field is
 written:
 
-    @document("design", version=3, upgrades={1: from_format_1, 2: from_format_2})
+    @document("design", version=3)
     @dataclass(frozen=True)
     class Design: ...
 
@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import hashlib
 import json
 import re
@@ -57,7 +56,6 @@ from fraclink._files.containers import (
 from fraclink._files.kinds import (
     HOMES,
     Document,
-    Upgrade,
     document,
     document_of,
     document_of_class,
@@ -67,7 +65,6 @@ from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
     "HOMES",
-    "RENAMED",
     "atomic_write",
     "check_ending",
     "checked_envelope",
@@ -225,9 +222,11 @@ def _digest(data: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode("ascii")).hexdigest()
 
 
-_BEFORE_DIGESTS = {"fraclink", "format", "tool", "units"}
 _ENVELOPE = {
-    *_BEFORE_DIGESTS,
+    "fraclink",
+    "format",
+    "tool",
+    "units",
     "period",
     "sources",
     "summary",
@@ -244,12 +243,11 @@ def load(path: Path | str, kind: tuple[type[T], type[U]]) -> T | U: ...
 @overload
 def load(path: Path | str, kind: tuple[type, ...] | None = None) -> Any: ...
 def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> Any:
-    """Read back what `save` wrote; files of earlier formats are upgraded while they are
-    read.
+    """Read back what `save` wrote.
 
     `kind` is the class that is expected, or several of them; any when it is left out.
-    FileFormatError is raised for every other file: missing, foreign, of another kind,
-    of a later format, damaged, edited.
+    FileFormatError is raised for every other file: missing, foreign, of another kind
+    or format, damaged, edited.
 
     >>> import fraclink as fl
     >>> fl.load("no-such-file.json")  # doctest: +ELLIPSIS
@@ -325,50 +323,25 @@ def _content(
     found: Document,
     place: Path,
 ) -> Any:
-    """Return the content in today's format, after the digest of what was written has
-    been compared.
-    """
-    # The version first: a later format may count its digest otherwise.
-    steps = _steps(str(data["fraclink"]), data.get("format"), found)
-    if "content" in data:
-        _check_digest(data, arrays, place)
-        content = data["content"]
-    elif steps:  # of the first formats, which had no digest: content and envelope were one object
-        content = {
-            key: item for key, item in data.items() if key not in _BEFORE_DIGESTS
-        }
-        content = guarded(lambda: renamed(content), "") | dict(arrays)
-    else:
+    """Return the content, after the digest of what was written has been compared."""
+    # The version first: another format may count its digest otherwise.
+    _check_version(data.get("format"), (found.version,))
+    if "content" not in data:
         raise misfit("content", "(nothing)", "missing", "content and sha256")
-    for step in steps:
-        content = guarded(functools.partial(step, content), "")
-    return content
+    _check_digest(data, arrays, place)
+    return data["content"]
 
 
-def _steps(kind: str, version: object, found: Document) -> list[Upgrade]:
-    """Return the upgrades that lead from one kind and version to those of today."""
-    steps: list[Upgrade] = []
-    # One step for each version, so that an upgrade is written once and never again
-    # touched. A kind that was merged into another has its steps under (kind, version).
-    while type(version) is int and (kind, version) != (found.kind, found.version):
-        own = found.upgrades.get(version) if kind == found.kind else None
-        step = found.upgrades.get((kind, version), own)
-        if step is None:
-            raise _unread(found, version)
-        steps.append(step)
-        kind, version = found.kind, version + 1
-    if type(version) is not int:
-        raise _unread(found, version)
-    return steps
-
-
-def _unread(found: Document, version: object) -> FileFormatError:
-    allowed = ", ".join(sorted({str(found.version), *map(str, found.upgrades)}))
-    problem, remedy = (
-        "a version this release does not read",
-        "update fraclink, or make the file again",
-    )
-    return FileFormatError("format", version, problem, allowed=allowed, remedy=remedy)
+def _check_version(version: object, versions: tuple[int, ...]) -> None:
+    # Not by `in` alone: True and 1.0 equal 1.
+    if type(version) is not int or version not in versions:
+        raise FileFormatError(
+            "format",
+            version,
+            "a version this release does not read",
+            allowed=", ".join(map(str, versions)),
+            remedy="make the file again with this release",
+        )
 
 
 def _check_digest(
@@ -393,33 +366,7 @@ def _check_digest(
         raise edited(place, data.get("sha256"), digest)
 
 
-# --- files that a class writes itself: the envelope of the first formats, without a digest ------------------
-
-
-# Release 0.1 wrote the verdict of a run, a requirement and a cell under another name.
-RENAMED = {"holds": "passed"}
-
-
-def renamed(data: Any) -> Any:
-    """Return plain JSON with the keys of release 0.1 under their names of today."""
-    if isinstance(data, list):
-        return [renamed(item) for item in data]
-    if not isinstance(data, dict):
-        return data
-    # Renaming one onto the other would keep whichever stands last: a forged file could
-    # show one verdict and mean another.
-    twice = next(
-        (old for old, new in RENAMED.items() if old in data and new in data), None
-    )
-    if twice is not None:
-        problem, allowed = (
-            "given twice, under its old and its new name",
-            "each key once",
-        )
-        raise FileFormatError(
-            twice, data[twice], problem, allowed=allowed, remedy="remove one"
-        )
-    return {RENAMED.get(key, key): renamed(item) for key, item in data.items()}
+# --- files that a class writes itself: an envelope without a digest ---------
 
 
 def write_json(
@@ -476,13 +423,5 @@ def checked_envelope(
         raise FileFormatError(
             "file", str(place), problem, allowed=f"kind {kind!r}", remedy=remedy
         )
-    if data.get("format") not in versions:
-        allowed, remedy = (
-            ", ".join(map(str, versions)),
-            "make the file again with this release",
-        )
-        problem = "a version this release does not read"
-        raise FileFormatError(
-            "format", data.get("format"), problem, allowed=allowed, remedy=remedy
-        )
-    return dict(guarded(lambda: renamed(data), kind))
+    _check_version(data.get("format"), versions)
+    return data

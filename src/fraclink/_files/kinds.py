@@ -1,7 +1,7 @@
 """Which classes have a file: those that say so by `document`, and every other public
 one, JSON or NPZ.
 
-A class that `document` names has a format of its own, with a version and upgrades. The
+A class that `document` names has a format of its own, with a version. The
 other public results (margins of a matrix, a step response, tolerances …) are written by
 their fields, under the class's name.
 """
@@ -18,10 +18,9 @@ from typing import Any, Literal, TypeVar
 
 from fraclink.errors import FieldError, FileFormatError
 
-__all__ = ["HOMES", "Document", "Upgrade", "document", "document_of", "registered"]
+__all__ = ["HOMES", "Document", "document", "document_of", "registered"]
 
 T = TypeVar("T")
-Upgrade = Callable[[dict[str, Any]], dict[str, Any]]
 Container = Literal["json", "npz", "toml", "either"]
 # Whose public classes may be saved.
 PACKAGES = (
@@ -40,7 +39,7 @@ HOMES = {
     **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
     "realtime-run": "fraclink.lab._run",
     "served-arm": "fraclink.lab._arm",
-    **dict.fromkeys(("run", "twin-run"), "fraclink._simulate"),
+    "run": "fraclink._simulate",
     "fractional-pid": "fraclink._arm.fractional_pid",
     "log": "fraclink._arm.experiment",
     "margins": "fraclink._arm.controller",
@@ -68,7 +67,6 @@ class Document:
     version: int
     container: Container
     hex_floats: bool
-    upgrades: Mapping[int | tuple[str, int], Upgrade]
     period: Callable[[Any], float | None]
     sources: Callable[[Any], Mapping[str, str]]
     summary: Callable[[Any], Mapping[str, Any]]
@@ -88,7 +86,6 @@ def document(
     *,
     version: int = 1,
     container: Container = "json",
-    upgrades: Mapping[int | tuple[str, int], Upgrade] | None = None,
     hex_floats: bool = False,
     period: Callable[[Any], float | None] = lambda value: None,
     sources: Callable[[Any], Mapping[str, str]] = lambda value: {},
@@ -99,9 +96,8 @@ def document(
     """Register a frozen dataclass as a document of `kind`; put this decorator above
     ``@dataclass``.
 
-    Raise `version` and add an upgrade whenever a stored field is renamed, removed or
-    means something else; a new field with a default needs neither, as a file without it
-    means the default.
+    Raise `version` whenever a stored field is renamed, removed or means something else;
+    a new field with a default needs no new one, as a file without it means the default.
 
     Parameters
     ----------
@@ -111,10 +107,6 @@ def document(
         of the content's format.
     container
         "json", or "npz" for signals, whose arrays become members of the archive.
-    upgrades
-        version n (or ``(old kind, n)`` of a kind that was merged into this one) ->
-        function that turns the raw content of version n into that of n + 1. They may
-        raise anything: it becomes FileFormatError.
     hex_floats
         whether reals are written as 0x1.8p+1, for readers that must not depend on a
         decimal parser.
@@ -134,14 +126,8 @@ def document(
 
     def register(cls: type[T]) -> type[T]:
         hooks = (period, sources, summary, before_save)
-        made = Document(
-            cls, kind, version, container, hex_floats, upgrades or {}, *hooks, own
-        )
-        merged = {key[0] for key in made.upgrades if isinstance(key, tuple)}
-        # Merged kinds are found under their old words: their files are upgraded like
-        # old versions.
-        _BY_KIND.update(dict.fromkeys((kind, *merged), made))
-        _BY_CLASS[cls] = made
+        made = Document(cls, kind, version, container, hex_floats, *hooks, own)
+        _BY_KIND[kind] = _BY_CLASS[cls] = made
         return cls
 
     return register

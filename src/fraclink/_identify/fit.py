@@ -94,7 +94,6 @@ def _check_size(fit: Fit) -> None:
 @document(
     "fit",
     version=2,
-    upgrades={1: dict},  # without a digest
     period=lambda fit: fit.period,
     sources=lambda fit: {fit.source: fit.sha256} if fit.sha256 else {},
     summary=lambda fit: {"passed": fit.passed, "text": str(fit)},

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,30 +148,10 @@ class Specification:
         return any(bound is not None for bound in bounds)
 
 
-def _from_first_formats(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of a design of release 0.1; its requirements stated slack and
-    verdict, no direction.
-    """
-    data.pop("period")  # the rig's
-    if (
-        data["controller"].get("lead", ...) is None
-    ):  # one with a lead is not run any more
-        del data["controller"]["lead"]
-    for item in data["requirements"]:
-        slack = item.pop("slack")
-        del item["passed"]
-        # The old slack had the sign of what is good: where it rises with the value
-        # achieved, the bound is a least one.
-        rises = (item["achieved"] - item["wanted"]) * slack >= 0.0
-        item["bound"] = "at least" if rises else "at most"
-    return data
-
-
 @displayed
 @document(
     "design",
     version=3,
-    upgrades={1: dict, 2: _from_first_formats},
     period=lambda made: made.rig.period,
     summary=lambda made: {"passed": made.passed, "controller": made.controller.formula},
 )

@@ -21,10 +21,9 @@ from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
-from fraclink._files.codec import Storage, codec_of
 from fraclink._law.block import Drive, Modes, Tracking, block_values
 from fraclink._law.limits import Limits
-from fraclink.errors import FieldError, FileFormatError, MissingExtraError
+from fraclink.errors import FieldError, MissingExtraError
 
 __all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]
 
@@ -88,36 +87,10 @@ def _of_pair(gain: complex) -> list[float]:
     return [gain.real, -gain.imag]
 
 
-def _first_format(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 1 had the fields of format 2; its digest was that of the block."""
-    stated = content.pop("sha256", None)
-    law = codec_of(Law).decode(_second_format(content), "", Storage(hex_floats=True))
-    if stated != law.former_digest:
-        raise FileFormatError(
-            "sha256",
-            stated,
-            "not that of the law",
-            allowed=law.former_digest,
-            remedy="make the file again",
-        )
-    return content
-
-
-def _second_format(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 2 had no payload as an input: its laws run as they did, and reject one
-    that is given.
-    """
-    # A limit of 0 kg rejects every payload, so that the law runs bit for bit as it did
-    # without the input.
-    none = {"payload_limit": (0.0).hex(), "scale_step": (1.0).hex()}
-    return content | {"limits": {**content["limits"], **none}, "tracking": None}
-
-
 @displayed
 @document(
     "law",
     version=3,
-    upgrades={1: _first_format, 2: _second_format},
     hex_floats=True,
     period=lambda law: float(law.period),
     summary=lambda law: {"block": law.digest},
@@ -225,20 +198,6 @@ class Law:
         alike to the last bit.
         """
         return hashlib.sha256(self.block).hexdigest()
-
-    @property
-    def former_digest(self) -> str:
-        """The digest of a law that knows no payload as it was before there was one;
-        else `digest`.
-
-        What was made of such a law by an earlier release (campaigns, records) still
-        belongs to it.
-        """
-        if self.tracking is not None:
-            return self.digest
-        return hashlib.sha256(
-            layout.pack(self.values, self.precision, version=2)
-        ).hexdigest()
 
     @property
     def coefficients(self) -> dict[str, float | list[float]]:

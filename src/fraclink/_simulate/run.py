@@ -4,7 +4,6 @@ real one.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,51 +41,11 @@ SIGNALS = (
 )
 
 
-def _of_model(old: dict[str, Any]) -> dict[str, Any]:
-    """A run of the model of format 1: its settings are what is said about it now."""
-    about = {"arm": "model", **old.pop("settings")}
-    # Names of release 0.1 in its files; what it did not know (growth, findings) is
-    # empty rather than guessed.
-    about["motor_loop"] = about.pop("inner")
-    mass = about.pop("payload")
-    return _upgraded(old, about, math.nan if mass is None else mass)
-
-
-def _of_twin(old: dict[str, Any]) -> dict[str, Any]:
-    """A run of the twin of format 1: the payload was a signal."""
-    about = {"arm": "twin", **old.pop("about")}
-    return _upgraded(old, about, float(old["payload"][0])) | {
-        "finished": old["finished"]
-    }
-
-
-def _upgraded(
-    old: dict[str, Any], about: dict[str, Any], payload: float
-) -> dict[str, Any]:
-    # Not zero: a signal that was not recorded must not be drawn as one that was at
-    # rest.
-    unknown = np.full(len(old["time"]), math.nan)
-    extras = {
-        k: v for k, v in old.items() if isinstance(v, np.ndarray) and k not in SIGNALS
-    }
-    signals = {name: old.get(name, unknown) for name in SIGNALS}
-    judged = {"metrics": old["metrics"] | {"growth": 0.0}, "verdict": old["verdict"]}
-    return {
-        **signals,
-        **judged,
-        "about": about,
-        "payload": payload,
-        "findings": [],
-        "extras": extras,
-    }
-
-
 @displayed
 @document(
     "run",
     version=2,
     container="npz",
-    upgrades={1: _of_model, ("twin-run", 1): _of_twin},
     period=lambda run: run.period,
     sources=lambda run: (
         {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {}

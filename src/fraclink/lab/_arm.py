@@ -43,18 +43,10 @@ _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
 
 
-def _without_origin(content: dict[str, Any]) -> dict[str, Any]:
-    """Format 1 also said that the arm was simulated, which every one is, and had no
-    digest.
-    """
-    return {name: value for name, value in content.items() if name != "simulated"}
-
-
 @document(
     "served-arm",
     version=2,
     container="npz",
-    upgrades={1: _without_origin},
     period=lambda arm: arm.period,
     summary=lambda arm: {"passed": arm.passed, "simulated": True},
 )

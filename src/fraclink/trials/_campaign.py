@@ -7,8 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Collection
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from dataclasses import field as with_default
 from functools import cached_property
 from pathlib import Path
@@ -235,15 +234,12 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
         np.random.Philox(np.random.SeedSequence(seed, spawn_key=(part,)))
     )
     names = [field.name for field in fields(draws)]
-    # What came later is drawn behind the others, and leaves what a seed gives as it
-    # was.
-    first = [name for name in names if name not in LATER_DRAWS]
-    uniform = dict(zip(first, generator.random((len(first), runs)), strict=True))
+    uniform = generator.random((len(names), runs))
     shape = np.floor(generator.random(runs) * 2**31)
-    uniform |= {name: generator.random(runs) for name in LATER_DRAWS}
-    return {name: getattr(draws, name).at(uniform[name]) for name in names} | {
-        "shape": shape
-    }
+    return {
+        name: getattr(draws, name).at(row)
+        for name, row in zip(names, uniform, strict=True)
+    } | {"shape": shape}
 
 
 # ── the campaign
@@ -405,8 +401,8 @@ def _about(campaign: Campaign) -> dict[str, object]:
         _followed(campaign)
         | estimated
         | {
-            "model": _stated(campaign.model, LATER_MODEL),
-            "draws": _stated(campaign.draws, LATER_DRAWS),
+            "model": asdict(campaign.model),
+            "draws": asdict(campaign.draws),
             "seed": campaign.seed,
             "inner": campaign.motor_loop,
             "duration": campaign.duration,
@@ -427,30 +423,6 @@ def _followed(campaign: Campaign) -> dict[str, object]:
         "reference": sampled(
             reference, period, math.ceil(reference.duration / period) + 1
         ).tolist()
-    }
-
-
-# Fields that release 0.1 did not have.
-LATER_MODEL = {"gauge_delay", "gauge_gain", "second_mode", "unseen_up_to", "intervals"}
-LATER_DRAWS: dict[str, float] = {
-    "gauge_delay": 0.0,
-    "gauge_gain": 1.0,
-    "payload_given": 0.0,
-    "damping": 1.0,
-}
-
-
-def _stated(value: LinkModel | Draws, later: Collection[str]) -> dict[str, object]:
-    """The fields but later ones at their defaults: a campaign begun before them keeps
-    its fingerprint.
-    """
-    made = {
-        f.name: f.default_factory() if f.default_factory is not MISSING else f.default
-        for f in fields(value)
-    }
-    stated = {f.name: getattr(value, f.name) for f in fields(value)}
-    return {
-        k: v for k, v in asdict(value).items() if k not in later or stated[k] != made[k]
     }
 
 

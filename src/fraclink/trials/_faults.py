@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -150,21 +150,9 @@ class Row:
         return self.failed == 0
 
 
-def _from_format_1(content: dict[str, Any]) -> dict[str, Any]:
-    """Checks were lists, and had no digest."""
-    names = ("name", "measured", "limit", "passed")
-    rows = [
-        row
-        | {"checks": [dict(zip(names, check, strict=True)) for check in row["checks"]]}
-        for row in content["outcomes"]
-    ]
-    return content | {"outcomes": rows}
-
-
 @document(
     "fault-campaign",
     version=2,
-    upgrades={1: _from_format_1},
     sources=lambda table: (
         {"law": table.about["law_sha256"]} if "law_sha256" in table.about else {}
     ),

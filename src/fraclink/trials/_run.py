@@ -24,11 +24,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._files import RENAMED, atomic_write, checked_path
+from fraclink._files import atomic_write, checked_path
 from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import (
-    LATER_DRAWS,
     Campaign,
     load_campaign,
     save_campaign,
@@ -50,8 +49,6 @@ __all__ = [
 # one of them
 PATIENCE = 5
 CONNECT = 10  # [s] to reach a scheduler
-# Columns that the parts of release 0.1 do not have, and what held for all of its runs.
-_LATER = LATER_DRAWS | {"growth": 0.0}
 # parts handed out per worker: one computed, one waiting, so that a worker never idles
 IN_FLIGHT = 2
 
@@ -425,10 +422,7 @@ def read_part(
             place, memory_map=False, page_checksum_verification=True
         ) as file:
             schema, rows = file.schema_arrow, file.metadata.num_rows
-            own = {RENAMED.get(name, name): name for name in schema.names}
-            table = file.read(
-                columns=[own[name] for name in names if name in own] if names else None
-            )
+            table = file.read(columns=list(names) or None)
     except (
         OSError,
         ValueError,
@@ -448,23 +442,15 @@ def read_part(
     ):
         return None
     columns = {name: table[name].to_numpy() for name in table.column_names}
-    # The parts of release 0.1 have neither digests nor the later columns; one that has
-    # these columns had the digests, too, and who took them out has edited it.
-    if b"digests" in meta or not _LATER.keys().isdisjoint(own):
-        digests = dict(
-            zip(schema.names, meta.get(b"digests", b"").split(b","), strict=False)
-        )
-        if any(
-            digests.get(name) != _digest(values).encode()
-            for name, values in columns.items()
-        ):
-            return None
-    columns = {RENAMED.get(name, name): values for name, values in columns.items()}
-    return columns | {
-        name: np.full(rows, _LATER[name])
-        for name in _LATER
-        if name in names and name not in own
-    }
+    digests = dict(
+        zip(schema.names, meta.get(b"digests", b"").split(b","), strict=False)
+    )
+    if any(
+        digests.get(name) != _digest(values).encode()
+        for name, values in columns.items()
+    ):
+        return None
+    return columns
 
 
 def _digest(values: NDArray[np.generic]) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -304,19 +304,7 @@ class _Preference:
     undecided: tuple[str, ...] = ()
 
 
-def _from_first_format(data: dict[str, Any]) -> dict[str, Any]:
-    """The content of study.json of release 0.1, which had no digest; the verdict
-    follows from the rest.
-    """
-    data |= {"stopped": data.get("stopped", data.get("infeasible"))}
-    return {
-        key: data[key]
-        for key in (item.name for item in fields(_Remarks))
-        if key in data
-    } | {"verdict": None}
-
-
-@document("study", version=2, upgrades={1: _from_first_format})
+@document("study", version=2)
 @dataclass(frozen=True)
 class _Remarks:
     """What study.json adds to the other files of its folder; the verdict is for people
