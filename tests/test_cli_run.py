@@ -611,13 +611,15 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
         # A terminal holds 4 kB: unread, it fills on a slow machine, and the command
         # waits for ever.
         reading = pool.submit(_until_closed, upper)
-        answer = subprocess.run(  # noqa: S603
-            [*command, "--out", str(tmp_path / "out")],
-            stdout=subprocess.PIPE,
-            stderr=lower,
-            check=True,
-        )
-        os.close(lower)
+        try:
+            answer = subprocess.run(  # noqa: S603
+                [*command, "--out", str(tmp_path / "out")],
+                stdout=subprocess.PIPE,
+                stderr=lower,
+                check=True,
+            )
+        finally:  # or the reader waits for ever
+            os.close(lower)
         shown = reading.result().decode(errors="replace")
     assert "identifying" in shown
     assert "identifying" not in answer.stdout.decode()
