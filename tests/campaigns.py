@@ -81,8 +81,11 @@ def continued(folder: Path, *, workers: int = 2) -> subprocess.Popen[str]:
     """`run_campaign` for the campaign kept in `folder`, as a process in a session of
     its own.
     """
-    code = "import sys; from fraclink.trials import run_campaign, load_campaign; f = sys.argv[1]; "
-    code += f"run_campaign(load_campaign(f), f, workers={workers})"
+    code = (
+        "import sys; from fraclink.trials import run_campaign; f = sys.argv[1]; "
+        "from fraclink.trials._campaign import load_campaign; "
+        f"run_campaign(load_campaign(f), f, workers={workers})"
+    )
     return subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", code, str(folder)],
         stdout=subprocess.PIPE,

@@ -103,8 +103,9 @@ def test_a_preview_has_the_figures_of_design(subject):
         "preview",
         True,
     )
+    margin = next(row for row in made.requirements if row.name == "phase margin")
     assert sum(phase for _, phase in head["budget"]) + 180 == pytest.approx(
-        50.0, abs=1e-6
+        margin.achieved / fl.deg(1), abs=1e-6
     )
     at_20g = np.interp(0.02, subject.payloads, curves["margin"][0])
     assert at_20g == pytest.approx(50.0, abs=0.05)
