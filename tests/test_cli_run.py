@@ -30,7 +30,7 @@ from fraclink.view._report import render_report
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"
-EASY = ("--phase-margin-deg", "45")
+EASY = ("--gain-crossover", "11.5", "--phase-margin-deg", "45")
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
     """
     place = tmp_path_factory.mktemp("run")
     out, err = io.StringIO(), io.StringIO()
-    # The log shows a second mode: with the 50° of the rig file no filter keeps its gain
-    # within 0.5.
+    # The log shows a second mode: with the 12 rad/s and 50° of the rig file no filter
+    # keeps its gain within 0.5.
     command = [
         "run",
         "--rig",
@@ -68,7 +68,7 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),
     ):
-        assert main(command) == 0
+        assert main(command) == 1  # no arm that differs was run
     return Told(place / "results", out.getvalue(), err.getvalue())
 
 
@@ -483,7 +483,7 @@ def test_real_logs_run_end_to_end(
         ]
     )
     study = load_study(tmp_path / "out")
-    assert code == (0 if doubt is None else 1)
+    assert code == 1  # at best: no arm that differs was run
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
@@ -524,7 +524,7 @@ def test_a_hostile_file_name_is_harmless(
                 *EASY,
             ]
         )
-        == 0
+        == 1  # no arm that differs was run
     )
     told = capsys.readouterr()
     assert "\x1b" not in told.out + told.err
@@ -616,10 +616,9 @@ def test_progress_is_shown_on_a_terminal_only_and_on_standard_error(
                 [*command, "--out", str(tmp_path / "out")],
                 stdout=subprocess.PIPE,
                 stderr=lower,
-                check=True,
             )
         finally:  # or the reader waits for ever
             os.close(lower)
         shown = reading.result().decode(errors="replace")
     assert "identifying" in shown
-    assert "identifying" not in answer.stdout.decode()
+    assert answer.stdout and "identifying" not in answer.stdout.decode()

@@ -232,7 +232,7 @@ def test_peak_and_noise_are_those_of_a_dense_grid(
         gain_crossover=12.0,
         phase_margin=fl.deg(margin),
         law=False,
-        nearest=False,
+        procedure="published",
     )
     loop, w = made.full_loop, np.linspace(0.002, math.pi / 0.004, 400_001)
     for w0 in made.natural_frequencies:

@@ -188,11 +188,17 @@ def test_a_gauge_offset_leaves_the_tip() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("payload", [0.02, 0.04])
 def test_friction_is_compensated(payload: float) -> None:
-    """With the design that the rig asks for; without its filter the 20 g arm keeps 0.11
-    of the swing.
+    """With the published design: without its filter the 20 g arm keeps 0.11 of the
+    swing.
     """
     rough = replace(EXACT, motor=RIG.motor)
-    design = fl.design(MODEL, rough, gain_crossover=12.0, phase_margin=fl.deg(50))
+    design = fl.design(
+        MODEL,
+        rough,
+        gain_crossover=12.0,
+        phase_margin=fl.deg(50),
+        procedure="published",
+    )
     made, move = design.law(), fl.smooth_step(1.0, 0.5)
     assert made.drive is not None
     run = simulate(

@@ -886,7 +886,7 @@ def test_a_refused_design_leaves_the_one_before(tmp_path):
     session = opened(None, out=tmp_path)
     session.exact(ASKED)
     with pytest.raises(FraclinkError):
-        session.exact({**ASKED, "gain_crossover": 9.0})
+        session.exact({**ASKED, "gain_crossover": 60.0})
     assert session.study.design.gain_crossover == 12.0
 
 
