@@ -5,8 +5,6 @@ summary, a fault's row.
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,25 +14,14 @@ import pytest
 from scipy.special import ndtr
 
 import fraclink as fl
-from campaigns import fault_bench, small
-from fraclink._simulate.links import batch_links
+from campaigns import small
 from fraclink.errors import FieldError, SizeError
-from fraclink.trials._arms import arm_of, block_of, unit_paths
+from fraclink.trials._arms import unit_paths
 from fraclink.trials._campaign import (
     Campaign,
     Distribution,
-    draw,
-    draws_for,
     load_campaign,
     save_campaign,
-)
-from fraclink.trials._faults import (
-    Case,
-    Check,
-    FaultTable,
-    Outcome,
-    cases,
-    fault_named,
 )
 from fraclink.trials._run import part_path, read_part, write_part
 
@@ -43,7 +30,6 @@ MODEL = RIG.model
 assert MODEL is not None
 
 
-# ── draws
 # ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -65,36 +51,6 @@ def test_a_distribution_by_its_cumulated_probability() -> None:
     for bad in ((2.0, 2.5), (1.5, 2.0)):
         with pytest.raises(FieldError, match="not whole"):
             Distribution("whole", *bad)
-
-
-def test_the_default_draws_are_those_that_the_documentation_states() -> None:
-    late = replace(MODEL, gauge_delay=0.011, gauge_gain=1.1)
-    found = draws_for(RIG, late)
-    assert found.payload == Distribution("uniform", 0.020, 0.040)
-    assert found.stiffness == Distribution("normal", 0.92 * 1.56, 1.08 * 1.56)
-    assert (found.order.kind, found.order.low, found.order.high) == (
-        "normal",
-        pytest.approx(1.90),
-        1.94,
-    )
-    assert found.gauge_offset == Distribution("uniform", -0.05, 0.05)
-    assert found.delay_samples == Distribution("whole", 1, 1)
-    assert found.motor_gain == Distribution("normal", 0.9, 1.1)
-    assert found.viscous_friction == Distribution("normal", 0.7, 1.3)
-    assert found.coulomb_torque == Distribution("uniform", 0.5, 1.5)
-    assert found.noise == Distribution("uniform", 0.5, 2.0)
-    assert found.amplitude == Distribution("uniform", 0.2, 1.2)
-    assert found.gauge_delay == Distribution("uniform", 0.011, 0.011)
-    assert found.gauge_gain == Distribution("uniform", 1.1, 1.1)
-    assert found.payload_given == Distribution("uniform", 0.0, 0.0)
-    near = draws_for(RIG, replace(MODEL, order=1.99)).order
-    assert (near.low, near.high) == (
-        pytest.approx(1.98),
-        pytest.approx(2.0),
-    ) and near.high <= 2.0
-    assert draws_for(
-        RIG, replace(MODEL, gauge_delay=-0.01)
-    ).gauge_delay == Distribution("uniform", 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +77,6 @@ def test_a_parameter_is_drawn_from_its_range(
             replace(small().draws, **{name: own})
 
 
-# ── the campaign
 # ────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -188,18 +143,6 @@ def test_a_campaign_follows_the_reference_that_it_is_given() -> None:
         replace(own, reference=fl.smooth_step(1.0, 4.51))
 
 
-def test_a_campaign_gives_the_law_the_motor_loop_of_its_rig() -> None:
-    bare = replace(small().law, drive=None)
-    assert Campaign.of(RIG, MODEL, bare, runs=1).law.drive == small().law.drive
-    assert Campaign.of(RIG, MODEL, bare, runs=1, motor_loop="ideal").law is bare
-    own = replace(small().law, limits=replace(small().law.limits, motor_limit=1.0))
-    assert Campaign.of(RIG, MODEL, own, runs=1).law is own
-    assert Campaign.of(RIG, MODEL, bare, runs=1, draws=small().draws, seed=5).seed == 5
-    assert small().estimator is None
-    bank = replace(small(), payloads=(0.02, 0.04)).estimator
-    assert bank is not None and bank.certified == pytest.approx((0.02, 0.04))
-
-
 def test_the_fingerprint_is_of_all_that_a_result_depends_on() -> None:
     """The same for more runs; another for everything else; unchanged by later fields at
     their defaults.
@@ -253,74 +196,6 @@ def test_a_campaign_comes_back_with_its_reference_and_its_payloads(
     assert written["part_runs"] == 1000 and written["shapes"] == [0.5, 0.75, 1.0]
 
 
-# ── its arms
-# ────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def test_the_arm_of_a_run_is_what_was_drawn_for_it() -> None:
-    campaign = small()
-    rig, link, own = arm_of(campaign, 1234)
-    values = draw(campaign.draws, 7, 1, 1000)
-    assert own == {
-        name: pytest.approx(float(column[234])) for name, column in values.items()
-    }
-    motor = campaign.rig.motor
-    assert rig.motor.torque_constant == pytest.approx(
-        motor.torque_constant * own["motor_gain"]
-    )
-    assert rig.motor.viscous_friction == pytest.approx(
-        motor.viscous_friction * own["viscous_friction"]
-    )
-    assert rig.motor.coulomb_torque == pytest.approx(
-        motor.coulomb_torque * own["coulomb_torque"]
-    )
-    assert link.natural_frequency == pytest.approx(
-        math.sqrt(own["stiffness"] / (own["payload"] * 0.65**2))
-    )
-    assert (link.stiffness, link.order, link.payload) == (
-        own["stiffness"],
-        own["order"],
-        own["payload"],
-    )
-
-
-def test_a_block_has_the_numbers_of_its_arms() -> None:
-    draws = replace(
-        small().draws,
-        gauge_delay=Distribution("uniform", 0.0, 0.01),
-        payload_given=Distribution("uniform", 0.9, 1.1),
-    )
-    campaign = replace(small(), draws=draws)
-    own = {name: column[10:13] for name, column in draw(draws, 7, 0, 1000).items()}
-    arms, chosen = block_of(campaign, own, 10)
-    motor = RIG.motor
-    assert arms.noise == pytest.approx(0.01 * own["noise"])
-    assert arms.stiffness == pytest.approx(own["stiffness"])
-    assert arms.gauge_delay == pytest.approx(own["gauge_delay"] / 0.004)
-    assert arms.payload_given == pytest.approx(own["payload_given"] * own["payload"])
-    assert arms.motor_gain == pytest.approx(motor.gain * own["motor_gain"])
-    assert arms.motor_decay == pytest.approx(motor.decay * own["viscous_friction"])
-    friction = motor.coulomb_torque / (motor.inertia * motor.gear_ratio)
-    assert arms.friction == pytest.approx(friction * own["coulomb_torque"])
-    # 2^64 over the golden ratio: every run of every seed has noise of its own.
-    assert [int(seed) for seed in arms.seed] == [
-        (k * 0x9E3779B97F4A7C15 + 7) % 2**64 for k in (10, 11, 12)
-    ]
-    assert chosen.tolist() == [int(shape) % 3 for shape in own["shape"]]
-
-
-def test_links_of_a_block_are_valid_up_to_two_radians_in_a_period() -> None:
-    for order in (1.5, 2.0):
-        edge = (2.0 / 0.004) ** order
-        model, orders, none = MODEL, np.full(2, order), np.zeros(2)
-        batch_links(model, np.array([100.0, 0.999 * edge]), orders, none, 0.004)
-        with pytest.raises(
-            FieldError, match=r"period: too long for the fastest link .* < 0.004 s"
-        ):
-            batch_links(model, np.array([100.0, 1.001 * edge]), orders, none, 0.004)
-
-
-# ── its parts
 # ───────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -351,139 +226,3 @@ def test_a_part_of_another_length_place_or_campaign_is_not_believed(
     some = read_part(small(30), one_part, 0, names=("payload", "passed"))
     assert some is not None and sorted(some) == ["passed", "payload"]
     assert some["payload"].tolist() == good["payload"].tolist()
-
-
-# ── what they say together
-# ──────────────────────────────────────────────────────────────────────────────────
-
-
-# ── the table of faults
-# ─────────────────────────────────────────────────────────────────────────────────────
-
-
-def outcome(
-    number: str, *checks: Check, seed: int = 1, detail: str = "", peak: float = 0.1
-) -> Outcome:
-    return Outcome(
-        Case(number, 1, 0.03, "mid", seed),
-        checks,
-        peak,
-        0.1,
-        0.0,
-        "run",
-        "none",
-        -1,
-        detail,
-    )
-
-
-def test_a_row_names_the_check_that_is_exceeded_most() -> None:
-    mild, worse = (
-        Check.at_most("peak tip error over clean", 1.3, 1.1),
-        Check.at_most("recovery [s]", 3.0, 1.0),
-    )
-    never = Check.at_most("periods until off (never)", math.inf, 20.0)
-    met = Check.at_most("final tip error [rad]", 0.5, 1.0)
-    count = Check.at_most("periods in another mode than allowed", 7.0, 0.0)
-    table = FaultTable((
-        outcome("F02", met), outcome("F01", mild, met), outcome("F01", worse, mild, seed=2, detail="byte 3"),
-        outcome("F01", met, seed=3), outcome("F03", count, worse),
-    ))  # fmt: skip
-    first, second, third = table.rows()
-    assert [row.number for row in (first, second, third)] == ["F02", "F01", "F03"]
-    assert (first.passed, first.worst, first.example, first.group) == (
-        True,
-        "",
-        None,
-        "met",
-    )
-    assert (second.runs, second.failed, second.passed) == (3, 2, False)
-    assert second.worst == "recovery [s]: 3 (limit 1) (F01-1-30g-mid-2: byte 3)"
-    assert (
-        second.example is table.outcomes[2] and second.group == "slower than promised"
-    )
-    assert third.worst.startswith("periods in another mode than allowed: 7 (limit 0)")
-    assert third.group == "trips without need"
-    assert not table.passed and table.failures == (
-        *table.outcomes[1:3],
-        table.outcomes[4],
-    )
-    lost = FaultTable((outcome("F07", worse, never),)).rows()[0]
-    assert lost.worst.startswith("periods until off (never): inf")
-    assert FaultTable((outcome("F02", met),)).passed
-
-
-def test_the_page_explains_what_is_missed_and_what_is_not_shown() -> None:
-    missed = Check.at_most("|x|", 2.0, 1.0)
-    page = (
-        FaultTable((outcome("F21", missed), outcome("F16"), outcome("F08")))
-        .markdown()
-        .splitlines()
-    )
-    assert page[2].endswith(
-        "| slower than promised | \\|x\\|: 2 (limit 1) (F21-1-30g-mid-1) |"
-    )
-    assert (
-        page[2].startswith("| F21 | missed ticks, few | A | ")
-        and "| 1 | 1 | slower" in page[2]
-    )
-    causes, notes = (
-        page.index("Why, on the paper's arm:"),
-        page.index("What this does not show:"),
-    )
-    assert (
-        page[causes + 2]
-        == "- F21: law: its modes go on by one step for up to six periods."
-    )
-    assert (
-        page[notes + 2]
-        == "- F16: the self-test must be run: law_step alone does not refuse."
-    )
-    assert not any(
-        line.startswith("- F08") for line in page
-    )  # it was met: no cause is told
-    assert len(page) == notes + 3
-
-
-@pytest.mark.slow
-def test_cases_are_those_that_make_sense_in_order() -> None:
-    bench = fault_bench()
-    found = cases(
-        bench,
-        only=["F40", "f12"],
-        severities=(3, 1),
-        phases=("whole", "mid", "rest"),
-        seeds=(5,),
-    )
-    blow = [
-        (s, p, phase)
-        for s in (3, 1)
-        for p in (0.02, 0.03, 0.04)
-        for phase in ("mid", "rest")
-    ]
-    wanted = [("F40", *each) for each in blow if each[0] != 3 or each[2] != "rest"]
-    wanted += [("F12", s, p, "whole") for s in (3, 1) for p in (0.02, 0.03, 0.04)]
-    assert [(c.fault, c.severity, c.payload, c.phase) for c in found] == wanted
-    assert {case.seed for case in found} == {5}
-    one = cases(
-        bench,
-        only=["F01"],
-        severities=(2,),
-        payloads=(0.025,),
-        phases=("mid",),
-        seeds=(1, 2),
-    )
-    assert [case.name for case in one] == ["F01-2-25g-mid-1", "F01-2-25g-mid-2"]
-    every: Sequence[Case] = cases(bench)
-    assert (
-        len(every)
-        == sum(9 * 3 * len(phases_of(number)) for number in range(1, 45)) - 27 // 3
-    )
-    with pytest.raises(
-        FieldError, match=r"phases: none in which the fault is run .* mid, rest, start"
-    ):
-        cases(bench, only=["F01"], phases=("whole",))
-
-
-def phases_of(number: int) -> tuple[str, ...]:
-    return fault_named(f"F{number:02}").phases

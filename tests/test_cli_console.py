@@ -12,23 +12,15 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, TextIO
+from typing import TextIO
 
 import pytest
 
-from fraclink._cli import console, installation, main, tunings
-from fraclink._cli.app import every_command
+from fraclink._cli import main, tunings
 from fraclink._cli.console import (
     clean,
-    emit,
     emit_json,
     guarded,
-    steps,
-    tell,
-    tell_written,
-    watching,
-    width,
 )
 from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError
 
@@ -75,44 +67,6 @@ def test_what_does_not_print_is_written_out(given: object, shown: str) -> None:
     assert clean(given) == shown
 
 
-def test_the_width_is_the_terminals_or_that_of_COLUMNS(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setenv("COLUMNS", "47")
-    assert width() == 47
-    monkeypatch.delenv("COLUMNS")
-    monkeypatch.setattr(sys, "__stdout__", io.StringIO())
-    assert width() == 80
-
-
-def test_verdicts_have_colours_where_somebody_looks(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    text = "✓ passed: a\n✗ failed: b\n! not shown: c\nno error here"
-    stream = Terminal()
-    monkeypatch.setattr(sys, "stdout", stream)
-    emit(text)
-    lines = stream.getvalue().splitlines()
-    green, red, yellow, plain = (f"\x1b[{code}m" for code in ("32", "31", "33", "0"))
-    assert lines[0] == f"{green}✓ passed{plain}: a"
-    assert lines[1] == f"{red}✗ failed{plain}: b"
-    assert lines[2] == f"{yellow}! not shown{plain}: c"
-    assert lines[3] == "no error here"  # only where a line begins with it
-    monkeypatch.setenv("NO_COLOR", "")
-    monkeypatch.setattr(sys, "stdout", again := Terminal())
-    emit(text)
-    assert again.getvalue() == text + "\n"
-    monkeypatch.delenv("NO_COLOR")
-    monkeypatch.setattr(sys, "stdout", pipe := io.StringIO())
-    emit(text)
-    assert pipe.getvalue() == text + "\n"
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    emit("✓")
-    assert pipe.getvalue().endswith(f"{green}✓{plain}\n")
-
-
 def test_a_program_reads_plain_numbers_and_no_gap(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -123,94 +77,6 @@ def test_a_program_reads_plain_numbers_and_no_gap(
     )
     with pytest.raises(ValueError, match="JSON"):
         emit_json({"x": float("nan")})
-
-
-def test_a_remark_is_folded_on_a_terminal_and_a_line_in_a_pipe(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    terminal = on_terminal(monkeypatch)
-    words = "a sentence of many words " * 6
-    tell(words)
-    assert max(map(len, terminal.getvalue().splitlines())) <= 60
-    assert len(terminal.getvalue().splitlines()) >= 3
-    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
-    tell(words)
-    assert pipe.getvalue() == words + "\n"
-
-
-def test_a_file_is_a_link_on_a_terminal_and_a_name_in_a_pipe(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    terminal = on_terminal(monkeypatch)
-    place = tmp_path / "a file.json"
-    tell_written(place)
-    assert (
-        terminal.getvalue()
-        == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\\n"
-    )
-    monkeypatch.setenv("TERM", "dumb")  # Emacs' shell shows the escapes
-    monkeypatch.setattr(sys, "stderr", again := Terminal())
-    tell_written(place)
-    assert again.getvalue() == f"written: {place}\n"
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
-    tell_written(place)
-    assert pipe.getvalue() == f"written: {place}\n"
-
-
-# --- progress ---------------------------------------------------------------------------------------------
-
-
-def test_steps_are_named_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    terminal = on_terminal(monkeypatch)
-    monkeypatch.setattr(console, "Console", lambda **_: _wide(terminal))
-    with steps(3) as begin:
-        begin("first")
-        begin("second [b]")  # a name from a file is no markup
-    # The end is a step, too: the one that is named is not yet done.
-    assert "second [b] " in terminal.getvalue() and " 2/4 " in terminal.getvalue()
-    monkeypatch.setattr(sys, "stderr", pipe := io.StringIO())
-    with steps(3) as begin:
-        begin("first")
-    assert pipe.getvalue() == ""
-
-
-def _wide(stream: io.StringIO) -> Any:
-    from rich.console import Console
-
-    return Console(file=stream, width=120, force_terminal=True, no_color=True)
-
-
-def test_a_campaign_says_its_rate_and_the_time_that_is_left(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """200 of 1000 runs were there; 300 more took 6 s, and 15 of them failed: 50 a
-    second, 10 s for 500.
-    """
-    now = iter([0.0])
-    monkeypatch.setattr(console, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    for progress, said in (
-        (
-            SimpleNamespace(done=500, before=200, failed=15),
-            "500 / 1000 · 5.0 % failed · 50 runs/s · 10 s left ",
-        ),
-        (
-            SimpleNamespace(done=200, before=200, failed=0),
-            "200 / 1000 ━",
-        ),  # no rate yet
-    ):
-        terminal = on_terminal(monkeypatch)
-        monkeypatch.setattr(
-            console, "Console", lambda shown=terminal, **_: _wide(shown)
-        )
-        now = iter([100.0, 106.0])
-        with watching(1000) as watch:
-            assert watch is not None
-            watch(progress)
-        assert said in terminal.getvalue()
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
-    with watching(1000) as watch:
-        assert watch is None
 
 
 # --- errors and warnings ----------------------------------------------------------------------------------
@@ -450,58 +316,7 @@ def test_a_process_whose_reader_left_ends_as_any_program_does() -> None:
         assert (done.returncode, done.stderr) == (code, b"")
 
 
-def test_a_manual_page_holds_texts_as_roff_reads_them_back() -> None:
-    assert installation._text("a\\b -c") == "a\\eb \\-c"
-    assert (
-        installation._text(".so x") == "\\&.so x"
-        and installation._text("'q\"") == "\\&'q\\(dq"
-    )
-
-
 # --- lists and help -----------------------------------------------------------------------------------------
-
-
-def test_help_names_a_command_or_lists_them_all_in_their_sections(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["help", "all"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    sections = [line for line in lines if line and not line.startswith(" ")]
-    assert sections[:4] == [
-        "From a log to a board:",
-        "More on logs and models:",
-        "More on designs and laws:",
-        "This installation:",
-    ]
-    assert sections[4] == "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
-    listed = [
-        line.split()[0] for line in lines if line.startswith("  ") and line[2] != " "
-    ]
-    assert listed == list(dict.fromkeys(name.split()[0] for name in every_command()))
-    assert lines[1].split() == [
-        "start",
-        *every_command()["start"].help.split()[: len(lines[1].split()) - 1],
-    ]
-    assert main(["help", "export", "c"]) == 0
-    assert capsys.readouterr().out.startswith("Usage: fraclink export c ")
-    assert main(["help"]) == 0
-    first = capsys.readouterr().out
-    assert main([]) == 0 and capsys.readouterr().out == first
-    assert "\nMore:\n" in first and "--install-completion" in first
-
-
-def test_every_command_stands_under_the_words_that_call_it() -> None:
-    found = every_command()
-    assert {
-        "export c",
-        "export fmu",
-        "campaign faults",
-        "campaign montecarlo",
-        "start",
-        "man",
-    } <= set(found)
-    assert not {"export", "campaign", "c"} & set(found)
-    assert found["export c"].name == "c"
 
 
 def test_without_typer_the_extra_is_named(
