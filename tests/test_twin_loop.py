@@ -37,7 +37,7 @@ def law():
         RIG.model,
         RIG,
         payloads=(0.020, 0.040),
-        gain_crossover=12.0,
+        gain_crossover=11.5,
         phase_margin=fl.deg(50),
         filter_time=0.0,
     )

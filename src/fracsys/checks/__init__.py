@@ -148,7 +148,7 @@ def checked(
     1.0
     >>> sample(1, hold="second")
     Traceback (most recent call last):
-    fraclink.errors.FieldError: hold: unknown (got second); expected zero or first. Choose one of these.
+    fracsys.errors.FieldError: hold: unknown (got second); expected zero or first. Choose one of these.
     """
     if target is None:
         return functools.partial(_checked, error=error, prefix=prefix)
