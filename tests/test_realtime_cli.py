@@ -340,7 +340,8 @@ def test_a_library_that_breaks_is_a_safe_stop(
         ("shm:", "not a name"),
         ("shm:../etc", "not a name"),
         ("library:", "no way to an arm"),
-        ("serial:ttyUSB0", "no way to an arm"),
+        ("serial:", "without a port"),
+        ("serial:/dev/ttyUSB0@fast", "without a speed"),
         ("", "no way to an arm"),
     ],
 )

@@ -283,6 +283,7 @@ void bind_realtime(nb::module_ &m) {
     m.attr("REALTIME") = true;
     nb::class_<Io>(m, "RealtimeIo")
         .def_static("socket", &socket_io, nb::arg("file"), nb::arg("arm"), nb::arg("seal").none() = nb::none())
+        .def_static("serial", [](int file, bool arm) { return channel_of(realtime_open_serial(file, arm)); })
         .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
         .def_static("library", &library)
         .def_static("callables", &callables)

@@ -116,7 +116,7 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_po
 /* The bare loop to compare with: sleep on the same deadlines, note the latency [s], nothing else. */
 void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome *outcome);
 
-/* ---- messages: a datagram, or a slot of shared memory, of MESSAGE_BYTES; docs/reference/file-formats.md ---- */
+/* ---- messages of MESSAGE_BYTES, by a datagram, a serial line or shared memory; docs/reference/file-formats.md ---- */
 
 #define MESSAGE_BYTES 56
 #define MESSAGE_TAG 16 /* bytes behind it where both sides share a key */
@@ -155,8 +155,9 @@ typedef struct realtime_channel {
     uint64_t former;   /* at an arm: the one before, whose stop may come more than once */
 } realtime_channel;
 
-/* Both return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
+/* All return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
 realtime_channel *realtime_open_socket(int file, int is_arm);
+realtime_channel *realtime_open_serial(int file, int is_arm);
 realtime_channel *realtime_open_memory(int file, int is_arm);
 /* Bytes of the shared memory. */
 size_t realtime_memory_size(void);

@@ -31,6 +31,7 @@ SHOWN: dict[str, tuple[str, str]] = {
     "certify": ("nyquist", "how-to/read-a-certificate"),
     "export c": ("loop", "how-to/flash-a-board"),
     "export fmu": ("loop", "how-to/export-an-fmu"),
+    "export arm-firmware": ("arm", "how-to/build-an-arm"),
     "export io": ("loop", "how-to/flash-a-board"),
     "run-realtime": ("loop", "how-to/run-in-real-time"),
     "serve-arm": ("arm", "how-to/run-in-real-time"),

@@ -83,6 +83,7 @@ COMMANDS: dict[str, str] = {
     "assess-json": "assess design.json --link-mass 0.00735 --json",
     "export-c": "export c design.json",
     "export-fmu": "export fmu design.json --source",
+    "export-arm-firmware": "export arm-firmware",
     "export-io": "export io",
     "replay-of-nothing": "replay nothing demo",
     "run": f"run {RIG} --log demo --out results",

@@ -41,6 +41,7 @@ from fraclink._design import Design
 from fraclink._design.pid_tuning import PidTuning
 from fraclink._export import (
     Proof,
+    export_arm_firmware,
     export_c,
     export_fmu,
     export_io,
@@ -69,7 +70,7 @@ Address = typer.Option(metavar="ADDRESS")
 
 def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
-) -> lab.Udp | lab.SharedMemory | lab.Library:
+) -> lab.Serial | lab.Udp | lab.SharedMemory | lab.Library:
     """Return the way to an arm that the options of a command name."""
     # From a file and never from the command line, which `ps` and the shell's history
     # show to others. Bytes as they are: a line end belongs to the key at both ends.
@@ -216,6 +217,22 @@ def fmu(
 
 
 @command(export)
+def arm_firmware(
+    out: Annotated[Path, "Folder to write to; the sketch has its name"] = Path("arm"),
+    force: bool = False,
+) -> Answer:
+    """Write the arm's end of a serial line for a microcontroller: a sketch with encoder,
+    gauge and H-bridge, and the messages in C99.
+
+    $ fraclink export arm-firmware --out arm
+    """
+    return _listed(
+        export_arm_firmware(out, force=force),
+        "fraclink tune --io serial:/dev/ttyACM0@1000000 --payload KG",
+    )
+
+
+@command(export)
 def io(
     out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool = False
 ) -> Answer:
@@ -291,7 +308,9 @@ class LoopOptions(TypedDict):
 @command(app)
 def run_realtime(
     design_file: DesignFile,
-    io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
+    io: Annotated[
+        str, Address, "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
+    ],
     out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path(
         "realtime.npz"
     ),
@@ -401,7 +420,7 @@ def _refused(what: str, granted: str) -> tuple[str, ...]:
 @command(app)
 def serve_arm(
     design_file: DesignFile,
-    io: Annotated[str, Address, "udp:HOST:PORT or shm:NAME"],
+    io: Annotated[str, Address, "serial:pty, udp:HOST:PORT or shm:NAME"],
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
     duration: Annotated[float, "Time to serve [s]"] = 600.0,
@@ -446,6 +465,7 @@ def serve_arm(
                 once=once,
                 seed=seed,
                 priority=priority,
+                begin=tell,
             )
         # Every signal asks for the end, which has come: one that comes now has only the
         # file to wait for.

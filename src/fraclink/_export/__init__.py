@@ -4,7 +4,7 @@ begin with.
 
 from __future__ import annotations
 
-from fraclink._export.board import export_io
+from fraclink._export.board import export_arm_firmware, export_io
 from fraclink._export.c import export_c
 from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
@@ -14,6 +14,7 @@ __all__ = [
     "Claim",
     "Proof",
     "Replay",
+    "export_arm_firmware",
     "export_c",
     "export_fmu",
     "export_io",

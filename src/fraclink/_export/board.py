@@ -1,5 +1,5 @@
-"""What else a board is given: a start for the library that reaches it, and a reference
-as a table.
+"""What else a board is given: the arm's end of a serial line, a start for the library
+that reaches it, and a reference as a table.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from fraclink._reading.responses import COLUMNS
 from fraclink.errors import FieldError
 from fracsys.checks import Period, checked
 
-__all__ = ["export_io", "export_reference"]
+__all__ = ["export_arm_firmware", "export_io", "export_reference"]
 
 _BOARD = b"""\
 /* The way from `fraclink run-realtime` to a board. It compiles and stands still: fill in the four places.
@@ -75,9 +75,30 @@ def export_io(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
     >>> [path.name for path in export_io(tempfile.mkdtemp())]
     ['arm_io.h', 'my_board.c']
     """
-    chosen = Path(folder)
     contents = {"arm_io.h": law_source("arm_io.h"), "my_board.c": _BOARD}
-    places = {name: output_path(chosen / name, force=force) for name in contents}
+    return _written(Path(folder), contents, force)
+
+
+@checked
+def export_arm_firmware(folder: Path | str, *, force: bool = False) -> tuple[Path, ...]:
+    """Write the arm's end of a serial line for a microcontroller, and return the files.
+
+    `arm_link.c` and `arm_link.h`, ISO C99, hold messages, checksum, number of the run
+    and watchdog; the sketch, named after the folder as its tools want it, has the
+    timer, encoder, gauge and H-bridge. Raises FieldError where one of them is there and
+    `force` is not given.
+
+    >>> import tempfile
+    >>> [path.name for path in export_arm_firmware(Path(tempfile.mkdtemp()) / "arm")]
+    ['arm_link.h', 'arm_link.c', 'arm.ino']
+    """
+    contents = {name: law_source(name) for name in ("arm_link.h", "arm_link.c")}
+    contents[f"{Path(folder).resolve().name}.ino"] = law_source("arm.ino")
+    return _written(Path(folder), contents, force)
+
+
+def _written(folder: Path, contents: dict[str, bytes], force: bool) -> tuple[Path, ...]:
+    places = {name: output_path(folder / name, force=force) for name in contents}
     for name, place in places.items():
         with atomic_write(place, "wb") as stream:
             stream.write(contents[name])

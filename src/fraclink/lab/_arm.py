@@ -5,6 +5,7 @@ process without a clock.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -97,6 +98,7 @@ def serve_arm(
     once: bool = False,
     seed: Seed = 0,
     priority: Priority = PRIORITY - 10,
+    begin: Callable[[str], None] = lambda name: None,
     clock: Any = None,
 ) -> ServedArm:
     """Run the twin in real time and let controllers reach it; return what happened.
@@ -114,8 +116,8 @@ def serve_arm(
     twin
         with a `voltage_delay` of at least 1.
     connection
-        `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to that
-        host.
+        `Serial`, `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to
+        that host; the port "pty" of `Serial` is a pseudo-terminal.
     period
         the law's [s].
     duration
@@ -129,6 +131,8 @@ def serve_arm(
     priority
         of SCHED_FIFO, below the controller's; 0 asks for none. What is refused is in
         the result.
+    begin
+        called with the name of the pseudo-terminal, once a controller may open it.
     clock
         a `VirtualClock` for tests; default: the machine's.
 
@@ -173,7 +177,7 @@ def serve_arm(
     # Written and not only claimed: pages that are missing at first touch would come
     # late in the loop.
     record = np.full((count, _kernels.SERVED_COLUMNS), 0.0)
-    with arm_end(connection) as way:
+    with arm_end(connection, begin) as way:
         outcome = _kernels.realtime_serve(
             way,
             *arm.step.arrays,

@@ -1,5 +1,5 @@
-"""Connections to an arm: UDP, shared memory, a library of the user's, two functions of
-Python.
+"""Connections to an arm: a serial line, UDP, shared memory, a library of the user's, two
+functions of Python.
 """
 
 from __future__ import annotations
@@ -26,12 +26,16 @@ from fracsys.checks import checked, checked_whole
 
 if sys.platform != "win32":
     import fcntl
+    import pty
+    import termios
+    import tty
 
 __all__ = [
     "Callback",
     "Command",
     "Connection",
     "Library",
+    "Serial",
     "SharedMemory",
     "Udp",
     "arm_end",
@@ -42,7 +46,7 @@ __all__ = [
 IO_VERSION = 1  # ARM_IO_VERSION of arm_io.h
 # No dot and no slash: the name becomes a file of /dev/shm, and must not lead out of it.
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_FORMS = "udp:HOST:PORT, shm:NAME or library:FILE.so"
+_FORMS = "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
 _SHARED = Path("/dev/shm")  # where Linux keeps POSIX shared memory, by shm_open(3)  # noqa: S108
 _ARM, _CONTROLLER = (
     0,
@@ -50,6 +54,7 @@ _ARM, _CONTROLLER = (
 )  # bytes of the shared memory that each end locks while it lives
 _KEY_BYTES = 16  # what nobody guesses
 _TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
+_PTY = "pty"  # a pseudo-terminal, where an arm is served
 _LOOK = 0.02  # [s] between two looks for an arm that is not there yet
 
 
@@ -114,6 +119,31 @@ class Udp:
 
 
 @dataclass(frozen=True)
+class Serial:
+    """An arm on a serial line: `port`, such as /dev/ttyACM0, and `baud` [bits/s], one of
+    the speeds that the system knows.
+
+    A message is 56 bytes of 10 bits: at 1 000 000 bits/s it takes 0.6 ms, at 115 200
+    4.9 ms, in either direction. The port "pty", for `serve_arm` alone, is a
+    pseudo-terminal with a name of the system's.
+
+    >>> str(Serial("/dev/ttyACM0", 2_000_000))
+    'serial:/dev/ttyACM0@2000000'
+    """
+
+    port: str
+    baud: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.port, str) or not self.port:
+            raise _error("serial:", "without a port", _FORMS, "serial:/dev/ttyACM0")
+        checked_whole("baud", self.baud, 1, 100_000_000)
+
+    def __str__(self) -> str:
+        return f"serial:{self.port}@{self.baud}"
+
+
+@dataclass(frozen=True)
 class SharedMemory:
     """An arm on the same machine, reached by POSIX shared memory of a `name` of
     letters, digits, _ and -.
@@ -174,15 +204,15 @@ class Callback:
         return "callback"
 
 
-Connection = Udp | SharedMemory | Library | Callback
+Connection = Serial | Udp | SharedMemory | Library | Callback
 
 
 @checked
 def parse_connection(
     io: str, *, unsafe_remote: bool = False, key: bytes | None = None
-) -> Udp | SharedMemory | Library:
-    """Return the connection that the command line names: udp:HOST:PORT, shm:NAME or
-    library:FILE.so.
+) -> Serial | Udp | SharedMemory | Library:
+    """Return the connection that the command line names: serial:PORT@BAUD,
+    udp:HOST:PORT, shm:NAME or library:FILE.so.
 
     `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
 
@@ -190,8 +220,8 @@ def parse_connection(
     Udp(host='localhost', port=5005, unsafe_remote=False)
     >>> parse_connection("tcp:localhost:5005")
     Traceback (most recent call last):
-    fracsys.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected udp:HOST:PORT,
-    shm:NAME or library:FILE.so. Start with udp:, shm: or library:.
+    fracsys.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected serial:PORT@BAUD,
+    udp:HOST:PORT, shm:NAME or library:FILE.so. Start with serial:, udp:, shm: or library:.
     """
     kind, _, rest = io.partition(":")
     # Refused, not ignored: who gives a key believes that strangers are kept out.
@@ -199,13 +229,23 @@ def parse_connection(
         raise FieldError(
             "key", io, "of no use here", allowed="udp:HOST:PORT", remedy="leave it out"
         )
+    if kind == "serial":
+        port, at, baud = rest.rpartition("@")
+        if not at:
+            return Serial(rest)
+        if not re.fullmatch(r"[0-9]{1,9}", baud):
+            raise _error(io, "without a speed", "bits/s", f"serial:{port}@1000000")
+        return Serial(port, int(baud))
     if kind == "shm":
         return SharedMemory(rest)
     if kind == "library" and rest:
         return Library(Path(rest))
     if kind != "udp":
         raise _error(
-            io, "no way to an arm", _FORMS, "start with udp:, shm: or library:"
+            io,
+            "no way to an arm",
+            _FORMS,
+            "start with serial:, udp:, shm: or library:",
         )
     # From the right, as an IPv6 address has colons of its own, in brackets or not.
     host, _, port = rest.rpartition(":")
@@ -228,6 +268,9 @@ def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
             # are read.
             plug.connect(address)
             yield _kernels.RealtimeIo.socket(plug.fileno(), False, _seal(connection))
+    elif isinstance(connection, Serial):
+        with _port(connection) as file:
+            yield _kernels.RealtimeIo.serial(file, False)
     elif isinstance(connection, SharedMemory):
         with _attached(connection, patience) as file:
             yield _kernels.RealtimeIo.memory(file, False)
@@ -239,8 +282,12 @@ def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
 
 
 @contextmanager
-def arm_end(connection: Connection) -> Iterator[Any]:
-    """Open the arm's end; one arm at a time, and only one that sends messages."""
+def arm_end(
+    connection: Connection, begin: Callable[[str], None] = lambda name: None
+) -> Iterator[Any]:
+    """Open the arm's end; one arm at a time, and only one that sends messages. `begin` is
+    told the name of a pseudo-terminal.
+    """
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
             try:
@@ -250,13 +297,19 @@ def arm_end(connection: Connection) -> Iterator[Any]:
                     connection, error, "a free port of this machine"
                 ) from error
             yield _kernels.RealtimeIo.socket(plug.fileno(), True, _seal(connection))
+    elif isinstance(connection, Serial):
+        with _terminal(begin) if connection.port == _PTY else _port(connection) as file:
+            yield _kernels.RealtimeIo.serial(file, True)
     elif isinstance(connection, SharedMemory):
         with _created(connection) as file:
             yield _kernels.RealtimeIo.memory(file, True)
     else:
         remedy = "a library or a callback is the arm itself"
         raise _error(
-            connection, "no way to serve an arm", "udp:HOST:PORT or shm:NAME", remedy
+            connection,
+            "no way to serve an arm",
+            "serial:pty, udp:HOST:PORT or shm:NAME",
+            remedy,
         )
 
 
@@ -299,6 +352,79 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
         raise _error(connection, problem, "127.0.0.1, ::1 or localhost", remedy)
     with socket.socket(family, kind, protocol) as plug:
         yield plug, address
+
+
+@contextmanager
+def _port(connection: Serial) -> Iterator[int]:
+    """Open a serial port: raw bytes, for this process alone."""
+    speeds = {
+        int(name[1:]): getattr(termios, name)
+        for name in dir(termios)
+        if re.fullmatch(r"B[1-9][0-9]*", name)
+    }
+    if connection.baud not in speeds:
+        allowed = ", ".join(str(speed) for speed in sorted(speeds) if speed >= 115_200)
+        raise _error(connection, "not a speed of this system", allowed, "choose one")
+    # Without waiting for a modem's carrier, and without its becoming this process's terminal.
+    flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        file = os.open(connection.port, flags)
+    except OSError as error:
+        raise _error(
+            connection,
+            f"refused ({error.strerror or error})",
+            "a serial port of this machine, e.g. /dev/ttyACM0, that this user may open",
+            "list them with `ls /dev/tty[AU]*`; join the group of the port (`ls -l`)",
+        ) from error
+    try:
+        _claimed(connection, file, speeds[connection.baud])
+        yield file
+    finally:
+        os.close(file)
+
+
+def _claimed(connection: Serial, file: int, speed: int) -> None:
+    """Lock a serial port, set it to raw bytes and empty it."""
+    try:
+        # Two controllers would each take half of the samples.
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _raw(file, speed)
+        # What waits there is of a visit before.
+        termios.tcflush(file, termios.TCIOFLUSH)
+    except BlockingIOError as error:
+        remedy = "end the other one"
+        raise _error(
+            connection, "in use by another controller", "one controller", remedy
+        ) from error
+    except termios.error as error:
+        problem = f"no serial port ({error.args[-1]})"
+        raise _error(connection, problem, "a serial port", "check its name") from error
+
+
+def _raw(file: int, speed: int) -> None:
+    tty.setraw(file)
+    modes = termios.tcgetattr(file)
+    # No modem's lines, no second stop bit, no handshake; a read returns at once.
+    modes[2] &= ~(termios.CSTOPB | termios.CRTSCTS)
+    modes[2] |= termios.CLOCAL | termios.CREAD
+    modes[4] = modes[5] = speed
+    modes[6][termios.VMIN] = modes[6][termios.VTIME] = 0
+    termios.tcsetattr(file, termios.TCSANOW, modes)
+
+
+@contextmanager
+def _terminal(begin: Callable[[str], None]) -> Iterator[int]:
+    """Open a pseudo-terminal and tell its name."""
+    # Its other end stays open here: a controller that leaves is silent, not an error.
+    here, there = pty.openpty()
+    try:
+        _raw(there, termios.B1000000)
+        os.set_blocking(here, False)
+        begin(f"arm at serial:{os.ttyname(there)}")
+        yield here
+    finally:
+        os.close(here)
+        os.close(there)
 
 
 def _lock_of(byte: int) -> bytes:

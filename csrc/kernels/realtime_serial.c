@@ -1,0 +1,103 @@
+/* Messages as bytes of a serial line, one behind the other. The port is opened and closed in Python, where its errors
+ * have names. A line has no datagrams: a message begins with its four characters and is one if its checksum says so. */
+#include "realtime.h"
+
+#ifdef __linux__
+
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+/* What a period of 0.1 s brings at 1 Mbaud; more has waited for longer than a sample is worth. */
+#define ROOM 10240
+
+typedef struct {
+    realtime_channel base;
+    int file;
+    int is_arm;
+    int kept;    /* a controller is heard */
+    size_t held; /* bytes that wait for the rest of their message */
+    uint8_t bytes[ROOM];
+} serial_channel;
+
+static int send_bytes(realtime_channel *self, const uint8_t bytes[MESSAGE_BYTES])
+{
+    const serial_channel *const c = (const serial_channel *)self;
+    int waiting = 0;
+    if (c->is_arm && !c->kept)
+        return 0;
+    /* Queued messages would all come late: who introduces itself says so more often than the line can carry. */
+    if (ioctl(c->file, TIOCOUTQ, &waiting) == 0 && waiting >= MESSAGE_BYTES)
+        return 1;
+    return write(c->file, bytes, MESSAGE_BYTES) == MESSAGE_BYTES ? 0 : 1;
+}
+
+static void drop(serial_channel *c, size_t count)
+{
+    c->held -= count;
+    memmove(c->bytes, c->bytes + count, c->held);
+}
+
+/* Drop what cannot begin a message; whether a whole one is left. */
+static int aligned(serial_channel *c)
+{
+    static const uint8_t begin[4] = {'F', 'L', 'R', 'T'};
+    size_t at = 0;
+    while (at < c->held && memcmp(c->bytes + at, begin, c->held - at < 4 ? c->held - at : 4) != 0)
+        at++;
+    drop(c, at);
+    return c->held >= MESSAGE_BYTES;
+}
+
+static int receive_bytes(realtime_channel *self, uint8_t bytes[MESSAGE_BYTES])
+{
+    serial_channel *const c = (serial_channel *)self;
+    realtime_message each;
+    const ssize_t size = read(c->file, c->bytes + c->held, ROOM - c->held);
+    if (size > 0)
+        c->held += (size_t)size;
+    while (aligned(c)) {
+        const int whole = realtime_decode(c->bytes, &each);
+        memcpy(bytes, c->bytes, MESSAGE_BYTES);
+        /* Behind a damaged one the next may begin at any byte. */
+        drop(c, whole ? MESSAGE_BYTES : 1);
+        if (whole)
+            return 1;
+        self->rejected++;
+    }
+    return 0;
+}
+
+static void keep_controller(realtime_channel *self)
+{
+    ((serial_channel *)self)->kept = 1;
+}
+
+static void forget_controller(realtime_channel *self)
+{
+    ((serial_channel *)self)->kept = 0;
+    self->taken = 0U;
+}
+
+static void close_line(realtime_channel *self)
+{
+    free(self);
+}
+
+realtime_channel *realtime_open_serial(int file, int is_arm)
+{
+    serial_channel *const c = calloc(1, sizeof(*c));
+    if (c == NULL)
+        return NULL;
+    c->base.send = send_bytes;
+    c->base.receive = receive_bytes;
+    c->base.keep = keep_controller;
+    c->base.forget = forget_controller;
+    c->base.close = close_line;
+    c->file = file;
+    c->is_arm = is_arm;
+    return &c->base;
+}
+
+#endif
