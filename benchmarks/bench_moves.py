@@ -1,10 +1,8 @@
-"""Moves on the twin: with the payload given to the law and not, and shaped moves beside
-the quintic, ZV, ZVD and EI.
+"""Moves on the twin: with the payload given to the law and not, and shaped moves.
 
 Twin of the geared rig: link 7.35 g, friction, 0.05 N·m gauge offset, 10 mN·m noise; 1
 rad; the worst of all seeds (and of nine payloads of a range). Settling counts from the
-start of the move. Every rival is the best of its kind on the linear closed loop, within
-the same limits. Computing time is that of one thread: threads of OpenBLAS that wait for
+start of the move. Computing time is that of one thread: threads of OpenBLAS that wait for
 a core which others have make it three times as long.
 """
 

@@ -41,6 +41,7 @@ from fraclink.trials._setting import (
     tune,
     tustin,
 )
+from fraclink.trials._shaper import Shaped, zv_impulses
 from fraclink.trials._tournament import Tournament, compare
 from fracsys._margins import margins
 
@@ -392,3 +393,19 @@ def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(
     for one in wanted:  # the regulator's poles are among those of the loop
         assert np.abs(found - one).min() < 1e-4
     assert np.abs(found).max() <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.0654, 0.2])
+def test_a_shaped_reference_leaves_no_vibration_of_its_mode(ratio: float) -> None:
+    times, sizes = zv_impulses(12.0, ratio)
+    assert sizes.sum() == pytest.approx(1.0)
+    pole = 12.0 * complex(-ratio, math.sqrt(1 - ratio**2))
+    assert abs(np.sum(sizes * np.exp(-pole * times))) < 1e-12
+    shaped = Shaped(
+        fl.smooth_step(1.0, 1.0), tuple(times.tolist()), tuple(sizes.tolist())
+    )
+    t = np.linspace(0, 3, 3001)
+    assert shaped.angle(t)[-1] == pytest.approx(1.0)
+    assert np.gradient(shaped.angle(t), t)[1:-1] == pytest.approx(
+        shaped.velocity(t)[1:-1], abs=1e-4
+    )

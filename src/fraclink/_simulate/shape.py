@@ -20,7 +20,6 @@ from fraclink._simulate.shaped_move import (
     Candidate,
     MoveSetting,
     ShapedMove,
-    candidates,
     settling,
 )
 from fraclink.errors import FieldError
@@ -54,7 +53,6 @@ def shape(
     arm: Twin | None = None,
     gauge_offset: Annotated[float, Between(-1e6, 1e6, "N·m")] | None = None,
     seeds: Annotated[int, Between(1, 1000)] = 5,
-    rivals: bool = True,
 ) -> ShapedMove:
     """Return the fastest reference from rest to rest, or the one that makes the tip
     follow a path best.
@@ -66,8 +64,8 @@ def shape(
     Along a path the largest distance of any payload's tip is made least.
 
     What is returned was then run on the arm with friction, noise and all its modes,
-    beside the quintic and the ZV, ZVD and EI shapers at their best; where the arm does
-    not do what was promised, a finding says so.
+    and a path beside itself as the reference; where the arm does not do what was
+    promised, a finding says so.
 
     Parameters
     ----------
@@ -98,18 +96,12 @@ def shape(
         of the gauge while it is measured [N·m]; the rig's where it is left out.
     seeds
         noises to measure each payload with.
-    rivals
-        whether the quintic and the shapers are measured, too.
 
     Raises
     ------
     FieldError
         a value out of its range, a law or a limit with which the arm cannot be moved, a
         path that its limits do not let the tip follow.
-
-    References
-    ----------
-    Singer and Seering (1990); Singhose, Seering and Singer (1994) for the shapers.
 
     Examples
     --------
@@ -118,8 +110,8 @@ def shape(
     >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
     ...                    phase_margin=fl.deg(50), filter_time=0.02)
     >>> move = fl.shape(design, 0.5, voltage=8.0, seeds=1)
-    >>> [m.name.split()[0] for m in move.measured], move.passed
-    (['shaped', 'quintic', 'ZV', 'ZVD', 'EI'], True)
+    >>> [m.name for m in move.measured], move.passed
+    (['shaped'], True)
     """
     move = move.through() if isinstance(move, SampledReference) else move
     if move == 0.0:
@@ -147,7 +139,7 @@ def shape(
     # Whatever is allowed, the amplifier gives no more.
     most = limit if voltage is None else min(voltage, limit)
     shaped, tried, kept_back = _references(
-        setting, move, (most, speed, torque), reserve, rivals=rivals
+        setting, move, (most, speed, torque), reserve
     )
     target = move if isinstance(move, Path) else None
     shown = setting.between(2)
@@ -176,8 +168,6 @@ def _references(
     move: float | Path,
     limits: tuple[float, float | None, float | None],
     reserve: float,
-    *,
-    rivals: bool,
 ) -> tuple[Path, tuple[Candidate, ...], float]:
     """Return the shaped path, all that are measured (it first), and the voltage left to
     noise [V].
@@ -187,29 +177,23 @@ def _references(
     if isinstance(move, Path):
         programme = _coarse(programme, move.duration)
         found = _following(programme, move)
-        others: tuple[Candidate, ...] = (
-            Candidate("as given", move, _distance(programme.loops, move, move)),
-        )
     else:
         found, programme = _fastest(setting, programme, move, reserve)
     path = programme.path(found)
     spent = time.perf_counter() - began
     if isinstance(move, Path):
-        promised = _distance(programme.loops, path, move)
-    else:
-        band = BAND * abs(move)
-        promised = settling(
-            programme.loops.to(path, ("tip",))[:, 0], move, band, programme.period
+        shaped = Candidate(
+            "shaped", path, _distance(programme.loops, path, move), spent
         )
-        # The same loop, the same bounds: what a rival loses is not lost to another
-        # model.
-        others = (
-            candidates(programme.loops, move, band, programme.bounds, setting.link)
-            if rivals
-            else ()
-        )
-    ours = Candidate("shaped", path, promised, spent)
-    return path, (ours, *(others if rivals else ())), kept_back
+        given = Candidate("as given", move, _distance(programme.loops, move, move))
+        return path, (shaped, given), kept_back
+    promised = settling(
+        programme.loops.to(path, ("tip",))[:, 0],
+        move,
+        BAND * abs(move),
+        programme.period,
+    )
+    return path, (Candidate("shaped", path, promised, spent),), kept_back
 
 
 # ── the programme

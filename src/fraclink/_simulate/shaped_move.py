@@ -1,19 +1,10 @@
-"""A shaped move beside the quintic and the shapers, each at its best, and what all of
-them are shaped for.
-
-All are given the same loop, payloads and limits as the linear programme. The quintic is
-tried at every duration, a shaper at every duration of the quintic that it shapes and
-around the link's frequency, since feedback moves the vibration away from there. The one
-that settles first within the limits is kept.
-"""
+"""A shaped move, what the arm made of it, and what it is shaped for."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -21,8 +12,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import Path, Reference, smooth_step
-from fraclink._arm.shapers import SHAPERS, Shaped, Shaper, shaper_impulses
+from fraclink._arm.reference import Path, Reference
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._law import Law
@@ -34,7 +24,6 @@ from fraclink._simulate.shape_programme import (
     UNITS,
     MoveBounds,
     Programme,
-    Responses,
     ShapedArm,
     noise_of,
     responses_of,
@@ -48,7 +37,6 @@ __all__ = [
     "Measured",
     "MoveSetting",
     "ShapedMove",
-    "candidates",
     "settling",
 ]
 
@@ -131,7 +119,7 @@ class ShapedMove:
     reserve
         part of the band that the linear loop leaves free [1].
     measured
-        the shaped reference first, then its rivals.
+        the shaped reference first, then, of a path, the path as the reference.
     seeds
         noises of each payload that were run.
     shown
@@ -151,7 +139,7 @@ class ShapedMove:
     >>> rig = fl.Rig.named("paper-2023-geared")
     >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
     ...                    phase_margin=fl.deg(50), filter_time=0.02)
-    >>> move = fl.shape(design, 1.0, payloads=(0.030, 0.030), told=True, seeds=1, rivals=False)
+    >>> move = fl.shape(design, 1.0, payloads=(0.030, 0.030), told=True, seeds=1)
     >>> move.settling_time < 0.4, float(move.reference.angle(1.0).round(9))
     (True, 1.0)
     """
@@ -208,12 +196,6 @@ class ShapedMove:
         return load(path, ShapedMove)
 
 
-_DURATIONS = np.geomspace(
-    0.15, 4.0, 40
-)  # of the quintic, over the link's vibration period
-_FREQUENCIES = np.linspace(0.7, 1.6, 10)  # of the shaper's mode, over the link's
-
-
 @dataclass(frozen=True)
 class Candidate:
     """A reference, how it was made, what the linear loop promises, and the time that it
@@ -242,61 +224,6 @@ def settling(tip: Real, move: float, band: float, period: float) -> float:
         if outside.any()
         else 0.0
     )
-
-
-def _kept(loops: Responses, bounds: MoveBounds, reference: Reference) -> bool:
-    time = loops.period * np.arange(loops.length)
-    if np.abs(reference.velocity(time)).max() > bounds.velocity:
-        return False
-    if np.abs(reference.acceleration(time)).max() > bounds.acceleration:
-        return False
-    peaks = np.abs(loops.to(reference, tuple(bounds.signals))).max(axis=(0, 2))
-    return bool(np.all(peaks <= list(bounds.signals.values())))
-
-
-def _tried(
-    kind: Shaper | None, move: float, link: LinkModel
-) -> Iterator[tuple[str, Reference]]:
-    pole = link.pole
-    frequency, ratio = abs(pole), -pole.real / abs(pole)
-    vibration = 2 * math.pi / abs(pole.imag)
-    for duration in (_DURATIONS * vibration).tolist():
-        base = smooth_step(move, duration)
-        if kind is None:
-            yield f"quintic of {duration:.2f} s", base
-            continue
-        for factor in _FREQUENCIES.tolist():
-            times, sizes = shaper_impulses(kind, factor * frequency, ratio)
-            name = f"{kind} at {factor * frequency:.1f} rad/s on a quintic of {duration:.2f} s"
-            yield name, Shaped(base, tuple(times.tolist()), tuple(sizes.tolist()))
-
-
-def candidates(
-    loops: Responses, move: float, band: float, bounds: MoveBounds, link: LinkModel
-) -> tuple[Candidate, ...]:
-    """Return the best quintic, ZV, ZVD and EI for a move [rad]; none of a kind that
-    keeps no bound.
-    """
-    found = []
-    for kind in (None, *SHAPERS):
-        best: Candidate | None = None
-        began = perf_counter()
-        for name, reference in _tried(kind, move, link):
-            time = settling(
-                loops.to(reference, ("tip",))[:, 0], move, band, loops.period
-            )
-            # The bounds are asked last: they cost four convolutions, and most tries
-            # settle too late anyway.
-            if (best is None or time < best.predicted) and _kept(
-                loops, bounds, reference
-            ):
-                best = Candidate(name, reference, time)
-        found += (
-            []
-            if best is None
-            else [replace(best, computing_time=perf_counter() - began)]
-        )
-    return tuple(found)
 
 
 # Between two payloads of the programme: ω₀ changes by a tenth. The arm is measured in

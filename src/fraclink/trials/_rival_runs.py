@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 
 from fraclink import _kernels
 from fraclink._arm.reference import Reference
-from fraclink._arm.shapers import Shaped
 from fraclink._law import Law
 from fraclink._simulate.arm import Twin
 from fraclink._simulate.damping import PowerLaw
@@ -35,6 +34,7 @@ from fraclink.trials._setting import (
     law_filter,
     sampled,
 )
+from fraclink.trials._shaper import Shaped
 
 __all__ = ["linear_growth", "mode_gain", "run_rival"]
 

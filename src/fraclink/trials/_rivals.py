@@ -11,7 +11,6 @@ import numpy as np
 from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
 from fraclink._arm.motor import DiscretePid
-from fraclink._arm.shapers import shaper_impulses
 from fraclink._design import deg, design
 from fraclink._law import Drive, Law, Modes, discretize
 from fraclink._simulate.arm import damping_of
@@ -31,6 +30,7 @@ from fraclink.trials._setting import (
     tune,
     tustin,
 )
+from fraclink.trials._shaper import zv_impulses
 
 __all__ = ["FRACLINK", "OFFSET", "Rival", "builders", "collocated", "servo_law"]
 
@@ -202,7 +202,7 @@ def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
 
 def _shaping(setting: Setting) -> Rival:
     frequency, ratio = integer_mode(setting.model)
-    times, sizes = shaper_impulses("ZV", frequency, ratio)
+    times, sizes = zv_impulses(frequency, ratio)
     return Rival(
         "ZV shaping",
         "impulses from the nominal mode and its damping; motor servo, no feedback of the tip",
