@@ -79,14 +79,23 @@ class SampledPlant:
 
     def __call__(self, frequency: ArrayLike) -> Complex:
         """Return P_d at `frequency` [rad/s], 0 < ω <= π/Ts, shape kept."""
+        return self._summed(frequency, _UNSUMMED if self.leading is None else _TERMS)
+
+    def near(self, frequency: ArrayLike) -> Complex:
+        """Return P_d of the nearest aliases alone: 1e-2 of it at the Nyquist frequency,
+        1e-5 at a tenth of that, at a tenth of the cost; for tables that say where to
+        look.
+        """
+        return self._summed(frequency, 1)
+
+    def _summed(self, frequency: ArrayLike, terms: int) -> Complex:
         w = np.asarray(frequency, dtype=float)
         rate = 2.0 * math.pi / self.period
-        terms = _UNSUMMED if self.leading is None else _TERMS
         s = 1j * (w[..., None] + rate * np.arange(-terms, terms + 1))
         # 1/s is the hold's own integral; its 1 − e^(−sT) is the same for every alias
         # and stands outside the sum.
         total = np.sum(self.response(s) / s * np.exp(-self.delay * s), axis=-1)
-        if self.leading is not None and self._whole_samples:
+        if terms == _TERMS and self.leading is not None and self._whole_samples:
             total = total + self.leading * self._far(w, rate) * np.exp(
                 -1j * self.delay * w
             )

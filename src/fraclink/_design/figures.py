@@ -170,29 +170,26 @@ class Trial:
         gradient[:, row[chosen], place] = moved[:, chosen]
         return Figure(value, gradient, at)
 
-    def loudest(self, low: float) -> Figure:
-        """The largest ln|L| of each link from `low` [rad/s] up, shape (K,)."""
+    def loudest(self, low: float) -> tuple[Figure, Real]:
+        """The largest ln|L| of each link from `low` [rad/s] up, shape (K,), and its
+        slope over ln `low`: zero unless the maximum is taken there.
+        """
         w, rows = self.sheet.w, np.arange(len(self.sheet))
         beyond = w > low
         i = np.clip(np.argmax(beyond, axis=1) - 1, 0, w.shape[1] - 2)
         width = np.log(w[rows, i + 1] / w[rows, i])
         t = np.log(low / w[rows, i]) / np.where(width > 0.0, width, 1.0)
-        _, first, _ = self._between(rows, i, np.clip(t, 0.0, 1.0))
+        _, first, slope = self._between(rows, i, np.clip(t, 0.0, 1.0))
         level = np.where(beyond, self.log.real, -1e3)
         best = np.argmax(level, axis=1)
         at_low = first.real >= level[rows, best]
         at = np.where(at_low, low, w[rows, best])
-        return Figure(
+        figure = Figure(
             np.where(at_low, first.real, level[rows, best]),
             self.outer.gradient(at).real,
             at,
         )
-
-    def level_slope(self, w: float) -> Real:
-        """d ln|L|/d ln ω of each link at `w` [rad/s], shape (K,)."""
-        rows = np.arange(len(self.sheet))
-        i = np.argmax(self.sheet.w >= w, axis=1)
-        return np.asarray(self.slope.real[rows, i])
+        return figure, np.where(at_low, slope.real, 0.0)
 
     def noise(self) -> tuple[Figure, Figure]:
         """ln of the noise gain, and of the share of the voltage that noise takes,

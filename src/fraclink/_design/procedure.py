@@ -216,7 +216,7 @@ def _solved(
     request = request_of(link, rig, spec, box, goal)
     made = _best(request, law=law)
     if _kept(made):
-        return made
+        return _with_cost(made)
     condition, sentence = _in_the_way(made)
     offer = _offer(request, made, law=law) if nearest else {}
     raise InfeasibleError(condition, sentence, offer)
@@ -306,11 +306,6 @@ def _design_of(request: Request, solved: Solved) -> Design:
     if request.gain_crossover is None:
         reached = _floored(reached)
     findings = doubts_of(request.rig, request.model, request.payloads)
-    if request.box is not None:
-        cost = cost_of_box(
-            request.model, request.rig, controller, (low, high), request.box
-        )
-        findings = (*findings, cost)
     if not controller.is_strictly_proper:
         findings = (*findings, improper(controller))
     return Design(
@@ -328,6 +323,16 @@ def _design_of(request: Request, solved: Solved) -> Design:
         findings=findings,
         box=request.box,
     )
+
+
+def _with_cost(made: Design) -> Design:
+    """The design with what its box costs."""
+    if made.box is None:
+        return made
+    cost = cost_of_box(
+        made.model, made.rig, made.controller, made.natural_frequencies, made.box
+    )
+    return replace(made, findings=(*made.findings, cost))
 
 
 def _in_the_way(made: Design) -> tuple[str, str]:
@@ -382,7 +387,7 @@ def _offer(request: Request, made: Design, *, law: bool) -> dict[str, float]:
             continue
         try:
             spec = replace(request.spec, **values)
-            trial = _best(replace(request, spec=spec), law=law)
+            trial = _best(request.asking(spec), law=law)
         except FieldError:
             return {}
         if _kept(trial):

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,9 @@ _ROUNDS = 6  # in which arms of a box are taken in
 # δ times the crossover: of the start, as a loop is quiet with a long filter and a steep
 # Ĉ, and of the lattice
 _LAG, _LAGS = 1.2, np.array([0.01, 0.1, 0.4, 1.0, 2.0])
+_BEYOND = 1.1  # of the crossover asked for: where the lattice crosses
 _TRIED = 3  # of the lattice
+_SAME = 1e-3  # of two slacks: both searches ended at the same point
 _GIVEN = 0.1  # of a goal reached, for less noise
 _TOLERANCE = 1e-4  # of a row in the table, before the engine measures it
 
@@ -254,7 +257,6 @@ class Request:
         gripper on the model.
         """
         rig, parts = self.rig, []
-        extra = [] if self.gain_crossover is None else [self.gain_crossover]
         voltage = None
         if rig.gauge.noise > 0.0:
             size = rig.gauge.noise / self.model.stiffness / rig.motor.voltage_limit
@@ -278,7 +280,6 @@ class Request:
                     noisy=i == 0,
                     voltage=voltage,
                     modes=found,
-                    extra=extra,
                 )
             )
             if not number and self.empty is not None:
@@ -293,7 +294,6 @@ class Request:
                         noisy=False,
                         voltage=None,
                         modes=None,
-                        extra=extra,
                     )
                 )
         return stacked(parts)
@@ -336,28 +336,31 @@ class Request:
     def scanned(self, problem: Problem) -> list[Real]:
         """The best of a lattice of parameters, by the row that is missed by most: where
         a search from them ends differs, as what is feasible may be in parts.
+
+        Ranked at the two ends of the payloads, without what takes long to measure.
         """
         given, reference = self.spec.filter_time, self.reference()
         delays = _LAGS / reference if given is None else [given]
         orders = np.linspace(0.15, self.model.order - 0.1, 7)
-        found: list[tuple[float, Real]] = []
-        wanted = replace(problem.wanted, damping=None)
-        problem = replace(problem, wanted=wanted)
-        for ratio in (1.0, 1.15):
-            for delta in delays:
-                for beta in orders:
-                    x = self._through(
-                        ratio * reference,
-                        float(beta),
-                        float(delta),
-                        problem.filter_order,
-                    )
-                    with np.errstate(all="ignore"):
-                        goal = problem.start_goal(x)
-                        least = float(np.min(problem.rows(x, goal).value))
-                    found.append((least, x))
-        found.sort(key=lambda pair: -pair[0])
-        return [x for _, x in found[:_TRIED]]
+        sheet = self.sheets[0]
+        ends = np.flatnonzero(sheet.kind == MODEL)[[0, -1]]
+        wanted = replace(problem.wanted, damping=None, noise_voltage=None)
+        coarse = replace(problem, wanted=wanted, sheet=sheet.rows(ends))
+        pairs: list[tuple[float, Real]] = []
+        for delta in delays:
+            for beta in orders:
+                x = self._through(
+                    _BEYOND * reference,
+                    float(beta),
+                    float(delta),
+                    problem.filter_order,
+                )
+                with np.errstate(all="ignore"):
+                    goal = coarse.start_goal(x)
+                    least = float(np.min(coarse.rows(x, goal).value))
+                pairs.append((least, x))
+        pairs.sort(key=lambda pair: -pair[0])
+        return [x for _, x in pairs[:_TRIED]]
 
     def reference(self) -> float:
         """ω_r [rad/s]: the crossover asked for, or just above the heaviest payload's
@@ -388,13 +391,24 @@ class Request:
                 self.reference(),
                 order,
             )
-            answer = self._over_arms(problem, *self._quiet_start(problem))
-            starts = self.scanned(answer.problem) if answer.solution.slack else []
+            start, active = self._quiet_start(problem)
+            answer = self._over_arms(problem, start, active)
+            # What is feasible may be in parts: once more from the start, with every arm
+            # that was taken in on the way, and from the best of a lattice.
+            again = [start] if len(answer.active) > 1 else []
+            starts = (
+                chain(again, self.scanned(answer.problem))
+                if answer.solution.slack
+                else ()
+            )
             for x in starts:
                 other = self._over_arms(answer.problem, x, answer.active)
-                if other.solution.slack < answer.solution.slack:
+                known = answer.solution.slack
+                if other.solution.slack < known:
                     answer = other
-                if answer.solution.slack == 0.0:
+                if other.solution.slack == 0.0 or (
+                    abs(other.solution.slack - known) < _SAME
+                ):
                     break
             if best is None or answer.solution.slack < best.solution.slack:
                 best = answer
@@ -447,7 +461,10 @@ class Request:
         # gradient would not lengthen it.
         longer = best.solution.x.copy()
         longer[2] = max(longer[2], math.log(0.2 / self.reference()))
-        for start in (longer, best.solution.x):
+        starts = [longer]
+        if longer[2] > best.solution.x[2]:
+            starts.append(best.solution.x)
+        for start in starts:
             quiet = self._over_arms(problem, start, best.active)
             if quiet.solution.slack == 0.0:
                 answers.append(quiet)
@@ -518,15 +535,26 @@ class Request:
     def _worse(
         self, problem: Problem, solution: Solution, active: tuple[int, ...]
     ) -> list[int]:
-        """The arms that miss a row by most, of those that are not in."""
+        """The arms that miss some row by most, of those that are not in."""
         if len(self.arms) == 1:
             return []
         rows, number = self._missed(problem, solution)
-        least = np.full(len(self.arms), np.inf)
-        np.minimum.at(least, number, rows.value)
-        least[list(active)] = np.inf
-        order = np.argsort(least)
-        return [int(k) for k in order[:2] if least[k] < -_TOLERANCE]
+        worst: dict[str, tuple[float, int]] = {}
+        for key, value, arm in zip(rows.key, rows.value, number, strict=True):
+            if arm not in active and value < worst.get(key, (-_TOLERANCE, 0))[0]:
+                worst[key] = float(value), int(arm)
+        return sorted({arm for _, arm in worst.values()})
+
+    def asking(self, spec: Specification) -> Request:
+        """Return the same for another request on the same arms, whose tables it takes
+        over.
+        """
+        other = replace(self, spec=spec)
+        kept = ("arms", "loops", "sheets", "_whole")
+        same = (self.mode_gain is None) == (other.mode_gain is None)
+        if same:
+            vars(other).update({k: v for k, v in vars(self).items() if k in kept})
+        return other
 
     def worst_arms(self, solved: Solved) -> dict[str, int]:
         """The arm of the box that is worst for each row, by the table."""

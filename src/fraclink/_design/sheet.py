@@ -144,7 +144,6 @@ def tabulated(
     noisy: bool,
     voltage: tuple[float, float, float] | None,
     modes: tuple[Real, Real] | None,
-    extra: Iterable[float] = (),
 ) -> Sheet:
     """Return the table of one arm's loop beside Ĉ (`bare`, k = 1 and β = 0) at its
     links.
@@ -164,7 +163,7 @@ def tabulated(
             [1.0],
         ]
     )
-    more = [bare.about_mode(49), np.asarray(list(extra))]
+    more = [bare.about_mode(49)]
     if bare.gauge_delay:
         more.append(bare.turns(0.25 * float(mode.min()), top, 6.0))
     points = np.concatenate(more)

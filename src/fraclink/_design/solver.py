@@ -197,13 +197,10 @@ class Problem:
         if self.goal == "settling":
             places.append(("goal", math.exp(goal)))
         for key, place in places:
-            level = trial.loudest(place)
-            # the maximum moves with its left end where it is taken there
-            ends = level.at <= place * (1.0 + 1e-12)
-            along = np.where(ends, trial.level_slope(place), 0.0)
+            level, along = trial.loudest(place)
             column = {"goal": along} if key == "goal" else {"slack": -along}
             table.add(key, level.value - _RESERVE, level.gradient, model, **column)
-        level = trial.loudest(wanted.highest)
+        level, _ = trial.loudest(wanted.highest)
         kept = -level.value - _RESERVE
         table.add("highest_crossover", kept, -level.gradient, ~empty)
         # ---- the distance from -1
