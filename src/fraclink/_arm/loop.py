@@ -394,6 +394,37 @@ class Loop(GaugedLink):
         np.minimum.at(margin, found.row, np.abs(found.phase_margin))
         return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
 
+    def gain_margin(self, natural_frequency: ArrayLike) -> Real:
+        """Return the factor by which |L| may grow for each ω₀: 1/|L| where the phase
+        passes -180° below one, infinite where it never does.
+        """
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        w = self._grid(w0)
+        half = (self.log(w, w0[:, None]).imag + math.pi) / (2.0 * math.pi)
+        turn = np.floor(half)
+        row, i = np.nonzero(turn[:, :-1] != turn[:, 1:])
+        line = 2.0 * math.pi * np.maximum(turn[row, i], turn[row, i + 1]) - math.pi
+        at = bracketed_roots(
+            lambda x: self.log(np.exp(x), w0[row]).imag - line,
+            np.log(w[row, i]),
+            np.log(w[row, i + 1]),
+        )
+        level = self.log(np.exp(at), w0[row]).real
+        margin = np.full(w0.size, math.inf)
+        np.minimum.at(margin, row, np.where(level < 0.0, np.exp(-level), math.inf))
+        return margin
+
+    def delay_margin(self, natural_frequency: ArrayLike) -> Real:
+        """Return the delay [s] that takes the phase of some crossing to -180° for each
+        ω₀; infinite without a crossing, and of a loop that is stable without it.
+        """
+        w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
+        crossings = self.crossings(w0)
+        room = np.remainder(crossings.phase + math.pi, 2.0 * math.pi)
+        margin = np.full(w0.size, math.inf)
+        np.minimum.at(margin, crossings.row, room / crossings.frequency)
+        return margin
+
     def encirclements(self, natural_frequency: float) -> int:
         """Return how often L(jω), ω from 0 up, encircles -1 clockwise: the closed loop
         is stable at 0.

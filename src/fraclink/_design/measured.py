@@ -10,11 +10,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from fraclink._arm.controller import Controller
-from fraclink._arm.loop import worst_margins
+from fraclink._arm.loop import Loop, noise_points, worst_margins
 from fraclink._design.request import Request, Solved
+from fraclink._design.sheet import voltage_share
 from fraclink._law.modes import mode_requirements, vibration
 from fraclink._law.requirement import Requirement
-from fraclink._law.rows import DAMPING, row
+from fraclink._law.rows import DAMPING, NOISE_SHARE, row
 
 __all__ = ["requirements_of"]
 
@@ -83,6 +84,15 @@ def _measured(
             float(peak[top]),
             float(w0[top]),
         )
+    bound, grows = request.max_sensitivity, loop.gain_margin(w0)
+    top = int(np.argmin(grows))
+    # What Ms leaves at -180°; stability alone where only a phase margin is asked for.
+    least = 1.0 if bound is None else bound / (bound - 1.0)
+    yield row_of("gain_margin", least, float(grows[top]), float(w0[top]))
+    late = np.where(loop.margins(w0)[1] > 0.0, loop.delay_margin(w0), 0.0)
+    top = int(np.argmin(late))
+    # One sample that comes a period late must not make the loop unstable.
+    yield row_of("delay_margin", request.rig.period, float(late[top]), float(w0[top]))
     if request.mode_gain is not None:
         modes = request.modes(number, loop)
         for index, item in mode_requirements(modes, loop, request.mode_gain):
@@ -93,12 +103,30 @@ def _measured(
         yield row_of(
             "noise_gain", request.spec.noise_gain, float(noise[top]), float(w0[top])
         )
+    if request.voltage is not None:
+        shares = np.array([_voltage(request, loop, float(x)) for x in w0[[0, -1]]])
+        top = int(np.argmax(shares))
+        yield row_of(
+            "noise_voltage", NOISE_SHARE, float(shares[top]), float(w0[[0, -1]][top])
+        )
     found = [(vibration(loop, float(x)), float(x)) for x in (w0[0], w0[-1])]
     ratio, where = min(
         (1.0 if one is None else one.damping_ratio, x) for one, x in found
     )
     yield row_of("damping", DAMPING, ratio, where)
-    if number == 0 and request.empty is not None:
+    if number == 0:
         light = request.model.at_payload(request.empty).natural_frequency
         kept = float(loop.margins(light)[1][0])
-        yield "empty", None, row("empty").measured(0.0, kept, request.empty)
+        assumed = request.rig.payloads.empty is None
+        note = "payloads.empty assumed" if assumed else ""
+        item = row("empty").measured(0.0, kept, request.empty, note=note)
+        yield "empty", None, item
+
+
+def _voltage(request: Request, loop: Loop, natural_frequency: float) -> float:
+    """The share of the voltage limit that the RMS of the gauge's noise takes."""
+    assert request.voltage is not None  # the rig states a noise  # noqa: S101
+    w, weight = noise_points(loop, natural_frequency, request.rig.period)
+    outer = np.exp(loop.outer_log(w).real) / np.abs(1.0 + loop(w, natural_frequency))
+    volts = outer * voltage_share(loop, w, request.voltage)
+    return math.sqrt(float(np.sum(volts**2 * weight)))

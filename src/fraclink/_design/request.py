@@ -151,13 +151,24 @@ class Request:
         return MODE_LIMIT
 
     @cached_property
-    def empty(self) -> float | None:
+    def empty(self) -> float:
         """The payload of the empty gripper [kg]."""
-        return EMPTY_SHARE * self.payloads[0]
+        stated = self.rig.payloads.empty
+        return EMPTY_SHARE * self.payloads[0] if stated is None else stated
+
+    @property
+    def voltage(self) -> tuple[float, float, float] | None:
+        """(The gauge's noise as an angle over the voltage limit [rad/V], A, B of the
+        motor); None where nothing is known of the noise.
+        """
+        rig = self.rig
+        if rig.gauge.noise <= 0.0:
+            return None
+        size = rig.gauge.noise / self.model.stiffness / rig.motor.voltage_limit
+        return size, rig.motor.gain, rig.motor.decay
 
     def wanted(self, soft: frozenset[str]) -> Wanted:
         """Return the rows as the solver has them."""
-        voltage = self.rig.gauge.noise > 0.0
         return Wanted(
             gain_crossover=self.gain_crossover,
             phase_margin=self.phase_margin,
@@ -166,7 +177,7 @@ class Request:
             max_sensitivity=self.max_sensitivity,
             noise_gain=self.spec.noise_gain,
             mode_gain=self.mode_gain,
-            noise_voltage=NOISE_SHARE if voltage else None,
+            noise_voltage=None if self.voltage is None else NOISE_SHARE,
             filter_time=self.spec.filter_time,
             link_order=self.model.order,
             soft=soft,
@@ -257,10 +268,6 @@ class Request:
         gripper on the model.
         """
         rig, parts = self.rig, []
-        voltage = None
-        if rig.gauge.noise > 0.0:
-            size = rig.gauge.noise / self.model.stiffness / rig.motor.voltage_limit
-            voltage = size, rig.motor.gain, rig.motor.decay
         count = 2 if number else _LINKS
         for i in range(len(self.motor_loops)):
             arm = number * len(self.motor_loops) + i
@@ -278,11 +285,11 @@ class Request:
                     kind=LAW if i else MODEL,
                     arm=arm,
                     noisy=i == 0,
-                    voltage=voltage,
+                    voltage=self.voltage,
                     modes=found,
                 )
             )
-            if not number and self.empty is not None:
+            if not number:
                 light = np.array([self.model.at_payload(self.empty).natural_frequency])
                 parts.append(
                     tabulated(

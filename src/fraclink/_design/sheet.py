@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from fraclink._arm.loop import Loop, noise_points
 
-__all__ = ["Outer", "Sheet", "stacked", "tabulated"]
+__all__ = ["Outer", "Sheet", "stacked", "tabulated", "voltage_share"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -185,9 +185,7 @@ def tabulated(
     )
     volts = np.zeros_like(noise_w)
     if voltage is not None and count:
-        size, gain, decay = voltage
-        drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
-        volts = size * drive * np.exp(bare.motor_log(noise_w).real)
+        volts = voltage_share(bare, noise_w, voltage)
     modes_w, level = modes or (np.ones(0), np.zeros(0))
     return Sheet(
         w,
@@ -203,6 +201,17 @@ def tabulated(
         np.full(w0.size, arm),
         w0,
     )
+
+
+def voltage_share(
+    loop: Loop, frequency: Real, voltage: tuple[float, float, float]
+) -> Real:
+    """Return the gain from motor reference to share of the voltage limit, in the
+    gauge's noise; `voltage` as in `tabulated`.
+    """
+    size, gain, decay = voltage
+    drive = np.abs(frequency * (1j * frequency + decay)) / gain
+    return np.asarray(size * drive * np.exp(loop.motor_log(frequency).real))
 
 
 def stacked(sheets: Iterable[Sheet]) -> Sheet:

@@ -47,10 +47,17 @@ class Row:
     sense: Literal["at least", "at most"]
 
     def measured(
-        self, wanted: float, achieved: float, payload: float, number: int | None = None
+        self,
+        wanted: float,
+        achieved: float,
+        payload: float,
+        number: int | None = None,
+        *,
+        note: str = "",
     ) -> Requirement:
         """Return the requirement with what is achieved, worst at `payload` [kg]."""
         words = self.words if number is None else f"{self.words} {number}"
+        words += f" ({note})" if note else ""
         return Requirement(words, wanted, achieved, self.unit, payload, self.sense)
 
 
@@ -60,6 +67,8 @@ ROWS = (
     Row("settling_time", "settling time", "s", "at most"),
     Row("phase_margin", "phase margin", "rad", "at least"),
     Row("max_sensitivity", "sensitivity peak", "", "at most"),
+    Row("gain_margin", "gain margin", "", "at least"),
+    Row("delay_margin", "delay margin", "s", "at least"),
     Row("mode_gain", "loop gain at mode", "", "at most"),
     Row("noise_gain", "noise gain", "", "at most"),
     Row("noise_voltage", "noise, share of the voltage", "", "at most"),
@@ -86,9 +95,9 @@ def key_of(item: Requirement) -> str:
     >>> key_of(row("mode_gain").measured(0.5, 0.4, 0.02, 2))
     'mode_gain'
     """
+    name = item.name.partition(" (")[0]
     return next(
         entry.key
         for entry in ROWS
-        if item.name == entry.words
-        or item.name.rstrip("0123456789") == entry.words + " "
+        if name == entry.words or name.rstrip("0123456789") == entry.words + " "
     )
