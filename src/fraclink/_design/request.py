@@ -60,6 +60,7 @@ _LAG, _LAGS = 1.2, np.array([0.01, 0.1, 0.4, 1.0, 2.0])
 _BEYOND = 1.1  # of the crossover asked for: where the lattice crosses
 _TRIED = 3  # of the lattice
 _SAME = 1e-3  # of two slacks: both searches ended at the same point
+_AGREED = 2  # searches that ended where the first did: no other is tried
 _GIVEN = 0.1  # of a goal reached, for less noise
 _TOLERANCE = 1e-4  # of a row in the table, before the engine measures it
 
@@ -408,14 +409,14 @@ class Request:
                 if answer.solution.slack
                 else ()
             )
+            same = 0
             for x in starts:
                 other = self._over_arms(answer.problem, x, answer.active)
                 known = answer.solution.slack
                 if other.solution.slack < known:
                     answer = other
-                if other.solution.slack == 0.0 or (
-                    abs(other.solution.slack - known) < _SAME
-                ):
+                same += abs(other.solution.slack - known) < _SAME
+                if other.solution.slack == 0.0 or same == _AGREED:
                     break
             if best is None or answer.solution.slack < best.solution.slack:
                 best = answer
