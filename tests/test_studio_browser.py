@@ -265,10 +265,11 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.key("4")
         page.click("#keepout-gain")
         x, y = page.middle("#h-crossover")
-        page.mouse("mousePressed", x - 16, y - 16)
-        for k in range(1, 6):
-            page.mouse("mouseMoved", x - 16 + 5 * k, y - 16 + 5 * k)
-        page.mouse("mouseReleased", x + 9, y + 9, 0)
+        # Beside the handle, where the curve of the lightest payload crosses 0 dB.
+        page.mouse("mousePressed", x + 17, y - 4)
+        for k in range(1, 5):
+            page.mouse("mouseMoved", x + 17 + 2 * k, y - 4 + 2 * k)
+        page.mouse("mouseReleased", x + 25, y + 4, 0)
         page.until(
             "document.querySelector('#regions').textContent.startsWith('✗ entered')"
         )
@@ -324,11 +325,11 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         # A request that cannot be met: pale curves, a sentence, and the nearest that
         # can.
         page.key("4")
-        for value in ("9", ""):
+        for value in ("60", ""):
             ask_for(page, value)
             if value:
                 page.until("!document.querySelector('#refused').hidden")
-                assert "lies left of the peak" in page.run(
+                assert "where 60 rad/s is asked for" in page.run(
                     "document.querySelector('#refused').textContent"
                 )
                 page.until("document.querySelector('#refused button')")
