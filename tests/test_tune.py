@@ -388,6 +388,15 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
         limits, 0.03, (0.02, 0.04), 0.004, certified="proved", design_passed=True
     )
     assert "run-realtime" in _following(proved, "udp:a:1", place)
+    # With the payload that was tuned for, and within the limits from where the arm stands.
+    kept = fl.lab.FirstMove(0.3, 0.5, 0.47, 0.48, *(0.001,) * 7, payload=0.03)
+    following = _following(replace(proved, moves=(kept,)), "udp:a:1", place)
+    assert following.endswith("--payload 0.03 --amplitude -0.300 --move-time 0.500")
+    # A slow move that never comes to rest hunts, however well the fast one settles.
+    hunting = replace(kept, duration=1.6, promised_settling=1.4, measured_settling=4.1)
+    hunted = replace(proved, moves=(hunting, kept))
+    assert not hunted.passed and "back and forth" in hunted.verdict.reality.reasons[0]
+    assert replace(proved, moves=(replace(hunting, measured_settling=1.9), kept)).passed
     slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
     assert not off.passed and "diagnose" in _following(off, "udp:a:1", place)
@@ -419,7 +428,8 @@ def test_a_fault_keeps_reason_and_record(tmp_path: Path) -> None:
 
 def test_a_plan_says_what_will_move() -> None:
     lines = PLAN.text.splitlines()
-    assert len(lines) == 7 and "34.4°" in lines[1] and "10 V" in lines[1]
+    assert "34.4°" in lines[1] and "10 V" in lines[1]
+    assert lines[2].startswith("domain") and "6.9 Hz" in lines[2]
     with pytest.raises(
         FieldError, match=r"payloads: without the payload of the tuning"
     ):
@@ -449,6 +459,13 @@ CHANGED = {
     "natural_frequency": TWIN.with_payload(0.030 / 1.1**2),
     "gauge_gain": replace(TWIN, sensors=replace(TWIN.sensors, gauge_gain=0.9)),
     "gauge_delay": replace(TWIN, sensors=replace(TWIN.sensors, gauge_delay=0.005)),
+    "motor_gain": replace(
+        TWIN,
+        motor=replace(TWIN.motor, torque_constant=0.75 * TWIN.motor.torque_constant),
+    ),
+    "order": fl.Twin.from_rig(
+        RIG, model=replace(RIG.model, order=RIG.model.order + 0.03)
+    ),
     "friction": replace(
         TWIN, motor=replace(TWIN.motor, coulomb_torque=2 * TWIN.motor.coulomb_torque)
     ),
@@ -464,6 +481,24 @@ def test_watch_names_what_has_changed(
     seen = fl.lab.watch(running(place, CHANGED[name]), found)
     assert seen.due == ((name,) if name else ())
     assert seen.passed is (not name)
+
+
+@pytest.mark.slow
+def test_watch_names_a_change_within_the_record(
+    tuned: tuple[fl.lab.Tuning, fl.lab.SimulatedArm, Path],
+) -> None:
+    found, _, place = tuned
+    light = TWIN.with_payload(0.030 / 1.1**2)
+    former, latter = running(place, TWIN), running(place, light)
+    joined = replace(
+        former,
+        **{
+            name: np.concatenate([getattr(former, name), getattr(latter, name)])
+            for name in ("motor_angle", "output", "voltage")
+        },
+    )
+    due = fl.lab.watch(joined, found).due
+    assert set(due) == {"natural_frequency within the record", "natural_frequency"}
 
 
 @pytest.mark.slow

@@ -111,7 +111,10 @@ def test_a_burst_changes_sign_at_random_and_ends_with_a_rest() -> None:
 
 def test_a_move_says_how_far_in_what_time_and_with_what() -> None:
     move = FirstMove(math.radians(20), 0.5, 0.61, 0.7234, 0, 0, 0, 0, 0, 0, 0, 0.03)
-    assert str(move) == "20° in 0.5 s with 30 g: promised 0.61 s, measured 0.72 s"
+    assert (
+        str(move)
+        == "20° in 0.5 s with 30 g: promised 0.61 s, measured 0.72 s: not kept"
+    )
     assert " with " not in str(replace(move, payload=0.0))
 
 

@@ -72,20 +72,21 @@ def test_a_plan_says_each_stage_with_its_numbers() -> None:
         lines[1]
         == "limits: 50° to each side of where the arm stands, 2.5 rad/s, 1.5 N·m at the gauge, 9 V"
     )
-    assert lines[2] == (
+    assert lines[2].startswith("domain: ")
+    assert lines[3] == (
         "1 wiring: short pulses that grow until the motor turns by 1°, 2.3° at most; nothing is closed; 8 s"
     )
-    assert lines[3].startswith(
+    assert lines[4].startswith(
         "2 motor: slow moves within ±6.9°, growing to 60 % of the limits"
     )
-    assert "within ±5.7°, growing to 60 % of the limits" in lines[4]
-    assert "design for 22.5 to 40 g" in lines[5] and lines[6].startswith(
+    assert "within ±5.7°, growing to 60 % of the limits" in lines[5]
+    assert "design for 22.5 to 40 g" in lines[6] and lines[7].startswith(
         "5 first moves: 30° at a tenth"
     )
     narrow = replace(
         PLAN, limits=replace(limits, angle=math.radians(10.0))
     ).text.splitlines()
-    assert narrow[3].startswith("2 motor: slow moves within ±6°")
+    assert narrow[4].startswith("2 motor: slow moves within ±6°")
     rig = replace(RIG, payloads=replace(RIG.payloads, low=0.030, high=0.035))
     for payload, wanted in (
         (0.030, (0.030, 0.035)),

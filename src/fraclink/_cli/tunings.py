@@ -41,7 +41,9 @@ _LIMITS = {
 
 @command(app)
 def tune(
-    io: Annotated[str, Address, "udp:HOST:PORT, shm:NAME or library:FILE.so"],
+    io: Annotated[
+        str, Address, "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
+    ],
     payload: Annotated[
         Payload | None, "Payload at the tip while it is tuned [kg]"
     ] = None,
@@ -68,7 +70,7 @@ def tune(
     period_ms: Annotated[
         float | None,
         Between(0.05, 1000.0, "ms"),
-        "Period of a library's board; udp and shm state theirs",
+        "Period of a library's board; the others state theirs",
     ] = None,
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
     resume: Annotated[
@@ -149,7 +151,14 @@ def tune(
 
 def _following(found: Tuning, io: str, out: Path) -> str:
     if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
-        return f"fraclink run-realtime {out / 'design.json'} --io {io}"
+        following = f"fraclink run-realtime {out / 'design.json'} --io {io}"
+        if found.next_move is None:
+            return following
+        amplitude, duration, payload = found.next_move
+        return (
+            f"{following} --payload {payload:g} --amplitude {amplitude:.3f} "
+            f"--move-time {duration:.3f}"
+        )
     # What ended early goes on with the stages that are whole.
     if found.stopped:
         return f"fraclink tune --io {io} --out {out} --resume"

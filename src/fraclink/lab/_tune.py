@@ -20,7 +20,8 @@ from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._connections import Connection
 from fraclink.lab._line import Stopped, open_line
 from fraclink.lab._machine import measure_wake_ups, signals_held
-from fraclink.lab._tune_build import Built, built_laws, measured_rig
+from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
+from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
 from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
 from fraclink.lab._tune_motion import LawTripped
@@ -133,7 +134,9 @@ def tune(
             if isinstance(error, Stopped):
                 obeyed.set()
             session.end(
-                (str(error) or "stopped by Ctrl-C; the drive is off") + _lateness(guard)
+                guard,
+                (str(error) or "stopped by Ctrl-C; the drive is off")
+                + _lateness(guard),
             )
         finally:
             if guard is not None:
@@ -252,9 +255,16 @@ class _Session:
         law = load(self.out / LAW_FILES[1], Law)
         assert self.state.motor is not None  # there is a law  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        why = self._refusal(guard, Built(design.rig, design, law, None, ()))
+        move = planned_move(design, law, self.plan.limits)
+        why = (
+            "no move passes in the simulation within 60 % of the limits"
+            if move is None
+            else self._refusal(
+                guard, Built(design.rig, design, law, None, (), move=move)
+            )
+        )
         if why:
-            self._withhold(why)
+            self._withhold(guard, why)
             self._tell(self.state.reasons)
 
     def _move(self, guard: Guard, link: LinkResult, laws: Iterator[Built]) -> None:
@@ -264,25 +274,31 @@ class _Session:
         for number, built in enumerate(itertools.islice(laws, LAWS)):
             if number:
                 self.begin("the arm refused that law, which is withheld; the next one")
-                self._wrote(built, link)
+                self._wrote(guard, built, link)
             why = self._refusal(guard, built)
             if not why:
                 return
-            self._withhold(why)
+            self._withhold(guard, why)
 
     def _refusal(self, guard: Guard, built: Built) -> str:
         """Make the first moves, and return why the arm refuses the law, "" where it
         does not.
         """
         assert built.design is not None and built.law is not None  # passed  # noqa: S101
+        assert built.move is not None  # passed  # noqa: S101
         assert self.state.motor is not None  # measured  # noqa: S101
         self.begin("first moves")
         try:
             found = first_moves(
-                guard, built.design, built.law, self.state.motor, self.plan.payload
+                guard,
+                built.design,
+                built.law,
+                self.state.motor,
+                self.plan.payload,
+                built.move,
             )
         except LimitReached as error:
-            self._withhold(str(error))
+            self._withhold(guard, str(error))
             raise
         except LawTripped as error:
             return str(error)
@@ -297,7 +313,7 @@ class _Session:
         self._write(guard, moves=others + found)
         return "; ".join(self.state.verdict.reality.reasons)
 
-    def _withhold(self, why: str) -> None:
+    def _withhold(self, guard: Guard, why: str) -> None:
         """Take back the law that the arm refused: its files, and that it passed."""
         for name in LAW_FILES:
             # Not only in the state: `run-realtime` takes a design.json as it lies
@@ -307,7 +323,7 @@ class _Session:
             self.state,
             certified="",
             design_passed=False,
-            reasons=(f"the arm's own moves fail: {why}",),
+            reasons=(f"the arm's own moves fail: {why}", *self._causes(guard)),
             refused=self.state.refused + 1,
         )
         save(self.state, self.out / FILES[0], force=True)
@@ -363,7 +379,7 @@ class _Session:
             built = next(laws, None) or Built(
                 rig, None, None, None, state.reasons
             )  # all refused before
-            self._wrote(built, link)
+            self._wrote(guard, built, link)
             spent = guard.count * guard.period + 2.0 * sum(
                 duration for _, duration, _ in link.rounds
             )
@@ -390,8 +406,25 @@ class _Session:
                 guard.recover(noise)
         raise AssertionError
 
-    def _wrote(self, built: Built, link: LinkResult) -> None:
+    def _causes(self, guard: Guard) -> tuple[str, ...]:
+        """What the record shows against a law."""
+        state = self.state
+        assert state.wiring is not None  # looked at first  # noqa: S101
+        return causes(
+            guard.record(),
+            state.wiring,
+            state.motor,
+            None if state.link is None else state.link.fit.model,
+            self.plan.limits.voltage,
+        )
+
+    def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Write what came of the model, each part to its own file."""
+        shown = self._causes(guard)
+        if built.passed:
+            built = replace(built, assumptions=built.assumptions + shown)
+        else:
+            built = replace(built, reasons=built.reasons + shown)
         place = self.out
         built.rig.save(place / "rig.toml")
         link.fit.save(place / "model.json")
@@ -408,6 +441,7 @@ class _Session:
             design_passed=built.design is not None and built.passed,
             design_words="; ".join(built.assumptions),
             reasons=built.reasons,
+            planned=built.move,
             moves=(),
         )
         self._tell(built.assumptions if built.passed else built.reasons)
@@ -437,10 +471,11 @@ class _Session:
         )
         save(self.state, self.out / FILES[0], force=True)
 
-    def end(self, reason: str) -> None:
-        """Keep why it ended."""
-        self.state = replace(self.state, stopped=reason)
-        self._tell((reason,))
+    def end(self, guard: Guard, reason: str) -> None:
+        """Keep why it ended, and what the record shows."""
+        shown = () if self.state.wiring is None else self._causes(guard)
+        self.state = replace(self.state, stopped="; ".join((reason, *shown)))
+        self._tell((reason, *shown))
 
     def keep(self, guard: Guard) -> None:
         """Write the state and the whole record."""

@@ -35,7 +35,14 @@ from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_wiring import Wiring
 
-__all__ = ["Built", "build_law", "built_laws", "link_twins", "measured_rig"]
+__all__ = [
+    "Built",
+    "build_law",
+    "built_laws",
+    "link_twins",
+    "measured_rig",
+    "planned_move",
+]
 
 # Loop gain at a second mode that was measured: below one over the whole box no phase of
 # the mode matters, and the proof holds the mode besides.
@@ -58,6 +65,9 @@ _DRIFT = StatedTolerances(
 # reach the limit, and a loop that saturates has no margin.
 _NOISE, _AT_REST = 0.12, 1.5  # [s]
 _MOVE, _PERIODS = 0.3, 1.2  # [rad], periods of the heaviest payload's vibration
+# of every limit, in the model's move with the gauge's noise: the guard ends the rest at
+# 0.8
+_WITHIN = 0.6
 _LONGEST = 0.9  # of the limit of the angle: the rest is for the overshoot that passes
 # Mass of a uniform link over the tuning's payload that a burst without a second mode
 # leaves open. A beam clamped at one end moves like 0.243 of its mass at the tip.
@@ -74,7 +84,9 @@ _COUNTED = (
 
 @dataclass(frozen=True)
 class Built:
-    """What came of a model: design, law, certificate, and why not where there is none."""
+    """What came of a model: design, law, certificate, the fastest move (amplitude [rad],
+    duration [s]) within the limits, and why not where there is none.
+    """
 
     rig: Rig
     design: Design | None
@@ -82,6 +94,7 @@ class Built:
     certificate: Certificate | None
     reasons: tuple[str, ...]
     assumptions: tuple[str, ...] = ()
+    move: tuple[float, float] | None = None
 
     @property
     def passed(self) -> bool:
@@ -259,6 +272,9 @@ def _proved(
             f"{1e3 * design.model.gauge_delay:.3g} ms late, with {rig.gauge.noise:.2g} N·m of noise",
         )
     reasons = reasons or _moves_fail(design, law, limits)
+    move = None if reasons else planned_move(design, law, limits)
+    if not reasons and move is None:
+        reasons = ("no move passes in the simulation within 60 % of the limits",)
     if reasons:
         return Built(rig, design, law, None, reasons)
     try:
@@ -273,7 +289,7 @@ def _proved(
         *words,
         f"at rest the gauge's noise takes {100 * share:.2g} % of the voltage limit",
     )
-    return Built(rig, design, law, certificate, reasons, words)
+    return Built(rig, design, law, certificate, reasons, words, move)
 
 
 def _noise(made: Design, law: Law) -> float:
@@ -317,6 +333,47 @@ def _moves_fail(made: Design, law: Law, limits: MotionLimits) -> tuple[str, ...]
                 f"link of {mass:.2g} g fails in the simulation: {run.verdict.reason}",
             )
     return ()
+
+
+def planned_move(
+    design: Design, law: Law, limits: MotionLimits
+) -> tuple[float, float] | None:
+    """Amplitude [rad] and duration [s] of the fastest quintic move within the limits,
+    with every payload; None where none passes.
+
+    Looked at with the link's own second mode, and the gauge's noise: what the lightest
+    makes may trip the heaviest.
+    """
+    amplitude = PLANNED * limits.angle
+    # Begins where the reference alone takes four fifths of the planned speed: what the
+    # link adds is looked at below.
+    duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
+    twin = link_twins(design)[-1]
+    for _ in range(20):
+        move = smooth_step(amplitude, duration)
+        runs = [
+            simulate(law, move, arm=twin, payload=payload, told=True)
+            for payload in design.payloads
+        ]
+        angles = [run.motor_angle_measured for run in runs]
+        speed = max(
+            float(np.max(np.abs(angle[4:] - angle[:-4]))) for angle in angles
+        ) / (4 * law.period)
+        parts = (
+            speed / limits.speed,
+            max(float(np.max(np.abs(run.torque_measured))) for run in runs)
+            / limits.torque,
+            max(float(np.max(np.abs(angle))) for angle in angles) / limits.angle,
+        )
+        if max(parts) <= _WITHIN and all(run.verdict.passed for run in runs):
+            return amplitude, duration
+        # An angle that is too large does not get smaller by moving slowly; speed and
+        # torque do.
+        if parts[2] == max(parts) and parts[2] > _WITHIN:
+            amplitude *= 0.9
+        else:
+            duration *= 1.15
+    return None
 
 
 def link_twins(made: Design) -> tuple[Twin, ...]:

@@ -17,7 +17,13 @@ from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
 from fraclink.lab._tune_wiring import Wiring
 
-__all__ = ["MotorResult", "closed_motor", "fitted_motor", "tune_motor"]
+__all__ = [
+    "MotorResult",
+    "closed_motor",
+    "fitted_motor",
+    "tune_motor",
+    "unlimited_pole",
+]
 
 # The first guess of K/J is good to a quarter; the link adds up to the arm's own inertia
 # at low frequencies.
@@ -163,6 +169,18 @@ def closed_motor(
         kick=_COUNT * guard.limits.voltage / max(wiring.encoder_step, 1e-12),
     )
     return MotorResult(fit, loop, rounds)
+
+
+def unlimited_pole(motor: MotorResult, period: float, delay: float) -> float | None:
+    """The pole [rad/s] of the fastest loop on that motor behind a `delay` [s], were the
+    encoder without counts; None where none keeps its distance.
+    """
+    try:
+        return fastest_loop(
+            motor.gain, delay, period, ratios=_SURE, margin=_MARGIN, most=_FAST
+        ).pole
+    except FraclinkError:
+        return None
 
 
 def _peak(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:

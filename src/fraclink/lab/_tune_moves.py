@@ -15,11 +15,11 @@ from fraclink._design import Design
 from fraclink._law import Law
 from fraclink._simulate.simulate import simulate
 from fraclink.lab._tune_build import link_twins
-from fraclink.lab._tune_guard import PLANNED, Guard, MotionLimits, Record
-from fraclink.lab._tune_motion import Follower, follow, motor_law
+from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
 
-__all__ = ["FirstMove", "first_moves", "planned_move"]
+__all__ = ["FirstMove", "first_moves"]
 
 Real = NDArray[np.float64]
 Pair = tuple[float, float]  # settling time [s] and residual vibration [rad]
@@ -41,6 +41,7 @@ _AGREEMENT, _LEAST = (
     0.10,
     0.05,
 )  # of the settling time, or [s]: a sample's noise moves it by as much
+_RINGING = 4.0  # [s] at most in which the link is damped before a move
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
 _LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
 
@@ -88,65 +89,35 @@ class FirstMove:
         """Whether the settling time was what was promised, within 10 % or 50 ms."""
         return _agree(self.measured_settling, self.promised_settling)
 
+    @property
+    def hunts(self) -> bool:
+        """Whether the tip had not come to rest when the record ended, though the model's
+        had: friction that sticks, or play, keeps the motor going back and forth.
+        """
+        last = self.duration + _AFTER - _LAST
+        return self.measured_settling > last >= self.promised_settling
+
     def __str__(self) -> str:
         carried = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
         return (
             f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{carried}: promised "
             f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
+            + ("" if self.kept else ": hunts" if self.hunts else ": not kept")
         )
-
-
-def planned_move(design: Design, law: Law, limits: MotionLimits) -> tuple[float, float]:
-    """Amplitude [rad] and duration [s] of the fastest quintic move within the limits,
-    with every payload.
-
-    Looked at with the link's own second mode, and the gauge's noise: what the lightest
-    makes may trip the heaviest.
-    """
-    amplitude = PLANNED * limits.angle
-    # Begins where the reference alone takes four fifths of the planned speed: what the
-    # link adds is looked at below.
-    duration = max(1.875 * amplitude / (0.8 * PLANNED * limits.speed), 0.2)
-    twin = link_twins(design)[-1]
-    for _ in range(20):
-        move = smooth_step(amplitude, duration)
-        runs = [
-            simulate(law, move, arm=twin, payload=payload, told=True)
-            for payload in design.payloads
-        ]
-        angles = [run.motor_angle_measured for run in runs]
-        speed = max(
-            float(np.max(np.abs(angle[4:] - angle[:-4]))) for angle in angles
-        ) / (4 * law.period)
-        parts = (
-            speed / limits.speed,
-            max(float(np.max(np.abs(run.torque_measured))) for run in runs)
-            / limits.torque,
-            max(float(np.max(np.abs(angle))) for angle in angles) / limits.angle,
-        )
-        if max(parts) <= _WITHIN and all(run.verdict.passed for run in runs):
-            return amplitude, duration
-        # An angle that is too large does not get smaller by moving slowly; speed and
-        # torque do.
-        if parts[2] == max(parts) and parts[2] > _WITHIN:
-            amplitude *= 0.9
-        else:
-            duration *= 1.15
-    return amplitude, duration
-
-
-# of every limit, in the model's move with the gauge's noise: the guard ends the rest at
-# 0.8
-_WITHIN = 0.6
 
 
 def first_moves(
-    guard: Guard, design: Design, law: Law, motor: MotorResult, payload: float
+    guard: Guard,
+    design: Design,
+    law: Law,
+    motor: MotorResult,
+    payload: float,
+    move: tuple[float, float],
 ) -> tuple[FirstMove, ...]:
     """Hand over from the motor's loop to the law, move at a tenth of the speed, then
-    back at full speed.
+    back at full speed: `move` is its amplitude [rad] and duration [s].
     """
-    amplitude, duration = planned_move(design, law, guard.limits)
+    amplitude, duration = move
     found = []
     # The slow move first: a law that is wrong shows it at a tenth of the speed.
     for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TWICE)):
@@ -166,7 +137,9 @@ def first_moves(
             # Towards where the arm stood at first, whatever a law before has left.
             far = math.copysign(far, -guard.angle)
             guard.release()
-            record, jump = _moved(guard, law, motor, smooth_step(far, long), payload)
+            record, jump = _moved(
+                guard, design, law, motor, smooth_step(far, long), payload
+            )
             guard.release()
             records.append((record, jump))
             judged.append(
@@ -195,17 +168,28 @@ def _decided(judged: list[Pair], promised: list[Pair]) -> bool:
 
 
 def _moved(
-    guard: Guard, law: Law, motor: MotorResult, path: Path, payload: float
+    guard: Guard,
+    design: Design,
+    law: Law,
+    motor: MotorResult,
+    path: Path,
+    payload: float,
 ) -> tuple[Record, float]:
     """The record of a move, and how far the arm moved in the first periods after the
     hand-over.
     """
-    period = guard.period
-    guard.rest(0.6)
+    period, model = guard.period, design.model
     # The motor's loop holds the arm before the law does, so that a jump is the law's
-    # own and not the arm's sagging.
-    rest = motor_law(motor.gain, motor.loop, guard)
-    follow(guard, rest, np.zeros((2, round(0.2 / period))))
+    # own and not the arm's sagging; and damps it, as what still rings of the stage
+    # before would be taken for the move's.
+    calm(
+        guard,
+        motor_law(motor.gain, motor.loop, guard),
+        stiffness=model.stiffness,
+        resonance=abs(model.pole),
+        noise=design.rig.gauge.noise,
+        longest=_RINGING,
+    )
     before = guard.angle
     runs, count = Follower(law, payload), round(0.2 / period)
     waited = follow(guard, law, np.zeros((2, count)), follower=runs)

@@ -49,6 +49,9 @@ _FELT = 0.006
 _MISSING = 0.5  # of the wanted motion: less is none where the gauge answers
 # A motion of fewer counts is known to no better than an eighth, and so is K/J.
 _COUNTS = 8  # of an encoder, at least
+# What a later, larger try leaves of the motion that the plan states, for the first one.
+_LARGER = 1.6
+COUNT = _MOST / _LARGER / _COUNTS  # [rad]: the coarsest that shows as many
 # A wrong sign closes a loop that runs away: one in two million is allowed to be chance.
 _SURE = 5.0  # standard errors that a sign needs
 _DEVIATIONS = 8.0  # of the gauge's noise, smoothed, that are an answer
@@ -164,11 +167,11 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
         if isinstance(found, Wiring):
             return found
         moved = float(np.ptp(record.angle))
-        if not isinstance(found, _Unsure) or moved > _MOST / 1.6:
+        if not isinstance(found, _Unsure) or moved > _MOST / _LARGER:
             raise found
-        # Grown on from there: a motion that was too small for the noise is made 1.6
-        # times as large, up to 2.3°.
-        pulse = _grown(guard, (1.6 * max(moved, answers[0]), answers[1]), pulse)
+        # Grown on from there: a motion that was too small for the noise is made
+        # larger, up to 2.3°.
+        pulse = _grown(guard, (_LARGER * max(moved, answers[0]), answers[1]), pulse)
 
 
 def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> float:
@@ -187,7 +190,7 @@ def _grown(guard: Guard, answers: tuple[float, float], pulse: float = 0.0) -> fl
         # The encoder's own step is looked at each time: it is not known before
         # something moves.
         # Never beyond what the plan says: a coarse encoder is told as one.
-        counts = min(_COUNTS * _step(record.angle), _MOST / 1.6)
+        counts = min(_COUNTS * _step(record.angle), _COUNTS * COUNT)
         if moved >= max(wanted, counts):
             return pulse
         # Twice, as one swing of the gauge may be chance.

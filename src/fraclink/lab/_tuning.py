@@ -14,6 +14,7 @@ from fraclink._display import displayed
 from fraclink._files import document
 from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
+from fraclink.lab._tune_causes import domain
 from fraclink.lab._tune_guard import PLANNED, MotionLimits
 from fraclink.lab._tune_link import LinkResult
 from fraclink.lab._tune_motor import MotorResult
@@ -124,6 +125,7 @@ class TuningPlan:
                 "emergency stop.",
                 f"limits: {math.degrees(limits.angle):.3g}° to each side of where the arm stands, "
                 f"{limits.speed:g} rad/s, {limits.torque:g} N·m at the gauge, {limits.voltage:g} V",
+                domain(self.period),
                 "1 wiring: short pulses that grow until the motor turns by 1°, "
                 f"{math.degrees(_MOST):.2g}° at most; nothing is closed; 8 s",
                 f"2 motor: slow moves within ±{math.degrees(min(0.12, PLANNED * limits.angle)):.2g}°, "
@@ -160,6 +162,9 @@ class Tuning:
         why there is no law, or why an experiment was repeated.
     attempts
         how many experiments on the link were made for it.
+    planned
+        amplitude [rad] and duration [s] of the fastest move within the limits that
+        passes in the simulation.
     moves
         the first moves, promised and measured.
     stopped
@@ -188,6 +193,7 @@ class Tuning:
     design_words: str = ""
     reasons: tuple[str, ...] = ()
     attempts: int = 0
+    planned: tuple[float, float] | None = None
     moves: tuple[FirstMove, ...] = ()
     stopped: str = ""
     arm_time: float = 0.0
@@ -227,6 +233,17 @@ class Tuning:
         return Verdict(promise, model, self._reality())
 
     @property
+    def next_move(self) -> tuple[float, float, float] | None:
+        """Amplitude [rad] and duration [s] of a move that was simulated and stays within
+        the limits from where the tuning has left the arm, and its payload [kg].
+        """
+        if self.moves:
+            # Back again: the last one was towards the middle, and beyond it.
+            last = self.moves[-1]
+            return -last.amplitude, last.duration, last.payload
+        return None if self.planned is None else (*self.planned, self.payload)
+
+    @property
     def _fast(self) -> tuple[FirstMove, ...]:
         """The last move with each payload; of the slow one the gauge's noise says when
         it has settled.
@@ -235,6 +252,12 @@ class Tuning:
 
     def _reality(self) -> Scope:
         off = [str(move) for move in self._fast if not move.kept]
+        off += [
+            f"{move}: the arm does not come to rest; friction that sticks, or play in the gear, keeps the motor "
+            "going back and forth"
+            for move in self.moves
+            if move.hunts and move not in self._fast
+        ]
         off += [
             f"jump of {move.jump:.2g} rad at the hand-over"
             for move in self.moves

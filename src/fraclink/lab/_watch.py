@@ -25,8 +25,11 @@ _WORTH = {
     "natural_frequency": 0.04,
     "gauge_gain": 0.05,
     "gauge_delay": 0.0025,
+    "order": 0.01,
+    "motor_gain": 0.15,  # what the motor loop is placed for
     "friction": 0.4,
 }
+_ABSOLUTE = ("gauge_delay", "order")
 # standard errors, as well: the errors of a short record are larger than the limits
 # above
 _SURE = 4.0
@@ -40,8 +43,9 @@ class Change:
     """One parameter of the arm: what the law was made for, what the record shows, and
     how sure that is.
 
-    name: "natural_frequency", "gauge_gain", "gauge_delay", "friction"; was, now,
-    standard_error in its unit, and `changed`.
+    name: "natural_frequency", "gauge_gain", "gauge_delay" or "order" (λ: less damping is
+    more of it), "motor_gain" (K/J), "friction"; with " within the record" where its
+    halves differ. was, now, standard_error in its unit, and `changed`.
     """
 
     name: str
@@ -102,12 +106,14 @@ class Watch:
 
 @checked
 def watch(log: Experiment, tuning: Tuning) -> Watch:
-    """Compare a record of a running arm with its tuning: ω₀, gauge gain, gauge delay,
-    friction, residual.
+    """Compare a record of a running arm with its tuning: ω₀, gauge gain, gauge delay or
+    λ, K/J, friction, residual.
 
-    The link's ω₀, gain and delay are fitted anew with λ held, and the friction with the
-    motor's K/J; each is named where it is off by more than half of what is worth a
-    retune and by four standard errors, friction only where it has grown.
+    The link's ω₀ and gain are fitted anew, with the delay or with λ, whichever explains
+    the record better, and the friction with the motor's K/J; each is named where it is
+    off by more than half of what is worth a retune and by four standard errors, friction
+    only where it has grown. Where the halves of the record differ by as much, that is
+    named, and the second half is what is compared with the tuning.
 
     Parameters
     ----------
@@ -155,25 +161,72 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
             remedy=remedy,
         )
     known = tuning.link.fit
-    # λ is the link's material and does not change within a run; left free it takes up
-    # what a changed delay or gain does to the phase, and neither is named.
-    fixed = {"order": known.model.order} if known.model.order < 2.0 else {}
-    fit = identify(
-        log, known.structure, fixed=fixed, hold="first", heldout=0.0, details=False
+    halves = [_part(log, rows) for rows in log.split(0.5)]
+    within: tuple[Change, ...] = ()
+    if min(map(_moving_time, halves)) >= _LEAST_MOTION:
+        former, latter = (_fitted(half, known) for half in halves)
+        within = tuple(
+            replace(change, name=f"{change.name} within the record")
+            for change in _link_changes(former, latter)
+            if change.changed
+        )
+    now = halves[1] if within else log
+    fit = latter if within else _fitted(log, known)
+    changes = (*within, *_link_changes(known, fit), *_motor_changes(now, fit, tuning))
+    return Watch(changes, math.sqrt(fit.mse), tuning.wiring.gauge_noise, moving)
+
+
+def _part(log: Experiment, rows: slice) -> Experiment:
+    """Some samples, with the angle before them: a link swings by what the motor did."""
+    return replace(
+        log,
+        motor_angle=log.motor_angle[rows],
+        output=log.output[rows],
+        voltage=None if log.voltage is None else log.voltage[rows],
+        earlier_angle=log.whole_angle[
+            : log.whole_angle.size - log.motor_angle.size + (rows.start or 0)
+        ]
+        if rows.start
+        else log.earlier_angle,
     )
-    changes = (
+
+
+def _fitted(log: Experiment, known: Fit) -> Fit:
+    """The link with λ held or with the delay held, whichever leaves less: free together,
+    each takes up what the other does to the phase, and neither is named.
+    """
+    held: list[dict[str, float]] = [{}]
+    if known.model.order < 2.0:
+        held = [{"order": known.model.order}, {"delay": known.delay}]
+    return min(
+        (
+            identify(
+                log,
+                known.structure,
+                fixed=fixed,
+                hold="first",
+                heldout=0.0,
+                details=False,
+            )
+            for fixed in held
+        ),
+        key=lambda fit: fit.mse,
+    )
+
+
+def _link_changes(was: Fit, now: Fit) -> tuple[Change, ...]:
+    return (
         _compared(
             "natural_frequency",
-            known.model.natural_frequency,
-            fit.model.natural_frequency,
-            fit,
-            known,
+            was.model.natural_frequency,
+            now.model.natural_frequency,
+            now,
+            was,
         ),
-        _compared("gauge_gain", known.gain, fit.gain, fit, known, "gain"),
-        _compared("gauge_delay", known.delay, fit.delay, fit, known, "delay"),
-        *_friction(log, fit, tuning),
+        _compared("gauge_gain", was.gain, now.gain, now, was, "gain"),
+        _compared("gauge_delay", was.delay, now.delay, now, was, "delay"),
+        _compared("order", was.model.order, now.model.order, now, was),
     )
-    return Watch(changes, math.sqrt(fit.mse), tuning.wiring.gauge_noise, moving)
 
 
 def _moving_time(log: Experiment) -> float:
@@ -195,14 +248,14 @@ def _compared(
 def _change(name: str, was: float, now: float, spread: float) -> Change:
     # A delay has no scale of its own: 2.5 ms cost the same phase behind a gauge that is
     # never late.
-    worth = _WORTH[name] * (1.0 if name == "gauge_delay" else abs(was))
+    worth = _WORTH[name] * (1.0 if name in _ABSOLUTE else abs(was))
     off = abs(now - was)
     return Change(name, was, now, spread, off > worth and off > _SURE * spread)
 
 
-def _friction(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
-    """Friction and dead zone as one voltage; nothing where the record has no voltage or
-    too few moves.
+def _motor_changes(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
+    """K/J, and friction and dead zone as one voltage; nothing where the record has no
+    voltage or too few moves.
     """
     assert tuning.motor is not None  # `watch` looked  # noqa: S101
     if log.voltage is None:
@@ -223,12 +276,16 @@ def _friction(log: Experiment, fit: Fit, tuning: Tuning) -> tuple[Change, ...]:
         )
     except LogError:
         return ()
+    motor = tuning.motor
+    errors = found.standard_errors["gain"], motor.fit.standard_errors["gain"]
+    gain = _change("motor_gain", motor.fit.gain, found.gain, math.hypot(*errors))
+    # The voltage that it takes of the motor as it was: a weaker motor needs more of it for
+    # the same friction.
+    friction = found.coulomb_voltage * found.gain / motor.fit.gain
     # Its own error and a twentieth of what it was: friction depends on where the gear
     # stands.
-    spread = math.hypot(
-        found.standard_errors["coulomb_voltage"], 0.05 * tuning.motor.friction
-    )
-    grown = _change("friction", tuning.motor.friction, found.coulomb_voltage, spread)
+    spread = math.hypot(found.standard_errors["coulomb_voltage"], 0.05 * motor.friction)
+    grown = _change("friction", motor.friction, friction, spread)
     # Less friction than before is how moves that turn round often look, too: only more
     # of it is a change.
-    return (replace(grown, changed=grown.changed and grown.now > grown.was),)
+    return gain, replace(grown, changed=grown.changed and grown.now > grown.was)

@@ -1,0 +1,121 @@
+"""Why an arm gets no law, as its record shows it: a gauge that clips, a coarse encoder, a
+late voltage, a late gauge, a long period; and the domain that follows from these.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.link import LinkModel
+from fraclink.lab._tune_guard import Record
+from fraclink.lab._tune_motor import MotorResult, unlimited_pole
+from fraclink.lab._tune_wiring import COUNT, Wiring
+
+__all__ = ["causes", "domain"]
+
+Real = NDArray[np.float64]
+
+# Half of what a phase margin of 30° has.
+_LATE = math.radians(15.0)  # of phase that the gauge's delay may cost at the vibration
+# A voltage acts one period after its sample, held for one: 1.5 periods, which cost as
+# much phase as a late gauge may at 1/36 of the vibration's period.
+_PERIODS = round(1.5 * 2.0 * math.pi / _LATE)  # in a vibration, at least
+_FULL_TURN = 2.0 * math.pi
+_CLIPPED = 5  # samples at the extreme: fewer are a peak
+
+
+def causes(
+    record: Record,
+    wiring: Wiring,
+    motor: MotorResult | None,
+    link: LinkModel | None,
+    voltage: float,
+) -> tuple[str, ...]:
+    """Sentences, each a cause that can be seen and what helps; `voltage` is the limit
+    [V].
+    """
+    return (
+        *_clipping(record.torque, wiring.gauge_noise),
+        *_long_period(
+            wiring.natural_frequency if link is None else abs(link.pole), record.period
+        ),
+        *(() if motor is None else _slow_loop(motor, wiring, record.period, voltage)),
+        *(() if link is None else _late_gauge(link)),
+    )
+
+
+def _clipping(torque: Real, noise: float) -> tuple[str, ...]:
+    """A gauge at its rail shows the same value again and again, and few just below it."""
+    for extreme, inwards in (
+        (torque.max(), torque.max() - torque),
+        (torque.min(), torque - torque.min()),
+    ):
+        at_rail = int(np.count_nonzero(inwards == 0.0))
+        below = int(np.count_nonzero((inwards > 0.0) & (inwards <= 2.0 * noise)))
+        if noise > 0.0 and at_rail >= _CLIPPED and at_rail > below:
+            return (
+                f"the gauge clips: {at_rail} samples read exactly {extreme:.3g} N·m; a smaller gain of its "
+                "amplifier, or a limit of the torque below that, helps",
+            )
+    return ()
+
+
+def _slow_loop(
+    motor: MotorResult, wiring: Wiring, period: float, voltage: float
+) -> tuple[str, ...]:
+    """What the motor loop would gain without the encoder's count, or without the delay."""
+    found = []
+    pole = motor.loop.pole
+    finer = unlimited_pole(motor, period, motor.fit.delay)
+    if finer is not None and finer > pole:
+        found.append(
+            f"the encoder is coarse: one count is {math.degrees(wiring.encoder_step):.2g}°, and the motor loop "
+            f"is held at {pole:g} rad/s instead of {finer:g}, where a count would take a quarter of {voltage:g} V; "
+            "a finer encoder helps"
+        )
+    prompt = unlimited_pole(motor, period, period)
+    if prompt is not None and finer is not None and prompt > finer:
+        found.append(
+            f"the voltage acts {1e3 * motor.fit.delay:.2g} ms late, {motor.loop.delay_samples} periods: the "
+            f"motor loop is held at {finer:g} rad/s instead of {prompt:g}; a faster amplifier, or less way "
+            "from the sample to the voltage, helps"
+        )
+    return tuple(found)
+
+
+def _long_period(resonance: float, period: float) -> tuple[str, ...]:
+    count = 2.0 * math.pi / (resonance * period)
+    if count >= _PERIODS:
+        return ()
+    return (
+        f"the period of {1e3 * period:.3g} ms is long: a vibration of {resonance:.3g} rad/s has {count:.0f} of "
+        f"them, and needs {_PERIODS}; {1e3 * period * count / _PERIODS:.2g} ms or a slower arm (more payload, a "
+        "longer link) helps",
+    )
+
+
+def domain(period: float | None) -> str:
+    """The arms that a law can be expected for, in a sentence; `period` [s] where it is
+    known.
+    """
+    late = math.degrees(_LATE) / 360.0
+    part = f"a period of at most 1/{_PERIODS} of the vibration's"
+    if period is not None:
+        part += f" ({1e3 * period:g} ms: vibrations up to {1.0 / (_PERIODS * period):.2g} Hz)"
+    return (
+        f"domain: {part}; a gauge that is late by at most 1/{1.0 / late:.0f} of it and does not clip; "
+        f"{math.ceil(_FULL_TURN / COUNT)} encoder counts a turn or more; no play in the gear, no cable that pulls"
+    )
+
+
+def _late_gauge(link: LinkModel) -> tuple[str, ...]:
+    phase = abs(link.pole) * link.gauge_delay
+    if phase <= _LATE:
+        return ()
+    return (
+        f"the gauge is {1e3 * link.gauge_delay:.2g} ms late, which costs {math.degrees(phase):.0f}° of phase at "
+        f"the vibration of {abs(link.pole):.3g} rad/s; a faster amplifier or filter of the gauge helps",
+    )

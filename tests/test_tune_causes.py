@@ -1,0 +1,94 @@
+"""What a record shows against a law: each cause is named where it is, and not where it is
+not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fraclink as fl
+from fraclink.lab._tune_causes import causes
+from fraclink.lab._tune_guard import Record
+from fraclink.lab._tune_motor import MotorResult, closed_motor
+from fraclink.lab._tune_wiring import Wiring
+
+PERIOD, NOISE = 0.004, 0.004
+WIRING = Wiring(11.0, 0.4, 0.0015, 1.7, 12.0, 0.002, 0.0, NOISE, 3.8e-4, 1.0, 0.02, ())
+
+
+def record(torque: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Record:
+    still = np.zeros(torque.size)
+    return Record(PERIOD, still, still, torque)
+
+
+def vibration(quantum: float = 0.0) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """A gauge of a link that swings by ±0.5 N·m, with noise, in steps of `quantum`."""
+    time = PERIOD * np.arange(5000)
+    noise = NOISE * np.random.default_rng(1).standard_normal(time.size)
+    torque = 0.5 * np.exp(-0.05 * time) * np.sin(12.0 * time) + noise
+    return np.round(torque / quantum) * quantum if quantum else torque
+
+
+def motor(delay: float, step: float = 3.8e-4) -> MotorResult:
+    """A motor of K/J = 11 and ν/J = 15, identified behind a delay [s], and its loop."""
+    rng = np.random.default_rng(0)
+    voltage = np.repeat(rng.choice([-4.0, 4.0], 120), 25)
+    speed, angle, angles = 0.0, 0.0, []
+    late = max(round(delay / PERIOD), 0)
+    sent = np.concatenate([np.zeros(late), voltage])[: voltage.size]
+    for value in sent:
+        angles.append(angle)
+        for _ in range(8):
+            speed += PERIOD / 8 * (11.0 * value - 15.0 * speed)
+            angle += PERIOD / 8 * speed
+    found = fl.identify_motor(
+        voltage,
+        np.array(angles),
+        period=PERIOD,
+        torque=0.01 * rng.standard_normal(voltage.size),
+    )
+    limits = fl.MotionLimits(angle=0.7, speed=4.0, torque=1.5, voltage=10.0)
+    guard: Any = SimpleNamespace(period=PERIOD, limits=limits)
+    return closed_motor(found, guard, replace(WIRING, encoder_step=step), 1)
+
+
+def said(
+    torque: np.ndarray[tuple[int], np.dtype[np.float64]], **changes: object
+) -> str:
+    given = {"wiring": WIRING, "motor": None, "link": None, "voltage": 10.0} | changes
+    return "; ".join(causes(record(torque), **given))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.001, 0.01])
+def test_a_gauge_that_does_not_clip_is_not_said_to(quantum: float) -> None:
+    assert said(vibration(quantum)) == ""
+
+
+@pytest.mark.parametrize("rail", [(-0.3, 0.3), (-9.0, 0.25), (-0.25, 9.0)])
+def test_a_gauge_at_its_rail_clips(rail: tuple[float, float]) -> None:
+    assert "clips" in said(np.clip(vibration(), *rail))
+
+
+def test_a_late_gauge_is_named_with_its_phase() -> None:
+    link = fl.Rig.named("paper-2023").model
+    assert link is not None
+    prompt, late = (replace(link, gauge_delay=delay) for delay in (0.005, 0.030))
+    assert said(vibration(), link=prompt) == ""
+    assert "30 ms late" in said(vibration(), link=late)
+
+
+def test_what_slows_the_motor_loop_is_named() -> None:
+    assert said(vibration(), motor=motor(0.0)) == ""
+    coarse = 2 * np.pi / 500
+    named = said(
+        vibration(),
+        motor=motor(0.0, coarse),
+        wiring=replace(WIRING, encoder_step=coarse),
+    )
+    assert "encoder is coarse" in named and "late" not in named
+    assert "the voltage acts" in said(vibration(), motor=motor(4 * PERIOD))
