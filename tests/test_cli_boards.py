@@ -118,6 +118,8 @@ def test_an_arm_is_served_as_asked(line: Line) -> None:
         SharedMemory("arm"),
         RIG.period,
     )
+    # How a pseudo-terminal's name comes to who waits for it.
+    assert callable(asked.last.pop("begin"))
     assert asked.last == {
         "duration": 9.0,
         "watchdog": 5,
@@ -132,6 +134,7 @@ def test_an_arm_is_served_as_asked(line: Line) -> None:
     assert saved.given == (served, Path("a.npz")) and saved.last == {}
     served.passed = False
     assert line("serve-arm design.json --io shm:arm").code == 1 and len(saved) == 1
+    assert callable(asked.last.pop("begin"))
     assert asked.last == {
         "duration": 600.0,
         "watchdog": 10,
