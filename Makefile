@@ -1,5 +1,5 @@
 # Two commands of the README do everything, set-up included: `make demo` and `make test`.
-# Everything is installed into .venv from requirements.lock (versions and hashes).
+# Everything is installed into .venv from requirements*.lock (versions and hashes).
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -11,29 +11,42 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
-.PHONY: setup demo test quick core coverage lint bench bench-short build docs fuzz reproduce clean lock dist-check
+.PHONY: setup demo test quick core interpreters coverage lint bench bench-short build docs \
+  fuzz reproduce clean lock dist-check
 
-setup: $(STAMP)
+setup: $(VENV)/.locked $(VENV)/.proving
 
-$(VENV)/.locked: requirements.lock
-	@echo "setting up $(VENV), once: a few minutes"
+$(VENV)/.made:
+	@echo "setting up $(VENV), once"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --require-hashes -r requirements.lock
 	@touch $@
 
-$(MODULES): $(VENV)/.locked
+# What the compiler and a run need: a third of the whole. Python compiles it when it imports it.
+$(VENV)/.demo: requirements-demo.lock | $(VENV)/.made
+	@$(PIP) --no-compile --require-hashes -r requirements-demo.lock
+	@touch $@
+
+$(VENV)/.locked: requirements.lock | $(VENV)/.demo
+	@$(PIP) --no-compile --require-hashes -r requirements.lock
+	@touch $@
+
+$(MODULES): | $(VENV)/.demo
 	@rm -f $(VENV)/.modules-*
 	@touch $@
 
-$(STAMP): $(VENV)/.locked $(MODULES) pyproject.toml prove/pyproject.toml CMakeLists.txt $(CSRC)
+$(STAMP): $(VENV)/.demo $(MODULES) pyproject.toml CMakeLists.txt $(CSRC)
 	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.proving: $(STAMP) prove/pyproject.toml
 	@$(PIP) --no-deps --no-build-isolation --editable prove
 	@touch $@
 
 build: setup
 
-demo: setup
-	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out results/demo --certify --force
+RESULTS := results/demo
+demo: $(STAMP)
+	@$(BIN)/fraclink run --rig paper-2023-geared --log demo --out $(RESULTS) --certify --force
 
 # Their tests start browsers, solvers, compilers, a fuzzer, a cluster: in a run of their own, which has loaded
 # little else.
@@ -53,6 +66,10 @@ quick: setup
 # The core in a copy without the packages around it: built, and its own tests.
 core: setup
 	@$(PY) tools/check_core.py
+
+# The demo and the core's tests on every Python of this machine, with the lowest and the newest versions allowed.
+interpreters: setup
+	@$(PY) tools/try_interpreters.py
 
 # From Python 3.12 on the interpreter reports lines by itself; on 3.11 a tracer costs half the time again.
 coverage: setup
@@ -88,10 +105,12 @@ dist-check: setup
 reproduce: setup
 	$(PY) -m reproduce
 
-# `make lock` needs uv on the path; everybody else installs from the file it wrote.
+# `make lock` needs uv on the path; everybody else installs from the files it wrote. The demo's is a part of the whole.
+LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+  --no-emit-index-url --no-emit-find-links
 lock:
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
-	  --no-emit-index-url --no-emit-find-links requirements.in -o requirements.lock
+	$(LOCK) requirements.in -o requirements.lock
+	$(LOCK) --constraint requirements.lock requirements-demo.in -o requirements-demo.lock
 
 clean:
 	rm -rf build prove/build results .pytest_cache .mypy_cache .ruff_cache $(VENV)
