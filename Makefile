@@ -18,7 +18,7 @@ setup: $(VENV)/.locked $(VENV)/.proving
 
 $(VENV)/.made:
 	@echo "setting up $(VENV), once"
-	@$(PYTHON) -m venv $(VENV)
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	@touch $@
 
 # What the compiler and a run need: a third of the whole. Python compiles it when it imports it.
