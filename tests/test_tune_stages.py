@@ -364,8 +364,8 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
         own = SimulatedArm(replace(twin, sensors=sensors), PERIOD, seed=3)
         guard = guarded(own.callback)
         wiring = check_wiring(guard, None)
-        first, begin = tune_motor(guard, wiring)
-        link, _ = tune_link(guard, wiring, first, 0.030, begin=begin)
+        first = tune_motor(guard, wiring)
+        link, _ = tune_link(guard, wiring, first, 0.030)
         assert link.fit.model.gauge_delay == pytest.approx(delay, abs=0.001)
         motors.append(link.motor)
     prompt, late = motors

@@ -37,8 +37,8 @@ def staged() -> Stages:
     guard = guarded(made.callback)
     wiring = check_wiring(guard, RIG)
     guard.learn(wiring.gain, wiring.delay)
-    motor, begin = tune_motor(guard, wiring)
+    motor = tune_motor(guard, wiring)
     guard.learn(motor.fit.gain, motor.fit.delay)
-    link, _ = tune_link(guard, wiring, motor, 0.030, begin=begin)
+    link, _ = tune_link(guard, wiring, motor, 0.030)
     guard.release()
     return made, guard, wiring, motor, link

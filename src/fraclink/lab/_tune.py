@@ -233,17 +233,16 @@ class _Session:
             self._carry(guard)
             return
         self._write(guard, wiring=self.state.wiring or wiring)
-        begin = None
         if self.state.motor is None:
             self.begin("motor")
-            motor, begin = self._within_limits(
+            motor = self._within_limits(
                 guard, partial(tune_motor, guard, wiring), wiring.gauge_noise
             )
             self._tell((str(motor),))
             self._write(guard, motor=motor)
         assert self.state.motor is not None  # measured now, or before  # noqa: S101
         guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        link, built, laws = self._link(guard, begin)
+        link, built, laws = self._link(guard)
         if built.passed and self.moves:
             self._move(guard, link, itertools.chain((built,), laws))
 
@@ -328,9 +327,7 @@ class _Session:
         )
         save(self.state, self.out / FILES[0], force=True)
 
-    def _link(
-        self, guard: Guard, begin: Any
-    ) -> tuple[LinkResult, Built, Iterator[Built]]:
+    def _link(self, guard: Guard) -> tuple[LinkResult, Built, Iterator[Built]]:
         """The link's experiments, at most three where a gate or the proof fails, and
         the law.
         """
@@ -350,7 +347,6 @@ class _Session:
                     wiring,
                     self.state.motor,
                     plan.payload,
-                    begin=begin,
                     longer=1.0 if attempt == 1 else 2.0,
                 )
                 link, _ = self._within_limits(guard, excite, wiring.gauge_noise)
@@ -414,7 +410,10 @@ class _Session:
             guard.record(),
             state.wiring,
             state.motor,
-            None if state.link is None else state.link.fit.model,
+            # A model that failed a gate may lie anywhere.
+            state.link.fit.model
+            if state.link is not None and state.link.fit.passed
+            else None,
             self.plan.limits.voltage,
         )
 

@@ -75,18 +75,18 @@ def tune_link(
     motor: MotorResult,
     payload: float,
     *,
-    begin: Record | None = None,
     longer: float = 1.0,
     size: float = 1.0,
 ) -> tuple[LinkResult, Record]:
     """Excite the link until every standard error suffices, or the limits are reached.
 
-    `begin` is what the motor stage recorded, from which the first excitation is
-    planned; `longer` stretches every excitation, for an experiment that is repeated;
-    `size` below 1 makes every motion smaller.
+    The first excitation is planned from all that was recorded before: of the last moves
+    alone a slow link's second mode may look like its first. `longer` stretches every
+    excitation, for an experiment that is repeated; `size` below 1 makes every motion
+    smaller.
     """
     limits, period = guard.limits, guard.period
-    fit = None if begin is None else _first_fit(begin)
+    fit = _first_fit(guard.record())
     law = motor_law(
         motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction
     )

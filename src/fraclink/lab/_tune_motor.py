@@ -75,9 +75,7 @@ class MotorResult:
         )
 
 
-def tune_motor(
-    guard: Guard, wiring: Wiring, *, size: float = 1.0
-) -> tuple[MotorResult, Record]:
+def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResult:
     """Identify the motor with moves that grow until K/J is known to 2 %, and place its
     loop.
 
@@ -145,7 +143,7 @@ def tune_motor(
         raise FraclinkError(
             f"the motor could not be identified: {fit.findings[0].message}"
         )
-    return closed_motor(fit, guard, wiring, number), record
+    return closed_motor(fit, guard, wiring, number)
 
 
 def closed_motor(
