@@ -578,11 +578,11 @@ def test_a_rig_without_a_model_says_what_to_do(
             "move_time: given beside --reference (got 1.0)",
         ),
         (
-            "run-realtime design.json --io shm:none --reference p.csv --amplitude 1",
+            "run-realtime design.json --io udp:127.0.0.1:9 --reference p.csv --amplitude 1",
             "amplitude: given beside --reference (got 1.0)",
         ),
         (
-            "run-realtime design.json --io shm:none --excitation prbs --reference p.csv",
+            "run-realtime design.json --io udp:127.0.0.1:9 --excitation prbs --reference p.csv",
             "reference: given beside --excitation prbs (got p.csv)",
         ),
     ],

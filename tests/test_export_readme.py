@@ -15,7 +15,7 @@ import pytest
 
 import fraclink as fl
 from fraclink._arm.reference import sampled
-from fraclink._export import export_c, export_io
+from fraclink._export import export_c
 from fraclink._export.board import export_reference
 from fraclink._export.c import readme
 from fraclink._export.claims import (
@@ -28,7 +28,6 @@ from fraclink._export.data import data_header, exact_flags, exact_sizes, hex_flo
 from fraclink._export.payload import payload_files, payload_readme
 from fraclink._law import Law
 from fraclink._law.estimator import HEADER, REALS, PayloadEstimator, payload_estimator
-from fraclink.errors import FieldError
 from law_bench import law, with_pair
 from needed_tools import tool
 from test_export import FLAGS, run, single
@@ -384,17 +383,6 @@ def test_the_estimator_s_files_give_the_package_s_bits(
 
 
 # --- a board, and a reference as a table --------------------------------------------------------------------
-
-
-def test_the_board_stands_still_and_compiles(tmp_path: Path) -> None:
-    header, board = export_io(tmp_path / "new" / "board")
-    assert header.read_bytes() == (ROOT / "csrc" / "arm_io.h").read_bytes()
-    run(tool("gcc"), "-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", board)
-    with pytest.raises(FieldError, match="already there"):
-        export_io(board.parent)
-    board.write_text("changed", encoding="utf-8")
-    assert export_io(board.parent, force=True) == (header, board)
-    assert board.read_text(encoding="utf-8") != "changed"
 
 
 @pytest.mark.parametrize(

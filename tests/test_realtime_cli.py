@@ -1,5 +1,5 @@
-"""run-realtime, serve-arm and export io, as a user calls them: libraries in C, an arm
-in another process.
+"""run-realtime and serve-arm, as a user calls them: an arm of two functions, and one in
+another process.
 
 The loops run on a virtual clock, which two processes may share: a busy machine changes
 nothing.
@@ -11,6 +11,8 @@ import json
 import os
 import shutil
 import signal
+import socket
+import struct
 import subprocess
 import sys
 import textwrap
@@ -27,80 +29,54 @@ import fraclink as fl
 from fraclink import _kernels
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._cli import boards, main
-from fraclink._export import export_io
 from fraclink._law import REASONS
 from fraclink._simulate import geared
 from fraclink.errors import FieldError
 from fraclink.lab._arm import ServedArm
-from fraclink.lab._connections import Library, Udp
+from fraclink.lab._connections import Callback, Command, Udp
 from fraclink.lab._loop import run_realtime
 from fraclink.lab._run import RealtimeRun
 from fraclink.trials._study import load_study
-from needed_tools import tool
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-Command = Callable[[str], tuple[int, str, str]]
-STRICT = (
-    "-std=c99",
-    "-pedantic",
-    "-Wall",
-    "-Wextra",
-    "-Wconversion",
-    "-Wno-unused-parameter",
-    "-Werror",
-)
+Line = Callable[[str], tuple[int, str, str]]
 PERIOD = 0.02
-MANY = 1_000_000
 
-# A motor that follows a voltage or, as a servo, a reference; one sample is lost, the
-# last command is noted.
-BOARD = """
-#include "arm_io.h"
-#include <math.h>
-#include <signal.h>
-#include <stdio.h>
-static double angle;
-static double voltage;
-static double reference;
-static int reads;
-static int deep(int level)
-{
-    volatile char room[4096];
-    room[0] = (char)level;
-    return (level < 0) ? 0 : deep(level + 1) + room[0];
-}
-uint32_t arm_io_version(void) { return VERSION; }
-int arm_open(void) { return OPENED; }
-int arm_read(arm_sample *sample)
-{
-    angle += (voltage != 0.0) ? (0.02 * voltage) : (0.5 * (reference - angle));
-    sample->motor_angle = angle;
-    sample->torque = 0.001 * (reads % 2); /* alive: one that never changes is a stuck gauge */
-    reads++;
-    if (reads >= BROKEN)
-        return -1;
-    if (reads >= CRASH)
-        raise(SIGSEGV);
-    if (reads >= DEEP)
-        reads = deep(0);
-    return reads == 5;
-}
-int arm_write(const arm_command *command)
-{
-    voltage = command->voltage;
-    reference = command->motor_reference;
-    FILE *const file = fopen("last", "w");
-    (void)fprintf(file, "%u %.17g", (unsigned)command->mode, command->voltage);
-    return fclose(file);
-}
-void arm_close(void)
-{
-    FILE *const file = fopen("closed", "w");
-    (void)fclose(file);
-}
-"""
+
+class Board:
+    """A motor that follows a voltage or, as a servo, a reference; one sample is lost."""
+
+    def __init__(self, broken: int = 1_000_000) -> None:
+        self.angle, self.reads, self.broken = 0.0, 0, broken
+        self.last: Command | None = None
+
+    def read(self) -> tuple[float, float] | None:
+        if self.last is not None:
+            self.angle += (
+                0.02 * self.last.voltage
+                if self.last.voltage
+                else 0.5 * (self.last.motor_reference - self.angle)
+            )
+        self.reads += 1
+        if self.reads >= self.broken:
+            raise OSError("board: gone")
+        # Alive: a torque that never changes is a stuck gauge.
+        return None if self.reads == 5 else (self.angle, 0.001 * (self.reads % 2))
+
+    def write(self, command: Command) -> None:
+        self.last = command
+
+
+@pytest.fixture
+def board(monkeypatch: pytest.MonkeyPatch) -> Board:
+    """The board that every --io of `run-realtime` leads to, each run to a new visit."""
+    made = Board()
+    monkeypatch.setattr(
+        boards, "connection_of", lambda *given: Callback(made.read, made.write)
+    )
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +103,7 @@ def fraclink(
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-) -> Command:
+) -> Line:
     """Run the command line in a folder that holds design.json."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(design, tmp_path)
@@ -149,82 +125,22 @@ def virtual(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
-def compiled(folder: Path, name: str, text: str, **defines: object) -> Path:
-    (folder / f"{name}.c").write_text(text, encoding="utf-8")
-    library = folder / f"{name}.so"
-    given = {
-        "VERSION": "ARM_IO_VERSION",
-        "OPENED": 0,
-        "BROKEN": MANY,
-        "CRASH": MANY,
-        "DEEP": MANY,
-    } | defines
-    flags = [f"-D{key}={value}" for key, value in given.items()]
-    subprocess.run(  # noqa: S603
-        [
-            tool("cc", "gcc"),
-            *STRICT,
-            "-shared",
-            "-fPIC",
-            *flags,
-            f"{name}.c",
-            "-o",
-            library,
-        ],
-        cwd=folder,
-        check=True,
-    )
-    return library
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("virtual")
-def test_the_template_compiles_and_stands_still(
-    fraclink: Command, tmp_path: Path
-) -> None:
-    code, out, _ = fraclink("export io --out board")
-    assert (code, out.split()) == (0, ["board/arm_io.h", "board/my_board.c"])
-    text = (tmp_path / "board" / "my_board.c").read_text("utf-8")
-    compiled(tmp_path / "board", "my_board", text)
-    line = "run-realtime design.json --io library:board/my_board.so --amplitude 0 --duration 0.2 --log log.csv"
-    code, out, err = fraclink(f"{line} --force")
-    assert code == 0, out + err
-    assert "the record replays through the law to the last bit" in out
-    assert "written: realtime.npz" in err
-    lines = (tmp_path / "log.csv").read_text("utf-8").splitlines()
-    assert "time_s,motor_angle_rad,torque_Nm" in lines
-    assert float(lines[-1].split(",")[0]) == pytest.approx(0.2)
-    assert fraclink("export io --out board")[0] == 2  # never over the user's work
-    assert fraclink("export io --out board --force")[0] == 0
-    # the header is C++ too
-    cxx = [
-        tool("c++", "g++"),
-        "-fsyntax-only",
-        "-Wall",
-        "-Werror",
-        "-x",
-        "c++",
-        "my_board.c",
-    ]
-    subprocess.run(cxx, cwd=tmp_path / "board", check=True)  # noqa: S603
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_moves(
-    fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fraclink: Line, board: Board, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It says what it measured: 0 µs on the virtual clock, then three of 250 wake-ups a
     period late.
     """
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD)
-    line = "run-realtime design.json --io library:arm.so --amplitude 0 --duration 0.1"
+    line = (
+        "run-realtime design.json --io udp:127.0.0.1:5005 --amplitude 0 --duration 0.1"
+    )
     assert "wake-ups 0 µs late on average, 0 µs at most" in (
         err := fraclink(line)[2]
     ), err
     assert "20 ms can be kept" in err
-    (tmp_path / "last").unlink()
+    board.last = None
     bare = _kernels.realtime_bare
 
     def busy(latency: Any, *options: Any) -> Any:
@@ -239,19 +155,19 @@ def test_a_period_that_the_machine_does_not_keep_is_refused_before_anything_move
         True,
     ), err
     assert "21.0 ms at most" in err and "20 ms cannot be kept" in err
-    assert not (tmp_path / "last").exists()
+    assert board.last is None
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_a_key_comes_from_a_file_and_only_for_datagrams(
-    fraclink: Command, tmp_path: Path
+    fraclink: Line, tmp_path: Path
 ) -> None:
     (tmp_path / "short").write_bytes(b"secret")
     for options, said in (
         ("--io udp:127.0.0.1:5005 --key-file short", "key: not a key (got 6 bytes)"),
         ("--io udp:127.0.0.1:5005 --key-file nowhere", "nowhere"),
-        ("--io shm:arm --key-file short", "key: of no use here"),
+        ("--io serial:/dev/ttyACM0 --key-file short", "key: of no use here"),
     ):
         for command in ("run-realtime", "serve-arm"):
             code, _, err = fraclink(f"{command} design.json {options}")
@@ -260,10 +176,10 @@ def test_a_key_comes_from_a_file_and_only_for_datagrams(
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
-def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -> None:
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD)
-    line = "run-realtime design.json --io library:arm.so --amplitude 0.05 --move-time 0.5 --duration 0.6"
+def test_a_board_is_run_and_left_with_its_drive_off(
+    fraclink: Line, board: Board, tmp_path: Path
+) -> None:
+    line = "run-realtime design.json --io udp:127.0.0.1:5005 --amplitude 0.05 --move-time 0.5 --duration 0.6"
     code, out, err = fraclink(f"{line} --json")
     told = json.loads(out)
     assert (code, told["passed"], told["stopped"], told["replays"]) == (
@@ -277,51 +193,33 @@ def test_a_library_is_run_and_left_in_order(fraclink: Command, tmp_path: Path) -
     assert set(told["latency_s"]) == {"least", "mean", "high", "most"}
     run = fl.load(told["out"], RealtimeRun)
     assert run.motor_angle[-1] > 0.01
-    assert (tmp_path / "last").read_text() == "4 0"  # off, without voltage
-    assert (tmp_path / "closed").is_file()
+    assert board.last is not None and (board.last.mode, board.last.voltage) == (4, 0.0)
     assert fraclink(line)[0] == 2  # the record is kept
-    shutil.copy(
-        "arm.so", "anew.so"
-    )  # a library that is loaded already has its samples behind it
-    code, out, err = fraclink(f"{line.replace('arm', 'anew')} --force --log log.csv")
+    board.reads = 0
+    code, out, err = fraclink(f"{line} --force --log log.csv")
     assert code == 1
     assert "samples); expected 1 %" in err
     assert not (tmp_path / "log.csv").exists()
     assert "passed" in out  # the run itself
     assert fraclink(f"{line} --force --single --no-motor")[0] == 0
     assert not fl.load("realtime.npz", RealtimeRun).voltage.any()
+    assert fraclink(f"{line} --force --log log.csv")[0] == 0
+    lines = (tmp_path / "log.csv").read_text("utf-8").splitlines()
+    assert "time_s,motor_angle_rad,torque_Nm,voltage_V" in lines
     # a record among the results of the other stages does not hinder their report
     assert load_study(tmp_path).design is not None
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("virtual")
-def test_a_reference_to_identify_from(fraclink: Command, tmp_path: Path) -> None:
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD)
-    line = "run-realtime design.json --io library:arm.so --excitation prbs --amplitude 0.1 --duration 1.5"
+@pytest.mark.usefixtures("virtual", "board")
+def test_a_reference_to_identify_from(fraclink: Line) -> None:
+    line = "run-realtime design.json --io udp:127.0.0.1:5005 --excitation prbs --amplitude 0.1 --duration 1.5"
     fraclink(f"{line} --no-motor")
     run = fl.load("realtime.npz", RealtimeRun)
     # at rest for half a second; a register of ones makes the first nine bits alike
     assert run.reference.tolist() == pytest.approx(
         (0.1 * (run.time >= 0.4999)).tolist()
     )
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("virtual")
-def test_a_library_that_breaks_is_a_safe_stop(
-    fraclink: Command, tmp_path: Path
-) -> None:
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD, BROKEN=9)
-    code, out, _ = fraclink("run-realtime design.json --io library:arm.so --duration 5")
-    assert code == 1
-    assert out.splitlines()[-1] == "stopped: safe stop: connection failed"
-    assert (tmp_path / "last").read_text() == "4 0"
-    assert (
-        len(fl.load("realtime.npz", RealtimeRun).time) == 7
-    )  # the first read found the arm, the ninth failed
 
 
 @pytest.mark.slow
@@ -337,16 +235,14 @@ def test_a_library_that_breaks_is_a_safe_stop(
         ),
         ("udp:127.0.0.1:70000", "port: out of range (got 70000)"),
         ("udp:127.0.0.1:http", "without a port"),
-        ("shm:", "not a name"),
-        ("shm:../etc", "not a name"),
-        ("library:", "no way to an arm"),
+        ("shm:arm", "no way to an arm"),
         ("serial:", "without a port"),
         ("serial:/dev/ttyUSB0@fast", "without a speed"),
         ("", "no way to an arm"),
     ],
 )
 def test_ways_that_lead_nowhere(
-    fraclink: Command, tmp_path: Path, io: str, said: str
+    fraclink: Line, tmp_path: Path, io: str, said: str
 ) -> None:
     code = main(["run-realtime", "design.json", "--io", io, "--patience", "0.05"])
     assert code == 2
@@ -357,82 +253,61 @@ def test_ways_that_lead_nowhere(
 
 
 @pytest.mark.slow
-def test_ways_that_fail_when_they_are_opened(
-    law: fl.Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    export_io(tmp_path)
-    for name, text, defines in (
-        ("newer", BOARD, {"VERSION": 7}),
-        ("asleep", BOARD, {"OPENED": 3}),
-        ("bare", "int nothing;\n", {}),
-    ):
-        compiled(tmp_path, name, text, **defines)
-    for way, said in (
-        (Library(Path("newer.so")), r"made for version 7 of arm_io\.h"),
-        (Library(Path("asleep.so")), r"not ready: arm_open gave 3"),
-        (Library(Path("bare.so")), r"without arm_read, arm_write and arm_io_version"),
-        (Library(Path("nowhere.so")), r"not to be loaded"),
-        (Library(Path("arm_io.h")), r"not to be loaded"),
-        (
-            Udp("no-such-host.invalid", 5005),
-            r"io: refused \(.*\(got udp:no-such-host\.invalid:5005\)",
-        ),
-    ):
-        with pytest.raises(FieldError, match=said):
-            run_realtime(law, fl.extend.hold(0.0), way, patience=0.05)
-    assert not (tmp_path / "last").exists()
+def test_a_host_that_is_not_found_is_refused(law: fl.Law) -> None:
+    way = Udp("no-such-host.invalid", 5005)
+    said = r"io: refused \(.*\(got udp:no-such-host\.invalid:5005\)"
+    with pytest.raises(FieldError, match=said):
+        run_realtime(law, fl.extend.hold(0.0), way, patience=0.05)
 
 
 CRASHING = """
     import sys
-    from pathlib import Path
     import fraclink as fl
-    from fraclink.lab._connections import Library
+    from fraclink.lab._connections import Udp
     from fraclink.lab._loop import run_realtime
     law = fl.Design.load("design.json").law(order=4)
-    run_realtime(law, fl.extend.hold(0.0), Library(Path(sys.argv[1])), priority=0, duration=5.0)
+    way = Udp("127.0.0.1", int(sys.argv[1]))
+    run_realtime(law, fl.extend.hold(0.0), way, priority=0, duration=5.0, patience=60.0)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "fault", ["CRASH", "DEEP"]
-)  # a call without end leaves no stack to stop the arm on
-def test_a_process_that_crashes_leaves_a_stop_behind(
-    fraclink: Command, tmp_path: Path, fault: str
-) -> None:
-    export_io(tmp_path, force=True)
-    board = compiled(tmp_path, "arm", BOARD, **{fault: 9})
-    command = [sys.executable, "-c", textwrap.dedent(CRASHING), str(board)]
-    assert subprocess.run(command, check=False).returncode == -signal.SIGSEGV  # noqa: S603
-    assert (tmp_path / "last").read_text() == "4 0"
-    assert not (tmp_path / "closed").exists()
+@pytest.mark.usefixtures("fraclink")
+def test_a_process_that_crashes_leaves_a_stop_behind() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
+        plug.bind(("127.0.0.1", 0))
+        plug.settimeout(60.0)
+        port = str(plug.getsockname()[1])
+        command = [sys.executable, "-c", textwrap.dedent(CRASHING), port]
+        with subprocess.Popen(command) as process:  # noqa: S603
+            plug.recv(100)  # it looks for its arm
+            process.send_signal(signal.SIGSEGV)
+            modes = [0]
+            while modes[-1] != 4:
+                (mode,) = struct.unpack_from("<I", plug.recv(100), 32)
+                modes.append(mode)
+        assert process.returncode == -signal.SIGSEGV
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_the_record_has_a_place_before_the_arm_moves_or_nothing_happens(
-    fraclink: Command, tmp_path: Path
+    fraclink: Line, board: Board
 ) -> None:
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD)
     code, _, err = fraclink(
-        "run-realtime design.json --io library:arm.so --out /proc/nope/r.npz"
+        "run-realtime design.json --io udp:127.0.0.1:5005 --out /proc/nope/r.npz"
     )
     assert (code, "the arm has not moved" in err) == (2, True)
-    assert not (tmp_path / "last").exists()
+    assert board.last is None
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_no_file_of_a_run_is_refused_only_when_it_is_over(
-    fraclink: Command, tmp_path: Path
+    fraclink: Line, board: Board
 ) -> None:
-    export_io(tmp_path, force=True)
-    compiled(tmp_path, "arm", BOARD)
     run, serve = (
-        "run-realtime design.json --io library:arm.so",
+        "run-realtime design.json --io udp:127.0.0.1:5005",
         "serve-arm design.json --io udp:127.0.0.1:5",
     )
     for line, said in (
@@ -443,20 +318,18 @@ def test_no_file_of_a_run_is_refused_only_when_it_is_over(
     ):
         code, _, err = fraclink(line)
         assert (code, said in err) == (2, True), err
-    assert not (tmp_path / "last").exists()
+    assert board.last is None
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("virtual")
 def test_no_signal_takes_the_motion_of_a_served_arm_away(
-    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+    fraclink: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two of them, as a closed terminal sends: one that ends the serving, and one as it
     is written.
     """
-    line = (
-        f"serve-arm design.json --io shm:kept-{os.getpid()} --priority 0 --duration 0.2"
-    )
+    line = f"serve-arm design.json --io udp:127.0.0.1:{free_port()} --priority 0 --duration 0.2"
     keep, hold = boards.saved, boards.reserved
 
     def first(*given: Any, **options: Any) -> Any:
@@ -483,7 +356,7 @@ def test_no_signal_takes_the_motion_of_a_served_arm_away(
 
 @pytest.mark.slow
 def test_on_another_system_an_arm_is_refused_with_its_file(
-    fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    fraclink: Line, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(_kernels, "REALTIME", False)
     monkeypatch.delattr(os, "posix_fallocate")
@@ -495,7 +368,7 @@ def test_on_another_system_an_arm_is_refused_with_its_file(
 
 
 @pytest.mark.slow
-def test_another_machine_needs_a_word(fraclink: Command) -> None:
+def test_another_machine_needs_a_word(fraclink: Line) -> None:
     for command in ("run-realtime", "serve-arm"):
         code, _, err = fraclink(f"{command} design.json --io udp:203.0.113.7:5005")
         assert (code, "not this machine" in err, "--unsafe-remote" in err) == (
@@ -507,6 +380,12 @@ def test_another_machine_needs_a_word(fraclink: Command) -> None:
         "serve-arm design.json --io udp:203.0.113.7:5005 --unsafe-remote"
     )
     assert (code, "refused" in err) == (2, True)  # nobody's address
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plug:
+        plug.bind(("127.0.0.1", 0))
+        return int(plug.getsockname()[1])
 
 
 # The command line, with its loop on the clock in a file that this process keeps.
@@ -555,9 +434,9 @@ def arm_process(
 
 @pytest.mark.slow
 def test_an_arm_in_another_process(
-    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+    fraclink: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    io = f"shm:cli-{os.getpid()}"
+    io = f"udp:127.0.0.1:{free_port()}"
     with arm_process(2, "--io", io, "--once", "--out", "arm.npz", "--json") as (
         arm,
         clock,
@@ -593,10 +472,9 @@ def test_an_arm_in_another_process(
 
 @pytest.mark.slow
 def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
-    fraclink: Command, monkeypatch: pytest.MonkeyPatch
+    fraclink: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    io = f"shm:ice-{os.getpid()}"
-    place = Path(f"/dev/shm/fraclink-{io.removeprefix('shm:')}")  # noqa: S108
+    io = f"udp:127.0.0.1:{free_port()}"
     with arm_process(3, "--io", io, "--json") as (arm, clock):
         monkeypatch.setattr(_kernels, "RealtimeClock", lambda threads: clock)
 
@@ -630,12 +508,14 @@ def test_an_arm_that_freezes_is_given_up_and_can_be_ended(
     assert REASONS[run.reason[-1]] == "encoder"
     assert 20 < len(run.tick) < 40  # up to the frost and five periods more
     assert (arm.returncode, told["controllers"]) == (0, 1), arms
-    assert not place.exists()
 
 
 @pytest.mark.slow
-def test_ctrl_z_ends_an_arm_and_does_not_only_stop_it(fraclink: Command) -> None:
-    with arm_process(2, "--io", f"shm:end-{os.getpid()}", "--json") as (arm, clock):
+def test_ctrl_z_ends_an_arm_and_does_not_only_stop_it(fraclink: Line) -> None:
+    with arm_process(2, "--io", f"udp:127.0.0.1:{free_port()}", "--json") as (
+        arm,
+        clock,
+    ):
         clock.sleep(0.1)  # it runs
         arm.send_signal(signal.SIGTSTP)
         clock.leave()

@@ -12,7 +12,6 @@ import contextlib
 import hashlib
 import hmac
 import math
-import os
 import random
 import socket
 import struct
@@ -33,11 +32,9 @@ from fraclink._simulate import Twin, geared
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.lab._arm import ServedArm, serve_arm
 from fraclink.lab._connections import (
-    Library,
-    SharedMemory,
+    Callback,
     Udp,
     arm_end,
-    controller_end,
 )
 from fraclink.lab._loop import run_realtime
 from fraclink.lab._machine import VirtualClock
@@ -49,7 +46,6 @@ if not _kernels.REALTIME:
 PERIOD = 0.02
 OFF = 4
 MESSAGE = "<4sHHIIddIIIQ"  # without its checksum
-Way = Udp | SharedMemory
 
 
 @pytest.fixture(scope="module")
@@ -75,13 +71,9 @@ def twin(rig: fl.Rig) -> Twin:
     )
 
 
-@pytest.fixture(params=["udp", "shm"])
-def way(request: pytest.FixtureRequest) -> Way:
-    return (
-        Udp("127.0.0.1", free_port())
-        if request.param == "udp"
-        else SharedMemory(f"test-{os.getpid()}")
-    )
+@pytest.fixture
+def way() -> Udp:
+    return Udp("127.0.0.1", free_port())
 
 
 def free_port() -> int:
@@ -96,7 +88,7 @@ class Serving:
     """
 
     def __init__(
-        self, twin: Twin, way: Way, period: float = PERIOD, **options: object
+        self, twin: Twin, way: Udp, period: float = PERIOD, **options: object
     ) -> None:
         self.way, self.clock = way, VirtualClock(2)
         self.results: list[ServedArm] = []
@@ -202,7 +194,7 @@ def message(
 
 @pytest.mark.slow
 def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(
-    law: Law, twin: Twin, way: Way
+    law: Law, twin: Twin, way: Udp
 ) -> None:
     move = fl.smooth_step(0.3, 1.0)
     simulated = fl.simulate(law, move, arm=twin, duration=1.0)
@@ -238,7 +230,7 @@ def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
 
 @pytest.mark.slow
 def test_an_arm_that_dies_is_given_up_by_the_law(
-    law: Law, twin: Twin, way: Way
+    law: Law, twin: Twin, way: Udp
 ) -> None:
     with Serving(twin, way, duration=0.4, once=False) as serving:
         run = serving.control(law, fl.smooth_step(0.3, 1.0), duration=5.0)
@@ -312,7 +304,7 @@ def test_an_idle_command_moves_nothing_whatever_voltage_it_carries(twin: Twin) -
 
 def test_an_arm_that_starts_again_in_a_run_is_another_one(law: Law, twin: Twin) -> None:
     """Its samples carry another number, so that the law goes blind instead of jumping."""
-    way = SharedMemory(f"again-{os.getpid()}")
+    way = Udp("127.0.0.1", free_port())
     clock = VirtualClock(2)
 
     def serve_twice() -> None:
@@ -483,7 +475,7 @@ def test_what_is_no_key_is_refused_and_not_shown(key: object) -> None:
 
 
 def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(
-    law: Law, twin: Twin, way: Way
+    law: Law, twin: Twin, way: Udp
 ) -> None:
     with Serving(twin, way, duration=1.8, once=False) as serving:
         runs = [
@@ -500,7 +492,7 @@ def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(
     assert runs[1].origin == pytest.approx(runs[0].motor_angle[-1], abs=0.05)
 
 
-def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None:
+def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Udp) -> None:
     message = r"period: not the arm's \(got 0\.02\); expected 0\.025 s"
     with Serving(twin, way, 0.025) as serving, pytest.raises(FieldError, match=message):
         serving.control(law)
@@ -509,7 +501,7 @@ def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Way) -> None
 
 @pytest.mark.slow
 def test_nobody_there_and_somebody_there_already(
-    law: Law, twin: Twin, way: Way
+    law: Law, twin: Twin, way: Udp
 ) -> None:
     with pytest.raises(FieldError, match=r"silent|served by no arm") as caught:
         run_realtime(law, fl.extend.hold(0.0), way, patience=0.1)
@@ -542,48 +534,8 @@ def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
     )
 
 
-def test_one_controller_at_a_time_in_shared_memory(law: Law) -> None:
-    way = SharedMemory(f"one-{os.getpid()}")
-    with (
-        arm_end(way),
-        controller_end(way, 1.0),
-        pytest.raises(FieldError, match="another controller"),
-    ):
-        run_realtime(law, fl.extend.hold(0.0), way, duration=0.1)
-
-
-def test_shared_memory_is_private_and_leaves_nothing_behind(
-    law: Law, twin: Twin
-) -> None:
-    way = SharedMemory(f"left-{os.getpid()}")
-    place = Path("/dev/shm") / f"fraclink-{way.name}"  # noqa: S108
-    place.write_bytes(b"\xff" * 512)  # an arm that was killed, of another release
-    with Serving(twin, way) as serving:
-        run = serving.control(law, duration=0.1)
-    assert run.stopped == "finished"
-    assert not place.exists()
-    with arm_end(way):
-        assert place.stat().st_mode & 0o077 == 0
-    place.symlink_to("elsewhere")
-    try:
-        with pytest.raises(FieldError, match="refused"):
-            serve_arm(twin, way, PERIOD, duration=0.1)
-    finally:
-        place.unlink()
-
-
-def test_a_command_from_before_a_kill_is_not_obeyed(twin: Twin) -> None:
-    way = SharedMemory(f"stale-{os.getpid()}")
-    slot = (
-        struct.pack("<I60x", 2) + message(2, 7, 0.0, 5.0) + bytes(8)
-    )  # turn, and at byte 64 the message
-    (Path("/dev/shm") / f"fraclink-{way.name}").write_bytes(bytes(128) + slot)  # noqa: S108
-    served = serve_arm(twin, way, PERIOD, duration=0.2, clock=VirtualClock(1))
-    assert (served.controllers, served.rejected, set(served.voltage)) == (0, 0, {0.0})
-
-
 def test_the_record_of_the_arm_comes_back(
-    law: Law, twin: Twin, way: Way, tmp_path: Path
+    law: Law, twin: Twin, way: Udp, tmp_path: Path
 ) -> None:
     with Serving(twin, way) as serving:
         serving.control(law, duration=0.1)
@@ -613,12 +565,12 @@ def test_bad_values_are_named(
     twin: Twin, options: dict[str, object], field: str
 ) -> None:
     with pytest.raises(FieldError) as caught:
-        serve_arm(twin, SharedMemory("bad"), PERIOD, **options)  # type: ignore[arg-type]
+        serve_arm(twin, Udp("127.0.0.1", free_port()), PERIOD, **options)  # type: ignore[arg-type]
     assert caught.value.field == field
 
 
 def test_more_is_refused_before_memory_is_taken(twin: Twin) -> None:
     with pytest.raises(SizeError):
-        serve_arm(twin, SharedMemory("long"), PERIOD, duration=1e5)
+        serve_arm(twin, Udp("127.0.0.1", free_port()), PERIOD, duration=1e5)
     with pytest.raises(FieldError, match="no way to serve an arm"):
-        serve_arm(twin, Library(Path("board.so")), PERIOD)  # type: ignore[arg-type]
+        serve_arm(twin, Callback(lambda: None, print), PERIOD)  # type: ignore[arg-type]

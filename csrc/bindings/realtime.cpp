@@ -31,29 +31,16 @@ using Marks = nb::ndarray<std::uint32_t, nb::ndim<2>, nb::c_contig, nb::device::
 // A way to the arm. Exactly one of the three is in use: a channel, the two functions of a library, two callables.
 struct Io {
     realtime_channel *channel = nullptr;
-    int (*read_arm)(arm_sample *) = nullptr;
-    int (*write_arm)(const arm_command *) = nullptr;
     nb::object read, write, seal;
     std::exception_ptr failure;  // of a callable; C has no way to pass it on
 
     Io() = default;
     Io(Io &&other) noexcept
-        : channel(std::exchange(other.channel, nullptr)), read_arm(other.read_arm), write_arm(other.write_arm),
-          read(std::move(other.read)), write(std::move(other.write)), seal(std::move(other.seal)) {}
+        : channel(std::exchange(other.channel, nullptr)), read(std::move(other.read)), write(std::move(other.write)), seal(std::move(other.seal)) {}
     ~Io() {
         if (channel) channel->close(channel);
     }
 };
-
-int read_library(void *self, realtime_sample *sample) {
-    const int missing = static_cast<Io *>(self)->read_arm(&sample->value);
-    return missing < 0 ? missing : missing == 0;
-}
-
-int write_library(void *self, const arm_command *command) {
-    const int refused = static_cast<Io *>(self)->write_arm(command);
-    return refused < 0 ? refused : 0;
-}
 
 // Runs `work` under the GIL; the first exception is kept for Python and becomes -1, which stops the run.
 template <class Work> int guarded(Io *io, Work work) {
@@ -88,7 +75,6 @@ int write_callable(void *self, const arm_command *c) {
 
 realtime_io io_of(Io &io) {
     if (io.channel) return realtime_io_of(io.channel);
-    if (io.read_arm) return {&io, 0, 1, read_library, write_library};
     return {&io, 0, 0, read_callable, write_callable};
 }
 
@@ -119,14 +105,6 @@ Io socket_io(int file, bool arm, nb::object seal) {
         io.channel->sealer = seal.ptr();
         io.seal = std::move(seal);
     }
-    return io;
-}
-
-Io library(std::uintptr_t read, std::uintptr_t write) {
-    require(read != 0 && write != 0, "library: two functions");
-    Io io;
-    io.read_arm = reinterpret_cast<int (*)(arm_sample *)>(read);
-    io.write_arm = reinterpret_cast<int (*)(const arm_command *)>(write);
     return io;
 }
 
@@ -284,8 +262,6 @@ void bind_realtime(nb::module_ &m) {
     nb::class_<Io>(m, "RealtimeIo")
         .def_static("socket", &socket_io, nb::arg("file"), nb::arg("arm"), nb::arg("seal").none() = nb::none())
         .def_static("serial", [](int file, bool arm) { return channel_of(realtime_open_serial(file, arm)); })
-        .def_static("memory", [](int file, bool arm) { return channel_of(realtime_open_memory(file, arm)); })
-        .def_static("library", &library)
         .def_static("callables", &callables)
         .def("read", &read_once)
         .def("write", &write_once)
@@ -300,7 +276,6 @@ void bind_realtime(nb::module_ &m) {
     m.def("realtime_run", &run);
     m.def("realtime_bare", &bare);
     m.def("realtime_serve", &serve);
-    m.def("realtime_memory_size", &realtime_memory_size);
     m.def("realtime_watch_signals", &realtime_watch_signals);
     m.def("realtime_signalled", &realtime_signalled);
     m.def("realtime_release_signals", &realtime_release_signals);

@@ -5,8 +5,28 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "arm_io.h"
 #include "twin.h"
+
+/* ---- what goes to and fro in a period ---- */
+
+/* Modes of a command; the others are in law.h. In both of these the drive must be off, and the motor reference means
+ * nothing: idle before the law has started, off for the safe stop, which is the last command of every run. */
+#define ARM_MODE_IDLE 0U
+#define ARM_MODE_OFF 4U
+
+typedef struct {
+    double motor_angle; /* at the gear's output [rad] */
+    double torque;      /* of the gauge at the link's root [N m] */
+} arm_sample;
+
+typedef struct {
+    double motor_reference; /* for a robot with a position servo of its own [rad] */
+    double voltage;         /* for a motor that the law drives [V] */
+    uint32_t tick;          /* number of the period; it jumps where periods were missed */
+    uint32_t mode;
+    uint32_t reason;
+    uint32_t flags;
+} arm_command;
 
 /* ---- the clock ---- */
 
@@ -116,7 +136,7 @@ void realtime_run(const realtime_plan *plan, const realtime_io *io, const law_po
 /* The bare loop to compare with: sleep on the same deadlines, note the latency [s], nothing else. */
 void realtime_bare(const realtime_plan *plan, double *latency, realtime_outcome *outcome);
 
-/* ---- messages of MESSAGE_BYTES, by a datagram, a serial line or shared memory; docs/reference/file-formats.md ---- */
+/* ---- messages of MESSAGE_BYTES, by a datagram or a serial line; docs/reference/file-formats.md ---- */
 
 #define MESSAGE_BYTES 56
 #define MESSAGE_TAG 16 /* bytes behind it where both sides share a key */
@@ -158,9 +178,6 @@ typedef struct realtime_channel {
 /* All return NULL with errno set; `file` stays the caller's. A controller's socket is connected, an arm's is bound. */
 realtime_channel *realtime_open_socket(int file, int is_arm);
 realtime_channel *realtime_open_serial(int file, int is_arm);
-realtime_channel *realtime_open_memory(int file, int is_arm);
-/* Bytes of the shared memory. */
-size_t realtime_memory_size(void);
 
 /* The newest message of `kind` since the last call; 1 or 0. */
 int realtime_newest(realtime_channel *channel, uint32_t kind, realtime_message *message);

@@ -40,7 +40,7 @@ static double value_of(uint64_t bits)
     return value;
 }
 
-/* CRC-32 of IEEE 802.3: UDP's own checksum is 16 bits, optional, and not there in shared memory. */
+/* CRC-32 of IEEE 802.3: UDP's own checksum is 16 bits and optional, a serial line has none. */
 static uint32_t checksum(const uint8_t *bytes, int count)
 {
     uint32_t crc = 0xFFFFFFFFU;

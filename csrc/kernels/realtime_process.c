@@ -12,7 +12,7 @@
 #include <sys/mman.h>
 #include <sys/prctl.h>
 
-#define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a user's library may need more */
+#define STACK_BYTES 65536 /* the deepest call of a period needs about 2 kB, a callback of Python more */
 
 /* ---- signals ---- */
 
@@ -22,7 +22,7 @@ static const realtime_io *volatile faulting_io;
 static const arm_command *volatile faulting_stop;
 static struct sigaction former[NSIG];
 static int taken[NSIG];
-/* Where the handler of a fault runs: a call without end in a user's library leaves no room on the loop's own stack. One
+/* Where the handler of a fault runs: a call without end leaves no room on the loop's own stack. One
  * for the process, like what its handler stops: of loops that run at once in several threads a fault stops one. */
 static unsigned char fault_stack[STACK_BYTES];
 static _Thread_local stack_t former_stack;

@@ -32,7 +32,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "export c": ("loop", "how-to/flash-a-board"),
     "export fmu": ("loop", "how-to/export-an-fmu"),
     "export arm-firmware": ("arm", "how-to/build-an-arm"),
-    "export io": ("loop", "how-to/flash-a-board"),
     "run-realtime": ("loop", "how-to/run-in-real-time"),
     "serve-arm": ("arm", "how-to/run-in-real-time"),
     "tune": ("bode", "how-to/tune-an-arm"),

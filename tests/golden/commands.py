@@ -84,7 +84,6 @@ COMMANDS: dict[str, str] = {
     "export-c": "export c design.json",
     "export-fmu": "export fmu design.json --source",
     "export-arm-firmware": "export arm-firmware",
-    "export-io": "export io",
     "replay-of-nothing": "replay nothing demo",
     "run": f"run {RIG} --log demo --out results",
     "report": "report results --out page.html",

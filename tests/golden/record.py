@@ -41,7 +41,7 @@ sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 # The names that are not at the root: all of them here, so that a move of modules is one
 # edit.
 from fraclink._certify import Certificate  # noqa: E402
-from fraclink._export import export_fmu, export_io  # noqa: E402
+from fraclink._export import export_fmu  # noqa: E402
 from fraclink._identify import (  # noqa: E402
     design_experiment,
     identify_frequency_response,
@@ -869,12 +869,6 @@ def _fmu(named: str, precision: str) -> Plain:
         return {"sha256": _members(target)}
 
 
-def _board() -> Plain:
-    with tempfile.TemporaryDirectory() as place:
-        export_io(Path(place) / "board")
-        return {"sha256": _files(Path(place) / "board")}
-
-
 def law_figures(named: str) -> Plain:
     """A law as it is fitted now, beside the digest of the recorded one."""
     fitted = LAWS[named]()
@@ -902,7 +896,6 @@ def exports() -> Entries:
         for precision in ("double", "single"):
             made[f"C {named} {precision}"] = partial(_c_files, named, precision)
             made[f"FMU {named} {precision}"] = partial(_fmu, named, precision)
-    made["board"] = _board
     return made | {f"law {named}": partial(law_figures, named) for named in LAWS}
 
 

@@ -44,7 +44,6 @@ from fraclink._export import (
     export_arm_firmware,
     export_c,
     export_fmu,
-    export_io,
     replay_log,
 )
 from fraclink._files import kind_of
@@ -70,7 +69,7 @@ Address = typer.Option(metavar="ADDRESS")
 
 def connection_of(
     io: str, unsafe_remote: bool, key_file: Path | None
-) -> lab.Serial | lab.Udp | lab.SharedMemory | lab.Library:
+) -> lab.Serial | lab.Udp:
     """Return the way to an arm that the options of a command name."""
     # From a file and never from the command line, which `ps` and the shell's history
     # show to others. Bytes as they are: a line end belongs to the key at both ends.
@@ -232,18 +231,6 @@ def arm_firmware(
     )
 
 
-@command(export)
-def io(
-    out: Annotated[Path, "Folder to write to"] = Path("board"), force: bool = False
-) -> Answer:
-    """Write the I/O of a board to start from, for the real-time loop: arm_io.h and a C
-    library at rest.
-
-    $ fraclink export io --out board
-    """
-    return _listed(export_io(out, force=force))
-
-
 @command(app)
 def replay(
     folder: Annotated[
@@ -308,9 +295,7 @@ class LoopOptions(TypedDict):
 @command(app)
 def run_realtime(
     design_file: DesignFile,
-    io: Annotated[
-        str, Address, "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
-    ],
+    io: Annotated[str, Address, "serial:PORT@BAUD or udp:HOST:PORT"],
     out: Annotated[Path, "File to write the record to (npz)", Writes()] = Path(
         "realtime.npz"
     ),
@@ -420,7 +405,7 @@ def _refused(what: str, granted: str) -> tuple[str, ...]:
 @command(app)
 def serve_arm(
     design_file: DesignFile,
-    io: Annotated[str, Address, "serial:pty, udp:HOST:PORT or shm:NAME"],
+    io: Annotated[str, Address, "serial:pty or udp:HOST:PORT"],
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
     duration: Annotated[float, "Time to serve [s]"] = 600.0,

@@ -41,9 +41,7 @@ _LIMITS = {
 
 @command(app)
 def tune(
-    io: Annotated[
-        str, Address, "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
-    ],
+    io: Annotated[str, Address, "serial:PORT@BAUD or udp:HOST:PORT"],
     payload: Annotated[
         Payload | None, "Payload at the tip while it is tuned [kg]"
     ] = None,

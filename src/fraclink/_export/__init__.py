@@ -4,7 +4,7 @@ begin with.
 
 from __future__ import annotations
 
-from fraclink._export.board import export_arm_firmware, export_io
+from fraclink._export.board import export_arm_firmware
 from fraclink._export.c import export_c
 from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
@@ -17,7 +17,6 @@ __all__ = [
     "export_arm_firmware",
     "export_c",
     "export_fmu",
-    "export_io",
     "replay",
     "replay_log",
 ]

@@ -92,7 +92,7 @@ def title_text(title: object) -> str:
 
 
 def law_source(name: str) -> bytes:
-    """Return the bytes of "law.h", "law.c" or "arm_io.h" as this package was built
+    """Return the bytes of "law.h", "law.c" or "arm_link.c" as this package was built
     from.
 
     >>> law_source("law.h").startswith(b"/* The control law")

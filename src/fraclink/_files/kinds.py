@@ -74,8 +74,8 @@ class Document:
     own: bool
 
 
-# Public classes that are no values: an open connection, a memory that others write.
-_NO_VALUES = {"Callback", "Library", "SharedMemory", "SimulatedArm", "Udp"}
+# Public classes that are no values: an open connection, an arm that moves.
+_NO_VALUES = {"Callback", "Serial", "SimulatedArm", "Udp"}
 
 _BY_KIND: dict[str, Document] = {}
 _BY_CLASS: dict[type, Document] = {}

@@ -31,7 +31,6 @@ from fraclink._design.feasibility import feasibility_map as feasibility_map
 from fraclink._design.pid_tuning import PidStep as PidStep
 from fraclink._design.pid_tuning import PidTuning as PidTuning
 from fraclink._export.board import export_arm_firmware as export_arm_firmware
-from fraclink._export.board import export_io as export_io
 from fraclink._export.board import export_reference as export_reference
 from fraclink._export.claims import Claim as Claim
 from fraclink._export.claims import Proof as Proof

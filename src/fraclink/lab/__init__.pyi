@@ -2,9 +2,7 @@ from fraclink.lab._arm import ServedArm as ServedArm
 from fraclink.lab._arm import SimulatedArm as SimulatedArm
 from fraclink.lab._arm import serve_arm as serve_arm
 from fraclink.lab._connections import Callback as Callback
-from fraclink.lab._connections import Library as Library
 from fraclink.lab._connections import Serial as Serial
-from fraclink.lab._connections import SharedMemory as SharedMemory
 from fraclink.lab._connections import Udp as Udp
 from fraclink.lab._connections import parse_connection as parse_connection
 from fraclink.lab._loop import run_realtime as run_realtime

@@ -38,7 +38,7 @@ MOST_PERIODS = 2_000_000
 # The law rides through 5 missed periods and trips at the 6th; whoever is silent for 10
 # will not come back.
 WATCHDOG = 10
-_IDLE, _OFF = 0, 4  # modes in which the drive is off, see arm_io.h
+_IDLE, _OFF = 0, 4  # modes in which the drive is off, see realtime.h
 _CHUNK = 4096  # noise is drawn in rows, as one draw a period costs more than the period
 _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
@@ -116,7 +116,7 @@ def serve_arm(
     twin
         with a `voltage_delay` of at least 1.
     connection
-        `Serial`, `Udp` or `SharedMemory`, where controllers reach it. `Udp` is bound to
+        `Serial` or `Udp`, where controllers reach it. `Udp` is bound to
         that host; the port "pty" of `Serial` is a pseudo-terminal.
     period
         the law's [s].

@@ -1,26 +1,19 @@
-"""Connections to an arm: a serial line, UDP, shared memory, a library of the user's, two
-functions of Python.
-"""
+"""Connections to an arm: a serial line, UDP, two functions of Python."""
 
 from __future__ import annotations
 
-import ctypes
 import hmac
 import ipaddress
 import os
 import re
 import socket
-import struct
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from fraclink import _kernels
-from fraclink._files import checked_path
 from fraclink.errors import FieldError
 from fracsys.checks import checked, checked_whole
 
@@ -34,28 +27,17 @@ __all__ = [
     "Callback",
     "Command",
     "Connection",
-    "Library",
     "Serial",
-    "SharedMemory",
     "Udp",
     "arm_end",
     "controller_end",
     "parse_connection",
 ]
 
-IO_VERSION = 1  # ARM_IO_VERSION of arm_io.h
-# No dot and no slash: the name becomes a file of /dev/shm, and must not lead out of it.
-_NAME = re.compile(r"[A-Za-z0-9_-]{1,64}")
-_FORMS = "serial:PORT@BAUD, udp:HOST:PORT, shm:NAME or library:FILE.so"
-_SHARED = Path("/dev/shm")  # where Linux keeps POSIX shared memory, by shm_open(3)  # noqa: S108
-_ARM, _CONTROLLER = (
-    0,
-    1,
-)  # bytes of the shared memory that each end locks while it lives
+_FORMS = "serial:PORT@BAUD or udp:HOST:PORT"
 _KEY_BYTES = 16  # what nobody guesses
 _TAG_BYTES = 16  # MESSAGE_TAG of realtime.h
 _PTY = "pty"  # a pseudo-terminal, where an arm is served
-_LOOK = 0.02  # [s] between two looks for an arm that is not there yet
 
 
 class Command(NamedTuple):
@@ -143,50 +125,6 @@ class Serial:
         return f"serial:{self.port}@{self.baud}"
 
 
-@dataclass(frozen=True)
-class SharedMemory:
-    """An arm on the same machine, reached by POSIX shared memory of a `name` of
-    letters, digits, _ and -.
-
-    >>> str(SharedMemory("arm"))
-    'shm:arm'
-    """
-
-    name: str
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not _NAME.fullmatch(self.name):
-            raise _error(
-                f"shm:{self.name}",
-                "not a name",
-                "1 to 64 letters, digits, _ and -",
-                "shm:arm",
-            )
-
-    def __str__(self) -> str:
-        return f"shm:{self.name}"
-
-
-@dataclass(frozen=True)
-class Library:
-    """A board behind a shared library with the functions of `arm_io.h`; `fraclink
-    export io` makes a start.
-
-    Loading it runs its code, with the rights of this process.
-
-    >>> str(Library(Path("my_board.so")))
-    'library:my_board.so'
-    """
-
-    path: Path
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "path", checked_path("path", self.path))
-
-    def __str__(self) -> str:
-        return f"library:{self.path}"
-
-
 @dataclass(frozen=True, eq=False)
 class Callback:
     """A board behind two functions of Python, each called once in a period.
@@ -204,15 +142,15 @@ class Callback:
         return "callback"
 
 
-Connection = Serial | Udp | SharedMemory | Library | Callback
+Connection = Serial | Udp | Callback
 
 
 @checked
 def parse_connection(
     io: str, *, unsafe_remote: bool = False, key: bytes | None = None
-) -> Serial | Udp | SharedMemory | Library:
-    """Return the connection that the command line names: serial:PORT@BAUD,
-    udp:HOST:PORT, shm:NAME or library:FILE.so.
+) -> Serial | Udp:
+    """Return the connection that the command line names: serial:PORT@BAUD or
+    udp:HOST:PORT.
 
     `unsafe_remote` and `key` are those of `Udp`; a key for another way is refused.
 
@@ -220,8 +158,8 @@ def parse_connection(
     Udp(host='localhost', port=5005, unsafe_remote=False)
     >>> parse_connection("tcp:localhost:5005")
     Traceback (most recent call last):
-    fracsys.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected serial:PORT@BAUD,
-    udp:HOST:PORT, shm:NAME or library:FILE.so. Start with serial:, udp:, shm: or library:.
+    fracsys.errors.FieldError: io: no way to an arm (got tcp:localhost:5005); expected serial:PORT@BAUD
+    or udp:HOST:PORT. Start with serial: or udp:.
     """
     kind, _, rest = io.partition(":")
     # Refused, not ignored: who gives a key believes that strangers are kept out.
@@ -236,16 +174,12 @@ def parse_connection(
         if not re.fullmatch(r"[0-9]{1,9}", baud):
             raise _error(io, "without a speed", "bits/s", f"serial:{port}@1000000")
         return Serial(port, int(baud))
-    if kind == "shm":
-        return SharedMemory(rest)
-    if kind == "library" and rest:
-        return Library(Path(rest))
     if kind != "udp":
         raise _error(
             io,
             "no way to an arm",
             _FORMS,
-            "start with serial:, udp:, shm: or library:",
+            "start with serial: or udp:",
         )
     # From the right, as an IPv6 address has colons of its own, in brackets or not.
     host, _, port = rest.rpartition(":")
@@ -258,10 +192,8 @@ def parse_connection(
 
 
 @contextmanager
-def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
-    """Open the controller's end, waiting up to `patience` [s] for shared memory; yields
-    the kernel's way.
-    """
+def controller_end(connection: Connection) -> Iterator[Any]:
+    """Open the controller's end; yields the kernel's way."""
     if isinstance(connection, Udp):
         with _datagrams(connection) as (plug, address):
             # Connected, so that the kernel drops datagrams of anybody else before they
@@ -271,12 +203,6 @@ def controller_end(connection: Connection, patience: float) -> Iterator[Any]:
     elif isinstance(connection, Serial):
         with _port(connection) as file:
             yield _kernels.RealtimeIo.serial(file, False)
-    elif isinstance(connection, SharedMemory):
-        with _attached(connection, patience) as file:
-            yield _kernels.RealtimeIo.memory(file, False)
-    elif isinstance(connection, Library):
-        with _loaded(connection) as (read, write):
-            yield _kernels.RealtimeIo.library(read, write)
     else:
         yield _callables(connection)
 
@@ -300,15 +226,12 @@ def arm_end(
     elif isinstance(connection, Serial):
         with _terminal(begin) if connection.port == _PTY else _port(connection) as file:
             yield _kernels.RealtimeIo.serial(file, True)
-    elif isinstance(connection, SharedMemory):
-        with _created(connection) as file:
-            yield _kernels.RealtimeIo.memory(file, True)
     else:
-        remedy = "a library or a callback is the arm itself"
+        remedy = "a callback is the arm itself"
         raise _error(
             connection,
             "no way to serve an arm",
-            "serial:pty, udp:HOST:PORT or shm:NAME",
+            "serial:pty or udp:HOST:PORT",
             remedy,
         )
 
@@ -425,146 +348,6 @@ def _terminal(begin: Callable[[str], None]) -> Iterator[int]:
     finally:
         os.close(here)
         os.close(there)
-
-
-def _lock_of(byte: int) -> bytes:
-    """A struct flock: this byte, for writing."""
-    return struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, byte, 1, 0)
-
-
-def _locked(file: int, byte: int) -> bool:
-    """Lock one byte for as long as the file is open; False where another open file has
-    it.
-
-    Locks of open files (not of processes): they also hold between two threads, and die
-    with their owner.
-    """
-    try:
-        fcntl.fcntl(file, fcntl.F_OFD_SETLK, _lock_of(byte))
-    except (BlockingIOError, PermissionError):
-        return False
-    return True
-
-
-def _served(file: int) -> bool:
-    """Whether an arm has locked its end."""
-    answer = fcntl.fcntl(file, fcntl.F_OFD_GETLK, _lock_of(_ARM))
-    return bool(struct.unpack("hhqqi4x", answer)[0] != fcntl.F_UNLCK)
-
-
-def _open_shared(connection: SharedMemory, flags: int) -> int | None:
-    """Open the file behind shared memory; None where there is none."""
-    try:
-        # Private: any process that may write here moves the arm. A link would lead to a
-        # file of another user. A child process that inherited the file would hold its
-        # locks on, as they belong to the open file.
-        flags |= os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC
-        return os.open(_SHARED / f"fraclink-{connection.name}", flags, 0o600)
-    except FileNotFoundError:
-        return None
-    except OSError as error:
-        raise _refused(connection, error, "shared memory of this user") from error
-
-
-@contextmanager
-def _created(connection: SharedMemory) -> Iterator[int]:
-    file = _open_shared(connection, os.O_CREAT)
-    if file is None:
-        raise _error(connection, "without a place", f"a folder {_SHARED}", "mount it")
-    try:
-        if not _locked(file, _ARM):
-            raise _error(
-                connection, "served by another arm", "a free name", "choose another"
-            )
-        try:
-            # Only now: a controller takes the size for the sign that the memory is
-            # ready.
-            os.ftruncate(file, _kernels.realtime_memory_size())
-            yield file
-        finally:
-            (_SHARED / f"fraclink-{connection.name}").unlink(missing_ok=True)
-    finally:
-        os.close(file)
-
-
-@contextmanager
-def _attached(connection: SharedMemory, patience: float) -> Iterator[int]:
-    last = time.monotonic() + patience
-    while (file := _existing(connection)) is None:
-        if time.monotonic() > last:
-            problem, allowed = (
-                f"served by no arm within {patience:g} s",
-                "an arm that serves it",
-            )
-            raise _error(
-                connection,
-                problem,
-                allowed,
-                f"start `fraclink serve-arm DESIGN --io {connection}`",
-            )
-        time.sleep(_LOOK)
-    try:
-        # Two controllers would each see the other's commands obeyed and trip on a
-        # motion that they did not ask for.
-        if not _locked(file, _CONTROLLER):
-            raise _error(
-                connection,
-                "in use by another controller",
-                "one controller",
-                "end the other one",
-            )
-        yield file
-    finally:
-        os.close(file)
-
-
-def _existing(connection: SharedMemory) -> int | None:
-    """Open shared memory that an arm serves; None where none does."""
-    file = _open_shared(connection, 0)
-    if file is None or (
-        os.fstat(file).st_size == _kernels.realtime_memory_size() and _served(file)
-    ):
-        return file
-    os.close(file)
-    return None
-
-
-@contextmanager
-def _loaded(connection: Library) -> Iterator[tuple[int, int]]:
-    """Load the library and open its board; yields the addresses of its two functions."""
-    path = (
-        connection.path.resolve()
-    )  # without a slash the loader would search its own folders
-    try:
-        library = ctypes.CDLL(str(path))
-    except OSError as error:
-        raise _unfit(connection, f"not to be loaded ({error})") from error
-    names = ("arm_read", "arm_write", "arm_io_version", "arm_open", "arm_close")
-    read, write, version, begin, end = (getattr(library, name, None) for name in names)
-    if read is None or write is None or version is None:
-        raise _unfit(connection, "without arm_read, arm_write and arm_io_version")
-    # Asked before the board is opened: what a struct of another layout would do to a
-    # motor is not found out.
-    if version() != IO_VERSION:
-        raise _unfit(connection, f"made for version {version()} of arm_io.h")
-    if begin is not None and (code := begin()) != 0:
-        raise _unfit(connection, f"not ready: arm_open gave {code}")
-    try:
-        # Addresses, not functions: the loop in C calls them without the interpreter's
-        # lock.
-        yield _address(read), _address(write)
-    finally:
-        if end is not None:
-            end()
-
-
-def _address(function: Any) -> int:
-    return ctypes.cast(function, ctypes.c_void_p).value or 0
-
-
-def _unfit(connection: Library, problem: str) -> FieldError:
-    allowed = f"a library compiled with arm_io.h, version {IO_VERSION}"
-    return _error(connection, problem, allowed, "start from `fraclink export io`")
 
 
 def _callables(connection: Callback) -> Any:

@@ -191,7 +191,7 @@ def open_line(
         if isinstance(connection, Callback):
             way: Any = _Called(connection)
         else:
-            way = stack.enter_context(controller_end(connection, patience))
+            way = stack.enter_context(controller_end(connection))
         first = _first_sample(way, connection, period, patience, time, signals)
         line = ArmLine(
             way, 1e-9 * first[0] if first[0] else period or 0.0, time, signals

@@ -165,7 +165,7 @@ def run_realtime(
         )
     )
     with contextlib.ExitStack() as kept:
-        with room, controller_end(connection, patience) as way:
+        with room, controller_end(connection) as way:
             obeyed = kept.enter_context(signals_held())
             outcome = _kernels.realtime_run(
                 way,
