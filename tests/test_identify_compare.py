@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fraclink import s, time_response
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
@@ -371,3 +372,33 @@ def test_white_errors_are_the_scatter_of_fits() -> None:
         said = np.median([fit.standard_errors[name] for fit in fits])
         scatter = np.std([getattr(fit, name) for fit in fits])
         assert 0.6 < said / scatter < 1.7, name  # the scatter of 24 is known to 15 %
+
+
+def test_the_held_out_part_vetoes_a_link_without_damping() -> None:
+    """Somebody pushes the arm in the fitted part: an undamped link fits what is left as
+    well as a damped one can be shown to, and predicts a motion it has not seen five
+    times worse.
+    """
+    period, count, rate, ratio = 0.001, 10_000, 10.63, 0.0054
+    time = period * np.arange(count)
+    moves = ((0.5, 0.6), (3.137, -0.6), (5.0, 0.5), (7.2, -0.5))
+    reference = sum(a * (time >= t) for t, a in moves)
+    angle = np.asarray(time_response(1 / (0.04 * s + 1) ** 2, reference, period).output)
+    link = LinkModel(1.0, rate, damping=2 * ratio * rate)
+    clean = simulated_torque(link, angle, period, delay=0.058, hold="first")
+    pushed = np.random.default_rng(100).normal(size=count) * (time < 5.5)
+    push = time_response(
+        1 / (s**2 + 2 * ratio * rate * s + rate**2), pushed, period
+    ).output
+    output = clean + 0.5 * clean.std() / push[: count // 2].std() * push
+    output = np.round(output / 0.0022) * 0.0022
+    log = Experiment(period, angle, output, output_kind="deflection")
+    found = compare_structures(log, details=False)
+    errors = {name: fit.heldout_nmse or 0.0 for name, fit in found.fits.items()}
+    assert errors["UD-IOM"] > 4 * errors["D-IOM"]
+    assert "UD-IOM" in found.vetoed
+    assert "held-out" in found.verdict
+    assert found.preferred != "UD-IOM"
+    fit = identify(log, details=False)
+    assert fit.structure == found.preferred
+    assert "W327" in {finding.code for finding in fit.findings}

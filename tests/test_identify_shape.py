@@ -21,15 +21,12 @@ from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     Window,
     columns_of,
-    damping_and_square,
     mask_of,
-    model_gradients,
     model_of,
     shape_of,
 )
 from fraclink._identify.uncertainty import (
-    profile_interval,
-    reduced,
+    link_intervals,
     uncertainty,
 )
 from fraclink.errors import LogError, NotConvergedError
@@ -42,22 +39,6 @@ LINKS = [
     LinkModel(1.0, 10.0, damping=1.3, damping_order=0.6),
     LinkModel(1.0, 10.0, damping=0.05, damping_order=1.6),
 ]
-
-
-@pytest.mark.parametrize("link", LINKS[2:])
-def test_gradients_of_the_parameters(link: LinkModel) -> None:
-    shape, rows = shape_of(link), model_gradients(shape_of(link))
-    for k in range(4):
-        moved = shape.copy()
-        moved[k] += 1e-4
-        parts = []
-        for sign in (1, -1):
-            moved[k] = shape[k] + sign * 1e-4
-            damping, square = damping_and_square(moved)
-            parts.append(np.array([math.sqrt(square), moved[0], damping, moved[3]]))
-        assert rows[:, k] == pytest.approx(
-            (parts[0] - parts[1]) / 2e-4, rel=1e-4, abs=1e-6
-        )
 
 
 def test_columns_hold_the_output_and_its_derivatives() -> None:
@@ -194,50 +175,6 @@ def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> 
         identify(replace(cut, earlier_angle=np.full(100, 0.4)))
 
 
-def test_a_gram_matrix_without_gain_and_offset_is_that_of_least_squares(
-    log: Experiment,
-) -> None:
-    """Cost, slope and curvature against the projection of the written-out columns."""
-    for options in (
-        {},
-        {"fixed": {"gain": 1.5}},
-        {"fixed": {"offset": 0.2}},
-        {"fixed": {"gain": 1.5, "offset": 0.2}},
-    ):
-        search = searched(log, **options)
-        shape = shape_of(TRUTH, 0.003)
-        shape[0] -= 0.01
-        gram = search.kernel.gram(shape, mask_of((0, 1, 4)))
-        assert gram is not None
-        normal, slope, cost = reduced(gram, search)
-        raw = columns_of(search.kernel, shape, mask_of((0, 1, 4)))
-        straight = []
-        measured = log.output.copy()
-        for name, column in (("gain", raw[0]), ("offset", np.ones(raw.shape[1]))):
-            if name in options.get("fixed", {}):
-                measured = measured - options["fixed"][name] * column
-            else:
-                straight.append(column)
-        basis = (
-            np.linalg.qr(np.stack(straight, axis=1))[0]
-            if straight
-            else np.zeros((raw.shape[1], 0))
-        )
-        left = measured - basis @ (basis.T @ measured)
-        gain = (
-            1.5
-            if "gain" in options.get("fixed", {})
-            else np.linalg.lstsq(np.stack(straight, axis=1), measured, rcond=None)[0][0]
-        )
-        columns = gain * raw[1:]
-        columns = columns - (columns @ basis) @ basis.T
-        assert cost == pytest.approx(float(left @ left), rel=1e-8)
-        assert slope == pytest.approx(
-            columns @ left, rel=1e-6, abs=1e-6 * float(left @ left)
-        )
-        assert normal == pytest.approx(columns @ columns.T, rel=1e-6)
-
-
 # --- which part is held out ---------------------------------------------------------------------------------
 
 
@@ -335,17 +272,18 @@ def test_a_profile_is_the_best_cost_with_the_parameter_held(log: Experiment) -> 
     """
     search = searched(log)
     solution = search.solve("UD-FOM")
-    error = math.sqrt(uncertainty(search, solution, coloured=False).white[1, 1])
-    interval = profile_interval(search, solution, "order", error, 1.0)
+    interval = link_intervals(search, solution, {"order": 1.0})["order"]
     assert not interval.low_open and not interval.high_open
     assert interval.low < solution.shape[0] < interval.high
     for end in (interval.low, interval.high):
         held = searched(log, fixed={"order": end}).solve("UD-FOM")
         told = log.output.size * math.log(held.cost / solution.cost)
         assert math.sqrt(told) == pytest.approx(1.96, abs=5e-3)
-    wide = profile_interval(search, solution, "order", 2 * error, 4.0)
+    wide = link_intervals(search, solution, {"order": 4.0})["order"]
     assert wide.high - wide.low == pytest.approx(
         2 * (interval.high - interval.low), rel=0.05
     )
-    own = profile_interval(search, solution, "natural_frequency", 0.01, 1.0)
+    own = link_intervals(search, solution, {"natural_frequency": 1.0})[
+        "natural_frequency"
+    ]
     assert own.contains(model_of(solution.shape, 1.0, None).natural_frequency)

@@ -13,7 +13,7 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink._identify.expression import parse_expression
-from fraclink._identify.least_squares import (
+from fraclink._identify.problem import (
     Interval,
 )
 from fraclink._identify.structure_certainty import (

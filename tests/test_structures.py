@@ -12,10 +12,7 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink._identify.expression import parse_expression
-from fraclink._identify.least_squares import differences
-from fraclink._identify.structure_problem import RecordStart, StructureCoordinates
-from fraclink._identify.structure_search import StructureSearch
-from fraclink._identify.structure_slopes import Rows, derivatives
+from fraclink._identify.structure_problem import StructureCoordinates
 from fraclink.errors import FieldError, LogError, NotConvergedError
 
 LAG = "k/(s**a + w)"
@@ -150,107 +147,12 @@ def test_the_link_structure_is_that_of_identify() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("expression", "values"),
-    [
-        (
-            "(b*s**n + 1)/(a2*s**2 + s + a0)*exp(-T*s)",
-            {"b": 0.3, "n": 0.7, "a2": 0.2, "a0": 2.0, "T": 0.1},
-        ),
-        ("k/((T*s)**a + 1)**2 - k**0.5", {"k": 2.0, "T": 1.5, "a": 0.8}),
-        ("1 - 2**a/(s + w)**2", {"a": 0.6, "w": 3.0}),
-    ],
-)
-def test_derivatives_of_an_expression_are_those_of_differences(
-    expression: str, values: dict[str, float]
-) -> None:
-    points = 0.1 + 1j * np.geomspace(0.1, 30.0, 20)
-    structure = parse_expression(expression)
-    value, slopes = derivatives(structure, values, points)
-    np.testing.assert_allclose(value, structure.response(values, points), rtol=1e-12)
-    assert set(slopes) == set(values)
-    for name in values:
-        above, below = (
-            structure.response(
-                {**values, name: values[name] * (1 + sign * 1e-5)}, points
-            )
-            for sign in (1, -1)
-        )
-        wanted = (above - below) / (2e-5 * values[name])
-        np.testing.assert_allclose(
-            slopes[name], wanted, atol=1e-8 * np.abs(value).max()
-        )
-
-
 def coordinates_of(expression: str) -> StructureCoordinates:
     structure = parse_expression(expression)
     limits = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
     return StructureCoordinates(
         structure, {n: limits[r] for n, r in structure.roles.items()}, {}
     )
-
-
-def test_rows_of_a_jacobian_by_a_transform_back_are_those_of_exact_responses() -> None:
-    data = RecordStart.of(recording(TWO_TERMS, TRUTH, samples=8000), "auto", 8000)
-    own = coordinates_of(TWO_TERMS)
-    coarse = Rows(data).coarse(own, TRUTH)
-    assert coarse is not None
-    assert coarse.sharp and coarse.width > 1
-    at = np.array([[float(own.place(name, TRUTH[name])) for name in own.names]])
-    low, high = own.box(own.names)
-
-    def simulated(places: np.ndarray) -> np.ndarray:
-        return data.simulated(
-            own.structure, own.values(places, projected=False), len(places)
-        )
-
-    exact = differences(simulated, at, simulated(at), low, high)[0]
-    whole = exact.shape[1] // coarse.width * coarse.width
-    wanted = exact[:, :whole].reshape(len(exact), -1, coarse.width).mean(
-        axis=2
-    ) * np.sqrt(coarse.width)
-    rows = coarse.rows(own, TRUTH)
-    assert rows is not None
-    assert np.all(
-        np.linalg.norm(rows - wanted, axis=1) < 5e-3 * np.linalg.norm(wanted, axis=1)
-    )
-
-
-@pytest.mark.parametrize(
-    ("expression", "values"),
-    [
-        ("k/(s - w)", {"k": 1.0, "w": 2.0}),  # grows: it would wrap around
-        ("k*s**a/(s**a + w)", {"k": 1.0, "a": 1.5, "w": 2.0}),  # jumps with its input
-        (
-            "k/(s**a + w)*exp(-T*s)",
-            {"k": 1.0, "a": 1.5, "w": 2.0, "T": 0.13},
-        ),  # a jump between samples
-    ],
-)
-def test_what_no_transform_back_knows_is_left_to_exact_responses(
-    expression: str, values: dict[str, float]
-) -> None:
-    data = RecordStart.of(recording("1/(s + 1)", {}), "auto", 2500)
-    coarse = Rows(data).coarse(coordinates_of(expression), values)
-    assert coarse is None or not coarse.sharp
-
-
-@pytest.mark.slow
-def test_the_steps_end_where_the_exact_jacobian_leads() -> None:
-    """From a place far off, by damped steps on blocks of samples: the end is that of a
-    trust region.
-    """
-    data = RecordStart.of(recording(TWO_TERMS, TRUTH), "auto", 2500)
-    search = StructureSearch(coordinates_of(TWO_TERMS), None)
-    own = search.coordinates
-    low, high = own.box(own.moving)
-    far = {"a2": 1.6, "n2": 1.9, "a1": 0.2, "n1": 0.6, "a0": 1.3}
-    begin = np.array([float(own.place(name, far[name])) for name in own.moving])
-    ended = search._ended(data, [begin], low, high)
-    settled = search._settled(data, ended.places, low, high)
-    assert ended.converged[0]
-    assert settled.costs[0] == pytest.approx(ended.costs[0], rel=1e-6)
-    np.testing.assert_allclose(ended.places[0], settled.places[0], atol=1e-4)
 
 
 def test_frequency_response_without_a_start() -> None:
@@ -534,3 +436,41 @@ def test_a_formula_in_place_of_a_link_structure_is_sent_where_it_is_fitted() -> 
         fl.identify(log, "k*s**a/(s**a + w)")
     with pytest.raises(FieldError, match="hoose one of these"):
         fl.identify(log, "FOM")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_given_orders_and_much_noise(seed: int) -> None:
+    """The noise is 60 % of the output's size: linear least squares alone begin at a
+    wrong sign, and a descent from there ends at a bound.
+    """
+    generator = np.random.default_rng(seed)
+    u = np.repeat(generator.choice([-1.0, 1.0], 107), 15)[:1600]
+    clean = fl.time_response(1 / (fl.s**3 + 1.5 * fl.s**1.5 + 1), u, 0.05).output
+    noisy = clean + 0.6 * clean.std() * generator.standard_normal(1600)
+    record = fl.Recording(0.05, u, noisy)
+    expression, truth = "b/(a*s**3 + c*s**1.5 + 1)", {"b": 1.0, "a": 1.0, "c": 1.5}
+    fit = fl.identify_structure(record, expression, heldout=0.0, details=False)
+    near = fl.identify_structure(
+        record, expression, heldout=0.0, details=False, start=truth
+    )
+    assert fit.nmse <= near.nmse * (1 + 1e-4)
+    for name, value in truth.items():
+        assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name]
+
+
+def test_a_coefficient_may_have_either_sign() -> None:
+    truth = {"k": 2.0, "c": -0.4, "a": 0.7, "w": 1.0}
+    record = recording("k/(s + c*s**a + w)", truth, noise=0.0)
+    fit = fl.identify_structure(record, "k/(s + c*s**a + w)", details=False)
+    assert fit.parameters == pytest.approx(truth, rel=1e-4)
+    # Where its range says that it is positive the fit is near and not right, and says
+    # so: what is left is as smooth as the output.
+    forced = fl.identify_structure(
+        record,
+        "k/(s + c*s**a + w)",
+        bounds={"c": (1e-6, 1e6)},
+        details=False,
+    )
+    assert not forced.passed
+    assert "W360" in {finding.code for finding in forced.findings}

@@ -65,16 +65,20 @@ struct Problem {
         return nb::cast(owned(std::move(values), {(size_t)table->outputs, (size_t)p.count}));
     }
 
-    nb::object gram(input_array shape, unsigned mask) {
-        check(shape);
+    // Gram matrix of each row of shapes, rows x side x side; not numbers where a shape has no pole.
+    output_array grams(input_table shapes, unsigned mask) {
+        if (shapes.shape(1) != FIT_SHAPE || shapes.shape(0) < 1) throw std::invalid_argument("shapes: 5 columns");
         std::unique_ptr<fit_table> table(new fit_table); // of this call: threads may share the problem
-        std::vector<double> values(FIT_COLUMNS_MAX * FIT_COLUMNS_MAX);
-        int bad = fit_make_table(&p, shape.data(), mask, table.get());
-        if (bad) return nb::none();
-        fit_pass(&p, table.get(), values.data(), nullptr);
-        size_t side = 2 + table->outputs;
-        values.resize(side * side);
-        return nb::cast(owned(std::move(values), {side, side}));
+        size_t count = shapes.shape(0), side = 3;
+        for (unsigned bit = 0; bit < FIT_SHAPE; bit++) side += mask >> bit & 1;
+        std::vector<double> values(count * side * side, NAN);
+        {
+            nb::gil_scoped_release release;
+            for (size_t i = 0; i < count; i++)
+                if (!fit_make_table(&p, shapes.data() + i * FIT_SHAPE, mask, table.get()))
+                    fit_pass(&p, table.get(), values.data() + i * side * side, nullptr);
+        }
+        return owned(std::move(values), {count, side, side});
     }
 
     // Sum of squares at the best gain and offset for each row of shapes; infinite where a shape has no pole.
@@ -149,7 +153,7 @@ void bind_fit(nb::module_ &m) {
     nb::class_<Problem>(m, "FitProblem")
         .def(nb::init<input_array, input_array, double, int, double, double, int, int, ptrdiff_t>())
         .def("columns", &Problem::columns)
-        .def("gram", &Problem::gram)
+        .def("grams", &Problem::grams)
         .def("costs", &Problem::costs)
         .def("solve", &Problem::solve);
 }

@@ -19,10 +19,10 @@ from fraclink._identify.fit import (
     save_model,
 )
 from fraclink._identify.fitting import simulated_torque
-from fraclink._identify.least_squares import Interval
 from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
+from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink._identify.spectrum import frequency_response, identify_frequency_response
 from fraclink._identify.structure_fit import StructureFit

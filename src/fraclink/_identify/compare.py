@@ -5,7 +5,7 @@ that choice.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -15,7 +15,14 @@ from fraclink._arm.link import structure as structure_row
 from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
-from fraclink._identify.fitting import HeldOut, Stiffness, fit_from, make_search
+from fraclink._identify.fitting import (
+    HeldOut,
+    Stiffness,
+    fit_from,
+    make_search,
+    predicted_output,
+)
+from fraclink._identify.residual import mean_with_error
 from fraclink._identify.search import Search
 from fraclink._identify.shape import Hold, special_cases
 from fraclink._identify.uncertainty import Uncertainty, structure_criteria, uncertainty
@@ -29,6 +36,9 @@ from fracsys.checks.equality import compared
 # coloured noise, 4 named a wrong structure in 13 and 8 in 3, which left one log in five
 # undecided instead of one in seven (benchmarks/bench_gates.py).
 _DECISIVE = 8.0
+# Standard errors by which a link without damping, which no real link is, may predict
+# the held-out part worse than a damped one: Breiman's rule.
+_WORSE = 1.0
 Criteria = Mapping[str, tuple[float, float]]
 
 
@@ -76,13 +86,16 @@ class Comparison:
     preferred
         the structure to use: of those whose criterion (the AIC where the residual is
         white) is within 8 of the lowest, the one with the fewest parameters, then with
-        the lowest criterion.
+        the lowest criterion. One without damping is not preferred where a damped one of
+        these predicts the held-out part better (Diebold and Mariano's test).
     contest
         fractional against viscous damping, which have as many parameters.
     verdict
         what may be concluded, in words.
     undecided
         structures that the log cannot tell from the one to use.
+    vetoed
+        structures that the criteria admit and the held-out part does not.
     """
 
     fits: Mapping[str, Fit]
@@ -91,6 +104,7 @@ class Comparison:
     contest: Contest
     verdict: str
     undecided: tuple[str, ...] = ()
+    vetoed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("fits", "without_delay"):
@@ -209,8 +223,9 @@ def identify(
         ]
         return min(fits, key=lambda fit: fit.aic)
     criteria, errors = criteria_of(search)
-    preferred = preferred_structure(criteria)
-    undecided = _undecided(search, criteria, preferred)
+    vetoed = vetoed_structures(search, criteria, log)
+    preferred = preferred_structure(criteria, vetoed)
+    undecided = _undecided(search, criteria, preferred, vetoed)
     best = fit_from(
         search,
         preferred,
@@ -219,6 +234,15 @@ def identify(
         details=details,
         errors=errors[preferred],
     )
+    if vetoed:
+        finding = Finding(
+            "W327",
+            "info",
+            f"{' and '.join(vetoed)} would do for the fitted part, but {preferred} predicts the held-out part better",
+            {"heldout_nmse": best.heldout_nmse or 0.0},
+            "nothing; record a longer log if the structure matters",
+        )
+        best = replace(best, findings=(*best.findings, finding))
     if not undecided:
         return best
     gaps = {
@@ -279,11 +303,24 @@ def compare_structures(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
     )
     criteria, errors = criteria_of(search)
-    fits = {
-        name: fit_from(
-            search, name, log, stiffness=stiffness, details=details, errors=errors[name]
+    vetoed = vetoed_structures(search, criteria, log)
+    preferred = preferred_structure(criteria, vetoed)
+
+    def fitted(name: str, like: Fit | None) -> Fit:
+        return fit_from(
+            search,
+            name,
+            log,
+            stiffness=stiffness,
+            details=details,
+            errors=errors[name],
+            like=like,
         )
-        for name in STRUCTURES
+
+    # The second mode is in the log and not in the structure: it is sought once.
+    best = fitted(preferred, None)
+    fits = {
+        name: best if name == preferred else fitted(name, best) for name in STRUCTURES
     }
     still = {}
     if "delay" not in search.fixed:
@@ -304,11 +341,10 @@ def compare_structures(
             # costs as much without a delay.
             for name in (VISCOUS, FRACTIONAL)
         }
-    preferred = preferred_structure(criteria)
-    undecided = _undecided(search, criteria, preferred)
+    undecided = _undecided(search, criteria, preferred, vetoed)
     contest = Contest(FRACTIONAL, VISCOUS, _gap(criteria, FRACTIONAL, VISCOUS))
-    verdict = _verdict(fits, still, preferred, undecided, criteria)
-    return Comparison(fits, still, preferred, contest, verdict, undecided)
+    verdict = _verdict(fits, still, preferred, undecided, vetoed, criteria)
+    return Comparison(fits, still, preferred, contest, verdict, undecided, vetoed)
 
 
 def _gap(criteria: Criteria, name: str, other: str) -> float:
@@ -342,15 +378,48 @@ def _near(criteria: Criteria) -> list[str]:
     ]
 
 
-def preferred_structure(criteria: Criteria) -> str:
-    """The structure with the fewest parameters of those that are not decisively behind."""
+def vetoed_structures(
+    search: Search, criteria: Criteria, log: Experiment
+) -> tuple[str, ...]:
+    """Structures without damping that the criteria admit beside damped ones, and that
+    predict the held-out part worse.
+
+    Diebold and Mariano, J. Business & Economic Statistics 13 (1995) 253: the mean of
+    the difference of squared errors over its standard error, colour allowed for.
+    """
+    count, near = search.window.samples, _near(criteria)
+    undamped = [name for name in near if len(structure_row(name).free) == 1]
+    damped = [name for name in near if name not in undamped]
+    if not undamped or count == log.output.size:
+        return ()
+    squares = {
+        name: (log.output - predicted_output(search, search.solve(name), log))[count:]
+        ** 2
+        for name in near
+    }
+
+    def predicts_worse(name: str, other: str) -> bool:
+        mean, error = mean_with_error(squares[name] - squares[other])
+        # Two descents to one model end within their tolerance of each other.
+        same = abs(mean) <= 1e-6 * float(squares[name].mean())
+        return not same and mean > _WORSE * error
+
+    return tuple(n for n in undamped if any(predicts_worse(n, o) for o in damped))
+
+
+def preferred_structure(criteria: Criteria, vetoed: Sequence[str] = ()) -> str:
+    """The structure with the fewest parameters of those that are not decisively behind
+    and not vetoed.
+    """
     return min(
-        _near(criteria),
+        (name for name in _near(criteria) if name not in vetoed),
         key=lambda name: (len(structure_row(name).free), criteria[name]),
     )
 
 
-def _undecided(search: Search, criteria: Criteria, preferred: str) -> tuple[str, ...]:
+def _undecided(
+    search: Search, criteria: Criteria, preferred: str, vetoed: Sequence[str]
+) -> tuple[str, ...]:
     """Structures that the log leaves open beside the one to use.
 
     A structure that has the one to use as a special case is no rival: that close, its
@@ -361,7 +430,7 @@ def _undecided(search: Search, criteria: Criteria, preferred: str) -> tuple[str,
     return tuple(
         name
         for name in _near(criteria)
-        if name != preferred
+        if name not in (preferred, *vetoed)
         # Two descents to one model end within their tolerance of each other, and no
         # closer.
         and abs(search.solve(name).cost - least) > 1e-9 * least
@@ -377,9 +446,15 @@ def _verdict(
     still: Mapping[str, Fit],
     preferred: str,
     undecided: tuple[str, ...],
+    vetoed: tuple[str, ...],
     criteria: Criteria,
 ) -> str:
     choice = _choice(fits, preferred, undecided, criteria)
+    if vetoed:
+        names = " and ".join(
+            f"{name} (NMSE {fits[name].heldout_nmse:.4g})" for name in vetoed
+        )
+        choice += f" {names} would do for the fitted part, but predicts the held-out part worse."
     return " ".join([choice, *_of_the_delay(fits, still), *_of_the_parameters(fits)])
 
 

@@ -19,7 +19,7 @@ from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
 from fraclink._display import displayed
 from fraclink._files import document, load, save
-from fraclink._identify.least_squares import Interval
+from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of

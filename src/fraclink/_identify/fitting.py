@@ -17,7 +17,8 @@ from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.link import structure as structure_row
 from fraclink._identify.findings import findings_of
 from fraclink._identify.fit import Fit, aic, bic
-from fraclink._identify.least_squares import Interval
+from fraclink._identify.link_problem import LinkProblem
+from fraclink._identify.problem import QUANTILE, Interval
 from fraclink._identify.residual import ResidualTests, find_second_mode, residual_tests
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
@@ -32,7 +33,7 @@ from fraclink._identify.shape import (
     moving_angle,
     shape_of,
 )
-from fraclink._identify.uncertainty import Uncertainty, profile_interval, uncertainty
+from fraclink._identify.uncertainty import Uncertainty, link_intervals, uncertainty
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
 from fracsys.checks import Array, Between, checked, checked_between, checked_choice
@@ -237,7 +238,7 @@ def fitted_samples(log: Experiment) -> int:
 # --- the fit and how sure it is ----------------------------------------------------------------------------
 
 
-def _predicted(
+def predicted_output(
     search: Search, solution: Solution, log: Experiment
 ) -> NDArray[np.float64]:
     """The output over all of the log, of which the search saw the first part only."""
@@ -263,13 +264,14 @@ def fit_from(
     stiffness: float | None,
     details: bool,
     errors: Uncertainty | None = None,
+    like: Fit | None = None,
 ) -> Fit:
     """The fit of one structure from a search, judged on the whole log; `errors` where
-    they are known.
+    they are known. Of the same log as a fit `like` the second mode is that one's.
     """
     solution = search.solve(name)
     window = search.window
-    predicted = _predicted(search, solution, log)
+    predicted = predicted_output(search, solution, log)
     residual = log.output - predicted
     if errors is None or not details:
         # Without details the white covariance alone: the coloured one takes as long as
@@ -307,7 +309,9 @@ def fit_from(
         sha256=log.sha256,
     )
     mode: tuple[SecondMode | None, float | None] = (None, None)
-    if details:
+    if like is not None:
+        mode = like.model.second_mode, like.model.unseen_up_to
+    elif details:
         whole = fitted_window(log, log.output.size, window.hold)
         mode = find_second_mode(search, solution, whole.angle, residual)
     fit = dataclasses.replace(fit, model=_identified(fit, mode, stiffness))
@@ -418,33 +422,31 @@ def _intervals(
     search: Search, solution: Solution, errors: Uncertainty, allow: bool
 ) -> dict[str, Interval]:
     variances, white = _variances(errors, allow), np.diag(errors.white)
-    result = {}
-    for i, name in enumerate(errors.names):
-        if name in ("gain", "offset"):
-            continue
-        # A profile follows the likelihood of white noise: it is cut higher by as much
-        # as colour widens the variance.
-        inflation = (
-            min(float(variances[i]) / float(white[i]), 1e12) if white[i] > 0 else 1.0
+    rows = zip(errors.names, variances.tolist(), white.tolist(), strict=True)
+    inflation = {
+        name: min(own / least, 1e12) if least > 0 else 1.0
+        for name, own, least in rows
+        if name not in ("gain", "offset")
+    }
+    if solution.cost > 1e-12 * solution.gram[0, 0]:
+        return link_intervals(search, solution, inflation)
+    # A perfect fit: its likelihood is rounding noise.
+    at = LinkProblem.of(search, solution, inside=True)
+    values = dict(
+        zip(
+            at.names,
+            at.parameters(at.place[None, :], at.names)[0][0].tolist(),
+            strict=True,
         )
-        error = math.sqrt(max(white[i], 0.0) * inflation)
-        result[name] = profile_interval(search, solution, name, error, inflation)
-    if (
-        3 in solution.free and "damping_order" not in result
-    ):  # at a limit: one-sided, but never left out
-        # At a limit there is no standard error to begin at: 0.2 is a tenth of the range
-        # of α.
-        result["damping_order"] = profile_interval(
-            search, solution, "damping_order", 0.2, 1.0
-        )
-    if solution.on_edge:
-        # ω₀ = 0 is where the interval begins; its width is set by how fast α may leave
-        # the edge.
-        reach = 0.05 * math.exp(solution.shape[1])
-        result["natural_frequency"] = profile_interval(
-            search, solution, "natural_frequency", reach, 1.0
-        )
-    return result
+    )
+    reach = {
+        n: QUANTILE * math.sqrt(max(v, 0.0))
+        for n, v in zip(errors.names, variances.tolist(), strict=True)
+    }
+    return {
+        name: Interval(value - reach[name], value + reach[name], False, False)
+        for name, value in values.items()
+    }
 
 
 def _bounds(solution: Solution) -> tuple[str, ...]:

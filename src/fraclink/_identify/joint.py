@@ -12,10 +12,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._identify.link_problem import LinkProblem, quadratic_of
+from fraclink._identify.problem import Quadratic, descend, inverted
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -24,12 +27,9 @@ from fraclink._identify.shape import (
     Vector,
     damping_and_square,
     largest_ratio,
-    mask_of,
 )
-from fraclink._identify.uncertainty import reduced, uncertainty
+from fraclink._identify.uncertainty import effective_parameters
 from fraclink.errors import NotConvergedError
-
-_ITERATIONS = 60
 
 
 @dataclass(frozen=True)
@@ -163,106 +163,80 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
     return theta / count
 
 
-# --- minimisation: Levenberg–Marquardt on the Gram matrices of all logs -----------------------------------
+# --- the problem: the Gram matrices of all logs -----------------------------------------------------------
 
 
 def weight_of(search: Search, solution: Solution) -> float:
-    """1/(σ² k): a coloured residual counts as fewer samples."""
-    errors = uncertainty(search, solution, coloured=True)
-    variance = solution.cost / search.window.samples
-    own = [
-        i
-        for i, name in enumerate(errors.names)
-        if name in ("order", "natural_frequency", "damping")
-    ]
-    if errors.coloured is None or not own:
-        # No estimate of the colour (a perfect fit, all at a limit): every sample
-        # counts.
-        return 1 / variance
-    # The median over the link's own parameters: one that hardly matters may have any
-    # ratio.
-    ratios = np.diag(errors.coloured)[own] / np.maximum(
-        np.diag(errors.white)[own], 1e-300
-    )
-    return 1 / (variance * max(1.0, float(np.median(ratios)))) if variance > 0 else 1.0
+    """1/(σ² k): a coloured residual counts as fewer samples, k times fewer."""
+    rows, residual = LinkProblem.of(search, solution, inside=True).linearised()
+    variance = solution.cost / residual.size
+    if not variance > 0:
+        return 1.0
+    count = effective_parameters(inverted(rows @ rows.T)[0], rows, residual, variance)
+    return 1 / (variance * max(1.0, count / len(rows)))
 
 
 @dataclass(frozen=True, eq=False)
 class JointProblem:
-    """The least-squares problem of all logs."""
+    """The least-squares problem of all logs; a `Problem` in θ."""
 
     coordinates: Coordinates
     searches: Sequence[Search]
     weights: Sequence[float]
 
-    def evaluate(self, theta: Vector) -> tuple[float, NDArray[np.float64], Vector]:
-        """Weighted cost, normal matrix and slope in θ; the cost is infinite outside of
-        what a link can be.
+    @cached_property
+    def low(self) -> Vector:
+        """As of `Problem`."""
+        return self._limits(0)
+
+    @cached_property
+    def high(self) -> Vector:
+        """As of `Problem`."""
+        return self._limits(1)
+
+    def _limits(self, end: int) -> Vector:
+        result = np.full(self.coordinates.size, (-math.inf, math.inf)[end])
+        for name, limits in (("order", ORDER_LIMITS), ("damping_order", ALPHA_LIMITS)):
+            if name in self.coordinates.names:
+                rows = range(self.coordinates.logs)
+                result[[self.coordinates.index(name, i) for i in rows]] = limits[end]
+        return result
+
+    def clip(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """As of `Problem`."""
+        return np.clip(places, self.low, self.high)
+
+    def costs(self, places: NDArray[np.float64]) -> Vector:
+        """As of `Problem`."""
+        return self.quadratic(places).cost
+
+    def quadratic(self, places: NDArray[np.float64]) -> Quadratic:
+        """As of `Problem`, of all logs weighted; the cost is infinite outside of what a
+        link can be.
         """
-        size = self.coordinates.size
-        normal, slope, total = np.zeros((size, size)), np.zeros(size), 0.0
+        parts = []
         for i, (search, weight) in enumerate(
             zip(self.searches, self.weights, strict=True)
         ):
-            shape, rates = self.coordinates.shape(theta, i)
-            inside = all(
-                low <= x <= high
-                for x, (low, high) in (
-                    (shape[0], ORDER_LIMITS),
-                    (shape[3], ALPHA_LIMITS),
-                )
-            )
-            moving = [k for k in range(5) if np.any(rates[k])]
-            possible = inside and shape[2] <= largest_ratio(float(shape[3]))
-            gram = search.kernel.gram(shape, mask_of(moving)) if possible else None
-            if gram is None:
-                return math.inf, normal, slope
-            # Gain and offset of each log are projected out: θ holds what is curved in
-            # the prediction.
-            inner, own_slope, cost = reduced(gram, search)
+            rows = [self.coordinates.shape(theta, i) for theta in places]
+            shapes, chain = (np.array(column) for column in zip(*rows, strict=True))
+            possible = [row[2] <= largest_ratio(float(row[3])) for row in shapes]
             # The chain rule takes each log's own Gram matrix to θ: no log's data are
             # touched twice.
-            part = rates[moving]
-            normal += weight * part.T @ inner @ part
-            slope += weight * part.T @ own_slope
-            total += weight * cost
-        return total, normal, slope
+            at = quadratic_of(search.kernel, shapes, chain, search.gain, search.offset)
+            cost = np.where(possible, weight * at.cost, math.inf)
+            parts.append(
+                (cost, weight * at.slope, weight * at.normal, at.gain, at.offset)
+            )
+        sums = [sum(column) for column in zip(*parts, strict=True)]
+        return Quadratic(*map(np.asarray, sums))
 
     def minimise(self, theta: Vector) -> tuple[Vector, NDArray[np.float64]]:
         """The best θ and the normal matrix there."""
-        logs = range(self.coordinates.logs) if "order" in self.coordinates.names else ()
-        orders = [self.coordinates.index("order", i) for i in logs]
-        # Orders are the only coordinates with a limit that fits run into: λ = 2 is an
-        # integer link.
-        theta[orders] = np.clip(theta[orders], *ORDER_LIMITS)
-        cost, normal, slope = self.evaluate(theta)
-        if not math.isfinite(cost):
+        found = descend(self, theta[None, :])
+        if not math.isfinite(found.costs[0]):
             remedy = "fit each log alone first, they may not belong together"
             raise NotConvergedError(
                 "the joint fit", reached=math.inf, wanted=0.0, remedy=remedy
             )
-        # A Gauss–Newton step to begin with, hardly damped: the logs' own fits are
-        # close.
-        damping = 1e-3
-        for _ in range(_ITERATIONS):
-            size = np.maximum(np.diag(normal), 1e-300)
-            step = np.linalg.solve(normal + damping * np.diag(size), slope)
-            # All coordinates are logarithms or of order one: beyond 0.4 the linear
-            # model means nothing.
-            step *= min(1.0, 0.4 / max(float(np.max(np.abs(step))), 1e-300))
-            trial = theta + step
-            trial[orders] = np.clip(trial[orders], *ORDER_LIMITS)
-            next_cost, next_normal, next_slope = self.evaluate(trial)
-            if next_cost < cost:
-                gained = cost - next_cost
-                theta, cost, normal, slope = trial, next_cost, next_normal, next_slope
-                damping *= 0.1
-                if gained < 1e-10 * cost:
-                    break
-            else:
-                damping *= 10
-                # The step is as small as rounding, or what it promises is: the cost
-                # does not fall any more.
-                if damping > 1e8 or float(step @ slope) < 1e-10 * cost:
-                    break
-        return theta, normal
+        return found.places[0], self.quadratic(found.places).normal[0]

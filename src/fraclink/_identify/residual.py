@@ -63,6 +63,17 @@ def long_run_covariance(scores: Matrix, lags: int) -> Matrix:
     )
 
 
+def mean_with_error(series: Vector) -> tuple[float, float]:
+    """Mean of a series and its standard error, colour allowed for."""
+    mean = float(series.mean())
+    centred = series - mean
+    # Five correlation times hold e^-5 of the colour; a fifth of the series is what its
+    # own covariance can bear.
+    lags = min(max(5 * correlation_lag(centred), 10), series.size // 5)
+    power = float(long_run_covariance(centred[None, :], lags)[0, 0])
+    return mean, math.sqrt(max(power, 0.0)) / series.size
+
+
 def autoregression(series: Vector) -> tuple[Vector, float]:
     """Coefficients (1, a₁ … a_p) and innovation variance of the autoregression that
     describes a series.

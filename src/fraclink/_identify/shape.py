@@ -39,7 +39,7 @@ COORDINATE: dict[str, int] = {
     "damping_order": 3,
     "delay": 4,
 }
-NAMES = ("natural_frequency", "order", "damping", "damping_order")
+NAMES = ("natural_frequency", "order", "damping", "damping_order", "delay")
 # At λ = 1 the vibration pole lies on the branch cut and there is no vibration left to
 # identify.
 ORDER_LIMITS = (1.01, 2.0)
@@ -112,16 +112,38 @@ def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
     return np.asarray(valleys[np.argsort(costs[valleys])][:count])
 
 
-def damping_and_square(shape: Shape) -> tuple[float, float]:
-    """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
+def link_parameters(shapes: NDArray[np.float64]) -> tuple[Vector, Vector]:
+    """(ω₀², λ, μ, α, τ) of shapes (M, 5) and their derivatives by the coordinates, shape
+    (M, 5, 5).
+    """
     # At s = jΩ and λ = 2 the denominator s² + μ s^α + ω₀² has the imaginary part μ Ω^α
     # S, where a viscous link has 2ζΩ², and no real part: ω₀² = Ω² − μ Ω^α C. For
     # another λ it is the same with Ω^λ for Ω².
-    order, log_resonance, ratio, other = (float(x) for x in shape[:4])
-    sine, cosine = math.sin(other * math.pi / 2), math.cos(other * math.pi / 2)
-    whole = math.exp(order * log_resonance)
-    damping = 2 * ratio * math.exp((order - other) * log_resonance) / sine
-    return damping, max(whole * (1 - 2 * ratio * cosine / sine), 0.0)
+    order, log_resonance, ratio, other, _ = shapes.T
+    sine, cosine = np.sin(other * math.pi / 2), np.cos(other * math.pi / 2)
+    whole = np.exp(order * log_resonance)
+    unit = 2 * np.exp((order - other) * log_resonance) / sine
+    damping, square = ratio * unit, whole * (1 - 2 * ratio * cosine / sine)
+    values, slopes = shapes.copy(), np.tile(np.eye(5), (len(shapes), 1, 1))
+    values[:, 0], values[:, 1], values[:, 2] = np.maximum(square, 0.0), order, damping
+    slopes[:, :3] = 0.0
+    slopes[:, 0, 0], slopes[:, 0, 1] = log_resonance * square, order * square
+    slopes[:, 0, 2] = -2 * whole * cosine / sine
+    slopes[:, 0, 3] = whole * ratio * math.pi / sine**2
+    slopes[:, 1, 0] = 1.0
+    slopes[:, 2, 0], slopes[:, 2, 1] = (
+        log_resonance * damping,
+        (order - other) * damping,
+    )
+    slopes[:, 2, 2] = unit
+    slopes[:, 2, 3] = -damping * (log_resonance + math.pi / 2 * cosine / sine)
+    return values, slopes
+
+
+def damping_and_square(shape: Shape) -> tuple[float, float]:
+    """(μ, ω₀²) of a shape; a rounding error below zero is zero."""
+    values = link_parameters(shape[None, :])[0][0]
+    return float(values[2]), float(values[0])
 
 
 def model_of(shape: Shape, stiffness: float, payload: float | None) -> LinkModel:
@@ -181,21 +203,6 @@ def undamped_as_damped(shape: Shape) -> Shape:
     other = min(max(2 - float(shape[0]), ALPHA_LIMITS[0]), ALPHA_LIMITS[1])
     log_resonance = shape[1] + math.log(math.cos(other * math.pi / 2)) / float(shape[0])
     return np.array([2.0, log_resonance, largest_ratio(other), other, shape[4]])
-
-
-def model_gradients(shape: Shape) -> NDArray[np.float64]:
-    """∂(ω₀, λ, μ, α)/∂(λ, ln Ω, ζ, α), shape (4, 4), by central differences (exact to
-    1e-9 here).
-    """
-
-    def values(point: Shape) -> Vector:
-        damping, square = damping_and_square(point)
-        return np.array([math.sqrt(square), point[0], damping, point[3]])
-
-    steps = 1e-6 * np.eye(5)[:4]
-    return np.stack(
-        [(values(shape + step) - values(shape - step)) / 2e-6 for step in steps], axis=1
-    )
 
 
 def last_of(history: Vector, samples: int, most: int) -> Vector:

@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.least_squares import QUANTILE, Interval, interval_end
+from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
 from fraclink._identify.structure_problem import (
     GENERAL_POINTS,
     Lines,
     RecordStart,
     Samples,
     StructureCoordinates,
+    StructureProblem,
 )
 from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
-from fraclink._identify.uncertainty import inverted, sandwich
+from fraclink._identify.uncertainty import sandwich
 from fraclink.findings import Finding, worst_first
 from fracsys._terms import Term
 
@@ -66,26 +67,22 @@ def certainty_of(
     """Standard errors that allow for the residual's colour; profile intervals where
     `details` are wanted.
     """
-    own = search.coordinates
+    own = replace(search.coordinates, projected=False, signs=_signs(best))
     stuck = tuple(
         name for name in own.names if _is_at_bound(own, name, best.values[name])
     )
-    found = search.jacobian(data, best)
-    if len(stuck) == len(found.rows):
-        return Certainty(
-            {}, {}, stuck, (), (), {}
-        )  # nothing is inside its range, where an error has a meaning
-    kept = [k for k, name in enumerate(own.names) if name not in stuck] + list(
-        range(len(own.names), len(found.rows))
-    )
-    free = tuple(name for name in own.names if name not in stuck)
-    jacobian = found.rows[kept]
-    residual = found.of(data.measured - _predicted(search, data, best))
-    # Singular is judged by `_blind`, which names the parameters: W352 is of more use
-    # than that a matrix is.
-    inverse, _ = inverted(jacobian @ jacobian.T)
-    blind = _blind(jacobian, free)
-    variance = best.cost / max(data.measured.size - len(kept), 1)
+    # What is stuck stays there, as the other parameters have it.
+    known = {**own.fixed, **{name: best.values[name] for name in stuck}}
+    own = replace(own, fixed=known)
+    free = own.names
+    if not free:
+        return Certainty({}, {}, stuck, (), (), {})
+    problem = StructureProblem(own, data, search.offset)
+    place = np.array([float(own.place(name, best.values[name])) for name in free])
+    rows, residual = problem.linearised(place)
+    inverse, _ = inverted(rows @ rows.T)
+    blind = _blind(rows, free)
+    variance = best.cost / max(data.measured.size - len(rows), 1)
     white = variance * np.diag(inverse)
     wide = white
     perfect = best.cost <= PERFECT * float(data.measured @ data.measured)
@@ -93,72 +90,66 @@ def certainty_of(
         # Colour may also narrow an estimate, but the sandwich is too noisy to be
         # believed there.
         wide = np.maximum(
-            np.diag(sandwich(inverse, jacobian, residual, variance)[0]), white
+            np.diag(sandwich(inverse, rows, residual, variance)[0]), white
         )
     size = np.sqrt(np.diag(inverse))
     related = inverse / np.outer(size, size)
-    errors, intervals, widest = {}, {}, 1.0
-    for k, name in enumerate(free):
-        if name in blind:
-            continue
-        error = math.sqrt(max(float(wide[k]), 0.0))
-        inflation = float(wide[k] / white[k]) if white[k] > 0 else 1.0
-        widest = max(widest, inflation)
-        value = best.values[name]
-        errors[name] = error * (abs(value) if own.is_logarithmic(name) else 1.0)
-        intervals[name] = _straight_interval(own, name, value, QUANTILE * error)
-        # What the standard error says is unknown no profile makes known, and its valley
-        # is long to follow.
-        if (
-            details
-            and best.converged
-            and not perfect
-            and _is_known(own, name, value, intervals[name])
-        ):
-            along = dict(
-                zip(
-                    free,
-                    (inverse[: len(free), k] / inverse[k, k]).tolist(),
-                    strict=True,
-                )
-            )
-            profile = _StructureProfile(search, data, name, best, along)
-            intervals[name] = _profile_interval(profile, error, inflation)
+    inflation = np.where(white > 0, wide / np.maximum(white, 1e-300), 1.0)
+    intervals = {
+        name: _straight_interval(
+            own, name, float(place[k]), QUANTILE * float(wide[k]) ** 0.5
+        )
+        for k, name in enumerate(free)
+        if name not in blind
+    }
+    # What the standard error says is unknown no profile makes known, and its valley is
+    # long to follow.
+    wanted = [
+        k
+        for k, name in enumerate(free)
+        if name in intervals
+        and _is_known(own, name, best.values[name], intervals[name])
+    ]
+    if details and best.converged and not perfect and wanted:
+        unit = np.eye(len(free))[wanted]
+        ends = interval_ends(
+            problem,
+            place,
+            best.cost,
+            data.measured.size,
+            lambda x: (x[:, wanted], np.repeat(unit[None], len(x), axis=0)),
+            inflation[wanted],
+        )
+        for k, end in zip(wanted, ends, strict=True):
+            intervals[free[k]] = _in_values(own, free[k], end)
+    errors = {
+        name: float(wide[k]) ** 0.5
+        * (abs(best.values[name]) if own.is_logarithmic(name) else 1.0)
+        for k, name in enumerate(free)
+        if name in intervals
+    }
     undetermined = tuple(
         name
-        for name in own.names
-        if name in blind
-        or (
-            name in intervals
-            and not _is_known(own, name, best.values[name], intervals[name])
-        )
+        for name in free
+        if name in blind or not _is_known(own, name, best.values[name], intervals[name])
     )
     pairs = {
         (free[i], free[j]): float(related[i, j])
         for i, j in combinations(range(len(free)), 2)
     }
+    widest = max((float(inflation[free.index(n)]) for n in intervals), default=1.0)
     return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
 
 
-def _predicted(search: StructureSearch, data: Samples, place: Place) -> Reals:
-    values = {name: np.array([[value]]) for name, value in place.values.items()}
-    simulated = data.simulated(search.coordinates.structure, values, 1)[0]
-    return np.asarray(
-        simulated if data.offset is None else simulated + place.offset * data.offset
-    )
+def _signs(best: Place) -> dict[str, float]:
+    return {name: math.copysign(1.0, value) for name, value in best.values.items()}
 
 
 def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
-    low, high = own.box((name,))
+    low, high = own.box_of(name)
     # Of the range in the coordinate: of 1e-12 to 1e12 that is a factor of 1 + 5e-6.
-    near = _AT_BOUND * float(high[0] - low[0])
-    # A projected gain may be zero or negative where its logarithm is the coordinate.
-    place = (
-        float(own.place(name, value))
-        if value > 0 or not own.is_logarithmic(name)
-        else -math.inf
-    )
-    return bool(place <= low[0] + near or place >= high[0] - near)
+    near, place = _AT_BOUND * (high - low), float(own.place(name, value))
+    return place <= low + near or place >= high - near
 
 
 def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -190,77 +181,21 @@ def _is_known(
     return role == "delay" or half <= _COEFFICIENT_MOST * abs(value)
 
 
-# --- intervals ----------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _StructureProfile:
-    """The best cost at given values of one parameter, in its coordinate; all others are
-    fitted anew.
-    """
-
-    search: StructureSearch
-    data: Samples
-    name: str
-    best: Place
-    slopes: Mapping[
-        str, float
-    ]  # of the other coordinates, along the valley of the cost
-
-    @property
-    def samples(self) -> int:
-        return self.data.measured.size
-
-    @property
-    def least(self) -> float:
-        return self.best.cost
-
-    @property
-    def begin(self) -> Place:
-        return self.best
-
-    def cost(self, value: float, near: Place) -> tuple[float, Place]:
-        own = self.search.coordinates
-        held = replace(
-            own, fixed={**own.fixed, self.name: float(own.value(self.name, value))}
-        )
-        inner = StructureSearch(held, self.search.offset)
-        # The others move along the valley of the cost, as the normal matrix has it:
-        # from where they were a descent would first have to walk back into it.
-        step = value - float(own.place(self.name, near.values[self.name]))
-        start = [
-            float(held.place(n, near.values[n])) + self.slopes.get(n, 0.0) * step
-            for n in held.moving
-        ]
-        found = inner.descended(self.data, np.array([start]))
-        return found.cost, found
-
-
 def _straight_interval(
-    own: StructureCoordinates, name: str, value: float, reach: float
+    own: StructureCoordinates, name: str, centre: float, reach: float
 ) -> Interval:
     """The interval of a cost that is a parabola in the coordinate."""
-    low, high = (float(end[0]) for end in own.box((name,)))
-    centre = float(own.place(name, value))
+    low, high = own.box_of(name)
     below, above = max(centre - reach, low), min(centre + reach, high)
-    ends = float(own.value(name, below)), float(own.value(name, above))
-    return Interval(*ends, low_open=below <= low, high_open=above >= high)
+    return _in_values(own, name, Interval(below, above, below <= low, above >= high))
 
 
-def _profile_interval(
-    profile: _StructureProfile, error: float, inflation: float
-) -> Interval:
-    own, name = profile.search.coordinates, profile.name
-    low, high = (float(end[0]) for end in own.box((name,)))
-    centre, reach = float(own.place(name, profile.best.values[name])), QUANTILE * error
-    below, low_open = interval_end(profile, centre, -reach, low, inflation)
-    above, high_open = interval_end(profile, centre, reach, high, inflation)
-    return Interval(
-        float(own.value(name, below)),
-        float(own.value(name, above)),
-        low_open,
-        high_open,
-    )
+def _in_values(own: StructureCoordinates, name: str, ends: Interval) -> Interval:
+    """The interval of a parameter from that of its coordinate."""
+    low, high = float(own.value(name, ends.low)), float(own.value(name, ends.high))
+    if low > high:  # of a negative coefficient the larger size is the lower end
+        return Interval(high, low, ends.high_open, ends.low_open)
+    return Interval(low, high, ends.low_open, ends.high_open)
 
 
 # --- exchangeable terms -------------------------------------------------------------------------------------
@@ -292,7 +227,7 @@ def _exchangeable(
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
         return False
-    values = own.values(own.middle()[None, :], projected=False)
+    values = own.middle()
     swapped = dict(values)
     for one, other in pairs:
         swapped[one], swapped[other] = values[other], values[one]
@@ -306,6 +241,9 @@ _CORRELATED = (
     0.99  # beyond, a parameter is known seven times better where the other one is given
 )
 _WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
+# Of the squared output: what 16 bits resolve; and the part of a residual that may be
+# noise where all else is smooth, as of a simulation: no sensor is that quiet.
+_RESOLUTION, _SMOOTH = 1e-10, 0.01
 # of the logarithm of a corner: orders that nearly agree put it beyond any number
 _FAR = 200.0
 # a corner may lie outside of the excited band by that factor: its slope reaches in
@@ -322,6 +260,7 @@ def structure_findings(
     found = [
         *_of_the_parameters(fit, certain),
         *_of_the_error(fit),
+        *_of_the_residual(fit, data),
         *_of_rivals(fit, certain, rivals, data),
     ]
     found += _of_the_band(fit, data)
@@ -400,6 +339,25 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
             "the structure predicts the held-out data worse than the data it was fitted to",
             {"heldout_nmse": held, "nmse": fit.nmse},
             "look for drift, another operating point, or a structure with fewer parameters",
+        )
+
+
+def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
+    """A residual that is no noise: what was measured holds more than the structure."""
+    if not isinstance(data, RecordStart) or fit.nmse < _RESOLUTION:
+        return
+    residual = (fit.measured - fit.predicted)[: fit.fitted]
+    # The second difference of white noise has √6 times its size; the median leaves out
+    # the samples at which the input jumps, 1.48 times it is the standard deviation.
+    noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(residual, 2))))
+    size = float(np.std(residual))
+    if noise < _SMOOTH * size:
+        yield Finding(
+            "W360",
+            "error",
+            "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
+            {"noise": noise, "residual": size, "most": _SMOOTH},
+            "take another structure, or give bounds that admit what is missing",
         )
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fraclink._display import displayed
 from fraclink._files import document, load, save
 from fraclink._identify.expression import parse_expression
-from fraclink._identify.least_squares import Interval
+from fraclink._identify.problem import Interval
 from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction

@@ -1,24 +1,26 @@
-"""What a structure is fitted to, samples or lines, and its free parameters as
-coordinates of a search.
+"""A structure's free parameters as coordinates, and what they are fitted to: the samples
+of a recording, blocks of them, or the lines of a frequency response.
 
-Both are a vector of measured numbers and, for a candidate, what it would have been. A
-recording has besides a Laplace transform at some points of a vertical line, on which a
-candidate costs microseconds: there the search begins.
+On the line Re s = σ the derivatives of G come with G itself, and their transform back
+is a row of the Jacobian at every sample: no candidate has to be simulated for it. The
+residual of samples is always that of the exact response.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._arm.recording import Recording
-from fraclink._identify.expression import Expression
+from fraclink._identify.expression import Expression, Leaves, walk
+from fraclink._identify.problem import Quadratic, reduced
 from fraclink._identify.shape import Hold, chosen_hold, last_of
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
@@ -27,22 +29,26 @@ __all__ = [
     "COEFFICIENT_LIMITS",
     "GENERAL_POINTS",
     "ORDER_LIMITS",
+    "Blocks",
     "Lines",
     "RecordStart",
     "Samples",
     "Spectrum",
     "StructureCoordinates",
+    "StructureProblem",
     "held_transform",
 ]
 
 Reals = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Limits = tuple[float, float]
 
 # Below 0.02 a term is a constant over any band that can be measured; above 4 no
-# fractional model of a machine is known, and `bounds` admits one. Coefficients in any
-# unit: 24 decades, as a range in the logarithm costs nothing.
+# fractional model of a machine is known, and `bounds` admits one. Coefficients of
+# either sign in any unit: 24 decades, as a range in the logarithm costs nothing.
 ORDER_LIMITS = (0.02, 4.0)
-COEFFICIENT_LIMITS = (1e-12, 1e12)
+COEFFICIENT_LIMITS = (-1e12, 1e12)
+_LEAST = 1e-12  # size of a coefficient of either sign
 # As `shape.HISTORY`, and shorter: every candidate is a response to all of it, and a
 # search behind 50 000 samples takes half a second.
 _HISTORY = 50_000
@@ -53,13 +59,18 @@ GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.
 
 @dataclass(frozen=True, eq=False)
 class StructureCoordinates:
-    """The free parameters as coordinates: logarithms where the range is positive, else
-    the value itself.
+    """The free parameters as coordinates: of a coefficient of one sign the logarithm of
+    its size, else the value itself.
+
+    `signs` are those of the coefficients whose range has both; the gain, a coefficient
+    that multiplies the whole, is no coordinate where it is `projected` out.
     """
 
     structure: Expression
     limits: Mapping[str, Limits]
     fixed: Mapping[str, float]
+    signs: Mapping[str, float] = field(default_factory=dict)
+    projected: bool = True
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -68,10 +79,8 @@ class StructureCoordinates:
 
     @cached_property
     def gain(self) -> str | None:
-        """The free coefficient that multiplies the whole, projected out; None where
-        there is none.
-        """
-        values = self.values(self.middle()[None, :], projected=False)
+        """The free coefficient that multiplies the whole; None where there is none."""
+        values = self.middle()
         once = self.structure.response(values, GENERAL_POINTS)
         for name in self.structure.of_role("coefficient"):
             if name in self.names:
@@ -86,111 +95,179 @@ class StructureCoordinates:
 
     @cached_property
     def moving(self) -> tuple[str, ...]:
-        """Free parameters that are coordinates of the search: all but the gain."""
-        return tuple(name for name in self.names if name != self.gain)
+        """Free parameters that are coordinates."""
+        return tuple(
+            name for name in self.names if not (self.projected and name == self.gain)
+        )
+
+    def has_both_signs(self, name: str) -> bool:
+        """Whether a coefficient's sign is open: no range was given for it."""
+        return (
+            self.structure.roles[name] == "coefficient"
+            and self.limits[name] == COEFFICIENT_LIMITS
+        )
 
     def is_logarithmic(self, name: str) -> bool:
-        """Whether the coordinate is the logarithm."""
-        return (
-            self.structure.roles[name] == "coefficient" and self.limits[name][0] > 0.0
+        """Whether the coordinate is a logarithm."""
+        return self.structure.roles[name] == "coefficient" and (
+            self.limits[name][0] > 0.0 or self.has_both_signs(name)
         )
 
     def place(self, name: str, value: Any) -> Any:
         """The coordinate of a value."""
-        return np.log(value) if self.is_logarithmic(name) else value
+        return (
+            np.log(np.maximum(np.abs(value), 1e-300))
+            if self.is_logarithmic(name)
+            else value
+        )
 
     def value(self, name: str, place: Any) -> Any:
         """The value at a coordinate."""
-        return np.exp(place) if self.is_logarithmic(name) else place
-
-    def middle(self) -> Reals:
-        """Some place inside the limits of all free parameters, unlike each other, so
-        that nothing cancels.
-        """
-        found = []
-        for k, name in enumerate(self.names):
-            low, high = (self.place(name, x) for x in self.limits[name])
-            # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another, so that
-            # no difference of parameters vanishes by chance.
-            found.append(float(np.clip(0.6 + 0.17 * k, low, high)))
-        return np.array(found)
-
-    def box(self, names: tuple[str, ...]) -> tuple[Reals, Reals]:
-        """Lower and upper limits of coordinates."""
-        rows = [
-            [float(self.place(name, x)) for x in self.limits[name]] for name in names
-        ]
-        ends = np.array(rows).reshape(-1, 2)
-        return ends[:, 0], ends[:, 1]
-
-    def shear(self, scale: float) -> Reals:
-        """Coordinates in which coefficients count at the frequency `scale` [rad/s],
-        shape (p, p).
-
-        In c·s^n a higher order far from 1 rad/s is a smaller coefficient: c and n trade
-        along a long narrow valley that is nothing but the unit of time. ln c + n ln ω
-        lies across it. The pairs are those with ∂G/∂n = ± ln s · ∂G/∂ln c, whatever the
-        expression.
-        """
-        result = np.eye(len(self.moving))
-        values = self.values(self.middle()[None, :], projected=False)
-        slopes = {
-            name: self._slope(name, values, GENERAL_POINTS) for name in self.moving
-        }
-        for row, one in enumerate(self.moving):
-            for column, other in enumerate(self.moving):
-                # 1e-5: the differences below are right to 1e-9, and another ratio of
-                # two slopes misses a whole number by more.
-                if self.is_logarithmic(one) and self.structure.roles[other] == "order":
-                    ratio = slopes[other] / (slopes[one] * np.log(GENERAL_POINTS))
-                    if np.allclose(ratio, np.round(ratio[0].real), atol=1e-5) and round(
-                        ratio[0].real
-                    ):
-                        result[row, column] = round(ratio[0].real) * math.log(scale)
-        return result
-
-    def _slope(
-        self, name: str, values: Mapping[str, Reals], points: NDArray[np.complex128]
-    ) -> Any:
-        """∂G/∂ln c of a coefficient, ∂G/∂n of an order."""
-        # The third root of the rounding: where the error of a central difference is
-        # least.
-        step = 1e-5 * (values[name] if self.is_logarithmic(name) else 1.0)
-        ends = (
-            self.structure.response(
-                {**values, name: values[name] + sign * step}, points
-            )
-            for sign in (1, -1)
+        return (
+            self.signs.get(name, 1.0) * np.exp(place)
+            if self.is_logarithmic(name)
+            else place
         )
-        above, below = ends
-        return np.ravel((above - below) / 2e-5) + 1e-300
 
-    def values(self, places: Reals, *, projected: bool = True) -> dict[str, Reals]:
-        """Parameters (M, 1) at places (M, p); the projected gain is 1."""
-        names = self.moving if projected else self.names
-        found: dict[str, Reals] = {
-            name: np.array([[value]]) for name, value in self.fixed.items()
-        }
-        if projected and self.gain is not None:
+    def middle(self) -> dict[str, Any]:
+        """Values inside the limits, so unlike each other that nothing cancels."""
+        found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
+        for k, name in enumerate(self.names):
+            low, high = self.box_of(name)
+            # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another.
+            place = float(np.clip(0.6 + 0.17 * k, low, high))
+            found[name] = np.array([[self.value(name, place)]])
+        return found
+
+    def box_of(self, name: str) -> Limits:
+        """Lower and upper limit of a coordinate."""
+        low, high = self.limits[name]
+        if self.has_both_signs(name):
+            low = _LEAST
+        return float(self.place(name, low)), float(self.place(name, high))
+
+    def values(self, places: Reals) -> dict[str, Any]:
+        """Parameters (M, 1) at places (M, p); a projected gain is 1."""
+        found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
+        if self.projected and self.gain is not None:
             found[self.gain] = np.ones((1, 1))
-        for k, name in enumerate(names):
+        for k, name in enumerate(self.moving):
             found[name] = self.value(name, places[:, k : k + 1])
         return found
 
 
-Complexes = NDArray[np.complex128]
+# --- derivatives of an expression -------------------------------------------------------------------------
 
-# of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three
-# decades
-_POINTS = 160
-_DECAYS = 5.0  # e^-5 of what a record does not show is left in its transform
-_HIGHEST = 1.0  # |s| Ts: up to there the line between two samples is the signal to 8 %
-_KEPT = 4  # responses
-_EXCITED = 1e-3  # of the largest line: below, the input does not excite
+
+@dataclass(frozen=True)
+class _Dual:
+    """A number, or one at every point, with its derivatives by the parameters."""
+
+    value: Any
+    slopes: Mapping[str, Any]
+
+    __array_ufunc__ = None  # numpy hands `array * dual` to the methods below
+
+    @staticmethod
+    def of(value: Any) -> _Dual:
+        return value if isinstance(value, _Dual) else _Dual(value, {})
+
+    def times(self, factor: Any, value: Any) -> _Dual:
+        """A function of this: its value, and `factor`, its derivative by this."""
+        return _Dual(
+            value, {name: factor * slope for name, slope in self.slopes.items()}
+        )
+
+    def __add__(self, other: Any) -> _Dual:
+        right = _Dual.of(other)
+        slopes = {**self.slopes, **right.slopes}
+        for name in self.slopes.keys() & right.slopes.keys():
+            slopes[name] = self.slopes[name] + right.slopes[name]
+        return _Dual(self.value + right.value, slopes)
+
+    def __mul__(self, other: Any) -> _Dual:
+        right = _Dual.of(other)
+        product = self.value * right.value
+        return self.times(right.value, product) + right.times(self.value, 0.0)
+
+    def __truediv__(self, other: Any) -> _Dual:
+        right = _Dual.of(other)
+        inverse = 1.0 / right.value
+        quotient = self.value * inverse
+        return self.times(inverse, quotient) + right.times(-quotient * inverse, 0.0)
+
+    def __pow__(self, exponent: Any) -> _Dual:
+        power = _Dual.of(exponent)
+        value = self.value**power.value
+        # d(b^p) = p b^(p−1) db + ln b · b^p dp; the logarithm is asked for only where p
+        # is a parameter, as it has none at b = 0.
+        by_base = (
+            self.times(power.value * value / self.value, value)
+            if self.slopes
+            else _Dual(value, {})
+        )
+        return (
+            by_base + power.times(np.log(self.value) * value, 0.0)
+            if power.slopes
+            else by_base
+        )
+
+    def __neg__(self) -> _Dual:
+        return self.times(-1.0, -self.value)
+
+    def __sub__(self, other: Any) -> _Dual:
+        return self + (-_Dual.of(other))
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __rsub__(self, other: Any) -> _Dual:
+        return _Dual.of(other) - self
+
+    def __rtruediv__(self, other: Any) -> _Dual:
+        return _Dual.of(other) / self
+
+    def __rpow__(self, other: Any) -> _Dual:
+        return _Dual.of(other) ** self
+
+
+def derivatives(
+    structure: Expression,
+    values: Mapping[str, Any],
+    points: Complexes,
+    names: tuple[str, ...],
+) -> Complexes:
+    """G and ∂G/∂p for the parameters p of `names` at points [rad/s], shape (M, 1 + q,
+    K), for values (M, 1).
+    """
+    # One logarithm for all powers of s, which is the derivative's factor besides:
+    # ds^a/da = ln s · s^a.
+    logarithm = np.log(points)
+
+    def power(order: Any) -> _Dual:
+        own = _Dual.of(order)
+        value = np.exp(own.value * logarithm)
+        return own.times(logarithm * value, value) if own.slopes else _Dual(value, {})
+
+    def exponential(exponent: _Dual) -> _Dual:
+        value = np.exp(exponent.value)
+        return exponent.times(value, value)
+
+    duals = {n: _Dual(v, {n: 1.0} if n in names else {}) for n, v in values.items()}
+    with np.errstate(all="ignore"):
+        found = _Dual.of(
+            walk(structure.tree, Leaves(_Dual(points, {}), power, exponential, duals))
+        )
+    rows = (found.value, *(found.slopes[name] for name in names))
+    count = max(np.shape(v)[0] for v in values.values())
+    return np.stack([np.broadcast_to(r, (count, points.size)) for r in rows], axis=1)
+
+
+# --- what is fitted to ------------------------------------------------------------------------------------
 
 
 class Samples(Protocol):
-    """What a search asks of the data."""
+    """What a structure's problem asks of the data."""
 
     @property
     def measured(self) -> Reals:
@@ -198,24 +275,23 @@ class Samples(Protocol):
         ...
 
     @property
-    def offset(self) -> Reals | None:
-        """What a constant output adds to `measured`, shape (R,); None where there is no
+    def constant(self) -> Reals | None:
+        """What an offset of one adds to `measured`, shape (R,); None where there is no
         such thing.
         """
         ...
 
-    @property
-    def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency [rad/s] that the data tell of."""
-        ...
-
-    def simulated(
-        self, structure: Expression, values: Mapping[str, Reals], count: int
+    def columns(
+        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
     ) -> Reals:
-        """What `count` candidates would have measured, shape (M, R); not finite where
-        nothing responds.
+        """Responses of M candidates and their derivatives by the parameters `names`,
+        shape (M, 1 + q, R); not finite where nothing responds.
         """
         ...
+
+
+def _stacked(values: Complexes) -> Reals:
+    return np.concatenate([values.real, values.imag], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,51 +311,59 @@ class Spectrum:
     of_constant: Complexes | None = None
     of_state: Complexes | None = None
 
-    @cached_property
-    def measured(self) -> Reals:
-        """As of `Samples`."""
-        return _stacked(self.weight * self.output)
-
-    @cached_property
-    def offset(self) -> Reals | None:
-        """As of `Samples`."""
-        return (
-            None
-            if self.of_constant is None
-            else _stacked(self.weight * self.of_constant)
-        )
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """As of `Samples`."""
-        size = np.abs(self.points)
-        return float(size.min()), float(size.max())
-
-    def simulated(
-        self, structure: Expression, values: Mapping[str, Reals], count: int
-    ) -> Reals:
-        """As of `Samples`."""
-        found = self.weight * self.input * structure.response(values, self.points)
-        return _stacked(np.broadcast_to(found, (count, self.points.size)))
-
-
-def _stacked(values: Complexes) -> Reals:
-    return np.concatenate([values.real, values.imag], axis=-1)
-
 
 @dataclass(frozen=True, eq=False)
 class Lines(Spectrum):
     """A frequency response: the input is 1 at every line."""
 
+    constant: None = None
+
     @classmethod
     def of(cls, frequency: Reals, response: Complexes, weight: Reals) -> Lines:
         """Lines in ascending order of ω [rad/s]."""
-        return cls(
-            np.asarray(1j * frequency, dtype=np.complex128),
-            np.ones(frequency.size, dtype=np.complex128),
-            response,
-            weight,
+        one = np.ones(frequency.size, dtype=np.complex128)
+        return cls(np.asarray(1j * frequency), one, response, weight)
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """Itself."""
+        return self
+
+    @property
+    def screen(self) -> Lines:
+        """Itself: a candidate costs microseconds."""
+        return self
+
+    @property
+    def band(self) -> Limits:
+        """Lowest and highest frequency [rad/s] that the data tell of."""
+        return float(self.points[0].imag), float(self.points[-1].imag)
+
+    @cached_property
+    def measured(self) -> Reals:
+        """As of `Samples`."""
+        return _stacked(self.weight * self.output)
+
+    def columns(
+        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
+    ) -> Reals:
+        """As of `Samples`."""
+        return _stacked(
+            self.weight * derivatives(structure, values, self.points, names)
         )
+
+
+# of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three
+# decades
+_POINTS = 160
+_DECAY = 5.0  # e^-5 of what a record does not show is left in its transform
+# σ·span of a transform back: less lets a slow end wrap around, more drowns it in what
+# is lost beyond the lines
+_BACK = (1.0, 4.0)
+_WRONG = 1e-2  # of the output: a transform back that misses it by more is not used
+_KEPT = 4  # responses
+_EXCITED = 1e-3  # of the largest line: below, the input does not excite
+_BLOCKS = 1000  # of a screen: orders, corners and delays show in its lowest 500 lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,12 +397,15 @@ class RecordStart:
         # here, as no motor did. The output from here on is another by a constant at
         # most, and `offset` is that of a rest here.
         rest = float(kept[0]) if kept.size else record.input_at_rest
-        chosen = _hold(np.concatenate([kept, own]), hold)
+        whole = np.concatenate([kept, own])
+        # A constant input is a step at the first sample, which no neighbour tells from
+        # a straight line.
+        steps = hold == "auto" and np.ptp(whole) == 0
         return cls(
             own[:count] - rest,
             np.asarray(record.output)[:count],
             record.period,
-            chosen,
+            "zero" if steps else chosen_hold(whole, hold),
             kept - rest,
         )
 
@@ -333,28 +420,73 @@ class RecordStart:
         return self.output
 
     @cached_property
-    def offset(self) -> Reals | None:
+    def constant(self) -> Reals:
         """As of `Samples`."""
         return np.ones(self.output.size)
 
-    def simulated(
-        self, structure: Expression, values: Mapping[str, Any], count: int
+    @property
+    def screen(self) -> Blocks:
+        """The recording in blocks, for many candidates at once."""
+        return Blocks(_Transform(self, _BACK[-1], max(self.output.size // _BLOCKS, 1)))
+
+    @cached_property
+    def _transforms(self) -> tuple[_Transform, ...]:
+        return tuple(_Transform(self, decay) for decay in _BACK)
+
+    def columns(
+        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
     ) -> Reals:
         """As of `Samples`; every candidate by its exact response to the held input."""
-        # Not finite where nothing responds: the search takes such a candidate for
-        # infinitely bad and goes on.
-        result = np.full((count, self.output.size), np.nan)
-        rows = {
-            name: np.broadcast_to(np.ravel(value), (count,))
-            for name, value in values.items()
-        }
-        for k in range(count):
-            result[k] = self._response(
-                structure, {name: float(row[k]) for name, row in rows.items()}
-            )
-        return result
+        count = max(np.shape(value)[0] for value in values.values())
+        rows = {n: np.broadcast_to(np.ravel(v), (count,)) for n, v in values.items()}
+        return np.array(
+            [
+                self._columns(
+                    structure, {n: float(r[k]) for n, r in rows.items()}, names
+                )
+                for k in range(count)
+            ]
+        )
 
-    def _response(self, structure: Expression, values: Mapping[str, float]) -> Reals:
+    def _columns(
+        self, structure: Expression, values: Mapping[str, float], names: tuple[str, ...]
+    ) -> Reals:
+        response = self.response(structure, values)
+        if not names or not np.isfinite(response).all():
+            return np.repeat(response[None, :], 1 + len(names), axis=0)
+        # A held input jumps, and the output is not smooth in a delay.
+        smooth = self.hold == "first" or not any(
+            structure.roles[name] == "delay" for name in names
+        )
+        for transform in self._transforms if smooth else ():
+            each = {name: np.array([[value]]) for name, value in values.items()}
+            found = transform.rows(structure, each, names)[0]
+            # Against the exact response: no error bound of the transform would know of
+            # a pole to the right of the line, or of a response that jumps.
+            missed = found[0] - response
+            if missed @ missed <= _WRONG**2 * (response @ response):
+                return np.concatenate([response[None, :], found[1:]])
+        return np.array(
+            [response, *(self._slope(structure, values, name) for name in names)]
+        )
+
+    def _slope(
+        self, structure: Expression, values: Mapping[str, float], name: str
+    ) -> Reals:
+        """A derivative by a one-sided difference, as a second response would double the
+        cost of a search; backwards where the domain ends.
+        """
+        value, here = values[name], self.response(structure, values)
+        # Responses are known to 1e-12 of their peak, so that slopes are to 1e-6.
+        step = 1e-6 * (abs(value) if structure.roles[name] == "coefficient" else 1.0)
+        for sign in (1.0, -1.0):
+            moved = value + sign * step
+            there = self.response(structure, {**values, name: moved})
+            if np.isfinite(there).all():
+                return np.asarray((there - here) / (moved - value))
+        return np.zeros(here.size)
+
+    def response(self, structure: Expression, values: Mapping[str, float]) -> Reals:
         """The response of one candidate; the last few are kept, as each is asked for
         again.
         """
@@ -363,8 +495,6 @@ class RecordStart:
             *(values[name] for name in structure.names),
         )
         if key not in self._latest:
-            # Four: a descent asks for a place, its trial and the two ends of a
-            # difference again, and each is a million bytes in a long record.
             if len(self._latest) >= _KEPT:
                 del self._latest[next(iter(self._latest))]
             try:
@@ -392,16 +522,13 @@ class RecordStart:
         evenly in ln ω.
 
         A damped record has a transform though it ends, and of the damping the response
-        knows: G is evaluated at σ + jω. The samples between which a line is drawn have
-        the transform of that line.
-
-        Of a cut log it knows nothing of what was before: starts are drawn from it, and
-        not ranked by it.
+        knows: G is evaluated at σ + jω. Starts are drawn from it.
         """
         count, period = self.output.size, self.period
-        damping = _DECAYS / (count * period)
+        damping = _DECAY / (count * period)
         damped = np.exp(-damping * period * np.arange(count))
-        highest = min(int(_HIGHEST * count / (2 * math.pi)), count // 2)
+        # Up to |s| Ts = 1 the line between two samples is the signal to 8 %.
+        highest = min(int(count / (2 * math.pi)), count // 2)
         # Evenly in the logarithm, as orders and corners show there: a linear grid would
         # spend nine tenths of its lines on the last decade.
         spread = np.geomspace(1.0, max(highest, 2), _POINTS).round().astype(int)
@@ -422,16 +549,13 @@ class RecordStart:
         out = held_transform(
             transforms[1], points, period, "first", float(self.output[0])
         )
+        state = np.stack([np.ones_like(points), points]) if self.earlier.size else None
         # Each point stands for the lines around it: evenly in ln ω, yet counted as the
         # whole record would count.
-        weight = np.sqrt(width) / math.sqrt(
-            float(np.sum(width * np.abs(out) ** 2)) or 1.0
-        )
-        state = np.stack([np.ones_like(points), points]) if self.earlier.size else None
-        return Spectrum(points, into, out, weight, 1.0 / points, state)
+        return Spectrum(points, into, out, np.sqrt(width), 1.0 / points, state)
 
     @property
-    def band(self) -> tuple[float, float]:
+    def band(self) -> Limits:
         """Lowest and highest frequency [rad/s] at which the input has power."""
         # Of the differences: a step excites all frequencies alike, and would seem to
         # excite the lowest alone.
@@ -459,12 +583,181 @@ def held_transform(
     return np.asarray(samples * period * (np.sinh(x / 2) / (x / 2)) ** 2 - before)
 
 
-def _hold(values: Reals, hold: Hold) -> Literal["zero", "first"]:
-    """What the input does between samples; one that only steps is held.
-
-    A constant input is a step at the first sample, which no neighbour tells from a
-    straight line.
+@dataclass(frozen=True, eq=False)
+class _Transform:
+    """The transform of a recording's input on the line Re s = `decay`/span, and back in
+    blocks of `width` samples.
     """
-    return (
-        "zero" if hold == "auto" and np.ptp(values) == 0 else chosen_hold(values, hold)
-    )
+
+    data: RecordStart
+    decay: float
+    width: int = 1
+
+    @cached_property
+    def _size(self) -> int:
+        """Twice the samples: what comes behind the end does not wrap around to the
+        beginning.
+        """
+        blocks = -(-2 * self.data.whole_input.size // self.width)
+        return self.width * int(next_fast_len(blocks, real=True))
+
+    @cached_property
+    def _points(self) -> Complexes:
+        count, period = self.data.whole_input.size, self.data.period
+        lines = np.arange(self._size // 2 + 1)
+        return np.asarray(
+            self.decay / (count * period) + 2j * math.pi / (self._size * period) * lines
+        )
+
+    @cached_property
+    def _input(self) -> Complexes:
+        """Transform of the held input, over the period: that of the output's samples,
+        but for G.
+        """
+        own, moved = self.data, self.data.whole_input
+        damped = moved * np.exp(-self.decay / moved.size * np.arange(moved.size))
+        held = held_transform(
+            rfft(damped, self._size),
+            self._points,
+            own.period,
+            own.hold,
+            float(moved[0]),
+        )
+        return np.asarray(held / own.period)
+
+    def rows(
+        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
+    ) -> Reals:
+        """Outputs of candidates (M, 1) and their derivatives, one value for each block,
+        shape (M, 1 + q, N/width).
+        """
+        own, span = self.data, self.data.whole_input.size
+        count, blocks = self._size // self.width // 2, own.output.size // self.width
+        lines = derivatives(structure, values, self._points[:count], names)
+        # To the middle of each block: its mean is there, and not at its first sample.
+        # The first block begins with the first output, behind all that moved it before.
+        middle = span - own.output.size + 0.5 * (self.width - 1)
+        turn = np.exp(2j * math.pi * middle / self._size * np.arange(count))
+        with np.errstate(all="ignore"):
+            found = irfft(
+                lines * (turn * self._input[:count]), self._size // self.width, axis=-1
+            )[..., :blocks]
+        # The transform counts the samples of the coarse grid only, each for a block;
+        # the damping that made it converge is taken off again.
+        times = middle + self.width * np.arange(blocks)
+        return np.asarray(
+            found * (np.exp(self.decay / span * times) / math.sqrt(self.width))
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """A recording in blocks of samples, with what a transform back says that a
+    candidate responds: sums over blocks are sums over samples.
+    """
+
+    transform: _Transform
+
+    @cached_property
+    def measured(self) -> Reals:
+        """As of `Samples`; white noise keeps its variance."""
+        output, width = self.transform.data.output, self.transform.width
+        sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
+        return np.asarray(sums / math.sqrt(width))
+
+    @cached_property
+    def constant(self) -> Reals:
+        """As of `Samples`."""
+        return np.full(self.measured.size, math.sqrt(self.transform.width))
+
+    def columns(
+        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
+    ) -> Reals:
+        """As of `Samples`."""
+        return self.transform.rows(structure, values, names)
+
+
+# --- the problem ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class StructureProblem:
+    """The least-squares problem of a structure; `offset` is None where it is free."""
+
+    own: StructureCoordinates
+    data: Samples
+    offset: float | None
+
+    @cached_property
+    def low(self) -> Reals:
+        """As of `Problem`."""
+        return np.array([self.own.box_of(name)[0] for name in self.own.moving])
+
+    @cached_property
+    def high(self) -> Reals:
+        """As of `Problem`."""
+        return np.array([self.own.box_of(name)[1] for name in self.own.moving])
+
+    def clip(self, places: Reals) -> Reals:
+        """As of `Problem`."""
+        return np.clip(places, self.low, self.high)
+
+    def costs(self, places: Reals) -> Reals:
+        """As of `Problem`."""
+        return self._projected(places, ())[0].cost
+
+    def quadratic(self, places: Reals) -> Quadratic:
+        """As of `Problem`."""
+        found, columns, residual = self._projected(places, self.own.moving)
+        # From the residual itself: through a Gram matrix a perfect fit would lose half
+        # of its digits.
+        slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
+        return replace(found, slope=found.gain[:, None] * np.nan_to_num(slope))
+
+    def linearised(self, place: Reals) -> tuple[Reals, Reals]:
+        """∂(measured)/∂(coordinates, then the offset where it is free), shape (q, R),
+        and the residual (R,), where the gain is a coordinate.
+        """
+        _, columns, residual = self._projected(place[None, :], self.own.moving)
+        rows = columns[0, 1:]
+        if self.data.constant is not None and self.offset is None:
+            rows = np.concatenate([rows, self.data.constant[None, :]])
+        return rows, residual[0]
+
+    def _projected(
+        self, places: Reals, names: tuple[str, ...]
+    ) -> tuple[Quadratic, Reals, Reals]:
+        """The quadratic model, the columns by the coordinates, the residuals."""
+        own, data = self.own, self.data
+        values = own.values(places)
+        columns = data.columns(own.structure, values, names)
+        for k, name in enumerate(names):
+            if own.is_logarithmic(name):
+                columns[:, 1 + k] *= values[name]
+        measured = data.measured
+        constant = np.zeros(measured.size) if data.constant is None else data.constant
+        offset = 0.0 if data.constant is None else self.offset
+        shape = (len(columns), measured.size)
+        rows = np.concatenate(
+            [
+                np.broadcast_to(measured, shape)[:, None],
+                columns[:, :1],
+                np.broadcast_to(constant, shape)[:, None],
+                columns[:, 1:],
+            ],
+            axis=1,
+        )
+        with np.errstate(all="ignore"):
+            gram = rows @ rows.transpose(0, 2, 1)
+        known = own.gain is None or not own.projected
+        limits = (1.0, 1.0) if known or own.gain is None else own.limits[own.gain]
+        found = reduced(gram, limits, math.nan if offset is None else offset)
+        with np.errstate(all="ignore"):
+            residual = (
+                measured
+                - found.gain[:, None] * columns[:, 0]
+                - found.offset[:, None] * constant
+            )
+            cost = np.einsum("mr,mr->m", residual, residual)
+        cost = np.where(np.isfinite(cost), cost, np.inf)
+        return replace(found, cost=cost), columns, residual

@@ -32,43 +32,37 @@ _ROUNDS = 5  # of Sanathanan and Koerner
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Places to begin at for one structure and one transform."""
+    """Values to begin at for one structure and one transform."""
 
     coordinates: StructureCoordinates
     spectrum: Spectrum
     offset_is_free: bool
 
-    def places(self) -> Reals:
-        """Places to begin at, shape (M, p)."""
+    def values(self) -> dict[str, Reals]:
+        """Values of all free parameters, shape (M,) each; signs as the data have them.
+
+        Coefficients by least squares are near where there is little noise; those at
+        random are near some of the time under any.
+        """
         own = self.coordinates
-        shaped = [n for n in own.moving if own.structure.roles[n] != "coefficient"]
         straight = self._straight()
-        # Where coefficients follow from the orders the draws fill the space of the
-        # orders only; beyond three the descents do the rest.
-        count = _DRAWS * min(max(len(shaped), 1), 3) if straight else _DRAWS_AT_RANDOM
+        shaped = [n for n in own.names if own.structure.roles[n] != "coefficient"]
+        counts = [_DRAWS_AT_RANDOM]
+        if straight:
+            counts = [_DRAWS * min(max(len(shaped), 1), 3), _DRAWS_AT_RANDOM // 3]
         # Evenly spread and the same in every run: of 60 draws at random some orders
         # would be found by some seeds only.
-        uniform = _halton(count, len(own.moving))
-        values = {
-            name: self._drawn(name, uniform[:, k]) for k, name in enumerate(own.moving)
-        }
-        if own.gain is not None:
-            values[own.gain] = np.ones(count)
+        uniform = _halton(sum(counts), len(own.names))
+        found = {n: self._drawn(n, uniform[:, k]) for k, n in enumerate(own.names)}
         if straight:
-            values |= self._solved(values, straight)
-            if (
-                own.gain is not None
-            ):  # the rest of the coefficients is found with it, and it is projected again
-                values.pop(own.gain)
-        columns = []
-        for name in own.moving:
-            column = values[name]
-            if own.is_logarithmic(name):
-                # Least squares know no sign: a coefficient that came out negative is
-                # tried as large with the sign that its range admits.
-                column = np.maximum(np.abs(column), own.limits[name][0])
-            columns.append(own.place(name, column))
-        return np.column_stack(columns) if columns else np.zeros((1, 0))
+            first = {name: values[: counts[0]] for name, values in found.items()}
+            for name, solved in self._solved(first, straight).items():
+                low, high = own.limits[name]
+                # Least squares know no range: a coefficient that came out with the
+                # other sign is tried as large with its own.
+                inside = np.where((solved < low) | (solved > high), -solved, solved)
+                found[name][: counts[0]] = inside
+        return found
 
     def _drawn(self, name: str, uniform: Reals) -> Reals:
         own = self.coordinates
@@ -91,11 +85,13 @@ class Starts:
                 low,
             )
             return np.where(uniform < 0.25, low, scaled)
-        # ω^(−2 … 2) for a frequency of the band: coefficients are powers of one,
+        if name == own.gain:
+            return np.ones(uniform.size)
+        # ω^(−4 … 4) for a frequency of the band: coefficients are powers of one,
         # whatever the structure.
         frequency = slowest * (fastest / slowest) ** ((uniform * 7.0) % 1.0)
-        sign = np.where((uniform * 31.0) % 1.0 < 0.5, -1.0, 1.0) if low < 0.0 else 1.0
-        return np.clip(sign * frequency ** np.round(4.0 * uniform - 2.0), low, high)
+        sign = np.where((uniform * 31.0) % 1.0 < 0.25, -1.0, 1.0) if low < 0.0 else 1.0
+        return np.clip(sign * frequency ** (8.0 * uniform - 4.0), low, high)
 
     def _straight(self) -> tuple[str, ...]:
         """Free coefficients in which N and D are straight together; none where they are
@@ -110,7 +106,7 @@ class Starts:
         # at any other place.
         points = self.spectrum.points[:: max(1, self.spectrum.points.size // 5)]
         points = points / np.median(np.abs(points))
-        base = own.values(own.middle()[None, :], projected=False)
+        base = own.middle()
         probes = [{**base, **dict.fromkeys(names, np.zeros((1, 1)))}]
         probes += [{**probes[0], name: np.ones((1, 1))} for name in names]
         zero, *units = (

@@ -78,9 +78,9 @@ def identify_structure(
     fixed
         values of parameters that are known; ``"offset"`` is the output's constant part.
     bounds
-        ranges of parameters. By default orders lie in 0.02 to 4, coefficients in 1e-12
-        to 1e12 (above 0!) and delays in 0 s to half of the record, or to 20 rad at the
-        highest line. A range such as (-10, 10) admits a negative coefficient.
+        ranges of parameters. By default orders lie in 0.02 to 4, coefficients of either
+        sign are 1e-12 to 1e12 in size, and delays lie in 0 s to half of the record, or
+        to 20 rad at the highest line.
     hold
         what the input does between samples: "zero", "first", or "auto" for "zero" where
         it jumps and rests.
@@ -143,9 +143,8 @@ def identify_structure(
     )
     # All on the fitted part; what was held out is predicted once and steers nothing.
     certain = certainty_of(search, samples, best, details=details)
-    predicted = best.offset * (
-        whole.offset if whole.offset is not None else 0.0
-    ) + _simulated(whole, structure, best)
+    constant = 0.0 if whole.constant is None else whole.constant
+    predicted = best.offset * constant + _simulated(whole, structure, best)
     held = _heldout(search, samples, whole, best, fitted, predicted)
     fit = _fit_of(
         structure,
@@ -167,7 +166,7 @@ def identify_structure(
 
 def _simulated(data: RecordStart | Lines, structure: Expression, place: Place) -> Reals:
     values = {name: np.array([[v]]) for name, v in place.values.items()}
-    return np.asarray(data.simulated(structure, values, 1)[0])
+    return np.asarray(data.columns(structure, values, ())[0, 0])
 
 
 def _fitted(record: Recording, heldout: float | None) -> int:
@@ -398,16 +397,8 @@ def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | N
     )
     # From the best parameters: another search could end in another valley, and the
     # error would be that of the search.
-    begin = np.array(
-        [[float(own.place(name, best.values[name])) for name in own.moving]]
-    )
-    place = search.descended(seen, begin)
-    error = (
-        rest.measured
-        - rest.simulated(
-            own.structure, {n: np.array([[v]]) for n, v in place.values.items()}, 1
-        )[0]
-    )
+    place = search.descended(seen, best.values)
+    error = rest.measured - _simulated(rest, own.structure, place)
     return float(error @ error / (rest.measured @ rest.measured))
 
 

@@ -14,7 +14,8 @@ from scipy.linalg import lstsq
 from scipy.special import stdtrit
 
 from fraclink._arm.link import STRUCTURES, structure
-from fraclink._identify.least_squares import QUANTILE, Interval, interval_end
+from fraclink._identify.link_problem import LinkProblem
+from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
 from fraclink._identify.residual import (
     autoregression,
     coloured_covariance,
@@ -23,21 +24,9 @@ from fraclink._identify.residual import (
     noise_behind,
 )
 from fraclink._identify.search import Search, Solution
-from fraclink._identify.shape import (
-    COORDINATE,
-    NAMES,
-    Shape,
-    Vector,
-    columns_of,
-    damping_and_square,
-    largest_ratio,
-    mask_of,
-    model_gradients,
-)
+from fraclink._identify.shape import Vector
 
 Matrix = NDArray[np.float64]
-
-_DIRECT = {name: COORDINATE[name] for name in ("order", "damping_order", "delay")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,37 +54,34 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
     """Covariance at a solution; `coloured` adds the sandwich estimate from the
     residual's scores.
     """
-    inside, linear = _moving(search, solution)
-    columns = [3 + solution.free.index(i) for i in inside] + linear
-    # The Gram matrix holds columns of unit gain: ∂(output)/∂(shape) is the gain times
-    # them.
-    scale = np.array([solution.gain] * len(inside) + [1.0] * len(linear))
-    basis = _basis(solution, inside, len(linear))
-    names = _names(solution, inside, linear)
-    through = _gradients(solution, names, inside, linear) @ basis
-    normal = (
-        basis.T
-        @ (solution.gram[np.ix_(columns, columns)] * np.outer(scale, scale))
-        @ basis
-    )
-    inverse, singular = inverted(normal)
-    samples = search.window.samples
+    problem = LinkProblem.of(search, solution, inside=True)
+    names = (*problem.names, *problem.linear)
+    own = problem.parameters(problem.place[None, :], problem.names)[1][0]
+    size, linear = len(problem.free), len(problem.linear)
+    through = np.zeros((len(names), size + linear))
+    through[: len(own), :size] = own
+    through[len(own) :, size:] = np.eye(linear)
+    regressors, residual = problem.linearised()
+    inverse, singular = inverted(regressors @ regressors.T)
     # n − p: the fit has taken p of the residual's degrees of freedom.
-    variance = solution.cost / max(samples - basis.shape[1], 1)
+    variance = solution.cost / max(residual.size - len(regressors), 1)
     white = variance * through @ inverse @ through.T
-    resonance = (
-        basis[inside.index(1)] if 1 in inside else np.full(basis.shape[1], np.nan)
+    spread, lag, effective = variance * inverse, 1, float(len(regressors))
+    if coloured:
+        spread, lag, effective = sandwich(inverse, regressors, residual, variance)
+    error = (
+        float(np.sqrt(max(spread[k, k], 0.0)))
+        for k, coordinate in enumerate(problem.free)
+        if coordinate == 1
     )
-    if not coloured:
-        error = float(np.sqrt(variance * resonance @ inverse @ resonance))
-        return Uncertainty(
-            names, white, None, 1, float(basis.shape[1]), singular, error
-        )
-    regressors, residual = _linearised(search, solution)
-    spread, lag, effective = sandwich(inverse, regressors, residual, variance)
-    error = float(np.sqrt(np.maximum(resonance @ spread @ resonance, 0.0)))
     return Uncertainty(
-        names, white, through @ spread @ through.T, lag, effective, singular, error
+        names,
+        white,
+        through @ spread @ through.T if coloured else None,
+        lag,
+        effective,
+        singular,
+        next(error, math.nan),
     )
 
 
@@ -123,86 +109,22 @@ def sandwich(
     )
     wider *= float(stdtrit(freedom, 0.975)) / QUANTILE
     spread = inverse @ meat @ inverse * np.outer(wider, wider)
+    return spread, lag, effective_parameters(inverse, regressors, residual, variance)
+
+
+def effective_parameters(
+    inverse: Matrix, regressors: Matrix, residual: Vector, variance: float
+) -> float:
+    """Takeuchi's tr(H⁻¹J): under white noise the number of parameters, under slow noise
+    as many more as it has fewer independent samples.
+    """
     if not variance > 0:
-        return spread, lag, float(inverse.shape[0])
-    # tr(H⁻¹ J): under white noise the number of parameters, under slow noise as many
-    # more as it has fewer independent samples. Of the residual as it is: what is given
-    # back to the noise is an estimate for each structure by itself, and on a log whose
-    # residual is friction it made 1217 parameters of one structure and 388 of its
-    # rival.
+        return float(inverse.shape[0])
+    # Of the residual as it is: what is given back to the noise is an estimate for each
+    # structure by itself, and on a log whose residual is friction it made 1217
+    # parameters of one structure and 388 of its rival.
     own = coloured_covariance(regressors, *autoregression(residual))
-    effective = float(np.trace(inverse @ own)) / variance
-    return spread, lag, effective
-
-
-def _moving(search: Search, solution: Solution) -> tuple[list[int], list[int]]:
-    """Coordinates that are free and inside their limits, and the linear parameters that
-    are free.
-    """
-    inside = [i for i in solution.free if i not in solution.at_bound]
-    return inside, [
-        c for c, value in ((1, search.gain), (2, search.offset)) if np.isnan(value)
-    ]
-
-
-def _linearised(search: Search, solution: Solution) -> tuple[Matrix, Vector]:
-    """∂(output)/∂(free parameters), one row for each direction of `_basis`, and the
-    residual.
-    """
-    inside, linear = _moving(search, solution)
-    raw = columns_of(search.kernel, solution.shape, mask_of(solution.free))
-    residual = search.window.output - solution.gain * raw[0] - solution.offset
-    shapes = [solution.gain * raw[1 + solution.free.index(i)] for i in inside]
-    straight = [{1: raw[0], 2: np.ones(residual.size)}[c] for c in linear]
-    return _basis(solution, inside, len(linear)).T @ np.array(
-        [*shapes, *straight]
-    ), residual
-
-
-def _basis(solution: Solution, inside: list[int], linear: int) -> Matrix:
-    """Directions in which the point may move: all, but on ω₀ = 0 the damping ratio
-    follows α.
-    """
-    basis = np.eye(len(inside) + linear)
-    if solution.on_edge and 2 in inside and 3 in inside:
-        # dζ/dα of `largest_ratio`, ζ = tan(απ/2)/2: on the edge the two are one
-        # coordinate.
-        basis[inside.index(2), inside.index(3)] = (
-            np.pi / 4 / np.cos(solution.shape[3] * np.pi / 2) ** 2
-        )
-        basis = np.delete(basis, inside.index(2), axis=1)
-    return basis
-
-
-def _names(solution: Solution, inside: list[int], linear: list[int]) -> tuple[str, ...]:
-    """Names of the parameters that have an error: free and inside their limits."""
-    own = [
-        name
-        for name in structure(solution.structure).free
-        if COORDINATE[name] in inside
-    ]
-    if solution.on_edge and "natural_frequency" in own:
-        own.remove("natural_frequency")
-    delay = ["delay"] if 4 in inside else []
-    return (*own, *delay, *({1: "gain", 2: "offset"}[c] for c in linear))
-
-
-def _gradients(
-    solution: Solution, names: tuple[str, ...], inside: list[int], linear: list[int]
-) -> Matrix:
-    """∂(named parameters)/∂(coordinates inside their limits, then gain, then offset)."""
-    model = model_gradients(solution.shape)
-    rows = np.zeros((len(names), len(inside) + len(linear)))
-    for row, name in zip(rows, names, strict=True):
-        if name in ("gain", "offset"):
-            row[len(inside) + linear.index(1 if name == "gain" else 2)] = 1.0
-        elif name == "delay":
-            row[inside.index(4)] = 1.0
-        else:
-            row[: len(inside)] = [
-                model[NAMES.index(name), i] if i < 4 else 0.0 for i in inside
-            ]
-    return rows
+    return float(np.trace(inverse @ own)) / variance
 
 
 def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
@@ -214,189 +136,27 @@ def _diagonal(inverse: Matrix, meat: Matrix) -> Vector:
     return np.asarray(np.maximum(np.diag(inverse @ meat @ inverse), floor))
 
 
-def inverted(normal: Matrix) -> tuple[Matrix, bool]:
-    """Inverse of a normal matrix, and whether it is singular: the data do not determine
-    all parameters.
+def link_intervals(
+    search: Search, solution: Solution, inflation: Mapping[str, float]
+) -> dict[str, Interval]:
+    """The 95 % intervals of the link's parameters and the delay: n ln(cost/least cost)
+    ≤ 1.96² times the factor by which the residual's colour widens a variance.
+
+    α has one where it ended at a limit, too.
     """
-    # To unit diagonal first: singular shall mean that parameters trade against each
-    # other, not that one is small. Below 1e-10 a direction is seen 1e5 times less than
-    # the parameters themselves, and the Gram matrix, a sum over thousands of products,
-    # does not resolve it.
-    size = np.sqrt(np.diag(normal))
-    size[size == 0] = 1.0
-    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
-    singular = bool(values[0] < 1e-10)
-    # Not zero: an unseen direction gets an error of 1e7 times the others', large enough
-    # to be refused by every gate and finite enough to print.
-    values = np.maximum(values, 1e-14)
-    inverse: Matrix = (vectors / values) @ vectors.T / np.outer(size, size)
-    return inverse, singular
-
-
-# --- intervals: how far a parameter can go while all others are fitted anew ------------------------------
-
-
-@dataclass(eq=False)
-class _Profile:
-    """Best cost at given values of one parameter; every point starts from the one
-    before.
-    """
-
-    search: Search
-    solution: Solution
-    name: str
-
-    @property
-    def samples(self) -> int:
-        return self.search.window.samples
-
-    @property
-    def least(self) -> float:
-        return self.solution.cost
-
-    @property
-    def begin(self) -> Shape:
-        return self.solution.shape
-
-    def value(self, shape: Shape) -> float:
-        if self.name in _DIRECT:
-            return float(shape[_DIRECT[self.name]])
-        damping, square = damping_and_square(shape)
-        return damping if self.name == "damping" else math.sqrt(square)
-
-    def limits(self) -> tuple[float, float]:
-        if self.name in _DIRECT:
-            i = _DIRECT[self.name]
-            return float(self.solution.lower[i]), float(self.solution.upper[i])
-        if self._frequency_is_resonance:
-            return math.exp(self.solution.lower[1]), math.exp(self.solution.upper[1])
-        return 0.0, math.inf
-
-    def cost(self, value: float, near: Shape) -> tuple[float, Shape]:
-        direct = _DIRECT.get(self.name, 1 if self._frequency_is_resonance else None)
-        if direct is None:
-            return self._constrained(value, near)
-        start = near.copy()
-        # λ, α, the delay and (for a classical link) ω₀ are coordinates or their
-        # logarithm: held exactly, the kernel fits the others by itself.
-        start[direct] = math.log(value) if direct == 1 else value
-        others = [i for i in self.solution.free if i != direct]
-        s = self.search
-        result = s.kernel.solve(
-            start[None, :],
-            mask_of(others),
-            self.solution.lower,
-            self.solution.upper,
-            s.gain,
-            s.offset,
-            60,
-        )
-        return (math.inf, near) if result[0] == 3 else (float(result[4]), result[1])
-
-    @property
-    def _frequency_is_resonance(self) -> bool:
-        """Whether ω₀ is the coordinate Ω itself, which viscous damping does not move."""
-        classical = self.solution.shape[0] == 2 and self.solution.shape[3] == 1
-        return (
-            self.name == "natural_frequency"
-            and classical
-            and not {0, 3} & set(self.solution.free)
-        )
-
-    def _constrained(self, value: float, near: Shape) -> tuple[float, Shape]:
-        """Gauss–Newton steps on the surface where the parameter has this value."""
-        free = [i for i in self.solution.free if i not in self.solution.at_bound]
-        shape = near.copy()
-        best = (math.inf, near)
-        # Eight: a step doubles the digits once the value is met, and a start from the
-        # point before meets it in two or three.
-        for _ in range(8):
-            gram = self.search.kernel.gram(shape, mask_of(free))
-            if gram is None:
-                return best
-            normal, slope, cost = reduced(gram, self.search)
-            miss = value - self.value(shape)
-            # Within 1e-6 of the value it is a point of the profile; at 1e-9, and with
-            # no gain any more, the last one.
-            if abs(miss) < 1e-9 * max(abs(value), 1e-3) and cost >= best[0] * (
-                1 - 1e-9
-            ):
-                return best
-            if abs(miss) < 1e-6 * max(abs(value), 1e-3):
-                best = (cost, shape.copy())
-            row = model_gradients(shape)[NAMES.index(self.name)]
-            along = np.array([row[i] if i < 4 else 0.0 for i in free])
-            shape[free] += _on_surface(normal, slope, along, miss)
-            shape = np.clip(shape, self.solution.lower, self.solution.upper)
-            if shape[3] < 1:  # beyond, ω₀² would be negative
-                shape[2] = min(shape[2], largest_ratio(float(shape[3])))
-        return best
-
-
-def reduced(gram: Matrix, search: Search) -> tuple[Matrix, Vector, float]:
-    """Normal matrix, slope and cost of the shape with gain and offset at their best."""
-    linear = [c for c, v in ((1, search.gain), (2, search.offset)) if math.isnan(v)]
-    fixed = np.array([1.0, -np.nan_to_num(search.gain), -np.nan_to_num(search.offset)])
-    rest = (
-        gram[:, :3] @ fixed
-    )  # products of every column with what is left of the measurement
-    best = (
-        np.linalg.solve(gram[np.ix_(linear, linear)], rest[linear])
-        if linear
-        else np.zeros(0)
+    problem = LinkProblem.of(search, solution, inside=False)
+    names = tuple(
+        name for name in problem.names if name in inflation or name == "damping_order"
     )
-    gain = float(best[linear.index(1)]) if 1 in linear else search.gain
-    residual = rest - gram[:, linear] @ best
-    offset = float(best[linear.index(2)]) if 2 in linear else search.offset
-    cost = float(
-        residual[0]
-        - gain * residual[1] * (1 not in linear)
-        - offset * residual[2] * (2 not in linear)
+    ends = interval_ends(
+        problem,
+        problem.place,
+        solution.cost,
+        search.window.samples,
+        lambda places: problem.parameters(places, names),
+        np.array([inflation.get(name, 1.0) for name in names]),
     )
-    # Schur's complement: the curvature that is left where gain and offset follow every
-    # step of the shape.
-    inner = gram[3:, 3:]
-    if linear:
-        across = gram[np.ix_(range(3, gram.shape[0]), linear)]
-        inner = inner - across @ np.linalg.solve(gram[np.ix_(linear, linear)], across.T)
-    return gain**2 * inner, gain * residual[3:], cost
-
-
-def _on_surface(normal: Matrix, slope: Vector, along: Vector, miss: float) -> Vector:
-    """The Gauss–Newton step that moves the parameter by `miss`: a Lagrange multiplier
-    borders the matrix.
-    """
-    size = normal.shape[0]
-    system = np.zeros((size + 1, size + 1))
-    # What the log does not determine must not move: without the ridge such a direction
-    # would take any step.
-    system[:size, :size] = normal + 1e-10 * np.diag(np.diag(normal))
-    system[:size, size] = system[size, :size] = along
-    return np.asarray(
-        np.linalg.lstsq(system, np.append(slope, miss), rcond=None)[0][:size]
-    )
-
-
-def profile_interval(
-    search: Search, solution: Solution, name: str, error: float, inflation: float
-) -> Interval:
-    """The 95 % interval of one parameter: n ln(cost/least cost) ≤ 1.96² × `inflation`.
-
-    `error` is its standard error (where the search for the ends begins) and `inflation`
-    the factor by which the residual's colour widens its variance.
-    """
-    profile = _Profile(search, solution, name)
-    centre = profile.value(solution.shape)
-    if (
-        solution.cost <= 1e-12 * solution.gram[0, 0]
-    ):  # a perfect fit: its likelihood is rounding noise
-        return Interval(
-            centre - QUANTILE * error, centre + QUANTILE * error, False, False
-        )
-    low, high = profile.limits()
-    below, low_open = interval_end(profile, centre, -QUANTILE * error, low, inflation)
-    above, high_open = interval_end(profile, centre, QUANTILE * error, high, inflation)
-    return Interval(below, above, low_open, high_open)
+    return dict(zip(names, ends, strict=True))
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
@@ -438,7 +198,9 @@ def structure_criteria(
     # What the richest leaves is noise if any structure's residual is: a poorer one
     # would have its own misfit whitened away.
     richest = max(STRUCTURES, key=lambda name: len(structure(name).free))
-    filtered = autoregression(_linearised(search, solutions[richest])[1])[0]
+    filtered = autoregression(
+        LinkProblem.of(search, solutions[richest], inside=True).linearised()[1]
+    )[0]
     found = {
         name: _innovations(search, solution, filtered)
         for name, solution in solutions.items()
@@ -475,7 +237,7 @@ def _innovations(
     """Regressors and residual behind the filter that makes the noise white, after one
     Gauss–Newton step.
     """
-    regressors, residual = _linearised(search, solution)
+    regressors, residual = LinkProblem.of(search, solution, inside=True).linearised()
     # scipy.signal has a filter for this, and takes as long to import as the fit to
     # compute.
     whitened = [

@@ -1,0 +1,384 @@
+"""The engine of every fit: what a problem is, its descent, and the ends of its
+intervals.
+
+A problem says, for M candidates at once, what a candidate costs and how the cost
+changes around it,
+
+    cost(x + d) = cost − 2 slopeᵀ d + dᵀ normal d,
+
+with gain and offset projected out (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973)
+413): a start needs no value of theirs, and a step cannot trade one for the other. Where
+the numbers come from (a Gram matrix of the compiled kernel, a Laplace transform, exact
+responses) is the problem's own affair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "QUANTILE",
+    "Descent",
+    "Interval",
+    "Problem",
+    "Quadratic",
+    "descend",
+    "interval_ends",
+    "inverted",
+    "reduced",
+]
+
+Reals = NDArray[np.float64]
+Bits = NDArray[np.bool_]
+
+QUANTILE = 1.959963984540054  # of the normal distribution at 97.5 %
+# Of a normal matrix with ones on its diagonal, a sum of products of doubles: a
+# direction that is seen less is rounding.
+_UNSEEN = 1e-10
+# Down by ten and up by eight, so that no damping that failed is tried again.
+_FASTER, _SLOWER = 0.1, 8.0
+_STUCK = 1e9  # damping at which a step is none
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """Costs (M,) of M candidates with half their negative slopes (M, p) and their
+    Gauss–Newton matrices (M, p, p); the gains and offsets that were projected out (M,).
+    """
+
+    cost: Reals
+    slope: Reals
+    normal: Reals
+    gain: Reals
+    offset: Reals
+
+
+class Problem(Protocol):
+    """A least-squares problem in a box of p coordinates."""
+
+    @property
+    def low(self) -> Reals:
+        """Lower limits (p,)."""
+        ...
+
+    @property
+    def high(self) -> Reals:
+        """Upper limits (p,)."""
+        ...
+
+    def clip(self, places: Reals) -> Reals:
+        """The nearest admissible places."""
+        ...
+
+    def costs(self, places: Reals) -> Reals:
+        """Costs (M,) at places (M, p); infinite where a candidate has no response."""
+        ...
+
+    def quadratic(self, places: Reals) -> Quadratic:
+        """Costs and quadratic models at places (M, p)."""
+        ...
+
+
+def reduced(
+    gram: Reals, gain: tuple[float, float], offset: float = math.nan
+) -> Quadratic:
+    """The quadratic model that Gram matrices leave of gain and offset at their best.
+
+    `gram`, shape (M, 3 + p, 3 + p), is of [measured, response, constant, derivatives of
+    the response]. The gain has a range (low, high), of one number where it is known;
+    the offset is free where it is not a number.
+    """
+    free_offset, known_gain = math.isnan(offset), gain[0] == gain[1]
+    count = gram[:, 2, 2]
+    with np.errstate(all="ignore"):
+        # Everything about its mean where the offset is free.
+        inner = gram
+        if free_offset:
+            mean = gram[:, 2] / count[:, None]
+            inner = gram - mean[:, :, None] * gram[:, 2][:, None, :]
+        level = 0.0 if free_offset else offset
+        left = inner[:, 0] - level * inner[:, 2]  # products with measured − offset
+        best = np.clip(left[:, 1] / inner[:, 1, 1], *gain)
+        held = (best <= gain[0]) | (best >= gain[1])
+        best = np.where(np.isfinite(best), best, 0.0)
+        rest = left - best[:, None] * inner[:, 1]
+        cost = rest[:, 0] - level * rest[:, 2] - best * rest[:, 1]
+        across = inner[:, 3:, 1]
+        normal = (
+            inner[:, 3:, 3:]
+            - np.where(held | known_gain, 0.0, 1.0)[:, None, None]
+            * across[:, :, None]
+            * across[:, None, :]
+            / np.maximum(inner[:, 1, 1], 1e-300)[:, None, None]
+        )
+    shift = (
+        (gram[:, 0, 2] - best * gram[:, 1, 2]) / count
+        if free_offset
+        else np.full(best.shape, offset)
+    )
+    return Quadratic(
+        np.where(np.isfinite(cost), np.maximum(cost, 0.0), np.inf),
+        best[:, None] * rest[:, 3:],
+        best[:, None, None] ** 2 * normal,
+        best,
+        shift,
+    )
+
+
+# --- the descent ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where M descents ended: places (M, p), costs (M,), whether no step would gain,
+    and the candidates that it took.
+    """
+
+    places: Reals
+    costs: Reals
+    converged: Bits
+    evaluations: int
+
+
+def descend(
+    problem: Problem,
+    places: Reals,
+    *,
+    iterations: int = 100,
+    ended: float = 1e-10,
+    perfect: float = 0.0,
+) -> Descent:
+    """Levenberg and Marquardt's descent from every row of `places` at once.
+
+    A descent ends where an undamped step would gain less than a share `ended` of its
+    cost (the Newton decrement: a short step says only that the damping is large) or
+    less than `perfect`, the rounding of a perfect fit.
+    """
+    places = problem.clip(np.array(places, dtype=np.float64))
+    at = problem.quadratic(places)
+    costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
+    evaluations, damping = len(places), np.full(len(places), 1e-3)
+    # A start without a response has no slope to leave it by.
+    moving, settled = np.isfinite(costs), np.zeros(len(places), dtype=bool)
+    for _ in range(iterations):
+        own = np.flatnonzero(moving)
+        if not own.size:
+            break
+        step, gain = _damped_steps(
+            normal[own], slope[own], damping[own], places[own], problem
+        )
+        settled[own] = gain <= np.maximum(ended * costs[own], perfect)
+        trial = problem.clip(places[own] + step)
+        cost = problem.costs(trial)
+        evaluations += own.size
+        better = cost < costs[own]
+        moving[own] = ~settled[own] & (better | (damping[own] < _STUCK))
+        won, lost = own[better], own[~better]
+        damping[won], damping[lost] = (
+            np.maximum(_FASTER * damping[won], 1e-12),
+            _SLOWER * damping[lost],
+        )
+        places[won], costs[won] = trial[better], cost[better]
+        won = won[moving[won]]
+        if won.size:
+            at = problem.quadratic(places[won])
+            slope[won], normal[won] = at.slope, at.normal
+            evaluations += won.size
+    return Descent(places, costs, settled & np.isfinite(costs), evaluations)
+
+
+def _damped_steps(
+    normal: Reals, slope: Reals, damping: Reals, places: Reals, problem: Problem
+) -> tuple[Reals, Reals]:
+    """Damped steps (M, p) and what undamped ones would gain (M,).
+
+    A coordinate that a limit stops is held, or it would bend the others' step. In units
+    of each coordinate's own curvature (Marquardt) a step does not depend on the
+    parameters' units, and in the axes of the valley one decomposition serves damped and
+    undamped steps.
+    """
+    held = ((places <= problem.low) & (slope < 0)) | (
+        (places >= problem.high) & (slope > 0)
+    )
+    values, vectors, size = _axes(normal, held)
+    along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
+    seen = values > _UNSEEN
+    gain = np.where(seen, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
+    step = along / (np.maximum(values, 0.0) + damping[:, None])
+    return np.einsum("mpk,mk->mp", vectors, step) / size, gain
+
+
+def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
+    """Eigenvalues, eigenvectors and column sizes of normal matrices scaled to ones on
+    their diagonals, without the coordinates that are held.
+    """
+    size = np.sqrt(np.einsum("mpp->mp", normal))
+    size = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    scaled = np.nan_to_num(normal / size[:, :, None] / size[:, None, :])
+    scaled[held] = 0.0
+    scaled.transpose(0, 2, 1)[held] = 0.0
+    scaled[:, range(held.shape[1]), range(held.shape[1])] += np.where(held, 1.0, 0.0)
+    values, vectors = np.linalg.eigh(scaled)
+    return values, vectors, size
+
+
+def inverted(normal: Reals) -> tuple[Reals, bool]:
+    """Inverse of a normal matrix (p, p), and whether the data leave a direction of it
+    undetermined.
+
+    Not zero there but 1e7 times the others' error: large enough to be refused by every
+    gate, and finite enough to print.
+    """
+    if not normal.size:
+        return normal, False
+    values, vectors, size = (
+        x[0] for x in _axes(normal[None], np.zeros((1, len(normal)), dtype=bool))
+    )
+    inverse = (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(size, size)
+    return inverse, bool(values[0] < _UNSEEN)
+
+
+# --- intervals --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A 95 % interval; an open end is a limit of the parameter's range that the log
+    does not exclude.
+
+    >>> Interval(1.91, 1.93, False, False).contains(1.92)
+    True
+    """
+
+    low: float
+    high: float
+    low_open: bool
+    high_open: bool
+
+    def contains(self, value: float) -> bool:
+        """Whether `value` lies in the interval."""
+        return self.low <= value <= self.high
+
+
+Parameters = Callable[
+    [Reals], tuple[Reals, Reals]
+]  # (M, p) -> values (M, q), gradients (M, q, p)
+
+_TURNS = 60
+_MET = 2e-3  # of the quantile: 0.01 % of the coverage
+_FAR = 1.5  # times the quantile: there the quadratic model is left
+
+
+def interval_ends(
+    problem: Problem,
+    best: Reals,
+    least: float,
+    samples: int,
+    parameters: Parameters,
+    inflation: Reals,
+) -> tuple[Interval, ...]:
+    """95 % likelihood intervals of parameters: n ln(cost/least) ≤ 1.96² `inflation`
+    (q,) with all others at their best.
+
+    Every end is the largest (or least) value of the parameter on the surface of that
+    cost (Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87): on the quadratic model at
+    x it is x + H⁻¹ slope ± H⁻¹ g √((c − m)/gᵀH⁻¹g) with the parameter's gradient g and
+    the model's least value m. All ends are sought at once.
+    """
+    count = len(inflation)
+    rows, sign = np.tile(np.arange(count), 2), np.repeat([-1.0, 1.0], count)
+    height = QUANTILE**2 * inflation[rows] / samples
+    centre = parameters(best[None, :])[0][0][rows]
+    places = np.repeat(best[None, :], 2 * count, axis=0)
+    before, values = places.copy(), centre.copy()
+    active, blocked = np.ones(2 * count, dtype=bool), np.zeros(2 * count, dtype=bool)
+    radius = np.full(2 * count, np.inf)  # of a parameter's change in one step
+    for _ in range(_TURNS):
+        own = np.flatnonzero(active)
+        if not own.size:
+            break
+        at = problem.quadratic(places[own])
+        value, gradient = (
+            x[np.arange(own.size), rows[own]] for x in parameters(places[own])
+        )
+        # The root of the log-likelihood is nearly straight in a parameter.
+        with np.errstate(all="ignore"):
+            root = np.sqrt(np.log(np.maximum(at.cost / least, 1.0)) / height[own])
+        far = ~(root < _FAR)
+        still = np.abs(value - values[own]) <= 1e-3 * np.abs(value - centre[own])
+        values[own] = np.where(far, values[own], value)
+        done = still & ((np.abs(root - 1.0) < _MET) | (blocked[own] & (root < 1.0)))
+        active[own] = ~done
+        # Beyond the reach of the quadratic model: back, and less far along the valley.
+        radius[own] *= np.where(far, 0.3, 2.0)
+        step, change, stopped = _outward(
+            problem,
+            at,
+            gradient,
+            sign[own],
+            least * np.exp(height[own]),
+            places[own],
+            radius[own],
+        )
+        radius[own] = np.where(far, radius[own], np.minimum(radius[own], change))
+        blocked[own] = np.where(done | far, blocked[own], stopped)
+        ahead = problem.clip(places[own] + step)
+        ahead = np.where(far[:, None], before[own], ahead)
+        before[own] = np.where(far[:, None], before[own], places[own])
+        places[own] = np.where(done[:, None], places[own], ahead)
+    # Open at a limit that the likelihood does not exclude, and where no end was found.
+    is_open = blocked | active
+    return tuple(
+        Interval(
+            float(values[i]),
+            float(values[i + count]),
+            bool(is_open[i]),
+            bool(is_open[i + count]),
+        )
+        for i in range(count)
+    )
+
+
+def _outward(
+    problem: Problem,
+    at: Quadratic,
+    gradient: Reals,
+    sign: Reals,
+    target: Reals,
+    places: Reals,
+    radius: Reals,
+) -> tuple[Reals, Reals, Bits]:
+    """The steps to the extreme value of a parameter on the target's surface, with all
+    others at their best where a change beyond `radius` is cut; the sizes of the
+    changes, and where limits stop the parameter.
+    """
+    held = np.zeros(places.shape, dtype=bool)
+    # Twice: a coordinate that a limit stops is held, and the others go without it.
+    for _ in range(2):
+        values, vectors, size = _axes(at.normal, held)
+        # An undetermined direction would take any step.
+        inverse = np.einsum(
+            "mpk,mk,mqk->mpq", vectors, 1.0 / np.maximum(values, _UNSEEN), vectors
+        ) / (size[:, :, None] * size[:, None, :])
+        g, slope = np.where(held, 0.0, gradient), np.where(held, 0.0, at.slope)
+        down, along = (np.einsum("mpq,mq->mp", inverse, x) for x in (slope, g))
+        across = np.einsum("mp,mp->m", along, g)
+        room = np.maximum(target - at.cost + np.einsum("mp,mp->m", down, slope), 0.0)
+        back = np.einsum("mp,mp->m", down, g)
+        # A candidate without a response has no model: its step is none.
+        with np.errstate(all="ignore"):
+            whole = back + sign * np.sqrt(room * across)
+            change = np.clip(whole, -radius, radius)
+            reach = np.where(across > 0, (change - back) / across, 0.0)
+            step = np.where(held, 0.0, down + reach[:, None] * along)
+        step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
+        held = ((places <= problem.low) & (step < 0)) | (
+            (places >= problem.high) & (step > 0)
+        )
+    return step, np.abs(change), ~(across > 0)
