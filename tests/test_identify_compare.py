@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fraclink import s, time_response
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
@@ -25,6 +24,7 @@ from fraclink._identify import (
 from fraclink._identify.compare import _choice
 from fraclink._reading.reading import read_log
 from fraclink.errors import FieldError
+from fracsys import s, time_response
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data
 

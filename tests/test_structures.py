@@ -208,7 +208,7 @@ def test_intervals_cover() -> None:
 def test_fixed_values_bounds_and_start() -> None:
     data = recording(LAG, {"k": -2.0, "a": 1.5, "w": 1.0})
     usual = fl.identify_structure(data, LAG, details=False)
-    assert not usual.passed  # a coefficient is positive where nothing else is said
+    assert usual.passed and usual.parameters["k"] == pytest.approx(-2.0, rel=0.01)
     free = fl.identify_structure(data, LAG, bounds={"k": (-10, 10)}, details=False)
     assert free.parameters["k"] == pytest.approx(-2.0, rel=0.01)
     known = fl.identify_structure(
@@ -339,7 +339,6 @@ def test_a_band_that_misses_a_corner() -> None:
     ("text", "truth", "bounds"),
     [
         ("2*exp(-T*s)/(s**0.8 + 3)", "2*s**0.2/(s**0.8 + 3)", None),
-        ("k/(s**0.8 + 3)", "-2/(s**0.8 + 3)", None),
         ("k/(s**0.8 + 3)", "2/(s**0.8 + 3)", {"k": (3.0, 4.0)}),
     ],
 )
@@ -446,9 +445,11 @@ def test_given_orders_and_much_noise(seed: int) -> None:
     """
     generator = np.random.default_rng(seed)
     u = np.repeat(generator.choice([-1.0, 1.0], 107), 15)[:1600]
-    clean = fl.time_response(1 / (fl.s**3 + 1.5 * fl.s**1.5 + 1), u, 0.05).output
+    clean = fracsys.time_response(
+        1 / (fracsys.s**3 + 1.5 * fracsys.s**1.5 + 1), u, 0.05
+    ).output
     noisy = clean + 0.6 * clean.std() * generator.standard_normal(1600)
-    record = fl.Recording(0.05, u, noisy)
+    record = fl.extend.Recording(0.05, u, noisy)
     expression, truth = "b/(a*s**3 + c*s**1.5 + 1)", {"b": 1.0, "a": 1.0, "c": 1.5}
     fit = fl.identify_structure(record, expression, heldout=0.0, details=False)
     near = fl.identify_structure(

@@ -173,12 +173,16 @@ def descend(
         step, gain = _damped_steps(
             normal[own], slope[own], damping[own], places[own], problem
         )
-        settled[own] = gain <= np.maximum(ended * costs[own], perfect)
+        least = np.maximum(ended * costs[own], perfect)
+        settled[own] = gain <= least
         trial = problem.clip(places[own] + step)
         cost = problem.costs(trial)
         evaluations += own.size
         better = cost < costs[own]
-        moving[own] = ~settled[own] & (better | (damping[own] < _STUCK))
+        # At its end a descent goes on while that costs one candidate a step.
+        moving[own] = np.where(
+            better, gain > 0.01 * least, ~settled[own] & (damping[own] < _STUCK)
+        )
         won, lost = own[better], own[~better]
         damping[won], damping[lost] = (
             np.maximum(_FASTER * damping[won], 1e-12),
@@ -218,8 +222,8 @@ def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
     """Eigenvalues, eigenvectors and column sizes of normal matrices scaled to ones on
     their diagonals, without the coordinates that are held.
     """
-    size = np.sqrt(np.einsum("mpp->mp", normal))
-    size = np.where((size > 0) & np.isfinite(size), size, 1.0)
+    square = np.einsum("mpp->mp", normal)
+    size = np.sqrt(np.where((square > 0) & np.isfinite(square), square, 1.0))
     scaled = np.nan_to_num(normal / size[:, :, None] / size[:, None, :])
     scaled[held] = 0.0
     scaled.transpose(0, 2, 1)[held] = 0.0

@@ -136,7 +136,9 @@ class StructureCoordinates:
             low, high = self.box_of(name)
             # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another.
             place = float(np.clip(0.6 + 0.17 * k, low, high))
-            found[name] = np.array([[self.value(name, place)]])
+            # Positive, whatever the signs: a negative base has no real powers.
+            value = math.exp(place) if self.is_logarithmic(name) else place
+            found[name] = np.array([[value]])
         return found
 
     def box_of(self, name: str) -> Limits:
@@ -150,7 +152,7 @@ class StructureCoordinates:
         """Parameters (M, 1) at places (M, p); a projected gain is 1."""
         found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         if self.projected and self.gain is not None:
-            found[self.gain] = np.ones((1, 1))
+            found[self.gain] = np.ones((len(places), 1))
         for k, name in enumerate(self.moving):
             found[name] = self.value(name, places[:, k : k + 1])
         return found
@@ -380,6 +382,8 @@ class RecordStart:
     period: float
     hold: Literal["zero", "first"]
     earlier: Reals = field(default_factory=lambda: np.zeros(0))
+    # Slopes by differences of exact responses: no row is off by what a transform loses.
+    exact: bool = False
 
     @classmethod
     def of(
@@ -458,7 +462,7 @@ class RecordStart:
         smooth = self.hold == "first" or not any(
             structure.roles[name] == "delay" for name in names
         )
-        for transform in self._transforms if smooth else ():
+        for transform in self._transforms if smooth and not self.exact else ():
             each = {name: np.array([[value]]) for name, value in values.items()}
             found = transform.rows(structure, each, names)[0]
             # Against the exact response: no error bound of the transform would know of

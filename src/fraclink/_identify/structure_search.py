@@ -34,6 +34,7 @@ __all__ = ["PERFECT", "Place", "StructureSearch"]
 Reals = NDArray[np.float64]
 
 _DESCENTS = 16
+_LAST_STEPS = 20
 _FIRST_STEPS = 10  # tell a promising descent from a lost one
 _NEARLY = 1.05  # costs on the samples within 5 % are followed to their end
 _TRIED = 4  # places of the screen that are followed to their end on the samples
@@ -109,6 +110,9 @@ class StructureSearch:
             near = [c for c in best if c.cost <= _NEARLY * best[0].cost]
             best = near[:_TRIED]
             best = self._descended(data, best, 100)
+            # The last step by exact slopes: those of a transform are off by up to 1 %.
+            last = self._descended(replace(data, exact=True), best[:1], _LAST_STEPS)
+            best = [*last, *best[1:]]
             if data.hold == "zero" and best:
                 best = [*self._within_periods(data, best[0]), *best]
         best = [c for c in sorted(best, key=lambda c: c.cost) if math.isfinite(c.cost)]

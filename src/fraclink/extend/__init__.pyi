@@ -43,10 +43,10 @@ from fraclink._identify.driven import identify_driven_link as identify_driven_li
 from fraclink._identify.excitation import ExperimentDesign as ExperimentDesign
 from fraclink._identify.excitation import design_experiment as design_experiment
 from fraclink._identify.fitting import simulated_torque as simulated_torque
-from fraclink._identify.problem import Interval as Interval
 from fraclink._identify.modal import SpectrumFit as SpectrumFit
 from fraclink._identify.motor import MotorFit as MotorFit
 from fraclink._identify.payloads import JointFit as JointFit
+from fraclink._identify.problem import Interval as Interval
 from fraclink._identify.spectrum import frequency_response as frequency_response
 from fraclink._identify.structure_fit import StructureFit as StructureFit
 from fraclink._identify.validation import Validation as Validation
