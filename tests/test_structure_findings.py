@@ -21,10 +21,8 @@ from fraclink._identify.structure_certainty import (
     in_order,
     structure_findings,
 )
-from fraclink._identify.structure_problem import (
-    Lines,
-    StructureCoordinates,
-)
+from fraclink._identify.structure_data import Lines
+from fraclink._identify.structure_problem import StructureCoordinates
 from fraclink._identify.structure_search import Place
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding

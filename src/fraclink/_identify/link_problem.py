@@ -48,7 +48,8 @@ class LinkProblem:
     """A search's problem around a solution: the `free` coordinates of a shape, all
     others as they are there.
 
-    On the edge ω₀ = 0 of fractional damping the damping ratio follows α.
+    On the edge ω₀ = 0 of fractional damping the damping ratio follows α where the
+    others are inside their limits; an interval may leave that edge.
     """
 
     search: Search
@@ -57,12 +58,20 @@ class LinkProblem:
     edge: bool
 
     @classmethod
-    def of(cls, search: Search, solution: Solution, *, inside: bool) -> LinkProblem:
+    def of(
+        cls,
+        search: Search,
+        solution: Solution,
+        *,
+        inside: bool,
+        along: bool | None = None,
+    ) -> LinkProblem:
         """With all coordinates that are free in the structure, or those `inside` their
-        limits only.
+        limits only; `along` the edge or off it, by default along it where inside.
         """
         stuck = solution.at_bound if inside else ()
-        edge = solution.on_edge and not {2, 3} & set(stuck)
+        along = inside if along is None else along
+        edge = along and solution.on_edge and not {2, 3} & set(stuck)
         free = [i for i in solution.free if i not in stuck and not (edge and i == 2)]
         return cls(search, solution, tuple(free), edge)
 
@@ -88,9 +97,9 @@ class LinkProblem:
         return tuple(
             name
             for name in own
-            if COORDINATE[name] in self.free
+            if (COORDINATE[name] in self.free or (self.edge and name == "damping"))
             # At ω₀ = 0 it is no parameter: the link is the undamped one with λ = 2 − α.
-            and not (self.solution.on_edge and name == "natural_frequency")
+            and not (self.edge and name == "natural_frequency")
         )
 
     def expanded(self, places: Reals) -> tuple[Reals, Reals]:

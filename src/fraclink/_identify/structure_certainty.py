@@ -14,11 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
+from fraclink._identify.structure_data import Lines, RecordStart, Samples
 from fraclink._identify.structure_problem import (
     GENERAL_POINTS,
-    Lines,
-    RecordStart,
-    Samples,
     StructureCoordinates,
     StructureProblem,
 )

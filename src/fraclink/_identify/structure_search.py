@@ -19,13 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.problem import descend
-from fraclink._identify.structure_problem import (
-    Lines,
-    RecordStart,
-    Samples,
-    StructureCoordinates,
-    StructureProblem,
-)
+from fraclink._identify.structure_data import Lines, RecordStart, Samples
+from fraclink._identify.structure_problem import StructureCoordinates, StructureProblem
 from fraclink._identify.structure_starts import Starts
 from fraclink.errors import NotConvergedError
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.expression import Expression, Leaves, walk
-from fraclink._identify.structure_problem import Spectrum, StructureCoordinates
+from fraclink._identify.structure_data import Spectrum
+from fraclink._identify.structure_problem import StructureCoordinates
 
 __all__ = ["Starts", "quotient"]
 

@@ -20,12 +20,11 @@ from fraclink._identify.structure_certainty import (
     in_order,
     structure_findings,
 )
+from fraclink._identify.structure_data import Lines, RecordStart
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import (
     COEFFICIENT_LIMITS,
     ORDER_LIMITS,
-    Lines,
-    RecordStart,
     StructureCoordinates,
 )
 from fraclink._identify.structure_search import Place, StructureSearch

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,19 +145,29 @@ def link_intervals(
 
     α has one where it ended at a limit, too.
     """
-    problem = LinkProblem.of(search, solution, inside=False)
-    names = tuple(
-        name for name in problem.names if name in inflation or name == "damping_order"
-    )
-    ends = interval_ends(
-        problem,
-        problem.place,
-        solution.cost,
-        search.window.samples,
-        lambda places: problem.parameters(places, names),
-        np.array([inflation.get(name, 1.0) for name in names]),
-    )
-    return dict(zip(names, ends, strict=True))
+    found: dict[str, Interval] = {}
+    # From the edge ω₀ = 0 some ends lie along it and some off it: the farther
+    # one that was reached is it.
+    for along in (False, True) if solution.on_edge else (False,):
+        problem = LinkProblem.of(search, solution, inside=False, along=along)
+        wanted = {*inflation, "damping_order"}
+        if solution.on_edge:
+            wanted.add("natural_frequency")
+        names = tuple(name for name in problem.names if name in wanted)
+        ends = interval_ends(
+            problem,
+            problem.place,
+            solution.cost,
+            search.window.samples,
+            partial(problem.parameters, names=names),
+            np.array([inflation.get(name, 1.0) for name in names]),
+        )
+        for name, own in zip(names, ends, strict=True):
+            other = found.get(name, own)
+            low = min(own, other, key=lambda end: (end.low_open, end.low))
+            high = min(own, other, key=lambda end: (end.high_open, -end.high))
+            found[name] = Interval(low.low, high.high, low.low_open, high.high_open)
+    return found
 
 
 # --- criteria: which structure? --------------------------------------------------------------------------
