@@ -34,7 +34,8 @@ Band = tuple[float, float]
 
 # λ up to 2.2: that of a classical link is then inside of its range, and its interval
 # says that it is 2.
-_LIMITS = {"l": (1.0, 2.2)}
+_ORDERS = (1.0, 2.2)
+_POSITIVE = (1e-12, 1e12)  # inertia, friction and stiffness, and the amplifier's gain
 # Motor (1) and link (10), with (s/z)^λ multiplied out: as polynomials in s and s^λ
 # their coefficients are straight, and no start value is needed.
 _TOP = {"motor_angle": "A*({link} + 1)", "torque": "k*{link}"}
@@ -44,6 +45,8 @@ _BEYOND = (
 )
 _GRID = 3000
 _LEAST_OCTAVES = 2  # anti-resonance and peak, and lines on either side of them
+# of a residual's power with its neighbour line: half of it would be a missed mode's
+_SHARED = 0.5
 _AROUND = 3  # lines on either side of a place that the response is said to show
 
 
@@ -255,9 +258,14 @@ def _holds(
 ) -> bool:
     try:
         lines = measured.between(*part)
-        return _fitted(lines, output, weighting, details=False).passed
+        found = _fitted(lines, output, weighting, details=False)
     except (FieldError, NotConvergedError):
         return False  # too few lines for the parameters, or nothing fits them
+    # A resonance that the model misses moves neighbouring lines alike; noise does not.
+    real, imaginary = np.split(found.fit.measured - found.fit.predicted, 2)
+    left = real + 1j * imaginary
+    shared = np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real
+    return found.passed and bool(shared < _SHARED)
 
 
 def _of_the_rest(part: Band, band: Band) -> Finding:
@@ -283,20 +291,26 @@ def _fitted(
     details: bool,
 ) -> DrivenLinkFit:
     straight = _structure(output, "s**l/w")
+    gain = "A" if output == "motor_angle" else "k"
+    limits = {"l": _ORDERS, **dict.fromkeys((gain, "B", "m"), _POSITIVE)}
     # Straight in 1/w, so that its start is found by linear least squares; z then has an
     # interval of its own.
     first = identify_structure(
-        measured, straight, bounds=_LIMITS, weighting=weighting, details=False
+        measured,
+        straight,
+        bounds={**limits, "w": _POSITIVE},
+        weighting=weighting,
+        details=False,
     )
     # z and λ depend on each other in w = z^λ: an interval of w would be as wide as λ
     # makes it, and say little of z.
     start = {name: value for name, value in first.parameters.items() if name != "w"}
     start["z"] = first.parameters["w"] ** (1.0 / first.parameters["l"])
-    start["l"] = min(max(start["l"], _LIMITS["l"][0]), _LIMITS["l"][1])
+    start["l"] = min(max(start["l"], _ORDERS[0]), _ORDERS[1])
     low, high = measured.band
     # So wide that an anti-resonance outside of the band can be found there and
     # reported, not pressed to its edge.
-    bounds = {**_LIMITS, "z": (low / 30, high * 30)}
+    bounds = {**limits, "z": (low / 30, high * 30)}
     start["z"] = min(max(start["z"], bounds["z"][0]), bounds["z"][1])
     structure = _structure(output, "(s/z)**l")
     fit = identify_structure(

@@ -202,6 +202,15 @@ class JointProblem:
                 result[[self.coordinates.index(name, i) for i in rows]] = limits[end]
         return result
 
+    @cached_property
+    def reach(self) -> Vector:
+        """As of `Problem`; Ω is known well before."""
+        own = self.coordinates
+        result = np.full(own.size, math.inf)
+        if "damping" in own.names:
+            result[[own.index("damping", i) for i in range(own.logs)]] = 1.0
+        return result
+
     def clip(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
         """As of `Problem`."""
         return np.clip(places, self.low, self.high)

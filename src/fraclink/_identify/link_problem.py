@@ -91,6 +91,11 @@ class LinkProblem:
         return self.solution.upper[list(self.free)]
 
     @property
+    def reach(self) -> Reals:
+        """As of `Problem`."""
+        return np.full(len(self.free), math.inf)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The link's parameters, and the delay, that these coordinates move."""
         own = (*structure(self.solution.structure).free, "delay")

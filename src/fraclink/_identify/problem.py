@@ -72,6 +72,13 @@ class Problem(Protocol):
         """Upper limits (p,)."""
         ...
 
+    @property
+    def reach(self) -> Reals:
+        """The longest step (p,) that a quadratic model serves: of a logarithm 1, where
+        the parameter itself would reach zero.
+        """
+        ...
+
     def clip(self, places: Reals) -> Reals:
         """The nearest admissible places."""
         ...
@@ -215,7 +222,8 @@ def _damped_steps(
     seen = values > _UNSEEN
     gain = np.where(seen, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
     step = along / (np.maximum(values, 0.0) + damping[:, None])
-    return np.einsum("mpk,mk->mp", vectors, step) / size, gain
+    step = np.einsum("mpk,mk->mp", vectors, step) / size
+    return np.clip(step, -problem.reach, problem.reach), gain
 
 
 def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:

@@ -355,13 +355,15 @@ class RecordStart:
         self, structure: Expression, values: Mapping[str, float], name: str
     ) -> Reals:
         """A derivative by a one-sided difference, as a second response would double the
-        cost of a search; backwards where the domain ends.
+        cost of a search; the other way where the domain ends.
         """
         value, here = values[name], self.response(structure, values)
         # Responses are known to 1e-12 of their peak, so that slopes are to 1e-6.
         step = 1e-6 * (abs(value) if structure.roles[name] == "coefficient" else 1.0)
-        for sign in (1.0, -1.0):
-            moved = value + sign * step
+        # A held input jumps at a sample: up to a delay that ends there the response is
+        # smooth, behind it begins another piece.
+        ahead = -step if structure.roles[name] == "delay" else step
+        for moved in (value + ahead, value - ahead):
             there = self.response(structure, {**values, name: moved})
             if np.isfinite(there).all():
                 return np.asarray((there - here) / (moved - value))

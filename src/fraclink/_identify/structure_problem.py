@@ -159,6 +159,14 @@ class StructureProblem:
         """As of `Problem`."""
         return np.array([self.own.box_of(name)[1] for name in self.own.moving])
 
+    @cached_property
+    def reach(self) -> Reals:
+        """As of `Problem`."""
+        own = self.own
+        return np.array(
+            [1.0 if own.is_logarithmic(n) else math.inf for n in own.moving]
+        )
+
     def clip(self, places: Reals) -> Reals:
         """As of `Problem`."""
         return np.clip(places, self.low, self.high)

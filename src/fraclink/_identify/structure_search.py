@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,18 +91,22 @@ class StructureSearch:
             draws = {
                 n: np.concatenate([[start.get(n, 1.0)], v]) for n, v in draws.items()
             }
-        ranked = self._ranked(data.screen, draws)
-        first = _distinct(self._descended(data.screen, ranked, _FIRST_STEPS))
-        best = _distinct(self._descended(data.screen, first[:_TRIED], 100))
+        first, best = [], []
+        # Positive coefficients apart: most functions with a negative one are unstable,
+        # which a transform does not see, and would crowd them out.
+        for ranked in self._ranked(data.screen, draws):
+            parts = _distinct(self._descended(data.screen, ranked, _FIRST_STEPS))
+            best += _distinct(self._descended(data.screen, parts[:_TRIED], 100))
+            first += parts[_TRIED:]
         if isinstance(data, RecordStart):
             if start is not None:
                 best = [
-                    *self._ranked(data, {n: v[:1] for n, v in draws.items()}),
+                    *chain(*self._ranked(data, {n: v[:1] for n, v in draws.items()})),
                     *best,
                 ]
             # A transform does not know an unstable function from a stable one; its
             # samples do.
-            best = self._costed(data, [*best, *first[_TRIED:]])
+            best = self._costed(data, [*best, *first])
             near = [c for c in best if c.cost <= _NEARLY * best[0].cost]
             best = near[:_TRIED]
             best = self._descended(data, best, 100)
@@ -121,15 +126,17 @@ class StructureSearch:
             )
         return [self.place_of(data, candidate) for candidate in best]
 
-    def _ranked(self, data: Samples, draws: Mapping[str, Reals]) -> list[_Candidate]:
-        """The best draws, each with its signs."""
+    def _ranked(
+        self, data: Samples, draws: Mapping[str, Reals]
+    ) -> tuple[list[_Candidate], list[_Candidate]]:
+        """The best draws with positive coefficients, and those with other signs."""
         own = self.coordinates
         both = [name for name in own.moving if own.has_both_signs(name)]
         groups: dict[tuple[float, ...], list[int]] = {}
         for k in range(len(draws[own.names[0]])):
             pattern = tuple(math.copysign(1.0, draws[name][k]) for name in both)
             groups.setdefault(pattern, []).append(k)
-        found: list[_Candidate] = []
+        found: tuple[list[_Candidate], list[_Candidate]] = [], []
         for pattern, rows in groups.items():
             part = replace(own, signs=dict(zip(both, pattern, strict=True)))
             places = np.array([part.place(n, draws[n][rows]) for n in own.moving])
@@ -138,12 +145,13 @@ class StructureSearch:
             places = problem.clip(places)
             costs = problem.costs(places)
             self.evaluations += len(places)
-            found += [
+            found[min(pattern, default=1.0) < 0].extend(
                 _Candidate(part, place, float(cost))
                 for place, cost in zip(places, costs, strict=True)
                 if math.isfinite(cost)
-            ]
-        return sorted(found, key=lambda c: c.cost)[:_DESCENTS]
+            )
+        one, other = (sorted(c, key=lambda c: c.cost)[:_DESCENTS] for c in found)
+        return one, other
 
     def _descended(
         self, data: Samples, candidates: Sequence[_Candidate], iterations: int

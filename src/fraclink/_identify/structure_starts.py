@@ -9,6 +9,7 @@ is that of the output.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -57,12 +58,17 @@ class Starts:
         found = {n: self._drawn(n, uniform[:, k]) for k, n in enumerate(own.names)}
         if straight:
             first = {name: values[: counts[0]] for name, values in found.items()}
-            for name, solved in self._solved(first, straight).items():
-                low, high = own.limits[name]
-                # Least squares know no range: a coefficient that came out with the
-                # other sign is tried as large with its own.
-                inside = np.where((solved < low) | (solved > high), -solved, solved)
-                found[name][: counts[0]] = inside
+            solved = first | self._solved(first, straight)
+            # Least squares know neither a range nor that a machine is stable: what came
+            # out negative is tried as large with the other sign, too.
+            turned = solved | {
+                n: math.copysign(1.0, own.limits[n][1]) * np.abs(solved[n])
+                for n in straight
+            }
+            found = {
+                n: np.concatenate([solved[n], turned[n], v[counts[0] :]])
+                for n, v in found.items()
+            }
         return found
 
     def _drawn(self, name: str, uniform: Reals) -> Reals:
