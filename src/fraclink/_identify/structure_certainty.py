@@ -239,9 +239,10 @@ _CORRELATED = (
     0.99  # beyond, a parameter is known seven times better where the other one is given
 )
 _WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone leaves
-# Of the squared output: what 16 bits resolve; and the part of a residual that may be
-# noise where all else is smooth, as of a simulation: no sensor is that quiet.
-_RESOLUTION, _SMOOTH = 1e-10, 0.01
+# Of the squared output: 0.1 % in amplitude, the class of good force transducers; and
+# the part of a residual that may be noise where all else is smooth, as of a simulation:
+# no sensor is that quiet.
+_RESOLUTION, _SMOOTH = 1e-6, 0.01
 # of the logarithm of a corner: orders that nearly agree put it beyond any number
 _FAR = 200.0
 # a corner may lie outside of the excited band by that factor: its slope reaches in
