@@ -47,8 +47,8 @@ def kernel_and_fits(rounds: int, whole_rounds: int) -> None:
     bad = LinkModel(1.0, 25.0, order=1.3)
     calls: dict[str, Callable[[], object]] = {
         "R": lambda: rfft(signal),
-        "2": lambda: kernel.gram(shape, 0b00011),
-        "3": lambda: kernel.gram(shape, 0b10011),
+        "2": lambda: kernel.grams(shape[None], 0b00011),
+        "3": lambda: kernel.grams(shape[None], 0b10011),
         "fit": lambda: identify(log, "UD-FOM", heldout=0, details=False),
         "guess": lambda: identify(log, "UD-FOM", heldout=0, details=False, guess=bad),
     }
