@@ -177,3 +177,29 @@ def test_the_published_procedure_knows_crossover_and_margin_alone() -> None:
             fl.design(MODEL, RIG, **asked, **extra, procedure="published")
     with pytest.raises(FieldError, match="procedure"):
         fl.design(MODEL, RIG, **asked, procedure="own")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_lightly_damped_second_mode_is_notched_and_the_law_follows() -> None:
+    # aluminium, a link of 10 g: ζ = 0.5 % in both modes
+    rig = replace(RIG, link=replace(RIG.link, mass=0.010))
+    first, second, size = 10.68, 174.4, 0.847
+    link = replace(
+        MODEL,
+        order=2.0,
+        damping=0.01 * first,
+        damping_order=1.0,
+        natural_frequency=first,
+        payload=0.03,
+        second_mode=SecondMode(frequency=second, gain=size, damping_ratio=0.005),
+    )
+    asked = {"gain_crossover": 10.0, "max_sensitivity": 2.5}
+    made = fl.design(link, rig, **asked)
+    notch = made.controller.notch
+    assert made.passed and notch is not None
+    assert notch.frequency == pytest.approx(second, rel=0.05)
+    # what the law computes at the mode is what the notch leaves, not what C's
+    # tolerance of 0.1 dB would
+    at = np.array([second])
+    plain = replace(made.controller, notch=None).response(at)
+    assert abs(made.law().frequency_response(at)[0]) < 0.2 * abs(plain[0])

@@ -47,6 +47,7 @@ def fit_discrete(
     tolerance_deg: Annotated[float, Between(1e-9, 1e3, "°", remedy="use 0.5°")] = 0.5,
     highest: Order = 8,
     pairs: Annotated[int, Between(0, 100)] | None = None,
+    inside: ArrayLike = (),
 ) -> DiscreteRational:
     """Return the discrete rational whose worst error in a band of frequencies is
     smallest.
@@ -83,6 +84,9 @@ def fit_discrete(
         Highest order that order=None tries, 0 … 12.
     pairs
         Largest number of complex pairs among the poles; 0 for real poles only.
+    inside
+        Frequencies of the band [rad/s] that the grid of the fit takes in: where the
+        response changes within a tenth of its frequency.
 
     Raises
     ------
@@ -107,6 +111,7 @@ def fit_discrete(
         offset,
         weight,
         (tolerance_db, tolerance_deg),
+        np.asarray(inside, dtype=float),
     )
     # tan(ωT/2) is infinite at the Nyquist frequency: 1.55 rad puts the end of the plane
     # at 48.
@@ -174,8 +179,9 @@ def _target(
     offset: float,
     weight: Callable[[Reals], Reals] | None,
     tolerance: tuple[float, float],
+    more: Reals,
 ) -> Target:
-    inside, nyquist = _grid(band, 80), math.pi / period
+    inside, nyquist = np.union1d(_grid(band, 80), more), math.pi / period
     # Twenty points up to the Nyquist frequency, none where the band ends beside it:
     # nothing is left to guard.
     above = (

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.notch import Notch
 from fraclink._arm.reference import Path
 from fraclink._files import document
 from fraclink.errors import FieldError
@@ -35,7 +36,8 @@ class Controller:
     """The fractional outer controller and what it was designed for.
 
     ``C(s) = 1 + Ĉ(s)``, ``Ĉ(s) = k_d s^β / (1 + δ s)^n`` (eqs. (28), (56), (57)).
-    ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)).
+    ``C(0) = 1`` removes the gauge's offset from the tip (eq. (27)). Where the link's
+    second mode would sound, a `Notch` N(s) is a factor of Ĉ.
 
     Parameters
     ----------
@@ -53,6 +55,8 @@ class Controller:
         the inner loop the controller was designed for.
     period
         control period [s] it was designed for.
+    notch
+        N(s), or None.
 
     Raises
     ------
@@ -74,6 +78,7 @@ class Controller:
     link: LinkModel | None = None
     inner: MotorLoop | None = None
     period: float | None = None
+    notch: Notch | None = None
 
     def __post_init__(self) -> None:
         set_ = object.__setattr__
@@ -110,6 +115,7 @@ class Controller:
         for field, kind, remedy in (
             ("link", LinkModel, "fit.model, or rig.model"),
             ("inner", MotorLoop, "MotorLoop(pole=80.0)"),
+            ("notch", Notch, "Notch(frequency=170.0, zeros=0.02, poles=0.4)"),
         ):
             if getattr(self, field) is not None:
                 checked_noun(field, getattr(self, field), kind, remedy=remedy)
@@ -133,6 +139,11 @@ class Controller:
             text += f" / (1 + {self.filter_time:.5g} s)" + (
                 "" if self.filter_order == 1 else "^2"
             )
+        if self.notch is not None:
+            text += (
+                f", notch at {self.notch.frequency:.5g} rad/s, "
+                f"ζ {self.notch.zeros:.3g} over {self.notch.poles:.3g}"
+            )
         return text
 
     @property
@@ -154,17 +165,20 @@ class Controller:
             self.gain * np.power(w, self.order) * np.exp(0.5j * np.pi * self.order)
         )
         value = derivative / (1.0 + 1j * self.filter_time * w) ** self.filter_order
+        if self.notch is not None:
+            value = value * np.exp(self.notch.log(w))
         return np.asarray(value, dtype=np.complex128)
 
     def correction(self) -> FractionalTransferFunction:
         """Return ``Ĉ(s) = k_d s^β/(1 + δ s)^n`` as a fractional transfer function (eq.
-        (57)).
+        (57)), with its notch.
         """
-        return (
+        value = (
             self.gain
             * s**self.order
             / (1.0 + self.filter_time * s) ** self.filter_order
         )
+        return value if self.notch is None else value * self.notch.transfer()
 
     def transfer(self) -> FractionalTransferFunction:
         """Return ``C(s) = 1 + Ĉ(s)`` as a fractional transfer function (eq. (57))."""

@@ -27,6 +27,7 @@ from fraclink._arm.gauged_link import GaugedLink
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor import MotorConstants
 from fraclink._arm.motor_loop import MotorLoop
+from fraclink._arm.notch import Notch
 from fracsys._margins import Margins, margins
 from fracsys._sweep import bracketed_roots
 
@@ -111,8 +112,8 @@ class Loop(GaugedLink):
 
     Parameters
     ----------
-    gain, order, filter_time, filter_order
-        k_d, β, δ [s] and n of the controller; with gain 1 and order 0 the loop is all
+    gain, order, filter_time, filter_order, notch
+        k_d, β, δ [s], n and the notch of the controller; with gain 1 and order 0 the loop is all
         that stands beside Ĉ.
     link_order, damping, damping_order, gauge_delay, gauge_gain, second_mode
         the link and its gauge, as in `GaugedLink`.
@@ -132,6 +133,7 @@ class Loop(GaugedLink):
     order: float = 0.0
     filter_time: float = 0.0
     filter_order: int = 1
+    notch: Notch | None = None
     lag: float = 0.0
     delay: float = 0.0
     correction: Callable[[Real], Complex] | None = None
@@ -187,6 +189,7 @@ class Loop(GaugedLink):
             order=controller.order,
             filter_time=controller.filter_time,
             filter_order=controller.filter_order,
+            notch=controller.notch,
         )
 
     def outer_log(self, frequency: ArrayLike) -> Complex:
@@ -195,6 +198,8 @@ class Loop(GaugedLink):
         value = math.log(self.gain) + self.order * (np.log(w) + 0.5j * math.pi)
         if self.filter_time:
             value = value - self.filter_order * np.log(1.0 + 1j * self.filter_time * w)
+        if self.notch is not None:
+            value = value + self.notch.log(w)
         return np.asarray(value, dtype=np.complex128)
 
     def motor_log(self, frequency: ArrayLike) -> Complex:
@@ -244,6 +249,8 @@ class Loop(GaugedLink):
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - 0.5 * power * np.log1p((time * w) ** 2)
+        if self.notch is not None:
+            value = value + self.notch.log(w).real
         if self.correction is not None:
             value = value + self.correction(w).real
         return np.asarray(value)
@@ -258,6 +265,8 @@ class Loop(GaugedLink):
         for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
             if time:
                 value = value - power * time * s / (1.0 + time * s)
+        if self.notch is not None:
+            value = value + self.notch.slope(w)
         if self.correction is not None:
             # central difference: an error of 1e-10 only slows Newton's last step down
             step = 1e-5

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._design.sheet import Outer, Sheet
+from fraclink._law.modes import MODE_POINTS
 
 __all__ = ["Figure", "Trial"]
 
@@ -211,9 +212,13 @@ class Trial:
         return found[0], found[1]
 
     def modes(self) -> Figure:
-        """ln of the largest loop gain at the higher modes, shape (K,)."""
-        w = self.sheet.modes_w
-        level = self.outer.log(w).real + self.sheet.modes_level
-        rows, best = np.arange(len(self.sheet)), np.argmax(level, axis=1)
-        at = w[rows, best]
-        return Figure(level[rows, best], self.outer.gradient(at).real, at)
+        """ln of the largest loop gain of each link at each of the higher modes, shape
+        (K, modes).
+        """
+        shape = (len(self.sheet), -1, MODE_POINTS)
+        w = self.sheet.modes_w.reshape(shape)
+        level = self.outer.log(w).real + self.sheet.modes_level.reshape(shape)
+        best = np.argmax(level, axis=2)[..., None]
+        at = np.take_along_axis(w, best, 2)[..., 0]
+        value = np.take_along_axis(level, best, 2)[..., 0]
+        return Figure(value, self.outer.gradient(at).real, at)

@@ -23,7 +23,7 @@ from fraclink._design.measured import requirements_of
 from fraclink._design.published import improper, is_published, published
 from fraclink._design.request import Request, Solved
 from fraclink._design.solver import Goal
-from fraclink._law.design import Design, Specification
+from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.rows import key_of
 from fraclink.errors import FieldError, InfeasibleError
 from fracsys.checks import checked_between, checked_noun
@@ -69,7 +69,8 @@ def design(
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` that keeps every requirement at every
     payload of a range.
 
-    k_d, β and δ are chosen so that the goal is best while every row is kept: what is
+    Where no such C keeps the bound at the link's second mode, a notch there is a factor
+    of its second term. k_d, β and δ are chosen so that the goal is best while every row is kept: what is
     asked for here, and what any loop needs (nothing crosses beyond the motor loop,
     moves do not ring, the empty gripper is stable, noise leaves half of the voltage,
     the law as it ships keeps the margins). Nothing asked for, the design is the fastest
@@ -367,7 +368,7 @@ def _offer(request: Request, made: Design, *, law: bool) -> dict[str, float]:
     for share in _LOOSER:
         values: dict[str, Any] = {}
         for item in made.requirements:
-            key = request.own_key(item)
+            key = _own_key(request, item)
             if key is None or not math.isfinite(item.achieved) or item.achieved <= 0.0:
                 continue
             if item.passed and share == 0.0:
@@ -397,6 +398,16 @@ def _offer(request: Request, made: Design, *, law: bool) -> dict[str, float]:
         if _kept(trial):
             return values
     return {}
+
+
+def _own_key(request: Request, item: Requirement) -> str | None:
+    """The user's own quantity behind a requirement, None where there is none."""
+    key = key_of(item)
+    if key == "phase_margin" and request.spec.phase_margin is None:
+        return None
+    if key == "gain_crossover" and request.gain_crossover is None:
+        return None
+    return key if key in (*request.soft, "settling_time") else None
 
 
 def _rounded(key: str, value: float, *, down: bool) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +37,11 @@ from fraclink._law.modes import (
     higher_modes,
     vibration,
 )
-from fraclink._law.requirement import Requirement
 from fraclink._law.rows import (
     DAMPING,
     EMPTY_SHARE,
     NOISE_SHARE,
     SENSITIVITY,
-    key_of,
 )
 from fraclink.errors import FieldError
 
@@ -62,6 +60,7 @@ _TRIED = 3  # of the lattice
 _SAME = 1e-3  # of two slacks: both searches ended at the same point
 _AGREED = 2  # searches that ended where the first did: no other is tried
 _GIVEN = 0.1  # of a goal reached, for less noise
+_ASIDE = 1.1  # of the second mode, to either side: where its notch may lie
 _TOLERANCE = 1e-4  # of a row in the table, before the engine measures it
 
 
@@ -84,7 +83,6 @@ class Request:
     spec: Specification
     box: ParameterBox | None
     goal: Goal
-    notch: bool = False
 
     # ---- what is asked
 
@@ -184,29 +182,12 @@ class Request:
             soft=soft,
         )
 
-    def own_key(self, item: Requirement) -> str | None:
-        """The user's own quantity behind a requirement, None where there is none."""
-        key = key_of(item)
-        if key == "phase_margin" and self.spec.phase_margin is None:
-            return None
-        if key == "gain_crossover" and self.gain_crossover is None:
-            return None
-        return key if key in (*self.soft, "settling_time") else None
-
     @property
     def soft(self) -> frozenset[str]:
-        """The rows that the slack may give: what was asked for, or takes the place of
-        it.
-        """
+        """The rows that the slack may give: what was asked for, or stands for it."""
         return frozenset(
-            (
-                "gain_crossover",
-                "phase_margin",
-                "max_sensitivity",
-                "noise_gain",
-                "mode_gain",
-            )
-        )
+            ("gain_crossover", "phase_margin", "max_sensitivity", "noise_gain")
+        ) | {"mode_gain"}
 
     # ---- where it is asked
 
@@ -364,6 +345,7 @@ class Request:
                     problem.filter_order,
                 )
                 with np.errstate(all="ignore"):
+                    x = problem.widened(x)
                     goal = coarse.start_goal(x)
                     least = float(np.min(coarse.rows(x, goal).value))
                 pairs.append((least, x))
@@ -387,10 +369,28 @@ class Request:
             return (2,)
         return (1,) if self.spec.filter_time == 0.0 else (1, 2)
 
+    @cached_property
+    def notches(self) -> tuple[tuple[float, float] | None, ...]:
+        """The intervals of a notch [rad/s] to try: none first, then about the second
+        mode, where that one is bounded and below the Nyquist frequency.
+        """
+        if self.mode_gain is None:
+            return (None,)
+        modes = self.modes(0, self.loops[0])
+        w = modes.frequency[modes.number == 2]
+        low, high = float(w.min()) / _ASIDE, float(w.max()) * _ASIDE
+        if low >= self.loops[0].highest:
+            return (None,)
+        return None, (low, min(high, self.loops[0].highest))
+
     def solved(self) -> Solved:
-        """Return the best controller, or the one nearest to the request."""
-        best: Solved | None = None
-        for order in self.filter_orders:
+        """Return the best controller, or the one nearest to the request.
+
+        Every n without a notch, then with one; and only where none of these keeps every
+        row the same from other starts.
+        """
+        answers: list[Solved] = []
+        for notch, order in product(self.notches, self.filter_orders):
             problem = Problem(
                 self.sheets[0],
                 self.loops,
@@ -398,32 +398,35 @@ class Request:
                 self.goal,
                 self.reference(),
                 order,
+                notch,
             )
-            start, active = self._quiet_start(problem)
-            answer = self._over_arms(problem, start, active)
-            # What is feasible may be in parts: once more from the start, with every arm
-            # that was taken in on the way, and from the best of a lattice.
-            again = [start] if len(answer.active) > 1 else []
-            starts = (
-                chain(again, self.scanned(answer.problem))
-                if answer.solution.slack
-                else ()
-            )
-            same = 0
-            for x in starts:
-                other = self._over_arms(answer.problem, x, answer.active)
-                known = answer.solution.slack
-                if other.solution.slack < known:
-                    answer = other
-                same += abs(other.solution.slack - known) < _SAME
-                if other.solution.slack == 0.0 or same == _AGREED:
-                    break
-            if best is None or answer.solution.slack < best.solution.slack:
-                best = answer
-            if best.solution.slack == 0.0:
-                return self._quieter(best)
-        assert best is not None  # one order at least  # noqa: S101
-        return best
+            answers.append(self._over_arms(problem, *self._quiet_start(problem)))
+            if answers[-1].solution.slack == 0.0:
+                return self._quieter(answers[-1])
+        for k, answer in enumerate(answers):
+            answers[k] = self._from_elsewhere(answer)
+            if answers[k].solution.slack == 0.0:
+                return self._quieter(answers[k])
+        return min(answers, key=lambda one: one.solution.slack)
+
+    def _from_elsewhere(self, answer: Solved) -> Solved:
+        """The better of an answer and of those from other starts, as what is feasible
+        may be in parts: the first start with every arm that was taken in on the way,
+        and the best of a lattice.
+        """
+        problem, first, same = answer.problem, answer.solution.slack, 0
+        again = [problem.widened(self.start(problem.filter_order))]
+        for x in chain(
+            again if len(answer.active) > 1 else [], self.scanned(answer.problem)
+        ):
+            other = self._over_arms(problem, x, answer.active)
+            slack = other.solution.slack
+            same += slack == first or abs(slack - first) < _SAME
+            if slack < answer.solution.slack:
+                answer = other
+            if slack == 0.0 or same == _AGREED:
+                break
+        return answer
 
     def _quiet_start(self, problem: Problem) -> tuple[Real, tuple[int, ...]]:
         """(parameters to begin from, the arms that are known to be worst).
@@ -431,7 +434,7 @@ class Request:
         For another goal than noise the quiet loop of a modest crossover: from a loop
         without a filter, where δ counts for nothing, the search ends without one.
         """
-        start = self.start(problem.filter_order)
+        start = problem.widened(self.start(problem.filter_order))
         if self.goal == "noise":
             return start, (0,)
         least = problem.wanted.gain_crossover or self.reference()
@@ -587,4 +590,5 @@ class Request:
             link=self.model.at_payload(self.rig.payloads.nominal),
             inner=self.motor_loop,
             period=self.rig.period,
+            notch=problem.outer(x).notch,
         )

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.loop import Loop, noise_points
+from fraclink._arm.notch import Notch
 
 __all__ = ["Outer", "Sheet", "stacked", "tabulated", "voltage_share"]
 
@@ -87,6 +88,14 @@ class Outer:
                 2.0 * zero * centre * s / top,
             ]
         return np.array(rows)
+
+    @property
+    def notch(self) -> Notch | None:
+        """The notch of the parameters."""
+        if self.x.size == 3:
+            return None
+        centre, poles = math.exp(self.x[3]), math.exp(self.x[4])
+        return Notch(centre, min(poles * math.exp(self.x[5]), poles), poles)
 
     def _notch(self, s: NDArray[Any]) -> tuple[Complex, Complex, float, float, float]:
         centre, pole = math.exp(self.x[3]), math.exp(self.x[4])

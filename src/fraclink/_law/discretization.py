@@ -67,6 +67,8 @@ EMPHASES = (3.0, 2.0, 1.0)
 # either side of the nominal crossover: a factor of 5 in ω_c is one of 15 and more in
 # payload
 REACH = 2.5
+# of the relative tolerance of Ĉ in its notch, 0.1 dB and 0.5°: a dB is enough there
+_NOTCHED = 0.1
 STATES = 6  # spent on the margin at most; more only where C itself needs them
 MOST_STATES = 8  # what law.c holds
 TOLERANCE_DB, TOLERANCE_DEG = 0.1, 0.5
@@ -411,6 +413,7 @@ def fit_correction(
             tolerance_db=TOLERANCE_DB,
             tolerance_deg=TOLERANCE_DEG,
             highest=highest,
+            inside=_about_notch(controller, band),
         )
 
     def emphasised(emphasis: float, highest: int) -> DiscreteRational:
@@ -454,10 +457,26 @@ def _weight(
     def weight(frequency: Real) -> Real:
         correction = controller.response(frequency)
         near = np.abs(np.log(frequency / centre)) <= np.log(REACH)
-        relative = emphasis * np.abs(1.0 + correction) / np.abs(correction)
-        return np.where(near, np.maximum(1.0, relative), 1.0)
+        relative = np.abs(1.0 + correction) / np.abs(correction)
+        value = np.where(near, np.maximum(1.0, emphasis * relative), 1.0)
+        if controller.notch is not None:
+            # C is one there, whatever Ĉ is: what the notch takes off would be lost in
+            # the tolerance of C.
+            depth = np.exp(controller.notch.log(frequency).real)
+            value = np.where(depth < 0.5, np.maximum(value, _NOTCHED * relative), value)
+        return value
 
     return weight
+
+
+def _about_notch(controller: Controller, band: tuple[float, float]) -> Real:
+    """Frequencies that follow the notch of a controller, inside the band."""
+    if controller.notch is None:
+        return np.empty(0)
+    widths = np.array([controller.notch.zeros, controller.notch.poles])
+    near = np.exp(widths[:, None] * np.linspace(-1.5, 1.5, 7)).ravel()
+    w = np.unique(controller.notch.frequency * near)
+    return np.asarray(w[(w > band[0]) & (w < band[1])])
 
 
 def _crossover(controller: Controller, link: LinkModel) -> float:

@@ -34,6 +34,7 @@ from fracsys.checks import checked_between
 
 __all__ = [
     "MODE_LIMIT",
+    "MODE_POINTS",
     "HigherModes",
     "Vibration",
     "higher_modes",
@@ -189,6 +190,7 @@ _WIDEST = 0.035
 _POINTS = np.sinh(
     np.linspace(-3.0, 3.0, 61)
 )  # of ln ω in damping ratios: closest at the peak
+MODE_POINTS = _POINTS.size
 
 
 @dataclass(frozen=True)

@@ -163,6 +163,8 @@ def _design_view(design: Design) -> View:
         if c.filter_time
         else ", no filter"
     )
+    if c.notch is not None:
+        filtered += f", notch at {number(c.notch.frequency, 5)} rad/s"
     headline = (
         f"controller k_d = {number(c.gain, 5)}, β = {number(c.order, 5)}{filtered}"
     )

@@ -1,0 +1,85 @@
+"""A notch of Ĉ at the link's second mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink.errors import FieldError
+from fracsys._fractional import FractionalTransferFunction, s
+from fracsys.checks import Between, Frequency, checked
+
+__all__ = ["Notch"]
+
+Complex = NDArray[np.complex128]
+Ratio = Annotated[float, Between(0.0, 1.0, low_open=True)]
+
+
+@checked(prefix="notch.")
+@dataclass(frozen=True)
+class Notch:
+    """``N(s) = (s² + 2 ζ_z ω s + ω²)/(s² + 2 ζ_p ω s + ω²)``, which is ζ_z/ζ_p at ω and
+    one far from it.
+
+    Parameters
+    ----------
+    frequency
+        ω [rad/s], > 0.
+    zeros, poles
+        damping ratios, 0 < ζ_z <= ζ_p <= 1.
+
+    Examples
+    --------
+    >>> notch = Notch(frequency=170.0, zeros=0.02, poles=0.4)
+    >>> round(float(abs(np.exp(notch.log(np.array(170.0))))), 6)
+    0.05
+    """
+
+    frequency: Frequency
+    zeros: Ratio
+    poles: Ratio
+
+    def __post_init__(self) -> None:
+        if self.zeros > self.poles:
+            raise FieldError(
+                "notch.zeros",
+                self.zeros,
+                "above the damping ratio of the poles: a peak",
+                allowed=f"at most {self.poles:g}",
+                remedy="exchange the two",
+            )
+
+    def log(self, frequency: NDArray[Any]) -> Complex:
+        """Return ln N(jω): each quadratic turns by less than 180°, so that the
+        principal logarithm is continuous.
+        """
+        top, bottom, _, _ = self._parts(frequency)
+        return np.asarray(np.log(top / bottom))
+
+    def slope(self, frequency: NDArray[Any]) -> Complex:
+        """Return d ln N/d ln ω."""
+        top, bottom, first, second = self._parts(frequency)
+        return np.asarray(first / top - second / bottom)
+
+    def transfer(self) -> FractionalTransferFunction:
+        """Return N as a transfer function."""
+        w = self.frequency
+        return (s**2 + 2.0 * self.zeros * w * s + w * w) / (
+            s**2 + 2.0 * self.poles * w * s + w * w
+        )
+
+    def _parts(
+        self, frequency: NDArray[Any]
+    ) -> tuple[Complex, Complex, Complex, Complex]:
+        """Numerator and denominator, and ω times their slopes."""
+        at, w = 1j * np.asarray(frequency), self.frequency
+        rest, zero, pole = at * at + w * w, 2.0 * self.zeros * w, 2.0 * self.poles * w
+        return (
+            rest + zero * at,
+            rest + pole * at,
+            at * (2.0 * at + zero),
+            at * (2.0 * at + pole),
+        )
