@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.link_problem import LinkProblem, quadratic_of
-from fraclink._identify.problem import Quadratic, descend, inverted
+from fraclink._identify.link_problem import quadratic_of
+from fraclink._identify.problem import Quadratic, descend
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -28,7 +28,7 @@ from fraclink._identify.shape import (
     damping_and_square,
     largest_ratio,
 )
-from fraclink._identify.uncertainty import effective_parameters
+from fraclink._identify.uncertainty import uncertainty
 from fraclink.errors import NotConvergedError
 
 
@@ -168,12 +168,24 @@ def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
 
 def weight_of(search: Search, solution: Solution) -> float:
     """1/(σ² k): a coloured residual counts as fewer samples, k times fewer."""
-    rows, residual = LinkProblem.of(search, solution, inside=True).linearised()
-    variance = solution.cost / residual.size
+    errors = uncertainty(search, solution, coloured=True)
+    variance = solution.cost / search.window.samples
+    own = [
+        i
+        for i, name in enumerate(errors.names)
+        if name in ("order", "natural_frequency", "damping")
+    ]
     if not variance > 0:
         return 1.0
-    count = effective_parameters(inverted(rows @ rows.T)[0], rows, residual, variance)
-    return 1 / (variance * max(1.0, count / len(rows)))
+    if errors.coloured is None or not own:
+        return 1 / variance  # all at a limit: every sample counts
+    # The median over the link's own parameters: one that hardly matters may have any
+    # ratio.
+    tiny = np.finfo(np.float64).tiny
+    ratios = np.diag(errors.coloured)[own] / np.maximum(
+        np.diag(errors.white)[own], tiny
+    )
+    return 1 / (variance * max(1.0, float(np.median(ratios))))
 
 
 @dataclass(frozen=True, eq=False)
