@@ -914,7 +914,8 @@ TOPICS: dict[
     "runs": (runs, 1e-9),
     "paper": (paper, 1e-9),
     "certificates": (certificates, 1e-9),
-    "designs": (designs, 1e-9),
+    # A search ends where its own tolerance lets it; the equations before it are exact.
+    "designs": (designs, 1e-5),
     "identification": (identification, 1e-7),
     "exports": (exports, 1e-9),
 }
