@@ -30,7 +30,7 @@ from fraclink.view._report import render_report
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"
-EASY = ("--gain-crossover", "11.5", "--phase-margin-deg", "45")
+EASY = ("--gain-crossover", "11", "--phase-margin-deg", "45")
 
 
 @dataclass(frozen=True)

@@ -330,13 +330,13 @@ def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(
 
 @pytest.mark.slow
 def test_a_limit_cycle_is_seen_without_the_noise_that_hid_it(bench: Bench) -> None:
-    """Friction that is compensated six times over keeps the motor moving."""
+    """Friction that is compensated fifteen times over keeps the motor moving."""
     case = Case("F28", 1, 0.03, "whole", 1)
     assert run_case(bench, case, single=False).passed
     drive = bench.law.drive
     assert drive is not None
     wild = replace(
-        bench.law, drive=replace(drive, coulomb_voltage=6.0 * drive.coulomb_voltage)
+        bench.law, drive=replace(drive, coulomb_voltage=15.0 * drive.coulomb_voltage)
     )
     failed = run_case(bench.with_law(wild), case, single=False).failed
     assert "limit cycle [rad]" in [check.name for check in failed]

@@ -22,7 +22,7 @@ from fraclink._design.box_cost import cost_of_box
 from fraclink._design.measured import requirements_of
 from fraclink._design.published import improper, is_published, published
 from fraclink._design.request import Request, Solved
-from fraclink._design.solver import Goal
+from fraclink._design.solver import RESERVE, Goal
 from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.rows import key_of
 from fraclink.errors import FieldError, InfeasibleError
@@ -294,10 +294,10 @@ def _missed(request: Request, made: Design) -> dict[str, float]:
             key, key
         )
         if item.unit == "rad" or key == "damping":
-            found[key] = max(found.get(key, 0.0), -1.05 * item.slack + 1e-5)
+            found[key] = max(found.get(key, 0.0), -1.05 * item.slack + RESERVE)
         elif item.achieved > 0.0 and math.isfinite(item.achieved):
             ratio = abs(math.log(item.achieved / item.wanted))
-            found[key] = max(found.get(key, 0.0), 1.5 * ratio + 1e-5)
+            found[key] = max(found.get(key, 0.0), 1.5 * ratio + RESERVE)
     return found
 
 

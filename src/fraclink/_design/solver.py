@@ -34,7 +34,7 @@ MODEL, LAW, EMPTY = 0, 1, 2
 
 # What is aimed at beyond each row: the table's cubics and the solver's own tolerance
 # must not cost a row that the engine measures afterwards.
-_RESERVE = 2e-4
+RESERVE = 2e-4
 _EMPTY_MARGIN = math.radians(2.0)  # aimed at where stability is all that is asked
 # of the slack, in the scale of the goal's logarithm: far above any multiplier of a
 # bound that can be met
@@ -198,10 +198,10 @@ class Problem:
         margin, _ = trial.margins()
         share = math.exp(-slack) if "phase_margin" in wanted.soft else 1.0
         least = share * wanted.phase_margin
-        kept = margin.value - least + less - _RESERVE
+        kept = margin.value - least + less - RESERVE
         table.add("phase_margin", kept, margin.gradient, ~empty, slack=least)
         if self.goal == "margin":
-            kept = margin.value - goal + less - _RESERVE
+            kept = margin.value - goal + less - RESERVE
             table.add("goal", kept, margin.gradient, ~empty, goal=-1.0)
         kept = margin.value - _EMPTY_MARGIN
         table.add("empty", kept, margin.gradient, empty)
@@ -215,15 +215,15 @@ class Problem:
         for key, place in places:
             level, along = trial.loudest(place)
             column = {"goal": along} if key == "goal" else {"slack": -along}
-            table.add(key, level.value - _RESERVE, level.gradient, model, **column)
+            table.add(key, level.value - RESERVE, level.gradient, model, **column)
         level, _ = trial.loudest(wanted.highest)
-        kept = -level.value - _RESERVE
+        kept = -level.value - RESERVE
         table.add("highest_crossover", kept, -level.gradient, ~empty)
         # ---- the distance from -1
         if wanted.max_sensitivity is not None:
             distance = trial.distances()
             soft = slack if "max_sensitivity" in wanted.soft else 0.0
-            kept = distance.value + math.log(wanted.max_sensitivity) + soft - _RESERVE
+            kept = distance.value + math.log(wanted.max_sensitivity) + soft - RESERVE
             table.add("max_sensitivity", kept, distance.gradient, model, slack=1.0)
         # ---- noise
         if sheet.noise_w.shape[1]:
@@ -237,20 +237,20 @@ class Problem:
             ):
                 if bound is not None:
                     soft = slack if key in wanted.soft else 0.0
-                    kept = math.log(bound) + soft - figure.value - _RESERVE
+                    kept = math.log(bound) + soft - figure.value - RESERVE
                     table.add(key, kept, -figure.gradient, noisy, slack=1.0)
         # ---- higher modes
         if wanted.mode_gain is not None and sheet.modes_w.shape[1]:
             loud = trial.modes()
             soft = slack if "mode_gain" in wanted.soft else 0.0
-            kept = math.log(wanted.mode_gain) + soft - loud.value - _RESERVE
+            kept = math.log(wanted.mode_gain) + soft - loud.value - RESERVE
             # the modes of an arm are the same for each of its links
             first = model & (np.diff(sheet.arm, prepend=-1) != 0)
             table.add("mode_gain", kept, -loud.gradient, first, slack=1.0)
         # ---- ringing
         if wanted.damping is not None:
             value, gradient = self._damping(trial, sheet)
-            kept = value - wanted.damping * (1.0 + 20.0 * _RESERVE)
+            kept = value - wanted.damping * (1.0 + 20.0 * RESERVE)
             table.add("damping", kept, gradient, model)
         return table.rows()
 
