@@ -217,7 +217,7 @@ def test_an_ordinarily_damped_arm_passes(
         record,
         structure=link.structure,
         payloads=(0.020, 0.040),
-        gain_crossover=10.5,
+        gain_crossover=10.0,
         phase_margin=np.radians(50.0),
         arms=50,
     )

@@ -283,7 +283,7 @@ class Fit:
         >>> import fraclink as fl
         >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")))
         >>> fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
-        Validation(the model predicts the other log: error 1.3... % (NMSE))
+        Validation(the model predicts the other log: error 1.33 % (NMSE))
         """
         # Here and not above: it fits every log by itself, with what makes fits.
         from fraclink._identify.validation import validate
