@@ -70,15 +70,16 @@ nitpick_ignore_regex = [
         r"py:.*",
         r".*typing\.(Annotated|Literal)\[.*",
     ),  # a range or a choice in a signature, cut at its comma
-    (r"py:class", r"tuple\[float|fraclink\._validate\.ranges\.Array"),  # likewise
+    (r"py:class", r"tuple\[float|fracsys\.checks\.ranges\.Array"),  # likewise
     # Private types in the signatures of public functions: what they mean stands in the
     # text.
     (
         r"py:class",
-        r"fraclink\._law\.discretization\._Designed|fraclink\._campaign\.fault_rules\.FaultRule",
+        r"fraclink\._law\.discretization\._Designed|fraclink\.trials\._fault_rules\.FaultRule",
     ),
-    (r"py:class", r"fraclink\._files\.T|fraclink\._validate\.ranges\.Array"),
-    (r"py:class", r"fraclink\._show\.text\.View"),
+    (r"py:class", r"fraclink\._files\.[TU]|Goal"),
+    (r"py:class", r"fraclink\._identify\.validation\.Value"),
+    (r"py:class", r"fraclink\.view\._text\.View"),
 ]
 suppress_warnings = ["myst.strikethrough"]
 default_role = "code"
