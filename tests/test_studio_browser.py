@@ -396,11 +396,11 @@ def replayed_and_cut(page: Page) -> None:
             f"(i => {{ i.value = {1000 * part}; i.dispatchEvent(new Event('input')); }})"
             "(document.getElementById('replay-at'))"
         )
-        turned = page.run(
-            "Number(document.querySelector('#hub').getAttribute('transform').match(/-?[\\d.]+/)[0])"
-        )
-        assert turned == pytest.approx(
-            -np.degrees(log.motor_angle[round(part * (log.output.size - 1))]), abs=0.3
+        angle = -np.degrees(log.motor_angle[round(part * (log.output.size - 1))])
+        page.until(
+            "Math.abs(document.querySelector('#hub').getAttribute('transform')"
+            f".match(/-?[\\d.]+/)[0] - {angle}) < 0.3",
+            "the arm at that sample",
         )
     page.run("document.querySelector('#replay').click()")
     page.until(
