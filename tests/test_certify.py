@@ -150,7 +150,7 @@ def test_single_precision_law_and_default_claim(law: Law):
 
 def test_checker_is_one_short_file_of_mpmath_only():
     text = CHECKER.read_text(encoding="utf-8")
-    assert len(text.splitlines()) <= 200
+    assert len(text.splitlines()) <= 280  # an evening of a stranger
     assert "import fraclink" not in text and "numpy" not in text
 
 
@@ -158,13 +158,14 @@ def known(model: LinkModel, placement: str) -> tuple[BoxLoop, Statement, Law]:
     """The loop of a wide box about `model`, with the statement and the law."""
     inner = "ideal" if placement == "ideal" else "sampled"
     law = plan_for(inner, "tustin" if placement == "ideal" else placement).law()
+    if inner == "ideal":
+        law = replace(law, drive=None)
     found = certify(
         law,
         model=model,
         rig=RIG,
         payloads=(0.02, 0.04),
         modulus_margin=0.999,
-        inner=inner,
     )
     return BoxLoop(found.statement), found.statement, law
 
@@ -600,7 +601,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "payload range turned round": _number("payload_low", value=0.05),
     "longer delay claimed": _number("delay_high", value=0.040),
     "negative delay": _number("delay_low", value=-0.004),
-    "slower motor": _interval("pole", value=12.0),
+    "slower motor": _interval("gain", factor=0.5),
     "order of two": _interval("order", value=2.0),
     "order not a number": _number("order_low", value=float("nan")),
     "payload law changed": _interval("softness", factor=0.1),
@@ -609,14 +610,13 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "coefficient changed, hashes mended": _block(2, 30.0, mend=True),
     "unstable mode, hashes mended": _block(5, -20.0, mend=True),
     "hash of another law": _text("digest", "0" * 64),
-    "other precision": _text("precision", "single"),
-    "motor loop renamed": _text("motor_loop", "sampled"),
+    "other precision": _text("precision", "double"),
+    "motor loop renamed": _text("motor_loop", "ideal"),
     "another word for the motor loop": _text("motor_loop", "perfect"),
     "first-order hold": _text("hold", "first-order"),
     "field missing": _drop("pole_low"),
     "other kind of file": _envelope("fraclink", "design"),
     "other format": _envelope("format", 1),
-    "format of points": _envelope("format", 2),
     "leaf by the other form": _tree(
         lambda t: t.replace(".", "#").replace(",", ".").replace("#", ",")
     ),
@@ -625,8 +625,8 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "orders from 1.5": _number("order_low", value=1.5),
     "orders turned round": _number("order_low", value=1.96),
     "order of one": _number("order_low", value=1.0),
-    "slow motor admitted": _number("pole_low", value=30.0),
-    "pole of zero": _number("pole_low", value=0.0),
+    "slow motor admitted": _number("gain_low", factor=0.5),
+    "gain of zero": _number("gain_low", value=0.0),
     "softer links admitted": _number("softness_high", factor=4.0),
     "stiffer links admitted": _number("softness_low", factor=0.1),
     "gauge of half the gain admitted": _number("gauge_gain_low", value=0.5),
@@ -644,7 +644,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
         _interval("softness", factor=0.1),
     ),
     "law of the sampled loop": _all_of(
-        _text("motor_loop", "sampled"),
+        _text("motor_loop", "ideal"),
         _interval("gain", value=3000.0),
         _number("decay", value=13.0),
     ),
@@ -696,7 +696,7 @@ FORGERIES: dict[str, Callable[[dict[str, Any]], None]] = {
     "negative torque limit": _real("torque_limit", factor=-1.0),
     "torque that trips at once": _real("torque_trip", value=0.0),
     "resonance that the limits were made for": _real("reference_rate", factor=0.5),
-    "motor model of the guards": _real("residual_rate", factor=0.5),
+    "motor model of the guards": _real("motor_next", factor=0.3),
     "guard that trips at once": _count("bad_limit", 0),
     "claim of 1 g to 1 kg": lambda data: data.update(
         claim=data["claim"].replace("0.02 to 0.04", "0.001 to 1")
@@ -899,12 +899,16 @@ def test_the_law_on_the_board_is_read_from_its_header(
         shipped = made.in_precision(precision)
         export_c(shipped, tmp_path / "firmware", force=True)
         header = tmp_path / "firmware" / "law_data.h"
-        assert checker.board(str(header)) == shipped.digest
+        assert checker.on_board(str(header), shipped.block)
     text = header.read_text(encoding="utf-8")
     header.write_text(
         text.replace("compliance = 0x1.4", "compliance = 0x1.5"), encoding="utf-8"
     )
-    assert checker.board(str(header)) != shipped.digest
+    assert not checker.on_board(str(header), shipped.block)
+    # what a compiler reads may stand beside what the checker looks for
+    for other in (f"/*\n{text}*/\n{text}", text.replace("    .", "\t."), text + "\n"):
+        header.write_text(other, encoding="utf-8")
+        assert not checker.on_board(str(header), shipped.block)
 
 
 @pytest.mark.slow
@@ -1299,7 +1303,7 @@ def test_the_box_of_a_statement_holds_every_payload_times_every_softness(
 def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law: Law):
     said = certificate.verdict
     claim = certificate.statement
-    assert said == claim.words() and said.endswith("meet no limit of the command.")
+    assert said == claim.words() and "meet no limit of the command" in said
     named = (
         "modulus",
         "payload_low",
@@ -1308,7 +1312,7 @@ def test_the_words_name_every_number_of_the_claim(certificate: Certificate, law:
         "stiffness",
         "linear_range",
     )
-    for name in (*named, "softness_low", "pole_high", "nominal_payload"):
+    for name in (*named, "softness_low", "gain_high", "nominal_payload"):
         assert f" {getattr(claim, name)}" in said
     assert f"law {law.digest[:12]} " in said and f"period {law.period} s" in said
     assert claim.lowest == pytest.approx(
@@ -1328,12 +1332,12 @@ def test_delays_up_to_what_the_proof_knows(law: Law):
         "payloads": (0.02, 0.04),
         "modulus_margin": 0.999,
     }
-    for inner, most in (("sampled", 0.004), ("ideal", 0.032)):
-        claim = certify(law, inner=inner, delay=(0.0, most), **wanted).statement  # type: ignore[arg-type]
+    for made, most in ((law, law.period), (replace(law, drive=None), 8 * law.period)):
+        claim = certify(made, delay=(0.0, most), **wanted).statement  # type: ignore[arg-type]
         assert (claim.delay_low, claim.delay_high) == (0.0, most)
         with pytest.raises(FieldError, match=r"delay\[1\]"):
-            certify(law, inner=inner, delay=(0.0, 1.001 * most), **wanted)  # type: ignore[arg-type]
-    assert certify(law, inner="ideal", **wanted).statement.delay_high == law.period  # type: ignore[arg-type]
+            certify(made, delay=(0.0, 1.001 * most), **wanted)  # type: ignore[arg-type]
+    assert certify(law, **wanted).statement.delay_high == law.period  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -1344,7 +1348,7 @@ def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
         "payloads": (0.02, 0.04),
         "modulus_margin": 0.95,
     }
-    exact = certify(law, inner="ideal", box=ParameterBox.at(RIG.model), **wanted)  # type: ignore[arg-type]
+    exact = certify(law, box=ParameterBox.at(RIG.model), **wanted)  # type: ignore[arg-type]
     found = re.fullmatch(
         r"Not certified: \|1 \+ L\| = (\S+) is not above 0\.95 at (\S+) g, (\S+) rad/s and (\S+) ms of delay",
         exact.verdict,
@@ -1359,7 +1363,7 @@ def test_where_it_fails_is_told_with_all_that_is_not_exact(law: Law):
     at = {name: np.array([value]) for name, value in place.items()}
     distance = abs(1 + loop_values(exact.statement, law, at["frequency"], at)[0])
     assert distance == pytest.approx(exact.distance, rel=1e-9) and distance <= 0.95
-    wide = certify(law, inner="ideal", **wanted)  # type: ignore[arg-type]
+    wide = certify(law, **wanted)  # type: ignore[arg-type]
     low, high = wide.statement.box
     named = [name.replace("_", " ") for name in AXES[3:] if low[name] < high[name]]
     assert named and all(f"{name} " in wide.verdict.split("(")[-1] for name in named)
@@ -1374,92 +1378,7 @@ def test_a_law_of_another_link_or_none_is_refused(law: Law):
         )
     still = replace(RIG, motor=replace(RIG.motor, viscous_friction=0.0))
     with pytest.raises(FieldError, match="friction"):
-        certify(law, model=RIG.model, rig=still, inner="sampled", modulus_margin=0.3)
-
-
-def earlier(document: dict[str, Any], form: int) -> dict[str, Any]:
-    """The same certificate as files of formats 1 and 2 had it: points, and in format 1
-    no gauge at all.
-    """
-    data = json.loads(json.dumps(document)) | {"format": form}
-    old = dict(data["statement"])
-    pairs = ("payload", "delay")
-    for name in [key.removesuffix("_low") for key in old if key.endswith("_low")]:
-        if name not in pairs:
-            old[name] = old.pop(f"{name}_low")
-            old.pop(f"{name}_high")
-    old["inner"] = old.pop("motor_loop")
-    for name in ("hold", "linear_range", "gauge_gain"):
-        old.pop(name)
-    if form == 1:
-        for name in (
-            "gauge_delay",
-            "mode_frequency",
-            "mode_gain",
-            "mode_damping",
-            "nominal_payload",
-            "stiffness",
-        ):
-            old.pop(name)
-    data["statement"] = old
-    keys = (
-        ("statement", "tree")
-        if form == 1
-        else ("claim", "form", "assumed", "statement", "tree")
-    )
-    text = json.dumps(
-        {key: data[key] for key in keys},
-        sort_keys=True,
-        separators=(",", ":"),
-        ensure_ascii=form == 1,
-    )
-    return data | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("form", [1, 2])
-def test_a_certificate_of_an_earlier_format_is_read_and_proves_nothing(
-    form: int, document: dict[str, Any], certificate: Certificate, tmp_path: Path
-):
-    data, place = earlier(document, form), tmp_path / "old.json"
-    place.write_text(json.dumps(data), encoding="utf-8")
-    found, now = Certificate.load(place), certificate.statement
-    why = (
-        "does not state the gauge"
-        if form == 1
-        else "covers one link, gauge and motor only"
-    )
-    assert (
-        found.verdict
-        == f"Not certified: a certificate of format {form} {why}; certify again"
-    )
-    assert (
-        not found.passed
-        and found.tree == data["tree"]
-        and found.leaves == data["tree"].count(".")
-    )
-    said = found.statement
-    assert (said.order_low, said.order_high) == (now.order_low, now.order_low)
-    assert (said.payload_low, said.payload_high) == (now.payload_low, now.payload_high)
-    assert (said.gauge_gain_low, said.gauge_gain_high, said.hold) == (
-        1.0,
-        1.0,
-        "zero-order",
-    )
-    assert said.motor_loop == now.motor_loop
-    assert said.stiffness == pytest.approx(now.stiffness, rel=1e-6)
-    if form == 1:
-        assert (
-            said.gauge_delay_high == said.mode_gain_high == said.nominal_payload == 0.0
-        )
-    for change in (
-        {"tree": data["tree"] + "."},
-        {"statement": "none"},
-        {"sha256": "0"},
-    ):
-        place.write_text(json.dumps(data | change), encoding="utf-8")
-        with pytest.raises(FileFormatError):
-            Certificate.load(place)
+        certify(law, model=RIG.model, rig=still, modulus_margin=0.3)
 
 
 @pytest.mark.slow
@@ -1495,9 +1414,7 @@ def test_an_enclosure_without_nodes_has_the_attained_margin_above(law: Law):
         "payloads": (0.02, 0.04),
         "delay": (0.004, 0.004),
     }
-    claim = certify(
-        law, box=point, modulus_margin=0.95, inner="ideal", **wanted
-    ).statement  # type: ignore[arg-type]
+    claim = certify(law, box=point, modulus_margin=0.95, **wanted).statement  # type: ignore[arg-type]
     found = search.enclose_phase_margin(claim, law, most=1)
     assert (found.low, found.nodes) == (0.0, 0)
     low, high = claim.box

@@ -42,7 +42,7 @@ def test_an_fmu_has_a_library_of_each_compiler_or_none(line: Line) -> None:
     assert line("export fmu design.json --out a.fmu") == (0, "a.fmu\n", "")
     assert written.given[0].drive is not None and written.given[1] == Path("a.fmu")
     assert written.last == {
-        "precision": "double",
+        "precision": "single",
         "compilers": ("cc",),
         "force": False,
     }

@@ -118,7 +118,7 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
 @pytest.mark.slow
 def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
     assert told_run.out.startswith(
-        "– not run: promise passed, model passed, reality not run\n"
+        "– not run: promise passed, model passed, twin not run, arm not run\n"
     )
     assert "the log is simulated, not measured" in told_run.out
     assert told_run.err == (  # piped: no progress
@@ -165,9 +165,7 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     ]
     assert main(command) == 1
     result = json.loads(capsys.readouterr().out)
-    assert (
-        result["verdict"]["state"] == result["verdict"]["reality"]["state"] == "failed"
-    )
+    assert result["verdict"]["state"] == result["verdict"]["twin"]["state"] == "failed"
     assert (
         result["verdict"]["promise"]["state"]
         == result["verdict"]["model"]["state"]
@@ -205,7 +203,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
     ]
     assert main([*command, "--gain-crossover", "60"]) == 1
     assert (
-        "✗ failed: promise failed, model not run, reality not run"
+        "✗ failed: promise failed, model not run, twin not run, arm not run"
         in capsys.readouterr().out
     )
     study = load_study(tmp_path / "out")
@@ -369,7 +367,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert main([*command, "--certify", "--arms", "0", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["promise"]["state"] == "passed"
-    assert result["verdict"]["reality"]["state"] == "not run"
+    assert result["verdict"]["twin"]["state"] == "not run"
     assert result["passed"] is False
     assert {fit["structure"] for fit in result["fits"]} == {
         "UD-IOM",

@@ -296,9 +296,7 @@ def test_the_law_is_moved_with_another_payload_of_the_range(
     )
     assert [move.payload for move in again.moves] == [0.030, 0.030, 0.038, 0.038]
     assert (
-        again.has_law
-        and again.verdict.reality.state == "passed"
-        and again.payload == 0.030
+        again.has_law and again.verdict.arm.state == "passed" and again.payload == 0.030
     )
     assert again.link is not None and found.link is not None
     assert again.link.fit.model == found.link.fit.model

@@ -320,7 +320,7 @@ static void memory(void)
     state.error = (law_real)NAN;
     state.motor_angle = (law_real)NAN;
     state.torque = (law_real)NAN;
-    state.model_near = (law_real)1e20F;
+    state.model_push = (law_real)1e20F;
     state.reference = (law_real)1e20F;
     state.encoder_model = (law_real)NAN;
     step(1U);

@@ -257,7 +257,7 @@ class Session:
             "model": "not run" if study.fit is None else tables.state_of(study.fit),
             "design": verdict.promise.state,
             "move": verdict.model.state,
-            "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
+            "proof": "failed" if "failed" in (proof, verdict.twin.state) else proof,
             "board": "passed" if self.written else "not run",
         }
 
