@@ -29,7 +29,7 @@ OF_ARM = (
     ("voltage", "output", "V", ()),
     ("tip_estimate", "output", "rad", (2, 3)),
     ("mode", "output", (0, 4), ()),
-    ("reason", "output", (0, 13), ()),
+    ("reason", "output", (0, 15), ()),
     ("flags", "output", (0, 1023), ()),
     ("time", "independent", "s", ()),
     ("payload", "input", "kg", ()),
@@ -237,6 +237,6 @@ def test_the_page_says_what_to_connect(
     for words in (
         *told,
         f"step is {made.period!r} s, constant",
-        f"law {made.digest}; double precision",
+        f"law {made.digest}; {made.precision} precision",
     ):
         assert words in page

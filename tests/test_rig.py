@@ -327,7 +327,7 @@ def test_every_key_of_the_file_stands_in_the_reference() -> None:
         if f"`{key}`" not in page and f"{key} = " not in page
     ] == []
     tables = [name for name, key in keys_of(_RigFile).items() if key.table]
-    assert len(tables) == 10
+    assert len(tables) == 11
     assert [name for name in tables if f"`[{name}]`" not in page] == []
 
 

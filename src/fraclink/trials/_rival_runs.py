@@ -80,7 +80,7 @@ def run_rival(
     inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
     state = ArmState(twin, law.period, law.initial_state())
     if rival.correction is None:
-        record = state.run(law.block, inputs)
+        record = state.run(law.block, inputs, single=law.precision == "single")
     else:
         record = _tick_by_tick(
             state,
