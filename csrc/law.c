@@ -361,7 +361,7 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
     const law_real angle = watch_encoder(s, p, in->motor_angle, &flags);
     if ((credible(angle, p->angle_limit) != 0U) &&
         ((credible(angle - s->motor_angle, p->angle_step) != 0U) ||
-         (credible(angle - s->motor_angle, stretched(p->angle_step, periods + s->bad_encoder)) != 0U) ||
+         (credible(angle - s->motor_angle, stretched(p->angle_step, periods + s->bad_encoder + s->frozen)) != 0U) ||
          (credible(s->motor_angle, p->angle_limit) == 0U))) {
         s->motor_angle = angle;
         s->bad_encoder = 0U;
@@ -572,6 +572,8 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
             s->swing = voltage;
             if (s->ringing >= p->bad_limit) {
                 latch(s, LAW_RAILED);
+                s->voltage = (law_real)0;
+                out->compensation = (law_real)0;
             }
         }
     }

@@ -30,6 +30,11 @@ MUTANTS: tuple[tuple[str, str], ...] = (
     ("state->missed += periods - 1U;", "state->missed = periods - 1U;"),
     ("            state->missed--;", "            state->missed = 0U;"),
     ("if (s->ringing >= p->bad_limit) {", "if (s->ringing > 1000U) {"),
+    (
+        "if (state->missed > params->missed_limit) {",
+        "if (state->missed > 1000U) {",
+    ),
+    ("latch(s, LAW_RINGING);", ""),
     ("s->ringing += 2U * p->block_limit;", "s->ringing += p->block_limit;"),
     ("    if (s->mode > copied(LAW_HOLD)) {", "    if (s->mode > copied(LAW_OFF)) {"),
     (
@@ -164,7 +169,6 @@ MUTANTS: tuple[tuple[str, str], ...] = (
     ("if (s->mode <= copied(LAW_DEGRADED)) {", "if (s->mode <= copied(LAW_HOLD)) {"),
     ("        s->voltage = (law_real)0;\n    }", "    }"),
     ("(periods == 0U) || (periods > LAW_COUNT_MAX)", "(periods == 0U)"),
-    ("if ((periods - 1U) > params->missed_limit) {", "if ((periods - 1U) > 1000U) {"),
     ("crc ^= (uint32_t)bytes[i];", "crc += (uint32_t)bytes[i];"),
     ("        state->stamp = 0U;\n        output", "        output"),
     ("if (test->cross > bound) {", "if (test->cross > -bound) {"),
