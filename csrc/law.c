@@ -535,13 +535,14 @@ static law_real healed_correction(law_state *s, const law_params *p, law_real su
 }
 
 /* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
- * compensated by the direction in which the motor model moves (`change`, in a period), which has none of the noise of
- * a differentiated encoder. In hold a voltage that goes from one limit to the other and back is a motor loop that is
- * not stable: off. */
+ * compensated by the direction in which the motor model moves in the period after this one (`change`), when the
+ * voltage acts; it has none of the noise of a differentiated encoder. In hold a voltage that goes from one limit to
+ * the other and back is a motor loop that is not stable: off. */
 static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
 {
     uint32_t flags = 0U;
-    const law_real change = model_move(s, p);
+    const law_real push = s->motor_reference - s->model_angle;
+    const law_real change = (p->motor_next * push) + (p->motor_keep * s->model_push);
     const law_real compensation = p->torque_voltage * s->torque;
     const law_real angle = s->motor_angle;
     const law_real eps = s->motor_reference - angle;
