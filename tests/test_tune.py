@@ -394,7 +394,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     # A slow move that never comes to rest hunts, however well the fast one settles.
     hunting = replace(kept, duration=1.6, promised_settling=1.4, measured_settling=4.1)
     hunted = replace(proved, moves=(hunting, kept))
-    assert not hunted.passed and "back and forth" in hunted.verdict.reality.reasons[0]
+    assert not hunted.passed and "back and forth" in hunted.verdict.arm.reasons[0]
     assert replace(proved, moves=(replace(hunting, measured_settling=1.9), kept)).passed
     slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))
