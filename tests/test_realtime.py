@@ -148,7 +148,7 @@ def test_a_record_that_was_touched_does_not(law: Law) -> None:
     for name in ("mode", "flags"):
         assert touched(name, 2).difference(law) == 4
     with pytest.raises(FieldError, match="another than the one that ran"):
-        run.difference(law.in_precision("single"))
+        run.difference(law.in_precision("double"))
 
 
 def test_the_reference_counts_from_where_the_arm_stands_or_from_zero(law: Law) -> None:
