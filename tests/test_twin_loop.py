@@ -184,7 +184,7 @@ def test_exchange_for_the_same_payload_changes_nothing(law):
     twin = quiet(payload=0.030)
     vessel = ArmState(twin, law.period, law.initial_state())
     vessel.run(
-        smooth(law).block,
+        smooth(law).in_precision("double").block,
         healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0)),
     )
     before = vessel.state.copy()
