@@ -87,6 +87,7 @@ class Loop:
         self.s, self.ideal, numbers = s, s["motor_loop"] == "ideal", [s[k] for k in s if k not in TEXT]
         least = ["softness_low", "lowest", "stiffness", "gauge_gain_low", "payload_low", "modulus", "damping_order"] + (["pole_low"] if self.ideal else ["decay", "gain_low"])
         need(all(0 <= x < 1e300 for x in numbers) and min(s[k] for k in least) > 0, "a number is negative, zero or not finite")
+        need(not any(s[k] for k in (("decay", "gain_low", "gain_high") if self.ideal else ("pole_low", "pole_high"))), "a number of the other motor loop")
         need(all(s[k] <= s[k[:-3] + "high"] for k in s if k.endswith("_low")) and s["modulus"] < 1, "an empty range")
         need(max(1, s["damping_order"]) < s["order_low"] and s["order_high"] <= 2 and max(2 - s["order_high"], s["damping_low"]) > 0, "orders or damping of the link")
         need(not s["mode_gain_high"] or (0 < s["mode_damping"] < 1 and s["mode_frequency_low"] > 0), "the second mode")
