@@ -794,9 +794,7 @@ def slow_claim(lowest: float) -> dict[str, Any]:
     )
     inner = MotorLoop(pole=2.0, placement="tustin")
     controller = replace(plan_for("ideal").controller, inner=inner, period=1.0)
-    law = discretize_controller(
-        controller, 1.0, order=0, precision="double", link=link
-    )
+    law = discretize_controller(controller, 1.0, order=0, precision="double", link=link)
     law = replace(law, correction=law.correction._replace(direct=0.11))
     return asdict(
         replace(
