@@ -133,7 +133,9 @@ def _restarts(
     starts: int,
 ) -> None:
     """The error that growth reaches over the best of random starts: 1 is as good."""
-    target = discrete_target(response, PERIOD, band, 1, 1.0, None, (0.1, 0.5))
+    target = discrete_target(
+        response, PERIOD, band, 1, 1.0, None, (0.1, 0.5), np.empty(0)
+    )
     made = fit_discrete(
         response, period=PERIOD, band=band, order=order, zeros_at_one=1, offset=1.0
     )
