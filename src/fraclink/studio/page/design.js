@@ -97,7 +97,7 @@ export class Design {
     this.phase.handle({...turned, id: 'h-margin-phase', drag: 'y', at: () => [upper(), margin.get() - 180]}, hand);
     this.nichols.handle({...turned, id: 'h-margin-nichols', drag: 'x', at: () => [margin.get() - 180, 0]}, hand);
     // Up is faster: a decibel of the heavy curve is 4 % of its crossover, near the slope that these loops have.
-    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => [this.heavyPhase(), 0]}, {...hand, begin: () => { this.grabbed = crossover.get(); app.begin(); }});
+    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => this.octaveBelow()}, {...hand, begin: () => { this.grabbed = crossover.get(); app.begin(); }});
     this.margin.handle({...margin, id: 'h-margin-payload', drag: 'y', shape: 'square', line: true, at: () => [Math.sqrt(this.payload(0) * this.payload(1)), margin.get()]}, hand);
     for (const [i, end] of [[0, 'Lightest'], [1, 'Heaviest']]) {
       this.margin.handle({
@@ -113,11 +113,12 @@ export class Design {
     map.handle({...crossover, id: 'h-map-crossover', drag: 'x', line: true, at: () => [crossover.get(), map.y.low]}, this.app.hand);
     map.handle({...margin, id: 'h-map-margin', drag: 'y', shape: 'square', line: true, at: () => [map.x.low, margin.get()]}, this.app.hand);
   }
-  heavyPhase() {
-    const phases = this.last?.curves?.phase, w = this.app.axes.frequencies;
-    if (!phases || !w) return -130;
-    const at = w.findIndex((v) => v >= (this.get('gain_crossover') || 10));
-    return phases[phases.length - 1][Math.max(0, at)];
+  /** The heavy curve an octave below its crossover: the margin has its handle on the line of 0 dB. */
+  octaveBelow() {
+    const c = this.last?.curves, w = this.app.axes.frequencies;
+    if (!c || !w) return [-130, 6];
+    const at = Math.max(0, w.findIndex((v) => 2 * v >= (this.get('gain_crossover') || 10))), heavy = c.gain.length - 1;
+    return [c.phase[heavy][at], c.gain[heavy][at]];
   }
   /** What the request itself forbids: below 0 dB left of the crossover, 0 dB nearer to −180° than the margin, the disk of Ms. */
   forbidden() {
