@@ -133,6 +133,18 @@ def test_every_command_has_an_example_that_it_understands(fraclink: Command) -> 
         assert words[0] in listed
 
 
+def test_no_command_passes_without_having_done_what_it_was_asked(
+    fraclink: Command,
+) -> None:
+    """With the lowest typer that was once declared every command answered with the
+    version and exit code 0.
+    """
+    for words, _command in _commands():
+        answer = fraclink(*words, "--no-such-option")
+        assert answer.code == 2, (words, answer.out)
+        assert "--no-such-option" in answer.err, (words, answer.err)
+
+
 def test_doctor_says_what_is_there(fraclink: Command) -> None:
     answer = fraclink("doctor")
     assert answer.code == 0
