@@ -21,14 +21,13 @@ from fraclink import __version__
 from fraclink._arm.rig import Rig
 from fraclink._cli import main
 from fraclink._cli.app import application
-from fraclink._cli.console import clean, guarded
+from fraclink._cli.console import guarded
 from fraclink.errors import (
     FieldError,
     InfeasibleError,
     MissingExtraError,
     NotCertifiedError,
 )
-from fraclink.view._text import Table, View, plain_text, table_text
 
 
 class Answer(NamedTuple):
@@ -145,14 +144,6 @@ def test_no_command_passes_without_having_done_what_it_was_asked(
         assert "--no-such-option" in answer.err, (words, answer.err)
 
 
-def test_doctor_says_what_is_there(fraclink: Command) -> None:
-    answer = fraclink("doctor")
-    assert answer.code == 0
-    assert f"✓ passed: fraclink {__version__} on " in answer.out
-    found = json.loads(fraclink("doctor", "--json").out)
-    assert found["extras"]["matplotlib"] and found["version"] == __version__
-
-
 def test_the_manual_page_has_every_command_and_option(
     fraclink: Command, tmp_path: Path
 ) -> None:
@@ -188,28 +179,6 @@ def test_the_manual_page_has_every_command_and_option(
     )
 
 
-def test_a_terminal_shows_links_and_the_bad_value_bold_a_pipe_neither(
-    fraclink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = tmp_path / "a page.1"
-    assert (
-        fraclink("man", "--out", str(place)).err.splitlines()[0] == f"written: {place}"
-    )
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm")
-    said = fraclink("man", "--out", str(place), "--force").err.splitlines()[0]
-    assert (
-        said == f"written: \x1b]8;;{place.as_uri()}\x1b\\{place}\x1b]8;;\x1b\\"
-        and "%20" in said
-    )
-    said = fraclink("design", "--rig", "paper-2023", "--phase-margin-deg", "200").err
-    assert said.startswith("\x1b[31merror\x1b[0m: ") and "(got \x1b[1m" in said
-    monkeypatch.setenv("TERM", "dumb")
-    assert "\x1b]8" not in fraclink("man", "--out", str(place), "--force").err
-    monkeypatch.setenv("NO_COLOR", "1")
-    assert "\x1b" not in fraclink("design", "--rig", "paper-2032").err
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")]
@@ -230,68 +199,6 @@ def test_the_shell_completes_commands(shell: str, marker: str) -> None:
     )
     assert marker in answer.stdout
     assert "inspect" not in answer.stdout
-
-
-def test_every_command_is_listed_with_its_whole_sentence(fraclink: Command) -> None:
-    listed = fraclink("help", "all").out
-    for shown in (
-        listed,
-        fraclink("export", "--help").out,
-        fraclink("campaign", "--help").out,
-    ):
-        assert "..." not in shown.replace("COMMAND [ARGS]...", "")
-    assert (
-        listed.index("\n  inspect ")
-        < listed.index("\n  identify ")
-        < listed.index("\n  design ")
-    )
-    assert " ".join(listed.split()).count("a mapping to paste into the rig file.") == 1
-
-
-def test_a_group_without_a_command_says_where_they_are_listed(
-    fraclink: Command,
-) -> None:
-    answer = fraclink("campaign")
-    assert answer.code == 2
-    assert answer.err == "error: Missing command (see `fraclink campaign --help`)\n"
-
-
-def test_the_design_prints_what_it_asked_and_got(
-    fraclink: Command, tmp_path: Path
-) -> None:
-    answer = fraclink(
-        *DESIGN,
-        "--phase-margin-deg",
-        "50",
-        "--filter-time",
-        "0",
-        "--out",
-        "design.json",
-    )
-    assert answer.code == 0
-    assert answer.out.startswith("✓ passed: controller k_d = ")
-    rows = ("gain crossover", "phase margin", "phase margin, shipped law")
-    for row in rows:
-        assert re.search(rf"^{row} .*✓ passed$", answer.out, re.MULTILINE)
-    assert (
-        "no filter" in answer.out and "W402 info: " in answer.out
-    )  # no filter was asked for
-    assert (
-        answer.err
-        == "written: design.json\nnext: fraclink simulate design.json --payload 0.02\n"
-    )
-    assert [entry.name for entry in tmp_path.iterdir()] == ["design.json"]
-
-
-@pytest.mark.slow
-def test_bounds_may_take_the_place_of_crossover_and_margin(fraclink: Command) -> None:
-    line = "design --rig paper-2023 --max-sensitivity 1.6 --settling-time 0.55 --noise-gain 2 --json"
-    answer = fraclink(*line.split())
-    found = {item["name"]: item for item in json.loads(answer.out)["requirements"]}
-    assert {"sensitivity peak", "noise gain", "settling time"} <= found.keys()
-    assert found["settling time"]["achieved"] <= 0.55 * (1 + 1e-9)
-    assert found["noise gain"]["achieved"] <= 2 * (1 + 1e-9)
-    assert answer.code == (0 if all(item["passed"] for item in found.values()) else 1)
 
 
 def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
@@ -503,49 +410,6 @@ def test_names_cannot_drive_the_terminal(fraclink: Command, name: str) -> None:
     assert json.loads(fraclink("design", "--rig", name, "--json").out)["exit"] == 2
 
 
-def test_clean_leaves_greek_and_units_alone() -> None:
-    assert (
-        clean("ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m")
-        == "ω_c = 12 rad/s, φ_m ≥ 50°, ω₀̄, μ, N·m"
-    )
-
-
-def test_tables_are_aligned() -> None:
-    shown = Table(("a", "b"), (("x", "10"), ("long", "1")))
-    assert table_text(shown) == "a      b\nx     10\nlong   1"
-    wide = Table(("metric", "share of the runs [%]"), (("x", "10"), ("long", "1")))
-    assert table_text(wide, 20).splitlines()[-1] == "long          1"
-
-
-def test_no_line_is_wider_than_the_terminal_and_no_word_is_broken() -> None:
-    words = (
-        "a sentence of several words that must be broken between them and nowhere else"
-    )
-    shown = View(
-        "verdict",
-        (Table(("fault", "worst run", "why"), (("F07", "x" * 20, words),) * 2),),
-        (words,),
-    )
-    lines = plain_text(shown, 60).splitlines()
-    assert max(map(len, lines)) <= 60
-    assert set(" ".join(lines).split()) >= set(words.split())
-
-
-def test_a_table_that_is_too_wide_goes_on_below() -> None:
-    header = ("structure", *(f"parameter {k}" for k in range(8)), "verdict")
-    shown = Table(
-        header, (("UD-FOM", *("1.23456 ± 0.00012",) * 8, "passed"),) * 2, judged=True
-    )
-    lines = table_text(shown, 80).splitlines()
-    assert max(map(len, lines)) <= 80
-    assert sum(line.startswith("UD-FOM") for line in lines) == 2 * sum(
-        "structure" in line for line in lines
-    )
-    assert "\n".join(lines).count("1.23456 ± 0.00012") == 16
-    assert lines[-1].endswith("✓ passed")
-    assert "\n\n" not in table_text(shown, 200)
-
-
 def test_the_module_is_the_command() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "fraclink", "--version"],
@@ -612,12 +476,3 @@ def test_an_option_without_effect_is_refused(
         for place in tmp_path.iterdir()
         if place.name not in ("design.json", "p.csv")
     ] == []
-
-
-def test_the_usual_move_stands_in_the_help(fraclink: Command) -> None:
-    for name, time in (("simulate", "0.5"), ("twin", "1"), ("run-realtime", "1")):
-        words = " ".join(fraclink(name, "--help").out.split())
-        assert (
-            "Size of the move [rad]; default: 1." in words
-            and f"Time of the move [s]; default: {time}." in words
-        )

@@ -7,9 +7,7 @@ from __future__ import annotations
 import io
 import json
 import os
-import subprocess
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
@@ -18,11 +16,9 @@ import pytest
 
 from fraclink._cli import main, tunings
 from fraclink._cli.console import (
-    clean,
-    emit_json,
     guarded,
 )
-from fraclink.errors import FieldError, FraclinkError, FraclinkWarning, InfeasibleError
+from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 
 
 class Terminal(io.StringIO):
@@ -43,61 +39,7 @@ def on_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     return stream
 
 
-# --- text -------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("given", "shown"),
-    [
-        ("\x07", r"\x07"),
-        ("\x7f", r"\x7f"),
-        ("\xff", "\xff"),  # ÿ is a letter
-        ("\xad", r"\xad"),  # a hyphen that nobody sees
-        ("Ā", "Ā"),
-        (
-            "\u0600",
-            r"\u0600",
-        ),  # the first characters of more than a byte that do not print
-        ("\ue000", r"\ue000"),
-        ("a\nb", "a\nb"),
-        (Path("a\tb"), r"a\x09b"),
-    ],
-)
-def test_what_does_not_print_is_written_out(given: object, shown: str) -> None:
-    assert clean(given) == shown
-
-
-def test_a_program_reads_plain_numbers_and_no_gap(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    emit_json({"λ": 0.1 + 0.2})
-    told = capsys.readouterr().out
-    assert (
-        json.loads(told) == {"λ": 0.1 + 0.2} and told.isascii() and told.endswith("}\n")
-    )
-    with pytest.raises(ValueError, match="JSON"):
-        emit_json({"x": float("nan")})
-
-
 # --- errors and warnings ----------------------------------------------------------------------------------
-
-
-def test_warnings_of_fraclink_are_lines_and_others_are_dropped(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    def work() -> int:
-        warnings.warn(FraclinkWarning("W999", "ours\nover two lines"), stacklevel=1)
-        warnings.warn("theirs", RuntimeWarning, stacklevel=1)
-        warnings.warn(FraclinkWarning("W999", "ours again"), stacklevel=1)
-        return 1
-
-    assert guarded(work, as_json=False) == 1
-    assert (
-        capsys.readouterr().err
-        == "warning: W999: ours over two lines\nwarning: W999: ours again\n"
-    )
-    assert guarded(lambda: None, as_json=True) == 0
-    assert capsys.readouterr() == ("", "")
 
 
 def error(kind: str) -> BaseException:
@@ -207,26 +149,6 @@ def test_a_file_with_several_faults_gets_a_line_for_each(
     ]
 
 
-def test_a_wrong_word_says_where_the_right_ones_are(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["design", "--gain", "1", "--json"]) == 2
-    told = capsys.readouterr()
-    assert (
-        told.err.endswith("(see `fraclink design --help`)\n") and "--gain" in told.err
-    )
-    assert (
-        json.loads(told.out)["exit"] == 2
-        and "--gain" in json.loads(told.out)["error"]["problem"]
-    )
-    assert main(["export", "cc"]) == 2
-    assert capsys.readouterr().err.endswith("(see `fraclink export --help`)\n")
-    assert main(["diagnos"]) == 2
-    assert (
-        "diagnose" in capsys.readouterr().err
-    )  # what was meant, though its module was not loaded yet
-
-
 def test_a_reader_that_leaves_a_pipe_is_no_error(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -304,18 +226,6 @@ def test_the_exit_code_outlives_the_reader_of_a_pipe(
     stream.close()
 
 
-def test_a_process_whose_reader_left_ends_as_any_program_does() -> None:
-    for unbuffered, code in (("1", 141), ("", 0)):
-        with left_pipe(buffered=False) as pipe:
-            done = subprocess.run(
-                [sys.executable, "-m", "fraclink", "--version"],
-                stdout=pipe,
-                stderr=subprocess.PIPE,
-                env=os.environ | {"PYTHONUNBUFFERED": unbuffered},
-            )
-        assert (done.returncode, done.stderr) == (code, b"")
-
-
 # --- lists and help -----------------------------------------------------------------------------------------
 
 
@@ -351,21 +261,6 @@ def test_without_typer_the_extra_is_named(
 # --- questions ----------------------------------------------------------------------------------------------
 
 
-def test_a_limit_is_asked_for_until_it_is_a_number(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    terminal = on_terminal(monkeypatch)
-    stdin = Terminal("fast\n 3.5 \n")
-    monkeypatch.setattr(sys, "stdin", stdin)
-    assert tunings._asked("speed", None) == 3.5
-    asked = "How fast may it turn at the gear's output [rad/s]? > "
-    assert terminal.getvalue() == f"{asked}a number, please\n{asked}"
-    assert tunings._asked("speed", 0.0) == 0.0  # what was given is not asked for
-    with pytest.raises(FieldError, match="answer is required"):
-        tunings._asked("payload", None)
-    assert "Which mass does the tip carry now [kg]? > " in terminal.getvalue()
-
-
 @pytest.mark.parametrize(
     ("said", "go"),
     [("y", True), ("YES", True), ("no", False), ("", False), ("ye", False)],
@@ -392,29 +287,6 @@ def test_nobody_is_asked_where_one_end_is_a_pipe(
         tunings._confirmed()
     with pytest.raises(FieldError, match=r"angle_deg is required; .*Give --angle-deg"):
         tunings._asked("angle_deg", None)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", None])
-def test_an_output_without_a_sign_or_closed_has_the_same_verdict(
-    encoding: str | None, tmp_path: Path
-) -> None:
-    verdict = "import sys; from fraclink._cli import main; sys.exit(main(sys.argv[1:]))"
-    command = (sys.executable, "-c", verdict, "doctor")
-    environment = os.environ | {"LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0"}
-    if encoding is not None:
-        environment["PYTHONIOENCODING"] = encoding
-        run = subprocess.run(  # noqa: S603
-            command, env=environment, capture_output=True, check=False
-        )
-        assert b"\\u2713" in run.stdout and b"\xe2\x9c\x93" not in run.stdout
-    else:
-        run = subprocess.run(  # noqa: S603
-            ("/bin/sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command),
-            env=environment,
-            check=False,
-        )
-    assert run.returncode == 0
 
 
 def test_memory_that_does_not_suffice_is_no_defect(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 from fraclink._arm.rig import Rig
 from fraclink._cli.app import run
-from fraclink._files import kind_of
 from fraclink._reading.reading import bundled_log
 from fraclink.extend import StructureFit
 
@@ -23,79 +21,9 @@ def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> dict[str, 
     return result
 
 
-@pytest.mark.slow
-def test_compare_structures(capsys: pytest.CaptureFixture[str]) -> None:
-    result = told(["compare-structures", "demo", "--rig", "paper-2023"], capsys)
-    assert result["preferred"] == "UD-FOM"
-    assert set(result["fits"]) == {"UD-IOM", "D-IOM", "UD-FOM", "D-FOM"}  # type: ignore[call-overload]
-    assert run(["compare-structures", "demo", "--rig", "paper-2023"]) == 0
-    text = capsys.readouterr().out
-    assert "UD-FOM is preferred" in text
-    assert "W301" in text
-
-
-@pytest.mark.slow
-def test_identify_payloads(capsys: pytest.CaptureFixture[str]) -> None:
-    logs = [str(bundled_log(f"prbs_{grams}g")) for grams in (20, 30, 40)]
-    result = told(["identify-payloads", *logs, "--rig", "paper-2023"], capsys)
-    orders = result["orders"]
-    assert isinstance(orders, list)
-    assert orders[0] == orders[2] == pytest.approx(1.92, abs=0.002)
-    assert run(["identify-payloads", *logs, "--rig", "paper-2023", "--tied"]) == 1
-    assert "stiffness of eq. (5) cannot be common" in capsys.readouterr().out
-    assert (
-        run(["identify-payloads", *logs, "--rig", "paper-2023", "--payload", "0.02"])
-        == 2
-    )
-    assert "payload" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_identify_spectrum(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = ["frequency_Hz,gain_dB,phase_deg"]
-    for k in range(80):
-        x = (1j * (1 + 0.5 * k)) ** 1.92
-        h = 1.56 * x / (x + 100)
-        phase = math.degrees(math.atan2(h.imag, h.real))
-        rows.append(
-            f"{(1 + 0.5 * k) / 2 / math.pi:.9f},{20 * math.log10(abs(h)):.9f},{phase:.9f}"
-        )
-    table = tmp_path / "response.csv"
-    table.write_text("\n".join(rows) + "\n")
-    result = told(["identify-spectrum", str(table)], capsys)
-    assert result["order"] == pytest.approx(1.92, abs=1e-5)
-    assert run(["identify-spectrum", str(table)]) == 0
-    assert "resonance 1" in capsys.readouterr().out
-    assert run(["identify-spectrum", str(bundled_log("prbs_30g"))]) == 2
-    assert "frequency_rad_s" in capsys.readouterr().err
-
-
 def test_identify_motor_needs_a_voltage(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["identify-motor", "demo", "--rig", "paper-2023"]) == 2
     assert "voltage" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_identify_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from made_logs import example_motor_log
-
-    voltage, angle = example_motor_log(samples=2500)
-    rows = ["t,enc,u"]
-    rows += [
-        f"{0.004 * k:.4f},{a:.9f},{v:.9f}"
-        for k, (a, v) in enumerate(zip(angle, voltage, strict=True))
-    ]
-    log = tmp_path / "motor.csv"
-    log.write_text("\n".join(rows) + "\n")
-    columns = ("time=t [s]", "motor_angle=enc [rad]", "voltage=u [V]")
-    stated = [word for text in columns for word in ("--column", text)]
-    result = told(["identify-motor", str(log), *stated, "--rig", "paper-2023"], capsys)
-    assert result["gain"] == pytest.approx(3056.77, rel=0.02)
-    assert result["coulomb_torque"] is not None
-    assert run(["identify-motor", str(log), *stated]) == 0
-    assert "K/J" in capsys.readouterr().out
-    assert run(["identify-motor", str(log)]) == 2
-    assert "--column" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -173,23 +101,6 @@ def test_a_ring_down_is_fitted_on_the_command_line(
     assert "has no input" in capsys.readouterr().err
 
 
-def test_plan_experiment(capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = [
-        "plan-experiment",
-        "--rig",
-        "paper-2023",
-        "--standard-error",
-        "0.001",
-        "--noise",
-        "0.04",
-    ]
-    assert told(wanted, capsys)["standard_error"] == pytest.approx(0.001)
-    assert run(wanted) == 0
-    assert "amplitude" in capsys.readouterr().out
-    assert run([*wanted, "--deflection-limit", "0.001"]) == 1
-    assert "nearest feasible" in capsys.readouterr().err
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("verb", ["identify", "compare-structures"])
 def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
@@ -215,46 +126,3 @@ def test_a_log_with_a_reversed_gauge_is_fitted_and_does_not_hold(
     assert run([*asked, "--json", *(["--force"] if out else [])]) == 1
     findings = json.loads(capsys.readouterr().out)["findings"]
     assert findings[0]["severity"] == "error"
-
-
-@pytest.mark.slow
-def test_a_natural_frequency_of_zero_is_a_dash_with_its_meaning(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert run(["compare-structures", "demo", "--rig", "paper-2023"]) == 0
-    text = capsys.readouterr().out
-    row = next(line for line in text.splitlines() if line.startswith("D-FOM"))
-    assert row.split()[1] == "–"
-    assert "UD-FOM with λ = 2 − α = 1.9197, ω₀ = √μ = 10.78" in " ".join(text.split())
-
-
-@pytest.mark.slow
-def test_identify_structure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, out = str(bundled_log("prbs_30g")), str(tmp_path / "fit.json")
-    channels = ["--input", "motor_angle_rad", "--output", "torque_Nm", "--out", out]
-    told_of = told(
-        ["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--fix", "a=1.92"],
-        capsys,
-    )
-    assert told_of["parameters"]["a"] == 1.92  # type: ignore[index]
-    assert told_of["passed"]
-    assert kind_of(Path(out)) == "structure-fit"
-    bad = ["identify-structure", log, "k*s**a/(s**a + w)", *channels, "--force"]
-    for wrong in (
-        ["--fix", "a"],
-        ["--fix", "a=x"],
-        ["--bound", "a=1"],
-        ["--fix", "q=1"],
-        ["--time", "none"],
-    ):
-        assert run([*bad, *wrong]) == 2
-    assert run(["identify-structure", log, "k/s", "--input", "motor_angle_rad"]) == 2
-    assert (
-        run(["identify-structure", log, "k/s"]) == 2
-    )  # no table of a frequency response
-    capsys.readouterr()
-    assert run([*bad, "--fix", "a=1.9", "--fix", "a = 2"]) == 2
-    assert "fix: given beside a=1.9 (got a= 2)" in capsys.readouterr().err
-    for ignored in (["--period-ms", "2"], ["--time", "t"]):
-        assert run(["identify-structure", log, "k/s", *ignored]) == 2
-        assert "given beside a frequency response" in capsys.readouterr().err

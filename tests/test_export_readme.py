@@ -4,10 +4,8 @@ makes of the files.
 
 from __future__ import annotations
 
-import math
 import re
 import struct
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,27 +15,12 @@ import fraclink as fl
 from fraclink._arm.reference import sampled
 from fraclink._export import export_c
 from fraclink._export.board import export_reference
-from fraclink._export.c import readme
-from fraclink._export.claims import (
-    NOT_CLAIMED,
-    NOT_CLAIMED_OF_PID,
-    claims_text,
-    worst_case,
-)
-from fraclink._export.data import data_header, exact_flags, exact_sizes, hex_float
+from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._export.payload import payload_files, payload_readme
-from fraclink._law import Law
 from fraclink._law.estimator import HEADER, REALS, PayloadEstimator, payload_estimator
-from law_bench import law, with_pair
+from law_bench import law
 from needed_tools import tool
 from test_export import FLAGS, run, single
-from test_export_fmu_description import pid
-
-ROOT = Path(__file__).resolve().parents[1]
-
-
-def page_of(made: Law) -> str:
-    return readme(made, name="law_data", data="law_data.h")
 
 
 def rows_of(page: str) -> dict[str, list[str]]:
@@ -51,58 +34,6 @@ def rows_of(page: str) -> dict[str, list[str]]:
 
 
 # --- README.md ----------------------------------------------------------------------------------------------
-
-
-def test_the_limits_are_those_that_the_header_ships() -> None:
-    """Each number of the table is the one of law_data.h, and each unit the one of
-    law.h.
-    """
-    made = law("single")
-    rows = rows_of(page_of(made))
-    units = dict(
-        re.findall(
-            r"law_real (\w+);.*\[([^]]+)\]",
-            (ROOT / "csrc/law.h").read_text(encoding="utf-8"),
-        )
-    )
-    for name, shipped in asdict(made.limits).items():
-        value, unit, meaning = rows[name]
-        assert float(value) == pytest.approx(shipped, rel=5e-6) and meaning
-        wanted = {"N m": "N·m", "rad^2": "rad²"}.get(
-            units.get(name, ""), units.get(name)
-        )
-        assert unit == (wanted or unit)
-        counted = name.endswith("_limit") and isinstance(shipped, int)
-        assert (unit == "periods") == counted, name
-
-
-@pytest.mark.slow
-def test_a_pid_has_the_limits_that_can_act_on_it() -> None:
-    made = pid()
-    page = page_of(made)
-    rows = rows_of(page)
-    shown = [
-        "angle_limit",
-        "sum_limit",
-        "correction_limit",
-        "motor_limit",
-        "bad_limit",
-        "missed_limit",
-    ]
-    assert [
-        name for name in rows if name.endswith(("limit", "step", "trip", "angle"))
-    ] == shown
-    for name in shown:
-        assert float(rows[name][0]) == pytest.approx(
-            float(getattr(made.limits, name)), rel=5e-6
-        )
-        assert rows[name][1] == (
-            "periods" if name in ("bad_limit", "missed_limit") else "of the measurement"
-        )
-    assert "fractional PID, output within ±7.5, integral with anti-windup" in page
-    assert "u = C(z) (r − y)" in page
-    assert "feed-forward" not in page and "Stability of the loop" not in page
-    assert page.endswith(NOT_CLAIMED_OF_PID)
 
 
 @pytest.mark.slow
@@ -139,141 +70,6 @@ def test_the_memory_is_what_a_compiler_needs(precision: str, tmp_path: Path) -> 
     assert f"add `{' '.join(exact_flags(made))}`: law.c" in page
 
 
-@pytest.mark.slow
-def test_the_flags_of_a_build_for_one_law(tmp_path: Path) -> None:
-    """A kind of modes that there is none of: C has no empty arrays, so pairs are left
-    out, others refuse.
-    """
-    made = law()
-    counts = len(made.correction.poles), len(made.feedforward.poles)
-    assert exact_flags(made) == (
-        f"-DLAW_REALS={counts[0]}U",
-        f"-DLAW_FORWARDS={counts[1]}U",
-    )
-    assert exact_flags(with_pair())[1] == "-DLAW_PAIRS=1U"
-    assert exact_flags(pid()) == ()  # no feed-forward
-    assert "loops of fixed length" not in page_of(pid())
-    for made in (law(), pid()):
-        export_c(made, tmp_path / str(made.order))
-    check = (tool("gcc"), *FLAGS, "-fsyntax-only", "law_selftest.c")
-    here, of_pid = (tmp_path / str(made.order) for made in (law(), pid()))
-    run(*check, *exact_flags(law()), cwd=here)
-    other = (f"-DLAW_REALS={counts[0] + 1}U", f"-DLAW_FORWARDS={counts[1]}U")
-    assert (
-        f"made for {' '.join(exact_flags(law()))}"
-        in run(*check, *other, cwd=here, check=False).stderr
-    )
-    run(*check, cwd=of_pid)
-    told = run(
-        *check, "-DLAW_REALS=4U", "-DLAW_FORWARDS=1U", cwd=of_pid, check=False
-    ).stderr
-    assert "no modes of one kind" in told
-
-
-@pytest.mark.slow
-def test_what_the_page_says_of_build_call_and_precision() -> None:
-    made = law("single")
-    page = page_of(made)
-    assert page.startswith("# Control law, period 4 ms, single precision\n")
-    assert f"Law `{made.digest}`." in page
-    assert "-ffp-contract=off -DLAW_SINGLE -O2 law_selftest.c" in page
-    assert "-DLAW_SINGLE" not in page_of(law("double"))
-    assert "motor loop closed by the law, voltage within ±10 V" in page
-    assert "no motor loop: `motor_reference` goes to" in page_of(law(equipped=False))
-    # The wiring test has a third of the time after which a blocked link is given up.
-    time = made.limits.block_limit * 0.004 / 3
-    assert (
-        f"turns by\n{made.wiring_angle():.2f} rad or more within {time:.2f} s" in page
-    )
-    rows = rows_of(page)
-    decibels, angle = made.correction_error
-    assert rows["C = 1 + Ĉ against the design, 0.05 to 300 rad/s"] == [
-        f"{decibels:.3f} dB, {angle:.3f}°"
-    ]
-    decibels, angle = made.feedforward_error
-    forward = "feed-forward against s^(λ−2)/ω₀², from a fifth of the resonance on"
-    assert rows[forward] == [f"{decibels:.3f} dB, {angle:.3f}°"]
-    bounds = worst_case(made)
-    assert bounds.error == 0.5
-    (gain,) = (row for name, row in rows.items() if name.startswith("worst-case gain"))
-    (rounding,) = (
-        row for name, row in rows.items() if name.startswith("rounding of Ĉe")
-    )
-    assert (gain, rounding) == (
-        [f"{bounds.gain:.9g}"],
-        [f"≤ {bounds.rounding:.2e} rad"],
-    )
-    assert "`voltage` within ±10 V" in page and "±10 V" not in page_of(
-        law(equipped=False)
-    )
-    assert page.endswith(
-        f"{NOT_CLAIMED}Stability of the loop is the design's matter.\n"
-    )
-
-
-@pytest.mark.slow
-def test_claims_proved_failed_and_open() -> None:
-    made = law()
-    logs = (("proof/finite.log", "0123456789abcdef" * 4),)
-    claims = (
-        fl.extend.Claim(
-            "outputs",
-            "commands stay within their ranges",
-            "proved",
-            tools=("frama-c 26", "z3 4.8"),
-            logs=logs,
-        ),
-        fl.extend.Claim(
-            "rounding", "rounding stays below 1e-9 rad", "failed", "a counterexample"
-        ),
-        fl.extend.Claim(
-            "loop", "the loop is stable", "not proved", "no certificate was given"
-        ),
-    )
-    proof = fl.extend.Proof(made.digest, {"law.c": "11"}, claims)
-    text = claims_text(made, proof)
-    assert (
-        "## Proved\n" in text and "## Not proved\n" in text and "## Claimed" not in text
-    )
-    words = " ".join(text.split())
-    assert (
-        "- commands stay within their ranges. (frama-c 26, z3 4.8: `proof/finite.log` 0123456789ab)"
-        in words
-    )
-    assert "- rounding stays below 1e-9 rad: does not hold. a counterexample." in words
-    assert "- the loop is stable: not proved. no certificate was given." in words
-    assert (
-        text.index("Proved")
-        < text.index("does not hold")
-        < text.index("## Not claimed")
-    )
-    assert text.endswith(NOT_CLAIMED)
-    # The certificate bounds the second mode: what is left open are the modes that it
-    # does not name.
-    assert "modes of the link that nothing above names" in NOT_CLAIMED
-    assert max(map(len, text.splitlines())) <= 110
-    # A rounding that is proved stands among the claims, sharper: not in the table as
-    # well.
-    shown = "| rounding of Ĉe"
-    assert shown in readme(made, name="law_data", data="law_data.h", proof=proof)
-    proved = (
-        *claims[:1],
-        fl.extend.Claim(
-            "rounding", "rounding stays below 1e-9 rad", "proved", tools=("gappa",)
-        ),
-    )
-    whole = fl.extend.Proof(made.digest, {}, proved)
-    assert shown not in readme(made, name="law_data", data="law_data.h", proof=whole)
-    assert "Not proved" not in claims_text(made, whole)
-    nothing = claims_text(made, fl.extend.Proof(made.digest, {}, claims[1:]))
-    assert "## Proved" not in nothing and nothing.startswith("## Not proved")
-    assert str(proof).splitlines() == [
-        "proved: commands stay within their ranges",
-        "failed: rounding stays below 1e-9 rad [a counterexample]",
-        "not proved: the loop is stable [no certificate was given]",
-    ]
-
-
 def test_a_proof_comes_back_from_its_file(tmp_path: Path) -> None:
     claim = fl.extend.Claim(
         "loop",
@@ -286,41 +82,6 @@ def test_a_proof_comes_back_from_its_file(tmp_path: Path) -> None:
     proof.save(tmp_path / "proof.json")
     assert fl.extend.Proof.load(tmp_path / "proof.json") == proof
     assert '"passed": true' in (tmp_path / "proof.json").read_text(encoding="utf-8")
-
-
-# --- law_data.h ---------------------------------------------------------------------------------------------
-
-
-def test_the_header_names_itself_and_its_precision() -> None:
-    texts = {
-        p: data_header(law(p), name="arm_2", title="Arm 2")
-        for p in ("single", "double")
-    }
-    for precision, text in texts.items():
-        assert text.startswith(
-            f"/* Coefficients of the control law: data only, generated by fraclink {fl.__version__}. Arm 2\n"
-        )
-        assert "#ifndef FRACLINK_ARM_2_H\n#define FRACLINK_ARM_2_H\n" in text
-        assert f"this block is in {precision} precision" in text
-    assert (
-        '#if ! defined(LAW_SINGLE)\n#error "this block is in single' in texts["single"]
-    )
-    assert '#if defined(LAW_SINGLE)\n#error "this block is in double' in texts["double"]
-    assert (
-        "this file with -DLAW_SINGLE" in texts["single"]
-        and "this file without -DLAW_SINGLE" in texts["double"]
-    )
-    assert (
-        ".pair = " not in texts["double"]
-    )  # there are none: C fills the array with zeros
-    paired = data_header(with_pair(), name="law_data", title="")
-    values = re.findall(r"\.pair = \{\{(.+?)\}\},", paired)[0].split(", ")
-    assert [float.fromhex(value) for value in values] == pytest.approx(
-        [0.93, 0.06, 0.02, -0.03], rel=1e-7
-    )
-    assert "generated by fraclink" in paired.splitlines()[0] and paired.splitlines()[
-        0
-    ].endswith(".")
 
 
 # --- the payload estimator --------------------------------------------------------------------------------
@@ -422,14 +183,3 @@ def test_a_table_reaches_the_end_of_the_motion(
             float.fromhex(cell) for cell in re.findall(r"\(law_real\)(\S+),", array)
         ]
         np.testing.assert_array_equal(listed, values[:, column])
-
-
-def test_hex_floats_are_short() -> None:
-    texts = {
-        0.5: "0x1.0p-1",
-        0.1: "0x1.999999999999ap-4",
-        -3.0: "-0x1.8p+1",
-        0.0: "0x0.0p+0",
-    }
-    assert {value: hex_float(value, "double") for value in texts} == texts
-    assert hex_float(math.ldexp(1.5, 100), "single") == "0x1.8p+100F"

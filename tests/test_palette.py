@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink.view._pages import DARK, DASHES, LIGHT, LINES, colours
+from fraclink.view._pages import DARK, LIGHT, LINES, colours
 
 Real = NDArray[np.float64]
 
@@ -117,25 +116,6 @@ def _polar(colour: Real, stretched: float) -> tuple[float, float, float]:
     )
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "wanted"),
-    [
-        ((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425),
-        ((50, 2.49, -0.001), (50, -2.49, 0.0009), 7.1792),
-        ((50, 2.5, 0), (73, 25, -18), 27.1492),
-        ((60.2574, -34.0099, 36.2677), (60.4626, -34.1751, 39.4387), 1.2644),
-        ((22.7233, 20.0904, -46.694), (23.0331, 14.973, -42.5619), 2.0373),
-        ((2.0776, 0.0795, -1.135), (0.9033, -0.0636, -0.5514), 0.9082),
-    ],
-)
-def test_the_distance_is_the_published_one(
-    first: tuple[float, ...], second: tuple[float, ...], wanted: float
-) -> None:
-    assert distance(np.array(first), np.array(second)) == pytest.approx(
-        wanted, abs=1e-4
-    )
-
-
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
 @pytest.mark.parametrize("names", [CURVES, LEVELS, *ARM])
 @pytest.mark.parametrize("vision", VISION)
@@ -144,26 +124,6 @@ def test_any_two_colours_of_a_figure_differ_for_every_eye(
 ) -> None:
     seen = [lab(VISION[vision] @ linear(colours(theme)[name])) for name in names]
     assert min(distance(a, b) for a, b in combinations(seen, 2)) >= 20.0
-
-
-def distances(names: tuple[str, ...], theme: int) -> list[float]:
-    """Smallest distance for each kind of vision, then in grey."""
-    lights = [linear(colours(theme)[name]) for name in names]
-    found = [
-        min(distance(lab(seen @ a), lab(seen @ b)) for a, b in combinations(lights, 2))
-        for seen in VISION.values()
-    ]
-    return [*found, min(np.diff(sorted(float(lab(light)[0]) for light in lights)))]
-
-
-def test_the_page_of_plots_states_the_distances() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "how-to" / "plots.md").read_text(
-        "utf-8"
-    )
-    for theme, word in ((LIGHT, "light"), (DARK, "dark")):
-        for names, what in ((CURVES, "ink and lines"), (LEVELS, "levels")):
-            values = " | ".join(f"{value:.1f}" for value in distances(names, theme))
-            assert f"| {word} | {what} | {values} |" in page
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])
@@ -189,12 +149,3 @@ def test_lines_and_texts_stand_out_from_the_page(theme: int) -> None:
         assert contrast(known[name], known["card"]) >= 4.5, name
     for name in ("accent", *LEVELS):
         assert contrast(known[f"on-{name}"], known[name]) >= 4.5, name
-
-
-def test_every_line_has_dashes_of_its_own() -> None:
-    assert len({DASHES[line] for line in LINES}) == len(LINES)
-
-
-def test_both_themes_name_the_same_colours() -> None:
-    assert colours(LIGHT).keys() == colours(DARK).keys()
-    assert {*CURVES, *LEVELS} <= colours().keys()

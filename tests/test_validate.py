@@ -5,47 +5,30 @@ how it is refused.
 from __future__ import annotations
 
 import dataclasses
-import gc
 import math
-import pickle
-import typing
-import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fraclink._files.codec import Storage, codec_of
-from fraclink.errors import FieldError, LogError
+from fraclink.errors import FieldError
 from fracsys.checks import (
     Angle,
     Array,
     Between,
     Count,
     FilePath,
-    Length,
     Ordered,
     Payload,
     Period,
-    PhaseMargin,
     Seed,
     Series,
     SeriesLike,
-    Where,
     checked,
-    checked_between,
-    checked_choice,
-    checked_noun,
-    checked_number,
-    checked_series,
-    checked_whole,
-    describe,
-    is_whole,
-    rules,
 )
 from fracsys.checks.equality import compared
 from fracsys.checks.rules import rule
@@ -65,10 +48,6 @@ class Log:
     """Something a user gets from a function."""
 
     __made_by__ = "read_log(path)"
-
-
-class Shape(Protocol):
-    def area(self) -> float: ...
 
 
 # --- numbers --------------------------------------------------------------------------------------------
@@ -181,15 +160,6 @@ def test_paths_are_texts_that_name_something() -> None:
             assert refusal(annotation, junk).allowed == "the name of a file or folder"
 
 
-def test_a_text_beside_a_class_stays_a_text() -> None:
-    assert rule(Log | str | Path).check("x", "log.csv") == "log.csv"
-
-
-def test_functions_are_callable() -> None:
-    assert rule(Callable[[float], float]).check("x", math.sin) is math.sin
-    assert refusal(Callable[[float], float], 3.0).problem == "not a function"
-
-
 def test_an_instance_says_where_to_get_one() -> None:
     log = Log()
     assert rule(Log).check("log", log) is log
@@ -201,11 +171,6 @@ def test_an_instance_says_where_to_get_one() -> None:
     )
     assert refusal(FieldError, 3).remedy == "give a FieldError"
     assert refusal(Log, object()).value == "object"
-
-
-def test_anything_and_protocols_are_left_to_the_type_checker() -> None:
-    for annotation in (Any, object, Shape):
-        assert rule(annotation).check("x", 3) == 3
 
 
 def test_none_is_only_what_is_optional() -> None:
@@ -226,40 +191,7 @@ def test_a_union_reports_the_member_whose_kind_fits() -> None:
     assert other.allowed == "> 0 and <= 10000 kg, given or a Log"
 
 
-def test_a_kind_that_is_tried_in_vain_keeps_no_caller_alive() -> None:
-    """A refusal that lives on in a cycle holds every frame up to the caller's, and the
-    arrays in it.
-    """
-
-    def caller() -> weakref.ref[NDArray[np.float64]]:
-        samples = np.zeros(3)
-        assert rule(int | str | None).convert("a text") == "a text"
-        return weakref.ref(samples)
-
-    gc.disable()
-    try:
-        assert caller()() is None
-    finally:
-        gc.enable()
-
-
-def test_metadata_beside_a_union_narrows_each_member() -> None:
-    optional = Annotated[float | None, Between(0.0, 1.0)]
-    assert rule(optional).check("x", None) is None
-    refusal(optional, 2.0)
-
-
 # --- sequences, pairs, mappings -----------------------------------------------------------------------------
-
-
-def test_a_pair_is_checked_entry_by_entry() -> None:
-    pair = tuple[Payload, Payload]
-    for value in ((1, 2), [1, 2], np.array([1.0, 2.0])):
-        plain = rule(pair).check("payloads", value)
-        assert plain == (1.0, 2.0) and all(type(entry) is float for entry in plain)
-    assert refusal(pair, (1.0, -1.0)).field == "x[1]"
-    for junk in ((1.0,), (1.0, 2.0, 3.0), "ab", 1.0, {1.0: 2.0, 2.0: 1.0}, None):
-        assert refusal(pair, junk).problem == "not a pair"
 
 
 def test_an_ordered_pair_ascends() -> None:
@@ -286,32 +218,11 @@ def test_a_list_stays_a_list_and_generators_are_read_once() -> None:
     assert rule(Iterable[int]).check("x", (n for n in (1, 2))) == (1, 2)
 
 
-def test_lengths_are_bounded() -> None:
-    few = Annotated[tuple[float, ...], Length(1, 3)]
-    assert rule(few).check("x", [1]) == (1.0,)
-    assert refusal(few, []).problem == "empty"
-    assert refusal(few, [1, 2, 3, 4]).problem == "of another length"
-    assert (
-        refusal(Annotated[str, Length(1, 2)], "abc").allowed
-        == "a text; 1 to 2 characters"
-    )
-
-
 def test_mappings_are_checked_value_by_value() -> None:
     table = Mapping[str, Payload]
     assert rule(table).check("x", {"a": 1}) == {"a": 1.0}
     assert refusal(table, {"a": 1.0, "b": 0.0}).field == "x['b']"
     assert refusal(table, [("a", 1.0)]).problem == "not a mapping"
-
-
-def test_a_condition_of_its_own_has_words() -> None:
-    name = Annotated[
-        str, Where(str.isidentifier, "a Python identifier", remedy="use letters and _")
-    ]
-    assert rule(name).check("x", "tip") == "tip"
-    error = refusal(name, "2nd")
-    assert (error.allowed, error.remedy) == ("a Python identifier", "use letters and _")
-    assert refusal(name, 3).problem == "not a text"
 
 
 # --- arrays -----------------------------------------------------------------------------------------------
@@ -379,277 +290,6 @@ def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:
     assert rule(Series, own=True).check("x", view) is not view
 
 
-# --- words for people ---------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("annotation", "words"),
-    [
-        (float, "a finite number"),
-        (Period, "> 0 and <= 10 s"),
-        (Angle, "-1e6 to 1e6 rad"),
-        (PhaseMargin, "> 0 and < 3.14159 rad"),
-        (Annotated[float, Between(0.0, unit="kg", low_open=True)], "> 0 kg"),
-        (Annotated[float, Between(0.0, finite=False)], ">= 0 or infinite"),
-        (Annotated[int, Between(0, 8, "samples")], "whole number 0 to 8 samples"),
-        (Annotated[int, Between(1)], "whole number >= 1"),
-        (int, "whole number"),
-        (bool | None, "True or False"),
-        (Literal["a", "b", "c"], "a, b or c"),
-        (Series, "finite numbers of shape (N,)"),
-        (tuple[Payload, ...], "a list, each entry > 0 and <= 10000 kg"),
-        (tuple[float, str], "a pair: a finite number, a text"),
-        (Log, "a Log"),
-    ],
-)
-def test_a_range_reads_as_engineers_write_it(annotation: Any, words: str) -> None:
-    assert describe(annotation) == words
-
-
-@pytest.mark.parametrize(
-    ("between", "words"),
-    [
-        (Between(-999_999, 999_999), "-999999 to 999999"),
-        (Between(-(10**6), 10**6), "-1e6 to 1e6"),
-        (Between(300_000.0, 1_500_000.0), "300000 to 1.5e6"),
-        (Between(1e-12, 2.5e-7), "1e-12 to 2.5e-7"),
-        (Between(0.1, 7.0, "s", low_open=True, high_open=True), "> 0.1 and < 7 s"),
-        (Between(0.1, 7.0, high_open=True), ">= 0.1 and < 7"),
-        (Between(high=7.0), "<= 7"),
-        (Between(high=7.0, high_open=True, unit="V"), "< 7 V"),
-        (Between(unit="V"), "a finite number V"),
-        (Between(finite=False), "a number"),
-        (Between(unit="V", finite=False), "a number V"),
-        (Between(0.0, 1.0, "V", finite=False), "0 to 1 V or infinite"),
-    ],
-)
-def test_figures_of_a_range(between: Between, words: str) -> None:
-    assert between.expected == words
-
-
-@pytest.mark.parametrize(
-    ("array", "words"),
-    [
-        (Array(None), "finite numbers of any shape"),
-        (Array(0, finite=False), "numbers of no axis"),
-        (Array(2, min_size=3), "finite numbers of shape (N, M) with N >= 3"),
-        (Array(3), "finite numbers of 3 axes"),
-    ],
-)
-def test_shapes_in_words(array: Array, words: str) -> None:
-    assert array.expected == words
-
-
-@pytest.mark.parametrize(
-    ("annotation", "words"),
-    [
-        (Annotated[int, Between(high=3)], "whole number"),
-        (Annotated[int, Between(2, 2 * 10**6)], "whole number 2 to 2e6"),
-        (
-            Annotated[tuple[int, ...], Length(2)],
-            "a list, each entry whole number; at least 2 entries",
-        ),
-        (
-            Annotated[tuple[int, ...], Length(2, 4)],
-            "a list, each entry whole number; 2 to 4 entries",
-        ),
-        (tuple[float, float, float], "3 values, each a finite number"),
-        (tuple[Any, ...], "a list"),
-        (Mapping[str, float], "a mapping, each value a finite number"),
-        (complex, "a finite complex number"),
-        (float | str, "a finite number or a text"),
-        (Series | None, "finite numbers of shape (N,)"),
-        (
-            Annotated[Series, Between(0.0, 1.0)],
-            "finite numbers of shape (N,), each 0 to 1",
-        ),
-        (FieldError, "a FieldError"),
-        (Exception, "an Exception"),
-    ],
-)
-def test_other_ranges_in_words(annotation: Any, words: str) -> None:
-    assert describe(annotation) == words
-
-
-def test_a_rule_carries_its_bounds_and_unit() -> None:
-    narrowed: tuple[Any, ...] = (
-        Payload,
-        Payload | None,
-        Annotated[float, Between(0.0, 1e4, "kg", low_open=True)],
-    )
-    for annotation in narrowed:
-        found = rule(annotation)
-        assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
-    pair = Annotated[tuple[Payload, Payload], Ordered(strict=True)]
-    several: tuple[Any, ...] = (
-        pair,
-        tuple[Payload, ...],
-        Annotated[tuple[Payload, ...], Length(1, 3)],
-    )
-    for annotation in several:
-        found = rule(annotation)
-        assert (found.unit, found.low, found.high) == ("kg", 0.0, 1e4)
-    assert rule(Count).low == 1 and rule(Count).high == 10**9
-    assert rule(Mapping[str, Payload]).unit == "kg"
-    assert rule(Annotated[Series, Between(0.0, 1.0, "V")]).unit == "V"
-    assert rule(Series).unit == ""
-    assert rule(Literal["a", "b"] | None).choices == ("a", "b")
-    assert (rule(float).low, rule(float).high) == (-math.inf, math.inf)
-
-
-def test_what_was_given_is_shown_in_one_line() -> None:
-    assert refusal(float, [1, 2]).value == "[1, 2]"
-    assert refusal(float, list(range(8))).value == "[0, 1, 2, 3, 4, 5, 6, 7]"
-    assert refusal(float, list(range(9))).value == "list"
-    assert refusal(float, {"a": 1}).value == "dict"
-    assert refusal(float, None).value == "None"
-    assert refusal(float, "x").value == "'x'"
-    assert refusal(Series, np.zeros((2, 3))).value == "shape (2, 3)"
-    assert refusal(Series, [0.0, math.inf]).value == math.inf
-    masses = Annotated[NDArray[np.float64], Array(None), Between(0.0, 1.0)]
-    error = refusal(masses, np.array(2.0))
-    assert (error.value, error.problem) == (2.0, "out of range (entry the only one)")
-
-
-def test_a_number_out_of_an_array_is_shown_as_it_was_written() -> None:
-    bounded = Annotated[NDArray[np.float64], Array(1), Between(0.0, 2.0)]
-    for entry in (math.nan, -2.5, 3.0):
-        assert f"(got {entry!r})" in str(refusal(bounded, np.array([1.0, entry])))
-    for scalar, words in (
-        (np.float32(0.5), "0.5"),
-        (np.True_, "True"),
-        (np.int64(7), "7"),
-        (np.str_("a"), "a"),
-    ):
-        error = FieldError("x", scalar, "wrong", allowed="another", remedy="")
-        assert str(error) == f"x: wrong (got {words}); expected another."
-
-
-def test_what_to_do_fits_the_kind() -> None:
-    assert refusal(float, "x").remedy == "check the value and its unit"
-    assert refusal(int, 1.5).remedy == "give a whole number"
-    assert (
-        refusal(Annotated[int, Between(1, 3, remedy="count again")], 9).remedy
-        == "count again"
-    )
-    assert refusal(Series, "x").remedy == "give one column of numbers"
-    assert refusal(NDArray[np.float64], "x").remedy == "give an array of numbers"
-    assert refusal(tuple[float, float], 1.0).remedy == "give a pair"
-    assert refusal(tuple[float, ...], 1.0).remedy == "put a single one in a list"
-    assert refusal(Mapping[str, float], 1.0).remedy == "give a dict"
-    assert (
-        refusal(Annotated[tuple[float, ...], Length(1, 3)], []).remedy == "give 1 to 3"
-    )
-    assert (
-        refusal(Annotated[tuple[float, ...], Length(2)], [1.0]).remedy
-        == "give at least 2"
-    )
-    strict = Annotated[tuple[float, float], Ordered(strict=True)]
-    assert refusal(strict, (2.0, 1.0)).remedy == "give the smaller one first"
-    assert (
-        refusal(strict, (2.0, 1.0)).allowed
-        == "(low, high) with low < high, each a finite number"
-    )
-    assert rule(strict).check("x", (1.0, 2.0)) == (1.0, 2.0)
-    assert (
-        refusal(float | str, [1]).remedy == "check the value and its unit or give a str"
-    )
-
-
-# --- calls by name ------------------------------------------------------------------------------------------
-
-
-def test_a_number_by_name_with_its_bounds() -> None:
-    assert checked_between("x", 1, 1.0, 2.0) == 1.0
-    assert checked_between("x", 2, 1.0, 2.0) == 2.0
-    with pytest.raises(FieldError) as caught:
-        checked_between("x", 1.0, 1.0, 2.0, "s", open_low=True, remedy="wait")
-    assert (caught.value.field, caught.value.allowed, caught.value.remedy) == (
-        "x",
-        "> 1 and <= 2 s",
-        "wait",
-    )
-    with pytest.raises(FieldError) as caught:
-        checked_number(
-            "x",
-            3,
-            allowed="an even number",
-            holds=lambda n: n % 2 == 0,
-            remedy="add one",
-        )
-    assert (caught.value.value, caught.value.allowed, caught.value.remedy) == (
-        3.0,
-        "an even number",
-        "add one",
-    )
-    assert (
-        checked_number("x", 4, allowed="an even number", holds=lambda n: n % 2 == 0)
-        == 4.0
-    )
-    for junk, problem in (("4", "not a number"), (math.nan, "not finite")):
-        with pytest.raises(FieldError) as caught:
-            checked_number("x", junk, allowed="an even number", remedy="add one")
-        assert (caught.value.problem, caught.value.allowed) == (
-            problem,
-            "an even number",
-        )
-
-
-def test_whole_numbers_and_choices_by_name() -> None:
-    assert [checked_whole("n", k, 1, 3) for k in (1, np.int8(3))] == [1, 3]
-    with pytest.raises(FieldError) as caught:
-        checked_whole("n", 4, 1, 3, "samples")
-    assert caught.value.allowed == "whole number 1 to 3 samples"
-    assert [is_whole(k, 1, 3) for k in (0, 1, 3, 4, np.int64(2), True, 2.0, "2")] == [
-        False, True, True, False, True, False, False, False,
-    ]  # fmt: skip
-    assert checked_choice("kind", "b", ["a", "b"]) == "b"
-    for junk in ("c", 3, None):
-        with pytest.raises(FieldError) as caught:
-            checked_choice("kind", junk, iter(["a", "b", "c d"]), remedy="look")
-        assert (caught.value.allowed, caught.value.problem) == (
-            "a, b or c d",
-            "unknown",
-        )
-        assert (caught.value.value, caught.value.remedy) == (junk, "look")
-
-
-def test_nouns_and_series_by_name() -> None:
-    log = Log()
-    assert checked_noun("log", log, Log) is log
-    for remedy, said in ((None, "use read_log(path)"), ("read it", "read it")):
-        with pytest.raises(FieldError) as caught:
-            checked_noun("log", 3, Log, remedy=remedy)
-        assert (caught.value.field, caught.value.remedy) == ("log", said)
-    mine = np.arange(3.0)
-    found = checked_series("u", mine)
-    mine[0] = 9.0
-    assert found.tolist() == [0.0, 1.0, 2.0]
-    assert math.isnan(checked_series("u", [math.nan, 1.0])[0])
-    with pytest.raises(LogError) as caught:
-        checked_series("u", [[1.0]], error=LogError, remedy="one column")
-    assert (caught.value.field, caught.value.problem, caught.value.remedy) == (
-        "u",
-        "of another shape",
-        "one column",
-    )
-
-
-@pytest.mark.skipif(
-    not hasattr(typing, "TypeAliasType"), reason="type aliases began with Python 3.12"
-)
-def test_an_alias_is_what_it_stands_for() -> None:
-    alias = typing.TypeAliasType  # type: ignore[attr-defined]  # since Python 3.12
-    scalar: Any = typing.TypeVar("scalar", bound=np.generic)
-    matrix = alias("matrix", np.ndarray[Any, np.dtype[scalar]], type_params=(scalar,))
-    speed = alias("speed", Annotated[float, Between(0.0, unit="rad/s")])
-    assert rule(matrix[np.complex128]).convert([1j]).dtype == np.complex128
-    assert rule(Annotated[matrix[np.float64], Array(1)]).convert([1]).dtype == float
-    refusal(Annotated[matrix[np.float64], Array(1)], [[1.0]])
-    assert "rad/s" in str(refusal(alias("fast", speed), -1.0))
-    assert codec_of(matrix[np.float64]).encode([1.0], "x", Storage()) == [1.0]
-
-
 # --- results that are compared ------------------------------------------------------------------------------
 
 
@@ -692,11 +332,6 @@ def test_results_are_equal_where_all_their_fields_are() -> None:
         == hash(Result(np.arange(3.0), "a", "another note"))
         != hash(Result(np.arange(3.0), "b"))
     )
-
-
-def test_a_range_beside_the_wrong_type_is_a_mistake_of_ours() -> None:
-    with pytest.raises(TypeError, match="Between stands beside"):
-        rule(Annotated[str, Between(0.0)])
 
 
 # --- functions ----------------------------------------------------------------------------------------------
@@ -746,33 +381,6 @@ def test_a_refusal_names_the_argument(
     assert caught.value.field == field
 
 
-def test_python_itself_refuses_wrong_calls() -> None:
-    with pytest.raises(TypeError, match="amplitude"):
-        move()  # type: ignore[call-arg]
-
-
-def test_the_function_keeps_its_name_and_signature() -> None:
-    assert move.__name__ == "move" and move.__doc__ == "Return what it got."
-    assert pickle.loads(pickle.dumps(move)) is move  # noqa: S301
-
-
-def test_the_class_of_the_error_and_the_place_can_be_stated() -> None:
-    @checked(error=LogError, prefix="lead.")
-    def compensate(high: Period) -> None: ...
-
-    with pytest.raises(LogError, match=r"^lead\.high: out of range"):
-        compensate(-1.0)
-
-
-def test_an_error_inside_the_function_is_not_touched() -> None:
-    @checked
-    def fail(count: Count) -> None:
-        raise ValueError("inside")
-
-    with pytest.raises(ValueError, match=r"^inside$"):
-        fail(1)
-
-
 # --- dataclasses --------------------------------------------------------------------------------------------
 
 
@@ -812,17 +420,3 @@ def test_fields_are_refused_by_name_also_on_replace() -> None:
         Channel(0.5, channel.values, names=(3,))  # type: ignore[arg-type]
     with pytest.raises(FieldError, match="too long"):
         Channel(10.0, np.arange(100.0))
-
-
-def test_rules_of_fields_carry_bounds_for_a_files_schema() -> None:
-    found = rules(Channel)
-    assert (found["period"].low, found["period"].high, found["period"].unit) == (
-        0.0,
-        10.0,
-        "s",
-    )
-    assert rules(move)["kind"].choices == ("step", "ramp")
-    assert found["period"].check("file.period", 1) == 1.0
-
-
-# --- the whole package --------------------------------------------------------------------------------------
