@@ -118,7 +118,7 @@ def _measured(
         light = request.model.at_payload(request.empty).natural_frequency
         kept = float(loop.margins(light)[1][0])
         assumed = request.rig.payloads.empty is None
-        note = "payloads.empty assumed" if assumed else ""
+        note = "assumed" if assumed else ""
         item = row("empty").measured(0.0, kept, request.empty, note=note)
         yield "empty", None, item
 

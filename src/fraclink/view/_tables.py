@@ -258,14 +258,18 @@ def relation(item: Requirement) -> str:
 
 
 def requirements_table(requirements: Iterable[Requirement]) -> Table:
-    """Name, required value, achieved value, payload, slack, and whether it is met."""
+    """Name, required value, achieved value, payload, slack in the same unit, and whether
+    it is met.
+    """
 
-    def slack(item: Requirement) -> float:
-        # The equations are solved to rounding: 1e-16 of slack is none. Relative to the
-        # wanted value, so that it holds for radians as for rad/s; below 1 absolute.
-        return (
-            0.0 if abs(item.slack) < 1e-9 * max(1.0, abs(item.wanted)) else item.slack
-        )
+    def slack(item: Requirement) -> str:
+        if item.unit == "rad":
+            return degrees(item.slack)
+        # As far as the achieved value is shown: what is left behind it is the solver's.
+        size = max(abs(item.achieved), abs(item.wanted))
+        if not (math.isfinite(item.slack) and size):
+            return number(item.slack)
+        return number(round(item.slack, 3 - math.floor(math.log10(size))))
 
     rows = tuple(
         (
@@ -273,7 +277,7 @@ def requirements_table(requirements: Iterable[Requirement]) -> Table:
             f"{relation(item)} {quantity(item.wanted, item.unit)}",
             quantity(item.achieved, item.unit),
             grams(item.at_payload),
-            quantity(slack(item), item.unit),
+            slack(item),
             "passed" if item.passed else "missed",
         )
         for item in requirements
