@@ -13,7 +13,6 @@ import json
 import re
 import runpy
 import subprocess
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,7 +28,6 @@ from fraclink._simulate.engine import engine_link
 from fraclink.errors import FieldError
 from fraclink.trials._study import save_study
 from fraclink.view._arm_page import render_arm_page
-from fraclink.view._pages import colours as colours_of
 from fraclink.view._text import number
 from test_report import HOSTILE, Elements, parsed
 
@@ -289,51 +287,6 @@ def test_a_browser_runs_the_packages_bits_without_a_complaint(
     assert re.search(r"# (\d+) in this page", code)[1] == said.getvalue().strip()
 
 
-def contrast(first: str, second: str) -> float:
-    """Ratio of luminances of two colours, as WCAG 2 defines it."""
-
-    def luminance(colour: str) -> float:
-        digits = (
-            colour[1:]
-            if len(colour) == 7
-            else "".join(2 * digit for digit in colour[1:])
-        )
-        parts = [int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)]
-        linear = [
-            c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts
-        ]
-        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-    bright, dark = sorted((luminance(first), luminance(second)), reverse=True)
-    return (bright + 0.05) / (dark + 0.05)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("theme", [0, 1], ids=["light", "dark"])
-def test_text_and_lines_stand_out_in_both_themes(page, theme):
-    colours = colours_of(theme)
-    assert colours["link"] in page
-    for name in (
-        "ink",
-        "quiet",
-        "good",
-        "fair",
-        "bad",
-        "accent",
-        "tip",
-        "hub",
-        "ghost",
-        "measured",
-    ):
-        assert contrast(colours[name], colours["card"]) >= 4.5, name
-    for name in ("good", "fair", "bad"):
-        assert contrast(colours[name], colours[f"{name}-wash"]) >= 4.5, name
-    assert contrast(colours["on-accent"], colours["accent"]) >= 4.5
-    assert contrast(colours["quiet"], colours["page"]) >= 4.5
-    for name in ("link", "load", "metal"):
-        assert contrast(colours[name], colours["card"]) >= 3.0, name
-
-
 def numbers_of(page: str) -> dict:
     return json.loads(re.search(r'id="arm-data">(.*?)</script>', page, re.DOTALL)[1])
 
@@ -457,116 +410,6 @@ def test_the_page_says_that_the_law_does_not_see_a_gauge_wired_backwards(
     assert "does not come to rest" in text or "does not settle" in text
     assert "no guard against a gauge wired backwards" in text
     assert colour != "good"
-
-
-@pytest.mark.slow
-def test_the_page_holds_every_number_that_its_script_reads(study):
-    """The engine's inputs in their order: rig, noise, moves there and back, links; and
-    the sliders' ends.
-    """
-    from fraclink._simulate.engine import (
-        engine_bytes,
-        engine_noise,
-        engine_rig,
-        engine_twin,
-        twin_noise,
-    )
-    from fraclink.view._arm_box import arm_box
-
-    design = study.design
-    rig, model, law = design.rig, design.model, study.law
-    data = json.loads(arm_box(study, design, payloads=5).data)
-    assert data["payloads"] == [
-        0.008,
-        0.02,
-        0.03,
-        0.04,
-        0.08,
-    ]  # both ends, and those designed for
-    assert (data["period"], data["periods"], data["half"]) == (0.004, 1000, 2.0)
-    assert data["times"] == [
-        round(0.2 + 0.05 * k, 2) for k in range(27)
-    ]  # up to three quarters of a half
-    numbers = np.frombuffer(base64.b64decode(data["numbers"]))
-    moves = [v for t in data["times"] for v in (t, 2.0, 2.0 + t, t**3, t**4, t**5)]
-    parts = [
-        np.ravel(engine_rig(rig, law, model)),
-        np.ravel(engine_noise(0, 1001)),
-        moves,
-    ]
-    links = [
-        engine_link(
-            model.at_payload(mass) if hasattr(model, "at_payload") else model,
-            0.004,
-            4.0,
-        )
-        for mass in data["payloads"]
-    ]
-    assert numbers == pytest.approx(
-        np.concatenate([*parts, *(link.numbers for link in links)]), rel=1e-9
-    )
-    assert data["links"] == [
-        [link.reals, link.pairs, int(link.second)] for link in links
-    ]
-    assert data["start"] == {
-        "payload": 2,
-        "time": 6,
-        "noise": 0.01,
-        "offset": 0.0,
-        "delay": 1,
-    }
-    assert data["largest"] == {
-        "noise": 0.05,
-        "offset": pytest.approx(0.24),
-        "delay": 20,
-    }
-    assert (data["length"], data["torque"], data["voltage"], data["seed"]) == (
-        0.65,
-        0.8,
-        10.0,
-        0,
-    )
-    assert (data["designed"], data["law"], data["told"]) == (
-        [0.02, 0.04],
-        "design.law()",
-        True,
-    )
-    assert data["modes"] == list(MODES) and len(data["blocks"]) == 2
-    assert zlib.decompress(base64.b64decode(data["engine"]), -15) == engine_bytes()
-    twin = engine_twin(rig, model, data["payloads"], 0.00735)
-    assert twin is not None
-    seen = np.frombuffer(base64.b64decode(data["twin"]["numbers"]))
-    whole = [
-        np.ravel(part)
-        for part in (twin.rig, twin_noise(0, 1001), twin.material, twin.arms)
-    ]
-    if data["twin"]["mass"] == 0.00735:
-        assert np.array_equal(seen, np.concatenate(whole))
-    assert (data["twin"]["elements"], data["twin"]["modes"]) == (
-        twin.elements,
-        twin.modes,
-    )
-    assert arm_box(study, design, payloads=5, twin=False).has_twin is False
-
-
-@pytest.mark.slow
-def test_a_noisy_gauge_and_an_endless_voltage_set_the_sliders(study):
-    from fraclink.view._arm_box import arm_box
-
-    rig = study.design.rig
-    loud = replace(
-        rig,
-        gauge=replace(rig.gauge, noise=0.023),
-        motor=replace(rig.motor, voltage_limit=float("inf")),
-    )
-    data = json.loads(
-        arm_box(study, replace(study.design, rig=loud), payloads=5, twin=False).data
-    )
-    assert (data["largest"]["noise"], data["voltage"], data["start"]["noise"]) == (
-        0.1,
-        0.0,
-        0.023,
-    )
 
 
 def test_no_text_ends_the_element_that_holds_the_numbers():

@@ -7,15 +7,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy.special import ndtr
 
 import fraclink as fl
 from campaigns import small
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.trials._arms import unit_paths
 from fraclink.trials._campaign import (
     Campaign,
@@ -30,77 +28,7 @@ MODEL = RIG.model
 assert MODEL is not None
 
 
-# ───────────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def test_a_distribution_by_its_cumulated_probability() -> None:
-    uniform = np.array([0.0, 0.25, 0.5, 0.9999])
-    assert Distribution("uniform", 2.0, 6.0).at(uniform) == pytest.approx(
-        [2.0, 3.0, 4.0, 5.9996]
-    )
-    assert Distribution("whole", 1, 3).at(uniform).tolist() == [1.0, 1.0, 2.0, 3.0]
-    assert Distribution("whole", 1, 3).at(
-        np.array([1 / 3 - 1e-9, 1 / 3 + 1e-9])
-    ).tolist() == [1.0, 2.0]
-    normal = Distribution("normal", 2.0, 6.0)  # mean 4, deviation 0.5, cut at ±4 of it
-    cut = float(ndtr(-4.0))
-    at_one = (float(ndtr(1.0)) - cut) / (1.0 - 2.0 * cut)
-    assert normal.at(np.array([0.0, 0.5, at_one])) == pytest.approx([2.0, 4.0, 4.5])
-    assert Distribution("normal", 3.0, 3.0).at(uniform).tolist() == [3.0] * 4
-    Distribution("whole", 2.0, 2.0)
-    for bad in ((2.0, 2.5), (1.5, 2.0)):
-        with pytest.raises(FieldError, match="not whole"):
-            Distribution("whole", *bad)
-
-
-@pytest.mark.parametrize(
-    ("name", "low", "high", "fits"),
-    [
-        ("payload", 0.0, 0.1, False), ("payload", 1e-9, 0.1, True), ("stiffness", 0.0, 1.0, False),
-        ("motor_gain", 0.0, 1.0, False), ("amplitude", 0.0, 1.0, False), ("amplitude", 0.1, 1.0, True),
-        ("order", 1.0, 1.9, False), ("order", 1.5, 2.0, True), ("order", 1.5, 2.01, False),
-        ("delay_samples", 0, 100, True), ("delay_samples", 0, 101, False), ("delay_samples", -1, 1, False),
-        ("viscous_friction", 0.0, 2.0, True), ("coulomb_torque", -1, 1, False), ("noise", 0, 1, True),
-        ("coulomb_torque", 0, 1, True), ("gauge_delay", 0.0, 0.1, True), ("gauge_delay", -0.1, 0.1, False),
-        ("payload_given", 0, 1.5, True), ("payload_given", -0.1, 1, False), ("gauge_offset", -9, 9, True),
-    ],
-)  # fmt: skip
-def test_a_parameter_is_drawn_from_its_range(
-    name: str, low: float, high: float, fits: bool
-) -> None:
-    kind: Any = "whole" if name == "delay_samples" else "uniform"
-    own = Distribution(kind, low, high)
-    if fits:
-        assert getattr(replace(small().draws, **{name: own}), name) == own
-    else:
-        with pytest.raises(FieldError, match=rf"draws\.{name}"):
-            replace(small().draws, **{name: own})
-
-
 # ────────────────────────────────────────────────────────────────────────────────────────────
-
-
-def test_a_campaign_has_parts_of_a_thousand_and_a_rest() -> None:
-    assert [small().part_runs(part) for part in range(3)] == [
-        1000,
-        1000,
-        500,
-    ] and small().parts == 3
-    assert (
-        small(1000).parts == 1
-        and small(1001).parts == 2
-        and small(1001).part_runs(1) == 1
-    )
-    assert replace(small(), runs=10**9).parts == 10**6
-    with pytest.raises(SizeError, match="runs"):
-        replace(small(), runs=10**9 + 1)
-    shortest = replace(small(), duration=2.0)
-    assert (
-        shortest.duration == 2.0 and replace(small(), duration=600.0).duration == 600.0
-    )
-    for duration in (1.999, 600.1):
-        with pytest.raises(FieldError, match="duration"):
-            replace(small(), duration=duration)
 
 
 def test_a_campaign_follows_the_reference_that_it_is_given() -> None:

@@ -6,8 +6,6 @@ import doctest
 import importlib
 import inspect
 import re
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -231,74 +229,6 @@ def resolved(name: str) -> object:
     """The object of a full name."""
     head, _, last = name.rpartition(".")
     return getattr(importlib.import_module(head), last)
-
-
-BROKEN = {
-    "an undefined symbol": ("`fl.desing` makes a plan", "fraclink.desing"),
-    "a method that is not": (
-        "`fl.Design.sample_at(0.02)`",
-        "fraclink.Design.sample_at",
-    ),
-    "a link to no page": ("[see](no-such-page.md)", "no-such-page.md"),
-    "a link to no heading": ("[see](#no-such-heading)", "no-such-heading"),
-    "a type of a signature": (
-        "```{eval-rst}\n.. py:function:: fraclink.told(design: fraclink.Plann) -> None\n```",
-        "fraclink.Plann",
-    ),
-    "a class that is not": (
-        "```{eval-rst}\n.. autoclass:: fraclink.Plane\n```",
-        "Plane",
-    ),
-}
-
-
-def build(folder: Path, text: str) -> subprocess.CompletedProcess[str]:
-    """One page, built with the configuration of the documentation and its strictness."""
-    source = folder / "source"
-    shutil.copytree(DOCS / "extensions", source / "extensions", dirs_exist_ok=True)
-    shutil.copy(DOCS / "conf.py", source)
-    (source / "_static").mkdir(exist_ok=True)
-    (source / "index.md").write_text(f"# A page\n\n{text}\n\n{ENTRY}", "utf-8")
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "--quiet",
-        "--fail-on-warning",
-        "--keep-going",
-        "-b",
-        "html",
-    ]
-    return subprocess.run(  # noqa: S603
-        [*command, str(source), str(folder / "html")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-
-
-ENTRY = "## Entries\n\n```{eval-rst}\n.. py:class:: fraclink.Design\n```\n"
-
-
-@pytest.mark.slow
-def test_a_page_without_faults_builds_and_its_names_are_links(tmp_path: Path) -> None:
-    done = build(
-        tmp_path,
-        "`fl.Design` and [the entries](#entries), `fraclink._simulate`, `fraclink run`, `law.c`",
-    )
-    assert done.returncode == 0, done.stderr
-    assert 'href="#fraclink.Design"' in (tmp_path / "html" / "index.html").read_text(
-        "utf-8"
-    )
-
-
-@pytest.mark.slow
-def test_dead_links_and_undefined_symbols_fail_the_build(tmp_path: Path) -> None:
-    done = build(tmp_path, "\n\n".join(text for text, _ in BROKEN.values()))
-    assert done.returncode != 0
-    assert [
-        what for what, (_, named) in BROKEN.items() if named not in done.stderr
-    ] == []
 
 
 @pytest.mark.slow

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 import fraclink as fl
 import fracsys
 from fraclink._files import document, kind_of, load, save
-from fraclink._files.codec import Storage, codec_of
 from fraclink.errors import FieldError, FileFormatError, SizeError
 from fraclink.findings import Finding
 from mutants import mutate
@@ -282,11 +281,6 @@ def test_an_edited_file_is_refused(change: Any, field: str, tmp_path: Path) -> N
     assert caught.value.field == field and caught.value.remedy
 
 
-def test_another_version_of_the_tool_is_no_edit(tmp_path: Path) -> None:
-    path = edited(save(FULL, tmp_path / "x.json"), lambda d: d.update(tool="9.9"))
-    assert load(path) == FULL
-
-
 def written(tmp_path: Path, text: str) -> Path:
     """A file whose digest is right, whatever its content."""
     path = tmp_path / "written.json"
@@ -403,15 +397,6 @@ def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(
             assert error.value == place.name
 
 
-def test_the_kind_is_known_without_reading_the_rest(tmp_path: Path) -> None:
-    assert kind_of(save(FULL, tmp_path / "a.json")) == "made-up"
-    assert kind_of(save(SIGNALS, tmp_path / "b.npz")) == "made-up-run"
-    assert (kind_of(tmp_path / "rig.toml"), kind_of(tmp_path / "none.json")) == (
-        "rig",
-        "",
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("value", "name"),
@@ -474,20 +459,6 @@ def test_what_cannot_be_saved_is_refused_before_a_file_is_made(tmp_path: Path) -
     assert save(Made("new", 1.0), path, force=True) == path and load(path).name == "new"
 
 
-def test_a_hook_can_refuse(tmp_path: Path) -> None:
-    def refuse(value: object) -> None:
-        raise SizeError("value", 1, "not proved", allowed="a proof", remedy="prove it")
-
-    @document("made-up-claim", before_save=refuse)
-    @dataclasses.dataclass(frozen=True)
-    class Claim:
-        text: str
-
-    with pytest.raises(SizeError):
-        save(Claim("x"), tmp_path / "x.json")
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_threads_that_save_leave_permissions_and_files_alone(tmp_path: Path) -> None:
     mask = os.umask(0o027)
@@ -546,21 +517,6 @@ def test_deep_nesting_ends_in_a_file_format_error(depth: int, tmp_path: Path) ->
         load(path)
 
 
-def test_d9_an_edited_gain_of_a_design_is_refused(tmp_path: Path) -> None:
-    rig = fl.Rig.named("paper-2023")
-    design = fl.design(
-        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), filter_time=0.0
-    )
-    path = save(design, tmp_path / "design.json")
-    assert load(path, fl.Design) == design
-
-    def louder(data: dict[str, Any]) -> None:
-        data["content"]["controller"]["gain"] *= 8
-
-    with pytest.raises(FileFormatError, match="changed after it was written"):
-        load(edited(path, louder))
-
-
 @pytest.mark.slow
 def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(
     tmp_path: Path,
@@ -583,33 +539,3 @@ def test_every_kind_is_found_by_a_process_that_has_loaded_nothing(
         [sys.executable, "-c", command], capture_output=True, text=True, check=False
     )
     assert done.stdout.strip() == repr(margins.modulus_margin), done.stderr
-
-
-def test_arrays_of_a_json_file_are_read_only() -> None:
-    for kind, data in (
-        (NDArray[np.float64], [1.0, 2.0]),
-        (NDArray[np.complex128], [[1.0, -1.0]]),
-    ):
-        values = codec_of(kind).decode(data, "", Storage())
-        assert values.dtype.kind in "fc" and not values.flags.writeable
-
-
-@pytest.mark.parametrize(
-    ("kind", "value", "words"),
-    [
-        (bytes, "0a", r"^signature: not bytes .*expected bytes"),
-        (
-            fl.Rig,
-            "paper-2023",
-            r"^signature: of another type \(got str\); expected Rig",
-        ),
-    ],
-)
-def test_a_field_of_another_type_is_not_written(
-    kind: type, value: object, words: str
-) -> None:
-    """A frozen dataclass does not check itself: what it was given wrongly must not
-    become a file.
-    """
-    with pytest.raises(FieldError, match=words):
-        codec_of(kind).encode(value, "signature", Storage())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,14 +13,11 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._identify import (
-    Comparison,
-    Contest,
     Fit,
     compare_structures,
     identify,
     simulated_torque,
 )
-from fraclink._identify.compare import _choice
 from fraclink._reading.reading import read_log
 from fraclink.errors import FieldError
 from fracsys import s, time_response
@@ -139,10 +135,6 @@ def test_ist_slow_square_wave_prefers_viscous_damping() -> None:
     assert comparison.fits["D-FOM"].mse <= comparison.fits["D-IOM"].mse
 
 
-def test_rig_files_are_toml() -> None:
-    assert tomllib.loads((RIGS / "merced.toml").read_text(encoding="utf-8"))["link"]
-
-
 def test_sign_of_a_rough_angle_delay() -> None:
     """Quantised at 5 mrad, an angle rewards half samples of delay; a negative one must
     not be reported.
@@ -212,100 +204,12 @@ def test_a_parameter_that_is_held_stays_in_the_model() -> None:
     assert damped.model.damping_order == 0.8
 
 
-@pytest.mark.parametrize("at_bound", [False, True])
-@pytest.mark.parametrize("open_above", [None, False, True])
-@pytest.mark.parametrize("code", ["W307", "W308"])
-def test_the_sentences_about_the_parameters(
-    at_bound: bool, open_above: bool | None, code: str
-) -> None:
-    from types import SimpleNamespace
-
-    from fraclink._identify.compare import FRACTIONAL, _of_the_parameters
-
-    intervals = (
-        {} if open_above is None else {"order": SimpleNamespace(high_open=open_above)}
-    )
-    fit = SimpleNamespace(
-        at_bound=("order",) if at_bound else (),
-        intervals=intervals,
-        findings=(SimpleNamespace(code=code),),
-    )
-    said = _of_the_parameters({FRACTIONAL: fit})  # type: ignore[dict-item]
-    expected = (
-        ["λ is at its bound 2: this log shows no fractional order."] if at_bound else []
-    )
-    expected += (
-        ["λ = 2 is not excluded by this log."] if open_above and not at_bound else []
-    )
-    expected += ["α is not identifiable."] if code == "W308" else []
-    assert said == expected
-
-
 @pytest.fixture(scope="module")
 def fits() -> dict[str, Fit]:
     """Fits of one log, to be changed."""
     return dict(
         compare_structures(made_log(noise=0.05, samples=2501), details=False).fits
     )
-
-
-@pytest.mark.slow
-def test_a_choice_in_one_sentence(fits: dict[str, Fit]) -> None:
-    held = fits["UD-FOM"].heldout_nmse
-    criteria = {
-        "UD-IOM": (300.0, 310.0),
-        "D-IOM": (130.0, 121.0),
-        "UD-FOM": (100.0, 101.0),
-        "D-FOM": (101.0, 103.0),
-    }
-    plain = {
-        name: replace(fit, mse=fit.mse * (1 + k), findings=())
-        for k, (name, fit) in enumerate(fits.items())
-    }
-    said = _choice(plain, "UD-FOM", (), criteria)
-    assert (
-        said
-        == f"UD-FOM is preferred: its AIC is 1.0 below that of D-FOM; held-out NMSE {held:.4g}."
-    )
-    coloured = plain | {
-        "UD-FOM": replace(plain["UD-FOM"], errors_allow_colour=True, heldout_nmse=None)
-    }
-    said = _choice(coloured, "UD-FOM", (), criteria)
-    assert (
-        said
-        == "UD-FOM is preferred: its AIC, corrected for the residual's colour, is 1.0 below that of D-FOM."
-    )
-    lower = criteria | {"D-FOM": (99.0, 100.0)}
-    assert "no other structure has a clearly lower AIC" in _choice(
-        plain, "UD-FOM", (), lower
-    )
-    same = {name: replace(fit, mse=plain["UD-FOM"].mse) for name, fit in plain.items()}
-    assert "every other structure ended as the same model" in _choice(
-        same, "UD-FOM", (), criteria
-    )
-    open_ = _choice(coloured, "UD-FOM", ("D-IOM", "D-FOM"), criteria)
-    assert open_ == (
-        "This log cannot tell UD-FOM from D-IOM and D-FOM under a residual of this colour; UD-FOM is used "
-        "(the fewest parameters, then the lowest AIC)."
-    )
-
-
-def test_a_comparison_is_a_table_and_a_verdict(fits: dict[str, Fit]) -> None:
-    made = Comparison(
-        fits,
-        {},
-        "UD-FOM",
-        Contest("UD-FOM", "D-IOM", -9.0),
-        "UD-FOM is preferred. Second.",
-    )
-    lines = str(made).split("\n")
-    assert [line.split()[0] for line in lines[:4]] == ["UD-IOM", "D-IOM", "*", "D-FOM"]
-    assert lines[2].startswith("* UD-FOM  held-out error ")
-    assert f"AIC {fits['UD-FOM'].aic:.1f}: ω₀ = " in lines[2]
-    assert lines[-1] == "UD-FOM is preferred. Second."
-    assert repr(made) == "Comparison(UD-IOM, D-IOM, UD-FOM, D-FOM: UD-FOM is preferred)"
-    with pytest.raises(TypeError):
-        made.fits["UD-FOM"] = fits["D-IOM"]  # type: ignore[index]
 
 
 def test_a_formula_and_what_is_held_choose_among_structures() -> None:
@@ -318,40 +222,6 @@ def test_a_formula_and_what_is_held_choose_among_structures() -> None:
     assert (
         identify(log, fixed={"damping_order": 0.9}, details=False).structure == "D-FOM"
     )
-
-
-def test_figures_of_a_fit_from_its_samples(fits: dict[str, Fit]) -> None:
-    log, fit = made_log(noise=0.05, samples=2501), fits["UD-FOM"]
-    count = fit.fitted_samples
-    assert fit.predicted + fit.residual == pytest.approx(log.output)
-    unit = simulated_torque(
-        replace(fit.model, stiffness=1.0), log.motor_angle, log.period, delay=fit.delay
-    )
-    assert fit.predicted == pytest.approx(fit.gain * unit + fit.offset, abs=1e-7)
-    squares, powers = fit.residual**2, (log.output - fit.offset) ** 2
-    assert fit.mse == pytest.approx(squares[:count].mean())
-    assert fit.nmse == pytest.approx(squares[:count].mean() / powers[:count].mean())
-    assert fit.heldout_mse == pytest.approx(squares[count:].mean())
-    assert fit.heldout_nmse == pytest.approx(
-        squares[count:].mean() / powers[count:].mean()
-    )
-    assert (fit.aic, fit.bic) == (
-        pytest.approx(2 * 2 + count * np.log(fit.mse)),
-        pytest.approx(2 * np.log(count) + count * np.log(fit.mse)),
-    )
-    assert (fit.samples, fit.period, fit.output_kind, fit.hold) == (
-        2501,
-        0.004,
-        "torque",
-        "first",
-    )
-    assert (fit.model.stiffness, fit.model.gauge_gain) == (abs(fit.gain), 1.0)
-    dead = replace(log, output=np.where(np.arange(2501) < 1501, log.output, 0.0))
-    nothing = identify(
-        dead, "UD-FOM", heldout=0.4, fixed={"offset": 0.0}, details=False
-    )
-    assert nothing.heldout_mse is not None
-    assert nothing.heldout_nmse is None  # no power to compare with
 
 
 @pytest.mark.slow

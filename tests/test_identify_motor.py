@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
@@ -17,7 +14,6 @@ from fraclink._identify import (
     identify_motor,
     simulated_torque,
 )
-from fraclink._identify.motor import _Bumps
 from fraclink.errors import FieldError, InfeasibleError, LogError
 from identify_cases import PERIOD
 from made_logs import example_motor_log
@@ -171,32 +167,6 @@ def test_bad_design_requests(field: str) -> None:
 
 # --- the pieces against closed forms ------------------------------------------------------------------------
 
-ANGLE = 0.02 * np.cumsum(np.random.default_rng(0).uniform(0.5, 1.0, 1200))
-MOVING = _Bumps(ANGLE, None, PERIOD, 15)
-
-
-def bump(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(1 − x²)⁵ inside ± 1."""
-    return np.where(np.abs(x) < 1, np.maximum(1 - x**2, 0.0) ** 5, 0.0)
-
-
-@pytest.mark.parametrize("delay", [0.0, 0.0013, 0.004, 0.0111, 0.03])
-def test_a_held_voltage_is_integrated_exactly(delay: float) -> None:
-    """∫ φ((t − t_k)/w) u(t − τ) dt of a staircase, on a grid 400 times finer than its
-    samples.
-    """
-    u = np.random.default_rng(1).normal(size=1200)
-    width = 15 * PERIOD
-    found = MOVING.driven(u, delay)
-    for k in (0, len(found) // 2, len(found) - 1):
-        centre = MOVING.centres[k] * PERIOD
-        fine = centre + np.linspace(-width, width, 12_001)[:-1] + width / 12_000
-        held = u[np.clip(np.floor((fine - delay) / PERIOD + 1e-9).astype(int), 0, 1199)]
-        wanted = (
-            float(np.sum(bump((fine - centre) / width) * held)) * 2 * width / 12_000
-        )
-        assert found[k] == pytest.approx(wanted, abs=2e-3 * width)
-
 
 def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
     """An angle of many turns is the same motion: its second derivative is taken under
@@ -209,184 +179,3 @@ def test_it_does_not_matter_where_an_encoder_counts_from() -> None:
     )
     for name in ("gain", "decay", "coulomb_voltage", "nmse"):
         assert getattr(away, name) == pytest.approx(getattr(here, name), rel=1e-6)
-
-
-def test_errors_of_quotients_follow_from_the_covariance() -> None:
-    """Over 25 noises the scatter of Γc/K and of J is what one fit says that it is."""
-    voltage, angle = example_motor_log(samples=2000)
-    torque = np.repeat(np.random.default_rng(3).uniform(-0.01, 0.01, 50), 40)
-    driven = voltage + torque / (GAIN * INERTIA)
-    fits = []
-    for seed in range(25):
-        shaken = angle + np.random.default_rng(seed).normal(0, 0.02, angle.size)
-        fits.append(
-            identify_motor(
-                driven, shaken, period=PERIOD, torque=torque, delay=0.0, dead_zone=0.0
-            )
-        )
-    for name in ("gain", "decay", "coulomb_voltage", "inertia"):
-        scatter = float(np.std([getattr(fit, name) for fit in fits]))
-        said = float(np.median([fit.standard_errors[name] for fit in fits]))
-        assert 0.7 < said / scatter < 1.7, name  # the scatter of 25 is known to 14 %
-    fit = fits[0]
-    assert fit.inertia is not None and fit.coulomb_torque is not None
-    assert fit.coulomb_torque == pytest.approx(
-        fit.coulomb_voltage * fit.gain * fit.inertia
-    )
-    assert fit.windows > 100
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "allowed"),
-    [
-        ("delay", -1e-9, "0 to 4 s"),
-        ("delay", 4.1, "0 to 4 s"),
-        ("dead_zone", -0.1, "0 to "),
-        ("window", 0.0, "> 0 and <= 4 s"),
-        ("window", 4.1, "> 0 and <= 4 s"),
-    ],
-)
-def test_options_of_a_motor_in_the_logs_own_range(
-    option: str, value: float, allowed: str
-) -> None:
-    voltage, angle = example_motor_log(samples=1000)
-    with pytest.raises(FieldError) as caught:
-        identify_motor(voltage, angle, period=PERIOD, **{option: value})  # type: ignore[arg-type]
-    assert caught.value.field == option
-    assert caught.value.allowed.startswith(allowed)
-
-
-def test_the_window_sets_the_length_of_a_stretch() -> None:
-    voltage, angle = example_motor_log(samples=1000)
-    with pytest.raises(LogError) as caught:
-        identify_motor(
-            voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD, window=0.2
-        )
-    assert caught.value.allowed == ">= 20 stretches of 0.2 s"
-    with pytest.raises(LogError) as caught:
-        identify_motor(voltage, np.sin(np.arange(1000) * 1.5), period=PERIOD)
-    assert (
-        caught.value.allowed == ">= 20 stretches of 0.12 s"
-    )  # 30 samples, above 80 ms
-    with pytest.raises(LogError) as caught:
-        identify_motor(voltage[:199], angle[:199], period=PERIOD)
-    assert (caught.value.value, caught.value.allowed) == (
-        199,
-        ">= 200 samples, all alike",
-    )
-    with pytest.raises(LogError, match="another length") as caught:
-        identify_motor(voltage, angle, period=PERIOD, torque=angle[:-1])
-    assert (caught.value.field, caught.value.value) == ("torque", 999)
-
-
-# --- the design of experiments ------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", ["prbs", "multisine"])
-def test_what_a_design_says_of_its_motion(kind: str) -> None:
-    motor = Rig.named("paper-2023").motor
-    plan = design_experiment(
-        LINK,
-        standard_error=0.002,
-        noise=0.05,
-        period=PERIOD,
-        duration=10.0,
-        kind=kind,
-        motor=motor,  # type: ignore[arg-type]
-    )
-    assert plan.kind == kind
-    assert plan.limit == "none"
-    assert plan.standard_error == pytest.approx(0.002)
-    assert plan.duration == pytest.approx(10.0)
-    assert plan.time == pytest.approx(PERIOD * np.arange(2501))
-    assert np.abs(plan.motor_angle).max() == pytest.approx(plan.amplitude, rel=0.15)
-    low, high = plan.band
-    if kind == "prbs":
-        assert plan.bit is not None
-        assert (low, high) == (
-            pytest.approx(2 * np.pi / 10.0),
-            pytest.approx(0.44 * 2 * np.pi / plan.bit),
-        )
-        assert plan.bit / PERIOD == pytest.approx(round(plan.bit / PERIOD))
-    else:
-        assert plan.bit is None
-        assert high / low == pytest.approx(4.0)
-        assert round(2 * low / abs(LINK.pole), 6) in (
-            0.25,
-            0.35,
-            0.5,
-            0.7,
-            1.0,
-            1.4,
-            2.0,
-        )
-    # The deflection and the voltage of eq. (1), from the motion itself.
-    torque = simulated_torque(LINK, plan.motor_angle, PERIOD, hold="first")
-    assert plan.peak_deflection == pytest.approx(
-        float(np.abs(torque).max()) / 1.56, rel=1e-6
-    )
-    speed = np.gradient(plan.motor_angle, PERIOD)
-    voltage = (np.gradient(speed, PERIOD) + motor.decay * speed) / motor.gain
-    voltage += torque / (motor.gear_ratio * motor.torque_constant)
-    assert plan.peak_voltage == pytest.approx(float(np.abs(voltage).max()), rel=1e-6)
-
-
-def test_the_error_falls_with_amplitude_and_grows_with_noise() -> None:
-    plans = [
-        design_experiment(
-            LINK, standard_error=error, noise=noise, period=PERIOD, duration=5.0
-        )
-        for error, noise in ((0.002, 0.05), (0.001, 0.05), (0.002, 0.1))
-    ]
-    assert plans[1].amplitude == pytest.approx(2 * plans[0].amplitude)
-    assert plans[2].amplitude == pytest.approx(2 * plans[0].amplitude)
-
-
-def test_a_limit_says_what_it_leaves_and_how_long_a_log_would_do() -> None:
-    with pytest.raises(InfeasibleError) as caught:
-        design_experiment(
-            LINK,
-            standard_error=5e-4,
-            noise=0.05,
-            period=PERIOD,
-            duration=5.0,
-            deflection_limit=0.1,
-        )
-    error = caught.value
-    assert "deflection limit" in str(error)
-    reached = error.nearest["standard_error"]
-    assert (
-        f"a log of {math.ceil(5.0 * (reached / (1 + 1e-6) / 5e-4) ** 2)} s may do"
-        in str(error)
-    )
-    with pytest.raises(
-        InfeasibleError
-    ) as caught:  # beyond a million samples no length is offered
-        design_experiment(
-            LINK,
-            standard_error=1e-7,
-            noise=0.05,
-            period=PERIOD,
-            duration=5.0,
-            deflection_limit=0.1,
-        )
-    assert "may do" not in str(caught.value)
-
-
-def test_a_log_has_two_hundred_samples() -> None:
-    for duration, fits in ((0.8, True), (0.79, False)):
-        arguments = {
-            "standard_error": 0.5,
-            "noise": 0.05,
-            "period": PERIOD,
-            "duration": duration,
-        }
-        if fits:
-            assert design_experiment(LINK, **arguments).time.size == 201
-            continue
-        with pytest.raises(FieldError) as caught:
-            design_experiment(LINK, **arguments)
-        assert (caught.value.field, caught.value.allowed) == (
-            "duration",
-            "0.8 to 4000 s",
-        )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,13 +9,10 @@ from hypothesis import strategies as st
 
 from fraclink._arm.link import LinkModel
 from fraclink._identify import (
-    SpectrumFit,
     frequency_response,
     identify_frequency_response,
 )
-from fraclink._identify.modal import ModalProblem
 from fraclink.errors import FieldError, LogError
-from fraclink.findings import Finding
 from shared_data import shared_data
 
 FREQUENCY = np.linspace(1, 40, 200)
@@ -234,95 +229,6 @@ def test_spectra_need_equal_lengths() -> None:
 # --- the pieces against closed forms ------------------------------------------------------------------------
 
 
-def test_lines_of_whole_periods() -> None:
-    """Amplitude and frequency of each line; the constant and weak lines are left out."""
-    k = np.arange(64)
-    u = 3.0 + np.cos(2 * np.pi * 4 * k / 64) + 0.06 * np.sin(2 * np.pi * 9 * k / 64)
-    y = 7.0 + 2 * np.sin(2 * np.pi * 4 * k / 64) + 0.5 * np.sin(2 * np.pi * 9 * k / 64)
-    found = frequency_response(u, y, period=0.5)
-    assert found.frequency == pytest.approx(2 * np.pi * np.array([4, 9]) / 32.0)
-    assert found.response == pytest.approx([-2j, 0.5 / 0.06])
-    assert found.magnitude == pytest.approx([32.0, 0.06 * 32])
-    few = frequency_response(u, y, period=0.5, threshold=0.07)
-    assert few.frequency == pytest.approx([2 * np.pi * 4 / 32.0])
-    assert frequency_response(u, y, threshold=0.05).frequency == pytest.approx(
-        2 * np.pi * np.array([4, 9]) / 64
-    )
-    frequency_response(u[:16], y[:16])
-    with pytest.raises(LogError) as caught:
-        frequency_response(u[:15], y[:15])
-    assert (caught.value.field, caught.value.allowed) == (
-        "output",
-        ">= 16 samples of each",
-    )
-
-
-def problem(**changes: object) -> ModalProblem:
-    w = np.linspace(1.0, 20.0, 40)
-    h = 2.0 * np.exp(-0.01j * w) * (1j * w) ** 1.9 / ((1j * w) ** 1.9 + 9.0**1.9)
-    usual: dict[str, object] = {
-        "frequency": w,
-        "response": h,
-        "weight": np.ones(40),
-        "resonances": 1,
-    }
-    usual |= {"anti_resonances": 0, "derivative": 1, "order": None, "delay": None}
-    return ModalProblem(**(usual | changes))  # type: ignore[arg-type]
-
-
-def test_free_and_full_vectors() -> None:
-    whole = problem()
-    assert whole.moving.tolist() == [True, True, True]
-    held = problem(order=1.9, delay=0.01)
-    assert held.moving.tolist() == [False, False, True]
-    assert held.full(np.array([2.2])).tolist() == [1.9, 0.01, 2.2]
-    low, high = whole._limits()
-    assert low == pytest.approx([1.0, -1.0, -1.5])
-    assert high == pytest.approx([2.0, 1.0, np.log(20.0) + 1.5])
-    truth = np.array([1.9, 0.01, np.log(9.0)])
-    gain, predicted = whole.fitted(truth, np.ones(40, bool))
-    assert gain == pytest.approx(2.0)
-    assert predicted == pytest.approx(whole.response)
-    assert whole.errors(truth, np.ones(40, bool)) == pytest.approx(
-        np.zeros(80), abs=1e-12
-    )
-    few = np.arange(40) < 30
-    assert whole.errors(truth + 0.01, few).size == 60
-    # A real gain: turned by 90° nothing is left of it.
-    assert problem(response=1j * whole.response).fitted(truth, np.ones(40, bool))[
-        0
-    ] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_the_result_of_a_fit_in_numbers() -> None:
-    whole, every = problem(), np.ones(40, bool)
-    spoilt = problem(response=whole.response + 0.1)
-    found = spoilt.result(np.array([1.9, 0.01, np.log(9.0)]), every)
-    weighed = whole.response
-    gain = np.real(np.vdot(weighed / 2, spoilt.response)) / np.real(
-        np.vdot(weighed / 2, weighed / 2)
-    )
-    left = np.linalg.norm(spoilt.response - gain * weighed / 2) / np.linalg.norm(
-        spoilt.response
-    )
-    assert found.gain == pytest.approx(gain)
-    assert found.fit == pytest.approx(100 * (1 - left))
-    assert (found.order, found.delay, found.resonances) == (
-        1.9,
-        0.01,
-        (pytest.approx(9.0),),
-    )
-    assert not found.at_bound and found.outliers == ()
-    assert (
-        problem(order=2.0).result(np.array([0.01, np.log(9.0)]), every).at_bound
-        is False
-    )  # it was given
-    assert whole.result(np.array([2.0, 0.01, np.log(9.0)]), every).at_bound
-    assert whole.result(np.array([1.0, 0.01, np.log(9.0)]), every).at_bound
-    kept = np.arange(40) != 7
-    assert whole.result(np.array([1.9, 0.01, np.log(9.0)]), kept).outliers == (7,)
-
-
 @pytest.mark.slow
 def test_standard_errors_are_the_scatter_of_fits() -> None:
     fits = [
@@ -338,54 +244,3 @@ def test_standard_errors_are_the_scatter_of_fits() -> None:
         assert 0.55 < said / np.std(values) < 1.8, (
             name
         )  # the scatter of 16 is known to 18 %
-
-
-GOOD = SpectrumFit(
-    1.9,
-    (9.0,),
-    (),
-    1.5,
-    0.01,
-    1,
-    {"resonance 1": 0.1, "delay": 1e-4},
-    97.0,
-    (),
-    False,
-    np.ones(2),
-)
-
-
-def test_a_link_of_one_resonance() -> None:
-    model = GOOD.model(payload=0.03)
-    assert (model.stiffness, model.order, model.gauge_delay, model.payload) == (
-        1.5,
-        1.9,
-        0.01,
-        0.03,
-    )
-    assert model.natural_frequency == pytest.approx(9.0**0.95)
-    assert replace(GOOD, gain=-1.5).model().stiffness == 1.5
-    assert GOOD.model(stiffness=7.0).stiffness == 7.0
-    for changes in ({"resonances": (3.0, 9.0)}, {"anti_resonances": (5.0,)}):
-        with pytest.raises(FieldError) as caught:
-            replace(GOOD, **changes).model()  # type: ignore[arg-type]
-        assert caught.value.allowed == "1 resonance, no anti-resonance"
-    assert (
-        replace(GOOD, findings=(Finding("W341", "error", "m", {}, "r"),)).passed
-        is False
-    )
-    assert GOOD.passed
-
-
-def test_two_lines_for_each_mode_and_four_more() -> None:
-    w = np.linspace(1.0, 20.0, 6)
-    h = LINK.torque()(1j * w)
-    assert identify_frequency_response(w, h, robust=False).order == pytest.approx(
-        1.92, abs=1e-3
-    )
-    with pytest.raises(FieldError) as caught:
-        identify_frequency_response(w[1:], h[1:])
-    assert (caught.value.value, caught.value.allowed) == (5, ">= 6")
-    with pytest.raises(FieldError) as caught:
-        identify_frequency_response(w, h, resonances=2, anti_resonances=1)
-    assert caught.value.allowed == ">= 10"

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fracsys import _kernels
 from fracsys._minimax import (
     PartialFractions,
     Target,
@@ -124,46 +123,3 @@ def test_an_exact_fraction_is_kept() -> None:
     found = start.improved(target, (2, 4, 8, 16))
     assert score(found, target) < 1e-6
     assert found.real_logs == pytest.approx(exact.real_logs, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"coefficients": np.ones((4, 3))},
-        {"wanted": np.ones(5)},
-        {"reals": 13, "parameters": np.zeros(27)},
-        {"reals": -1, "parameters": np.zeros(1)},
-        {"parameters": np.zeros(4)},
-        {"powers": [3]},
-        {"powers": [256]},
-        {"powers": [0]},
-    ],
-)
-def test_arrays_that_do_not_belong_together_are_refused(
-    change: dict[str, object],
-) -> None:
-    given: dict[str, object] = {
-        "omega": OMEGA,
-        "coefficients": np.ones((4, OMEGA.size)),
-        "wanted": np.ones(2 * OMEGA.size),
-        "reals": 2,
-        "pairs": 0,
-        "powers": [2],
-        "parameters": np.zeros(5),
-    }
-    with pytest.raises(ValueError, match="minimax"):
-        _kernels.minimax_improve(**(given | change))
-
-
-def test_a_target_without_numbers_ends_where_it_began() -> None:
-    parameters = np.array([0.0, 1.0, 0.5])
-    _kernels.minimax_improve(
-        OMEGA,
-        np.ones((4, OMEGA.size)),
-        np.full(2 * OMEGA.size, np.nan),
-        1,
-        0,
-        [2, 4],
-        parameters,
-    )
-    assert parameters.tolist() == [0.0, 1.0, 0.5]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -57,14 +56,6 @@ DRAWN = {"Rig", "Experiment", "Fit", "Comparison", "Design", "Run"}
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_repr_is_one_short_line(name: str, results: dict[str, Any]) -> None:
-    text = repr(results[name])
-    assert text.startswith(f"{name}(") and text.endswith(")")
-    assert "\n" not in text and len(text) < 240 and "array(" not in text
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
 def test_a_cell_shows_the_table_and_the_drawing(
     name: str, results: dict[str, Any]
 ) -> None:
@@ -77,38 +68,10 @@ def test_a_cell_shows_the_table_and_the_drawing(
 
 
 @pytest.mark.slow
-def test_a_drawing_is_written(results: dict[str, Any], tmp_path: Path) -> None:
-    fl.view.draw(results["Fit"], tmp_path / "fit.svg")
-    assert (tmp_path / "fit.svg").read_text().strip() == results[
-        "Fit"
-    ]._repr_svg_().strip()
-    with pytest.raises(fl.errors.FieldError, match="without a drawing"):
-        fl.view.draw(results["Law"], tmp_path / "law.svg")
-    with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        fl.view.draw(results["Fit"], tmp_path / "fit.png")
-
-
-@pytest.mark.slow
-def test_a_comparison_comes_back(results: dict[str, Any], tmp_path: Path) -> None:
-    fl.save(results["Comparison"], tmp_path / "c.json")
-    again = fl.load(tmp_path / "c.json")
-    assert str(again) == str(results["Comparison"])
-    assert again.fits[again.preferred] == results["Comparison"].fits[again.preferred]
-
-
-@pytest.mark.slow
 def test_texts_are_escaped(results: dict[str, Any]) -> None:
     assert "&lt;unstable&gt;" in results["Certificate"]._repr_html_()
     page = replace(RIG, name="<script>alert(1)</script>")._repr_html_()  # type: ignore[attr-defined]
     assert "<script" not in page and "&lt;script&gt;" in page
-
-
-@pytest.mark.slow
-def test_two_drawings_on_one_page_share_no_name(results: dict[str, Any]) -> None:
-    log = results["Experiment"]
-    other = replace(log, output=0.5 * log.output)
-    assert log._repr_svg_() != other._repr_svg_()
-    assert ' id="' not in log._repr_svg_() + other._repr_svg_()
 
 
 @pytest.mark.slow

@@ -69,10 +69,6 @@ def test_oustaloup_is_the_product_formula(
     )
 
 
-FRACTIONS = [0.08, 0.5, 0.75, 0.92]
-POINTS = 1j * np.geomspace(1e-4, 1e5, 40)
-
-
 def test_known_error_of_the_best_oustaloup_filter() -> None:
     """Band 1e-3 … 1e5 and N = 7 (15 pairs): 0.9 % on the link between 0.1 and 1000
     rad/s.
@@ -194,36 +190,6 @@ def test_bad_input(
     with pytest.raises(FieldError) as caught:
         approximate(system, **arguments)  # type: ignore[arg-type]
     assert caught.value.field == field
-
-
-def test_an_approximation_states_itself() -> None:
-    """Order, gain at infinity, band, method, period and the error that it has on a grid
-    of its own.
-    """
-    system = 100 / (s**1.92 + 100)
-    made = approximate(system, (0.1, 100.0), 5)
-    assert (made.method, made.band, made.period) == ("oustaloup", (0.1, 100.0), None)
-    assert (
-        made.order == len(made.poles)
-        and made.direct == 0.0
-        and len(made.zeros) < made.order
-    )
-    proper = approximate(s**0.5 / (s**0.5 + 2), (0.1, 100.0), 5)
-    assert proper.direct == proper.gain != 0.0
-    w = np.geomspace(0.1, 100.0, 4001)
-    ratio = made.frequency_response(w) / system(1j * w)
-    assert made.error_db == pytest.approx(
-        np.max(np.abs(20 * np.log10(np.abs(ratio)))), rel=1e-3
-    )
-    assert made.error_deg == pytest.approx(
-        np.max(np.abs(np.degrees(np.angle(ratio)))), rel=1e-3
-    )
-    for name in ("zeros", "poles"):
-        with pytest.raises(ValueError, match="read-only"):
-            getattr(made, name)[0] = 0.0
-    sampled = approximate(system, (0.1, 100.0), 5, period=0.01)
-    assert sampled.period == 0.01
-    assert sampled.frequency_response(3.0) == pytest.approx(sampled(np.exp(0.03j)))
 
 
 def test_bands_up_to_the_nyquist_frequency_and_orders_at_their_bounds() -> None:

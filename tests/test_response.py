@@ -9,16 +9,15 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
-from scipy.special import binom, erfcx, gamma, wofz
+from scipy.special import erfcx, gamma, wofz
 
 from fraclink._arm.link import LinkModel
-from fraclink.errors import FieldError, NotConvergedError, SizeError
+from fraclink.errors import FieldError, NotConvergedError
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys._modes import split_delay
 from fracsys._response import (
     discrete_modes,
     grunwald_letnikov,
-    grunwald_letnikov_weights,
     held_quotient,
     impulse_response,
     step_response,
@@ -36,7 +35,6 @@ def peak_error(output: np.ndarray, expected: np.ndarray) -> float:
     return float(np.max(np.abs(output - expected)) / np.max(np.abs(expected)))
 
 
-# -- closed forms
 # ---------------------------------------------------------------------------------
 
 
@@ -173,7 +171,6 @@ def test_simple_pole_on_the_cut() -> None:
     assert peak_error(result.output[1:], exact) < 1e-11
 
 
-# -- holds, delays, linearity
 # ---------------------------------------------------------------------
 
 
@@ -293,7 +290,6 @@ def test_grunwald_letnikov_converges_slowly_to_the_same_response() -> None:
     assert 3.0 < errors[1] / errors[2] < 6.0
 
 
-# -- exact properties
 # -----------------------------------------------------------------------------
 
 
@@ -362,16 +358,6 @@ def test_fewer_modes_for_less_accuracy() -> None:
     assert counts[0] < counts[-1] / 2
 
 
-def test_results_are_read_only_and_describe_themselves() -> None:
-    result = time_response(LINK, SIGNAL, T)
-    assert not result.time.flags.writeable
-    assert not result.output.flags.writeable
-    assert (result.method, result.period, result.hold) == ("modes", T, "zero")
-    modes = discrete_modes(LINK, T, span=1.0)
-    with pytest.raises(ValueError, match="read-only"):
-        modes.gains[0] = 0.0
-
-
 def test_empty_and_single_inputs() -> None:
     assert time_response(LINK, [], T).output.shape == (0,)
     assert time_response(LINK, [1.0], T).output[0] == 0.0
@@ -401,7 +387,6 @@ def test_link_models_of_every_structure() -> None:
         np.testing.assert_allclose(tip + torque / 1.56, SIGNAL, atol=2e-11)
 
 
-# -- methods
 # --------------------------------------------------------------------------------------
 
 
@@ -485,7 +470,6 @@ def test_inversion_where_poles_are_not_certified(
     assert step_response(system, 1.0, 0.01).method == "fft"
 
 
-# -- what is sampled when, what is claimed, what is kept
 # -------------------------------------------
 
 
@@ -612,47 +596,6 @@ def test_growth_is_admitted_to_the_end_of_doubles() -> None:
     with pytest.raises(FieldError, match=r"at most 690 s") as refused:
         time_response(1 / (s - 1), np.ones(689), 1.0)
     assert refused.value.field == "span"
-
-
-def test_weights_of_grunwald_and_letnikov_are_signed_binomials() -> None:
-    for order in (-0.7, 0.0, 0.5, 1.0, 2.0, 2.3):
-        wanted = [(-1) ** k * binom(order, k) for k in range(7)]
-        assert grunwald_letnikov_weights(order, 7).tolist() == pytest.approx(
-            wanted, abs=1e-15
-        )
-    assert grunwald_letnikov_weights(0.5, 1).tolist() == [1.0]
-    assert grunwald_letnikov_weights(0.5, 0).tolist() == []
-
-
-def test_grunwald_and_letnikov_of_whole_orders_are_backward_differences() -> None:
-    """s/(s² + 3 s + 5) as (1 − 1/z)/T: solved for the newest sample, one after the
-    other.
-    """
-    u, period, y = SIGNAL[:60], 0.05, np.zeros(62)
-    for k in range(60):
-        before = u[k - 1] if k else 0.0
-        right = (
-            (u[k] - before) / period
-            + (2 * y[k + 1] - y[k]) / period**2
-            + 3 * y[k + 1] / period
-        )
-        y[k + 2] = right / (1 / period**2 + 3 / period + 5)
-    found = grunwald_letnikov(s / (s**2 + 3 * s + 5), u, period)
-    np.testing.assert_allclose(found, y[2:], rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize("count", [299_999, 300_001])
-def test_the_longest_memory_of_grunwald_and_letnikov(
-    count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """300 000 samples take half a minute: the kernels are left out of this."""
-    monkeypatch.setattr("fracsys._kernels.memory_sum", lambda _, u: u)
-    monkeypatch.setattr("fracsys._kernels.memory_solve", lambda _, u: u)
-    if count <= 300_000:
-        assert len(grunwald_letnikov(LINK, np.ones(count), T)) == count
-    else:
-        with pytest.raises(SizeError, match="<= 300000"):
-            grunwald_letnikov(LINK, np.ones(count), T)
 
 
 def test_modes_that_a_board_runs() -> None:

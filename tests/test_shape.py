@@ -27,7 +27,6 @@ from fraclink._simulate.shape_programme import (
     Programme,
     ShapedArm,
     responses_of,
-    spline_path,
     without_friction,
 )
 from fraclink._simulate.shaped_move import ShapedMove
@@ -65,7 +64,6 @@ def known(design: fl.Design) -> ShapedMove:
     return fl.shape(design, 1.0, payloads=KNOWN, told=True, gauge_offset=0.05, seeds=2)
 
 
-# ── the linear loop
 # ─────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -123,30 +121,6 @@ def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) ->
     )  # three knots for 1 rad: beyond every limit
 
 
-def test_a_path_of_smooth_steps_is_smooth() -> None:
-    path = spline_path(np.array([0.2, -0.1, 0.4]), 0.02)
-    inside = np.linspace(0.0, 0.12, 601)
-    assert float(path.angle(path.duration)) == pytest.approx(0.5)
-    for order in (0, 1):
-        slope = np.gradient(path.derivative(inside, order), inside)
-        # the next derivative is continuous: its straight pieces differ from differences
-        # at their ends only
-        np.testing.assert_allclose(
-            slope[1:-1],
-            path.derivative(inside, order + 1)[1:-1],
-            atol=0.01 if order == 0 else 11.0,
-        )
-    assert (
-        np.abs(np.diff(path.acceleration(inside))).max() < 25.0
-    )  # 0.5 rad over 0.02² s² is 1250
-    assert (
-        float(path.velocity(path.duration))
-        == float(path.acceleration(path.duration))
-        == 0.0
-    )
-
-
-# ── a move from rest to rest
 # ────────────────────────────────────────────────────────────────────────────────
 
 
@@ -262,7 +236,6 @@ def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
         fl.shape(light, 1.0)
 
 
-# ── along a path
 # ────────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -293,40 +266,7 @@ def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
     assert "W504" in [finding.code for finding in found.findings] and not found.passed
 
 
-# ── shapers and references
 # ──────────────────────────────────────────────────────────────────────────────────
-
-
-def test_samples_are_the_law_s_own_numbers(tmp_path: Path) -> None:
-    move = fl.smooth_step(1.0, 0.5)
-    table = fl.extend.read_reference(
-        fl.extend.export_reference(move, tmp_path / "move.csv", period=0.004)
-    )
-    assert isinstance(
-        table, fl.extend.SampledReference
-    ) and table.duration == pytest.approx(0.5)
-    assert np.array_equal(sampled(table, 0.004, 126), sampled(move, 0.004, 126))
-    assert float(table.angle(2.0)) == 1.0 and float(table.velocity(2.0)) == 0.0
-    for values in (np.zeros((2, 5)), np.zeros((3, 1)), np.full((3, 4), np.nan)):
-        with pytest.raises(FieldError):
-            fl.extend.SampledReference(0.004, values)
-
-
-def test_points_become_a_spline(tmp_path: Path) -> None:
-    place = tmp_path / "points.csv"
-    place.write_text("time_s,angle_rad\n0.1,0\n0.4,0.7\n1,0.5\n")
-    path = fl.extend.read_reference(place)
-    assert path.angle([0.0, 0.1, 0.4, 1.0, 2.0]).tolist() == pytest.approx(
-        [0, 0, 0.7, 0.5, 0.5]
-    )
-    t = np.linspace(0.1, 1.0, 2001)
-    assert np.gradient(path.angle(t), t)[1:-1] == pytest.approx(
-        path.velocity(t)[1:-1], abs=1e-4
-    )
-    assert np.abs(path.velocity([0.1, 1.0])).max() < 1e-12
-    for times in ([0.0, 0.0], [-1.0, 1.0], [0.0, 1.0, 2.0]):
-        with pytest.raises(FieldError):
-            fl.spline(times, [0.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -344,7 +284,6 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
         fl.extend.read_reference(tmp_path / "move.csv")
 
 
-# ── everything that moves an arm takes it
 # ───────────────────────────────────────────────────────────────────
 
 

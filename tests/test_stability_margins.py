@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Any
 
 import control
 import mpmath
@@ -19,7 +18,6 @@ from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys._margins import Margins, margins
 from fracsys._stability import is_stable
-from fracsys._sweep import bracketed_roots, frequency_grid, refined
 
 K, BETA, W = 0.148, 0.65, 10.0
 
@@ -319,22 +317,6 @@ def test_measured_data_is_used_between_its_points() -> None:
         margins(control.frd(np.ones((2, 2, 3)), [1, 2, 3]))
 
 
-def test_printed_margins_are_a_table() -> None:
-    lines = str(margins(7 / (s * (s + 1) * (s + 2)))).splitlines()
-    assert [line.split("  ")[0] for line in lines] == [
-        "gain crossing",
-        "phase crossing",
-        "nearest to −1",
-        "closed loop",
-    ]
-    assert "1.41421 rad/s" in lines[1] and "0.8571  (-1.34 dB)" in lines[1]
-    assert lines[-1].endswith("  not stable")
-    many = str(margins((10 / (s + 1)).delayed(0.1)))
-    assert "crossings more" in many and len(many.splitlines()) == 12
-    assert str(margins(lambda z: 1 / (z + 1))).endswith("give unstable_poles")
-    assert str(is_stable(1 / s)).startswith("not stable: s divides")
-
-
 def test_nothing_to_find() -> None:
     empty = margins(0.1 / (s + 1))
     assert empty.gain_crossings == () and empty.critical is None
@@ -388,66 +370,6 @@ def test_encirclements_agree_with_the_certified_count(seed: int) -> None:
     assert found.stable is not None
     if found.modulus_margin > 1e-6:
         assert found.stable is bool(is_stable(loop.feedback()))
-
-
-def test_the_grid_of_a_constant_lies_evenly_around_1_rad_s() -> None:
-    grid = frequency_grid(0 * s + 2.0)
-    assert grid[0] * grid[-1] == pytest.approx(1.0, rel=1e-9)
-    assert grid[-1] / grid[0] > 1e3
-
-
-def test_newton_stops_where_the_function_is_no_more_than_its_own_rounding() -> None:
-    wanted, calls = np.linspace(0.5, 3.0, 40), 0
-
-    def level(x: np.ndarray) -> np.ndarray:
-        nonlocal calls
-        calls += 1
-        return np.tanh(0.3 * (x - wanted)) + 1e-14 * np.sin(1e16 * x)
-
-    found = bracketed_roots(
-        level,
-        wanted - 0.4,
-        wanted + 0.3,
-        slope=lambda x: 0.3 / np.cosh(0.3 * (x - wanted)) ** 2,
-    )
-    assert np.max(np.abs(found - wanted)) < 1e-13
-    assert calls <= 10
-
-
-def test_the_printed_numbers_are_those_of_the_loop() -> None:
-    """4/(s(s+1)(s+2)): gain margin 1.5 at √2; the crossing and its phase from
-    ω²(ω²+1)(ω²+4) = 16.
-    """
-    lines = str(margins(4 / (s * (s + 1) * (s + 2)))).splitlines()
-    w = math.sqrt(max(r.real for r in np.roots([1, 5, 4, -16]) if abs(r.imag) < 1e-9))
-    phase = math.pi / 2 - math.atan(w) - math.atan(w / 2)
-    assert lines[0] == (
-        f"gain crossing   {w:12.6g} rad/s  phase margin {math.degrees(phase):8.3f}°"
-        f"  delay margin {phase / w:.4g} s"
-    )
-    assert (
-        lines[1]
-        == "phase crossing       1.41421 rad/s  gain margin        1.5  (3.52 dB)"
-    )
-    x = np.linspace(1.0, 1.5, 500_001)
-    distance = np.abs(1 + 4 / (1j * x * (1j * x + 1) * (1j * x + 2)))
-    least = int(distance.argmin())
-    place, number = re.fullmatch(
-        r"nearest to −1 +(\S+) rad/s  distance +(\S+)", lines[2]
-    ).groups()  # type: ignore[union-attr]
-    assert float(place) == pytest.approx(x[least], abs=2e-5)
-    assert float(number) == pytest.approx(distance[least], abs=5e-5)
-    assert lines[3] == "closed loop     stable"
-
-
-def test_eight_crossings_of_a_kind_are_printed_and_the_others_counted() -> None:
-    found = margins((10 / (s + 1)).delayed(0.1))
-    lines = str(found).splitlines()
-    assert sum(line.startswith("phase crossing") for line in lines) == 8
-    assert f"… and {len(found.phase_crossings) - 8} crossings more" in lines
-    assert not any(
-        "more" in line for line in str(margins(link_loop(1.92))).splitlines()
-    )
 
 
 def test_of_two_gain_margins_the_nearer_to_one_counts() -> None:
@@ -515,71 +437,6 @@ def test_the_infimum_of_the_distance_at_either_end_of_the_axis() -> None:
     )
     assert ends.sensitivity_peak == pytest.approx(1 / 0.6)
     assert margins(-1 / (s + 1)).sensitivity_peak == math.inf
-
-
-def test_grids_for_plots_reach_two_decades_beyond_the_corners() -> None:
-    resonance = 100 / (s**2 + 0.02 * s + 100)
-    grid = frequency_grid(resonance, points=100)
-    assert (grid[0], grid[-1]) == (pytest.approx(0.1), pytest.approx(1000.0))
-    assert np.all(np.diff(grid) > 0)
-    even = np.geomspace(0.1, 1000.0, 100)
-    assert all(np.min(np.abs(grid / w - 1)) < 1e-9 for w in even)
-    # The peak is 1/(2 ζ √(1 − ζ²)) at ζ = 0.001: the grid shows it to a part in a
-    # thousand.
-    assert np.abs(resonance(1j * grid)).max() == pytest.approx(1 / 0.002, rel=1e-3)
-    cut = frequency_grid(resonance, points=100, limit=50.0)
-    assert (cut[0], cut[-1]) == (pytest.approx(0.1), pytest.approx(50.0))
-    below = frequency_grid(resonance, points=100, limit=0.01)
-    assert (below[0], below[-1]) == (pytest.approx(1e-4), pytest.approx(0.01))
-
-
-def test_grids_of_callables_keep_a_decade_of_each_straight_end() -> None:
-    """1/(z + 1) bends at 1 rad/s: its slope is within 0.02 of 0 below 0.14 and of −1
-    above 7 rad/s.
-    """
-    grid = frequency_grid(lambda z: 1 / (z + 1), points=100)
-    assert 1e-3 < grid[0] < 0.05 and 20 < grid[-1] < 1e3
-    assert frequency_grid(lambda z: 1 / (z + 1), points=100, limit=50.0)[
-        -1
-    ] == pytest.approx(50.0)
-    for straight in (lambda z: 1 / z, lambda z: 5 + 0 * z):
-        line = frequency_grid(straight)
-        assert 0.01 <= line[0] < 0.0115 and 87 < line[-1] <= 100.0
-    late = frequency_grid(lambda z: np.exp(-0.1 * z) / (z + 1))
-    assert 900 < late[-1] < 2e4  # above −60 dB a delay turns the phase without end
-
-
-def test_a_curve_is_refined_where_it_bends_and_not_where_it_is_straight() -> None:
-    x = np.linspace(-3.0, 3.0, 21)
-    bent = refined(lambda at: (at / 6, np.tanh(20 * at) / 2), x)
-    assert np.all(np.diff(bent) > 0) and set(x) <= set(bent)
-    near = np.diff(bent)[np.abs(bent[:-1]) < 0.1]
-    assert near.max() < 0.02 < 0.1 < np.diff(bent).max()
-    up = np.tanh(20 * bent) / 2
-    angles = np.unwrap(np.arctan2(np.diff(up), np.diff(bent) / 6))
-    chords = np.hypot(np.diff(bent) / 6, np.diff(up))
-    seen = np.minimum(chords[1:], chords[:-1]) > 0.002
-    assert np.abs(np.diff(angles))[seen].max() <= 0.03
-    assert chords.max() <= 0.1
-    straight = refined(lambda at: (at / 600, at / 600), x)
-    assert straight.tolist() == x.tolist()
-    assert refined(lambda at: (at / 6, np.sin(300 * at)), x, limit=25).size <= 25
-    with pytest.raises(FieldError, match="3 points"):
-        refined(lambda at: (at, at), x[:2])
-
-
-@pytest.mark.parametrize("slope", [None, lambda x: 3 * x**2])
-def test_roots_in_brackets_of_either_direction(slope: Any) -> None:
-    wanted = np.cbrt([2.0, 0.5, 8.0, 1e-9])
-    cubes = wanted**3
-
-    def level(x: np.ndarray) -> np.ndarray:
-        return np.asarray(x**3 - cubes)
-
-    found = bracketed_roots(
-        level, [1.0, 2.0, 2.0, 1.0], [2.0, 0.0, 2.0, 0.0], slope=slope
-    )
-    assert found == pytest.approx(wanted, rel=1e-14)
 
 
 def test_measured_data_at_zero_frequency_and_of_no_response() -> None:

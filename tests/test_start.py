@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
-from fraclink._arm.log_columns import ROW_NUMBER, ColumnStatement
+from fraclink._arm.log_columns import ROW_NUMBER
 from fraclink._cli import main, starting
 from fraclink._reading.formats import read_table
-from fraclink._reading.names import role_of_name
 from fraclink.errors import FieldError, LogError
 from fraclink.logs._guess import GuessedColumns, Question, guess_columns
 from fraclink.logs._weighing import statements
@@ -68,11 +67,6 @@ class Shape:
 Taken = tuple[str, str, str, str, str, str, str, int]
 RAW = "rad"
 THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
-    "names that state all": (
-        Shape({"time_s": TIME, "motor_angle_rad": MOTOR, "torque_Nm": TORQUE}),
-        (),
-        ("time_s", "s", "motor_angle_rad", "rad", "torque", "torque_Nm", "Nm", 1),
-    ),
     "milliseconds, degrees, a turned sign in mN·m": (
         Shape(
             {"t_ms": 1e3 * TIME, "theta_deg": DEG * MOTOR, "bridge_mNm": -1e3 * TORQUE}
@@ -88,18 +82,6 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ),
         (),
         ("t_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
-    ),
-    "units in brackets, semicolons": (
-        Shape(
-            {
-                "Time [ms]": 1e3 * TIME,
-                "Angle [deg]": DEG * MOTOR,
-                "Torque [N*m]": TORQUE,
-            },
-            separator=";",
-        ),
-        (),
-        ("Time [ms]", "ms", "Angle [deg]", "deg", "torque", "Torque [N*m]", "N*m", 1),
     ),
     "German names": (
         Shape(
@@ -122,40 +104,20 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
             1,
         ),
     ),
-    "no unit anywhere, tabs": (
-        Shape({"time": TIME, "theta": MOTOR, "torque": TORQUE}, separator="\t"),
-        ("motor_angle=[rad]", "torque=[Nm]"),
-        ("time", "s", "theta", "rad", "torque", "torque", "Nm", 1),
-    ),
     "no unit, milliseconds and degrees": (
         Shape({"t": 1e3 * TIME, "enc": DEG * MOTOR, "torque": TORQUE}),
         ("motor_angle=[deg]", "torque=[Nm]"),
         ("t", "ms", "enc", "deg", "torque", "torque", "Nm", 1),
-    ),
-    "no unit, microseconds and mN·m": (
-        Shape({"t": 1e6 * TIME, "enc": MOTOR, "moment": 1e3 * TORQUE}, digits=".9g"),
-        ("motor_angle=[rad]", "torque=[mNm]"),
-        ("t", "us", "enc", "rad", "torque", "moment", "mNm", 1),
     ),
     "a deflection without a unit": (
         Shape({"t": TIME, "theta_deg": DEG * MOTOR, "alpha": DEG * DEFLECTION}),
         (),
         ("t", "s", "theta_deg", "deg", "deflection", "alpha", RAW, 1),
     ),
-    "a deflection in radians beside degrees": (
-        Shape({"t": TIME, "theta_deg": DEG * MOTOR, "alpha": -DEFLECTION}),
-        (),
-        ("t", "s", "theta_deg", "deg", "deflection", "alpha", "rad", -1),
-    ),
     "strain in volts": (
         Shape({"t": TIME, "theta_rad": MOTOR, "strain_V": -0.4 * DEFLECTION + 0.05}),
         (),
         ("t", "s", "theta_rad", "rad", "deflection", "strain_V", RAW, -1),
-    ),
-    "a bridge without a unit": (
-        Shape({"t": TIME, "enc_deg": DEG * MOTOR, "bridge": 200 * DEFLECTION + 1000}),
-        (),
-        ("t", "s", "enc_deg", "deg", "deflection", "bridge", RAW, 1),
     ),
     "a bridge that the call calibrates": (
         Shape({"t": TIME, "enc": DEG * MOTOR, "bridge": -1e3 * TORQUE}),
@@ -190,11 +152,6 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         (),
         ("time_s", "s", "theta_deg", "deg", "torque", "torque_Nm", "Nm", 1),
     ),
-    "camel case": (
-        Shape({"timeStamp": TIME, "motorAngle": MOTOR, "hubTorque": TORQUE}),
-        ("motor_angle=[rad]", "torque=[Nm]"),
-        ("timeStamp", "s", "motorAngle", "rad", "torque", "hubTorque", "Nm", 1),
-    ),
     "a LabVIEW header as comments": (
         Shape(
             {"# X_Value": TIME, "Theta_deg": DEG * MOTOR, "Torque_Nm": TORQUE},
@@ -204,20 +161,10 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         (),
         ("X_Value", "s", "Theta_deg", "deg", "torque", "Torque_Nm", "Nm", 1),
     ),
-    "blanks between the cells": (
-        Shape({"t_s": TIME, "enc_rad": MOTOR, "torque_Nm": TORQUE}, separator=" "),
-        (),
-        ("t_s", "s", "enc_rad", "rad", "torque", "torque_Nm", "Nm", 1),
-    ),
     "no header": (
         Shape({"a": TIME, "b": MOTOR, "c": TORQUE}, header=False),
         ("torque=#3 [Nm]", "motor_angle=#2 [rad]"),
         ("#1", "s", "#2", "rad", "torque", "#3", "Nm", 1),
-    ),
-    "names that say nothing, output first": (
-        Shape({"x1": TIME, "x2": -TORQUE, "x3": MOTOR}),
-        ("torque=x2 [Nm]", "motor_angle=x3 [rad]"),
-        ("x1", "s", "x3", "rad", "torque", "x2", "Nm", -1),
     ),
     "encoder counts with the counts of a turn": (
         Shape(
@@ -230,20 +177,6 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         Shape({"t": TIME, "theta": MOTOR, "tip_rad": MOTOR - DEFLECTION}),
         ("motor_angle=[rad]",),
         ("t", "s", "theta", "rad", "deflection", "theta - tip_rad", RAW, 1),
-    ),
-    "a tip angle in other units": (
-        Shape({"t": TIME, "theta_deg": DEG * MOTOR, "tip_rad": MOTOR - DEFLECTION}),
-        (),
-        (
-            "t",
-            "s",
-            "theta_deg",
-            "deg",
-            "deflection",
-            "theta_deg - 57.2957795 * tip_rad",
-            "deg",
-            1,
-        ),
     ),
     "a tip angle that is called a deflection": (
         Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": MOTOR - DEFLECTION}),
@@ -258,21 +191,6 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
             "rad",
             1,
         ),
-    ),
-    "a tip angle that nothing names": (
-        Shape({"a": TIME, "b": MOTOR, "c": MOTOR - DEFLECTION}, header=False),
-        ("motor_angle=#2 [rad]", "deflection=#2 - #3 [rad]"),
-        ("#1", "s", "#2", "rad", "deflection", "#2 - #3", "rad", 1),
-    ),
-    "a laser in millimetres": (
-        Shape({"t": TIME, "theta": MOTOR, "laser_mm": 320 * DEFLECTION}),
-        ("motor_angle=[rad]",),
-        ("t", "s", "theta", "rad", "deflection", "laser_mm", RAW, 1),
-    ),
-    "a linear axis": (
-        Shape({"t": TIME, "cart_mm": 100 * MOTOR, "torque_Nm": TORQUE}),
-        (),
-        ("t", "s", "cart_mm", "rad", "torque", "torque_Nm", "Nm", 1),
     ),
     "stamps of each channel, as in TDMS": (
         Shape(
@@ -313,15 +231,6 @@ THROUGH: dict[str, tuple[Shape, tuple[str, ...], Taken]] = {
         ("time=[ms]",),
         ("#1", "ms", "#2", "rad", "deflection", "#3", "rad", -1),
     ),
-    "one name too few": (
-        Shape(
-            {"a": TIME, "b": DEG * MOTOR, "c": TORQUE, "d": NOISE},
-            before="t_s,theta_deg,torque_Nm\n",
-            header=False,
-        ),
-        (),
-        ("#1", "s", "#2", "deg", "torque", "#3", "Nm", 1),
-    ),
     "what was asked for beside what was measured": (
         Shape(
             {
@@ -353,10 +262,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         ),
         '--column "motor_angle=enc * 1/4096 [rev]"',
     ),
-    "a potentiometer in volts": (
-        Shape({"t": TIME, "pot_V": MOTOR, "torque_Nm": TORQUE}),
-        '--column "motor_angle=pot_V * 36.8 [deg]"',
-    ),
     "no stamps": (
         Shape({"theta_deg": DEG * MOTOR, "torque_Nm": TORQUE}),
         "--period-ms 4",
@@ -371,10 +276,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         ),
         '--column "time=n * 0.004 [s]"',
     ),
-    "an angle between radians and degrees": (
-        Shape({"t": TIME, "theta": 4 * MOTOR, "torque_Nm": TORQUE}),
-        '--column "motor_angle=theta [deg]"',
-    ),
     "two encoders": (
         Shape(
             {"t": TIME, "enc1": MOTOR, "enc2": MOTOR - DEFLECTION, "torque_Nm": TORQUE}
@@ -385,10 +286,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
     "a table that is too short": (
         Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}),
         "too short",
-    ),
-    "two gauges that do not belong together": (
-        Shape({"t": TIME, "theta": MOTOR, "strain1": DEFLECTION, "strain2": NOISE}),
-        '--column "torque=strain1 [Nm]"',
     ),
     "a tip that moves otherwise": (
         Shape({"t": TIME, "theta_rad": MOTOR, "tip_rad": np.roll(MOTOR, 400)}),
@@ -404,10 +301,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         ),
         'log.csv "k*s**2/(s**a + w)/(0.001*s + 1)*exp(-L*s)" --input theta_rad --output acc --period-ms 4',
     ),
-    "an angle and a voltage": (
-        Shape({"t": 1e3 * TIME, "theta_rad": MOTOR, "u_V": VOLTAGE}),
-        '--column "time=t [ms]" --column "motor_angle=theta_rad [rad]" --column "voltage=u_V [V]"',
-    ),
     "a ring-down": (
         Shape({"t": TIME, "theta_rad": np.full(COUNT, 0.1), "strain_V": DEFLECTION}),
         'log.csv "k/(s**a + w)*exp(-L*s)" --ring-down --output strain_V --period-ms 4',
@@ -415,10 +308,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
     "a frequency response": (
         Shape({"f_Hz": 1 + TIME, "gain": 1 / (1 + TIME), "phase_deg": -TIME}),
         "fraclink identify-spectrum",
-    ),
-    "nothing named": (
-        Shape({"x1": TIME, "x2": TORQUE, "x3": MOTOR}),
-        '--column "motor_angle=x2 [deg]"; --column "torque=x2 [Nm]"',
     ),
     "a camera that sees the tip in space": (
         Shape({"t": TIME, "theta_rad": MOTOR, "camera_m": 0.32 * (MOTOR - DEFLECTION)}),
@@ -490,15 +379,6 @@ def test_a_gauge_without_a_unit_is_scaled_to_a_gain_of_one(tmp_path: Path) -> No
     assert found.columns.output.scale == pytest.approx(1 / 0.4, rel=0.1)
 
 
-def test_an_output_that_shows_no_vibration_keeps_its_sign_as_an_assumption(
-    tmp_path: Path,
-) -> None:
-    noise = np.random.default_rng(2).normal(0, 1, COUNT)
-    shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": noise})
-    found = guessed(shape, tmp_path / "log.csv")
-    assert certainty(found, "sign of the output") == "assumed"
-
-
 def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> None:
     late = np.concatenate(
         (np.zeros(22), TORQUE[:-22])
@@ -506,14 +386,6 @@ def test_a_gauge_that_answers_late_does_not_settle_its_sign(tmp_path: Path) -> N
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": late})
     found = guessed(shape, tmp_path / "log.csv")
     assert certainty(found, "sign of the output") == "assumed"
-
-
-def test_values_near_the_limits_of_doubles_are_no_signals(tmp_path: Path) -> None:
-    huge = 1e308 * np.sign(NOISE)
-    for output in (huge, 1e-300 * TORQUE):
-        shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "torque_Nm": output})
-        found = guessed(shape, tmp_path / "log.csv")
-        assert "vibration" not in {guess.part for guess in found.guesses}
 
 
 def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(
@@ -542,30 +414,6 @@ def test_a_clock_in_milliseconds_that_is_called_seconds_is_a_question(
     assert [(question.role, question.part) for question in found.questions] == [
         ("time", "unit")
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "role"),
-    [
-        ("motor_angle_deg", "motor_angle"),
-        ("Theta", "motor_angle"),
-        ("theta_cmd", "a commanded value"),
-        ("frequency", ""),
-        ("bending", "deflection"),
-        ("dTheta", "a speed"),
-        ("motor_deg", "motor_angle"),
-        ("u", "voltage"),
-        ("Motorspannung [V]", "voltage"),
-        ("strain_V", "deflection"),
-        ("pot_V", "motor_angle"),
-        ("tip_deflection_m", "deflection"),
-        ("tip_angle", "the tip"),
-        ("rpm", "a speed"),
-        ("offset", ""),
-    ],
-)
-def test_names_suggest_roles_by_whole_words(name: str, role: str) -> None:
-    assert role_of_name(name)[0] == role
 
 
 # --- from the file to the model -----------------------------------------------------------------------------
@@ -779,33 +627,6 @@ def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
         fl.logs.start(path, period=0.004, column=["time=theta_deg [s]"])
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "motor_angle",
-        "angle=a [rad]",
-        "motor_angle=a * 1/0 [rad]",
-        "torque=a * 1.2.3 [Nm]",
-    ],
-)
-def test_statements_that_are_not_understood_are_refused(text: str) -> None:
-    with pytest.raises(FieldError, match="column"):
-        ColumnStatement.of(text)
-
-
-def test_what_a_statement_leaves_open() -> None:
-    assert ColumnStatement.of("deflection=[deg]") == ColumnStatement(
-        "deflection", unit="deg"
-    )
-    assert ColumnStatement.of("motor_angle=a b") == ColumnStatement(
-        "motor_angle", "a b"
-    )
-    assert ColumnStatement.of("torque=+g [Nm]").sign == 1
-    assert ColumnStatement.of(
-        "motor_angle=pot * 360/4096 [deg]"
-    ).scale == pytest.approx(0.087890625)
-
-
 # --- recorded logs ------------------------------------------------------------------------------------------
 
 
@@ -859,33 +680,3 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
         "strain_V",
     )
     assert found.columns.voltage.column == "u_V"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("payload", "source"), [(None, "in the log's header"), (0.03, "as stated")]
-)
-@pytest.mark.parametrize("error", [None, 0.00021])
-def test_what_the_reader_and_the_fit_say_of_a_log(
-    payload: float | None, source: str, error: float | None
-) -> None:
-    from types import SimpleNamespace
-
-    from fraclink.logs._start import _of_the_fit
-
-    log = SimpleNamespace(
-        motor_angle=np.zeros(2501), duration=10.0, period=0.004, payload=0.03
-    )
-    fit = SimpleNamespace(
-        delay=0.0123, standard_errors={} if error is None else {"delay": error}
-    )
-    said = {guess.part: guess for guess in _of_the_fit(log, fit, payload)}  # type: ignore[arg-type]
-    assert (said["period"].value, said["period"].evidence) == (
-        "4 ms",
-        "2501 samples, 10 s",
-    )
-    assert (said["payload"].value, said["payload"].evidence) == ("0.03 kg", source)
-    assert said["delay of the output"].value == "12.3 ms"
-    assert said["delay of the output"].evidence == "fitted with the model" + (
-        "" if error is None else ", ± 0.21 ms"
-    )

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import shlex
 import struct
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import get_type_hints
 
@@ -26,23 +24,19 @@ from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
 from fraclink._export.data import exact_sizes
 from fraclink._export.selftest import expected
-from fraclink._law.refit import refitted
 from fraclink._law.requirement import margins_of
 from fraclink.errors import FieldError, FraclinkError
-from fraclink.studio._copied import as_python
 from fraclink.studio._history import History
-from fraclink.studio._logs import LOG_VERBS, _scaled, _spectrum, thinned
-from fraclink.studio._messages import NAMES, Reply, checked_request, parsed, refusal
+from fraclink.studio._logs import LOG_VERBS
+from fraclink.studio._messages import NAMES, Reply, parsed
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
-from fraclink.studio._preview import Subject, described, nearest, preview
+from fraclink.studio._preview import Subject, nearest, preview
 from fraclink.studio._regions import (
-    Region,
     checked_regions,
     fan_of,
     map_of,
     round_regions,
-    violated,
 )
 from fraclink.studio._server import POLICY, Studio, application
 from fraclink.studio._serving import serve
@@ -51,7 +45,6 @@ from fraclink.studio._work import Job, moves_of_arms, proof_of, swept
 from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign
 from fraclink.trials._faults import FaultTable
-from fraclink.view._pages import squeezed, tightened
 from junk import CHARACTERS
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -187,46 +180,6 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject):
     assert found["gain_crossover"] == head["nearest"]["gain_crossover"]
 
 
-def test_a_region_is_entered_by_a_curve_that_crosses_it_between_two_points(subject):
-    box = Region("nichols", -200.0, -160.0, -6.0, 6.0)
-    w = np.array([1.0, 2.0])
-    through, beside, along = (
-        (np.array([20.0, -20.0]), np.array([-180.0, -181.0])),
-        (np.array([20.0, -20.0]), np.array([-159.0, -150.0])),
-        (np.array([6.0, 6.0]), np.array([-300.0, -60.0])),  # on the edge is not inside
-    )
-    entered = [
-        box.entered(w, gain[None], phase[None])
-        for gain, phase in (through, beside, along)
-    ]
-    assert entered == [True, False, False]
-    between = np.array(
-        [[-20.0, -20.0], [20.0, 20.0]]
-    )  # of two payloads, one on each side
-    assert box.entered(w, between, np.full((2, 2), -180.0))
-    made = fl.design(
-        subject.model,
-        subject.rig,
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-        law=False,
-    )
-    dense = np.geomspace(subject.frequencies[0], subject.frequencies[-1], 5000)
-    for region in (
-        Region("gain", 15.0, 18.0, -3.0, 30.0),
-        Region("gain", 40.0, 50.0, -10.0, 30.0),
-    ):
-        db = [
-            20 * np.log10(np.abs(made.loop(dense, made.natural_frequency(m))))
-            for m in np.linspace(0.02, 0.04, 9)
-        ]
-        inside = (dense > region.left) & (dense < region.right)
-        truth = any(
-            np.any((g[inside] > region.low) & (g[inside] < region.high)) for g in db
-        )
-        assert violated(made, [region], subject.frequencies) == [truth]
-
-
 @pytest.mark.slow
 def test_a_way_round_the_regions_is_found_or_refused(subject):
     wall = [{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}]
@@ -286,34 +239,6 @@ def test_the_map_is_the_one_of_feasibility_map_and_the_fan_is_of_the_box(subject
     assert np.allclose(point["fan_phase"], curves["phase"][[0, 2], ::4], atol=1e-3)
 
 
-def test_what_was_kept_is_remembered(tmp_path):
-    history = History.of(tmp_path)
-    for margin in (45.0, 50.0, 55.0):
-        history.add({"phase_margin_deg": margin})
-    history.go(1)
-    history.keep()
-    assert History.of(tmp_path).kept == {1} and History.of(tmp_path).at == 1
-    history.go(0)
-    history.add({"phase_margin_deg": 60.0})
-    assert History.of(tmp_path).kept == set()
-
-
-def test_a_law_refitted_to_its_own_controller_is_that_law(subject):
-    made = fl.design(
-        subject.model,
-        subject.rig,
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-        law=False,
-    )
-    quick, error = refitted(subject.law, made.controller)
-    w = np.geomspace(1.0, 300.0, 50)
-    both = [1.0 + law.frequency_response(w) for law in (quick, subject.law)]
-    assert np.max(np.abs(both[0] / both[1] - 1.0)) < 0.05
-    assert error < 0.05
-    assert len(quick.block) == len(subject.law.block)
-
-
 # --- messages -------------------------------------------------------------------------------------------
 
 BAD = ("", "{", "[]", "null", '"x"', '{"seq": 1}', '{"seq": -1, "verb": "hello"}', '{"verb": "hello"}',
@@ -325,29 +250,6 @@ BAD = ("", "{", "[]", "null", '"x"', '{"seq": 1}', '{"seq": -1, "verb": "hello"}
 def test_what_is_no_request_is_refused(text):
     with pytest.raises(FieldError, match="not a request"):
         parsed(text)
-
-
-def test_no_number_that_is_not_finite_is_sent():
-    head, _ = unpacked(Reply({"a": math.inf, "b": {"c": [math.nan]}}).packed(1, "x"))
-    assert (head["a"], head["b"]["c"]) == (None, [None])
-    with pytest.raises(AssertionError, match="not finite"):
-        Reply({}, {"curve": [1.0, math.nan]}).packed(1, "x")
-
-
-def test_a_refusal_keeps_the_parts_of_its_error():
-    error = FieldError("payload", -1.0, "negative", allowed="> 0 kg", remedy="give kg")
-    assert refusal(error).head["field"] == "payload"
-
-
-def test_a_script_keeps_its_texts_and_loses_its_spaces():
-    cases = {
-        "a = `x  ${b ? `, ${ c }` : ' '} y`": "a=`x  ${b ? `, ${ c }` : ' '} y`\n",
-        "// all\nlet a = 1 - -b; /* two\nlines */ f( /a b/ )": "let a=1- -b;f(/a b/)\n",
-        "const x = a\n(b)": "const x=a\n(b)\n",
-        "return 'a // b' + c": "return'a // b'+c\n",
-        "f((x) => { g(x); }, [1, ],);": "f(x=>{g(x)},[1]);\n",
-    }
-    assert {text: tightened(text) for text in cases} == cases
 
 
 # --- runs that Python makes for the page ----------------------------------------------------------------
@@ -519,18 +421,6 @@ def test_every_file_carries_the_policy_and_nothing_else_is_served(client):
         "/x",
     ):
         assert client.get(path).status_code == 404
-
-
-def test_no_colour_is_used_that_the_palette_does_not_have(client):
-    assert squeezed("palette.css").startswith(
-        ":root {"
-    )  # no rest of a comment, which takes a rule along
-    style = client.get("/arm_box.css").text + client.get("/studio.css").text
-    style = re.sub(r"/\*.*?\*/", "", style, flags=re.DOTALL)
-    assert "*/" not in style
-    assert set(re.findall(r"var\(--([\w-]+)", style)) <= set(
-        re.findall(r"--([\w-]+):", style)
-    )
 
 
 def test_another_host_or_origin_is_refused(client, studio):
@@ -907,29 +797,6 @@ def test_a_history_survives_a_torn_line(tmp_path):
     )
 
 
-def test_options_and_lines_of_python_agree():
-    request = checked_request({**ASKED, "max_sensitivity": 1.8, "box": True})
-    text = as_python(request, "results/rig.toml", Path("results/model.json"))
-    assert (
-        "max_sensitivity=1.8" in text
-        and "box=True" in text
-        and "fl.Rig.load('results/rig.toml')" in text
-    )
-
-
-def test_the_sentence_on_margins_names_a_middle_only_where_it_is_the_least() -> None:
-    rig = fl.Rig.named("paper-2023")
-    design = fl.design(
-        rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50), law=False
-    )
-    payloads = np.linspace(*design.payloads, 7)[1:-1]
-    rising = np.radians(np.linspace(52.0, 64.0, 5))
-    assert "between" not in described(design, payloads, rising)
-    assert "least 40.0° between" in described(
-        design, payloads, np.radians([52.0, 45.0, 40.0, 45.0, 52.0])
-    )
-
-
 @pytest.mark.slow
 def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
     from fraclink.studio._logs import LOG_VERBS
@@ -1021,89 +888,3 @@ def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
         / run.reference[-1]
     )
     assert set(moves_of_arms(campaign, ())) == {"fan_t", "fan_passed"}
-
-
-def test_the_page_s_own_script_stays_small() -> None:
-    page = files("fraclink.studio") / "page"
-    scripts = [
-        path.read_text("utf-8") for path in page.iterdir() if path.name.endswith(".js")
-    ]
-    assert sum(len(tightened(script).encode()) for script in scripts) <= 60_000
-
-
-def test_a_gap_is_closed_by_the_value_before_it():
-    from fraclink.studio._logs import _finite
-
-    nan, inf = np.nan, np.inf
-    assert _finite(np.array([1.0, nan, 3.0, inf, -inf, 1e31, 0.0, nan])).tolist() == [
-        1,
-        1,
-        3,
-        3,
-        3,
-        3,
-        0,
-        0,
-    ]
-    assert _finite(np.array([nan, nan, 2.0])).tolist() == [0, 0, 2]
-    assert _finite(np.array([nan, inf])).tolist() == [0, 0]
-
-
-@pytest.mark.parametrize("count", [2400, 2401, 7001, 48000])
-def test_a_thinned_signal_keeps_every_stretchs_extremes_in_order(count):
-    values = np.cumsum(np.random.default_rng(count).normal(size=count))
-    kept = thinned(values)
-    assert (
-        kept.size <= 2400 and kept.min() == values.min() and kept.max() == values.max()
-    )
-    if count == 2400:
-        assert kept is values
-    places = np.array(
-        [int(np.flatnonzero(values == v)[0]) for v in kept[:: kept.size // 50]]
-    )
-    assert (np.diff(places) > 0).all()
-
-
-def test_the_last_stretch_of_a_thinned_signal_has_its_own_extremes():
-    values = np.zeros(4801)
-    values[:2], values[-1] = (-7.0, 9.0), 0.5
-    kept = thinned(values)
-    assert (
-        kept[0] == -7.0
-        and kept[1] == 9.0
-        and set(kept[2:].tolist()) <= {0.0, 0.5}
-        and 0.5 in kept
-    )
-
-
-def test_a_sparkline_fills_its_height():
-    assert np.array_equal(_scaled(np.array([2.0, 4.0, 3.0])), [0.0, 1.0, 0.5])
-    assert np.array_equal(_scaled(np.full(4, 7.0)), np.full(4, 0.5))
-
-
-@pytest.mark.slow
-def test_the_spectrum_of_a_log_has_its_lines_where_they_are():
-    """Two sines of 5 and 20 Hz, the second a tenth as large; the rest a hundredth of
-    the first.
-    """
-    period, time = 0.004, 0.004 * np.arange(5000)
-    output = (
-        np.sin(2 * math.pi * 5.0 * time) + 0.1 * np.sin(2 * math.pi * 20.0 * time) + 3.0
-    )
-    found = _spectrum(output, 0.01 * np.sin(2 * math.pi * 5.0 * time), period)
-    hertz, log, rest = (
-        found[name] for name in ("spectrum_hz", "spectrum_log", "spectrum_rest")
-    )
-    assert hertz.size == log.size == rest.size == 160
-    assert hertz[0] == pytest.approx(0.05, rel=0.1) and hertz[-1] == pytest.approx(
-        125.0, rel=0.1
-    )
-    assert hertz[np.argmax(log)] == pytest.approx(
-        5.0, rel=0.05
-    ) and log.max() == pytest.approx(0.0, abs=1e-9)
-    near = np.abs(np.log(hertz / 20.0)) < 0.06
-    assert log[near].max() == pytest.approx(-20.0, abs=0.1)
-    assert rest.max() == pytest.approx(-40.0, abs=0.1) and hertz[
-        np.argmax(rest)
-    ] == pytest.approx(5.0, rel=0.05)
-    assert log.min() >= -120.0

@@ -5,8 +5,6 @@ files, and refusals.
 from __future__ import annotations
 
 import asyncio
-import json
-import math
 import socket
 import sys
 import time
@@ -15,7 +13,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
@@ -23,21 +20,11 @@ import fraclink as fl
 from fraclink.errors import (
     FieldError,
     FraclinkError,
-    InfeasibleError,
 )
 from fraclink.studio import _logs as logs
 from fraclink.studio import _server as server
 from fraclink.studio import _serving as serving
 from fraclink.studio import _work as work
-from fraclink.studio._history import History
-from fraclink.studio._messages import (
-    checked_request,
-    refusal,
-    wanted_of,
-)
-from fraclink.studio._regions import (
-    Region,
-)
 from fraclink.studio._session import Session, opened
 from fraclink.trials._faults import Case, Check, FaultTable, Outcome
 
@@ -71,138 +58,6 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return found
 
 
-# --- requests -------------------------------------------------------------------------------------------
-
-
-def test_a_request_is_asked_of_the_design_in_radians() -> None:
-    wanted = wanted_of(checked_request(ASKED))
-    assert (
-        wanted["phase_margin"] == pytest.approx(math.radians(50.0))
-        and "phase_margin_deg" not in wanted
-    )
-    assert wanted["box"] is False and wanted["payloads"] == (0.02, 0.04)
-    assert wanted_of(checked_request({}))["phase_margin"] is None
-    for given, field in (
-        ([], "state"),
-        ({"gain": 1}, "state"),
-        ({"gain_crossover": -1}, "gain_crossover"),
-    ):
-        with pytest.raises(FieldError) as why:
-            checked_request(given)
-        assert why.value.field == field
-
-
-# --- messages -------------------------------------------------------------------------------------------
-
-
-def test_a_refusal_has_the_parts_that_stand_beside_a_field() -> None:
-    error = FieldError("payload", -1.0, "negative", allowed="> 0 kg", remedy="give kg")
-    assert refusal(error).head == {
-        "ok": False,
-        "error": str(error),
-        "field": "payload",
-        "problem": "negative",
-        "allowed": "> 0 kg",
-        "remedy": "give kg",
-    }
-    assert refusal(FraclinkError("plain")).head == {"ok": False, "error": "plain"}
-    assert RIG.model is not None
-    with pytest.raises(InfeasibleError) as why:
-        fl.design(RIG.model, RIG, gain_crossover=30.0, phase_margin=fl.deg(60))
-    head = refusal(why.value).head
-    assert (head["condition"], head["nearest"]) == (
-        why.value.condition,
-        why.value.nearest,
-    )
-    assert head["explanation"] == why.value.explanation
-
-
-# --- what can be undone ---------------------------------------------------------------------------------
-
-
-def test_a_history_is_a_line_for_every_state(tmp_path: Path) -> None:
-    history = History.of(tmp_path)
-    assert (history.state, history.at, history.path) == (
-        None,
-        -1,
-        tmp_path / "studio.jsonl",
-    )
-    history.keep()  # nothing to keep yet
-    assert not history.path.exists()
-    for k in range(3):
-        history.add({"k": k})
-        history.add({"k": k})  # what stands already is not added again
-    history.go(1)
-    history.go(1)
-    history.keep()
-    history.keep()
-    assert [json.loads(line) for line in history.path.read_text().splitlines()] == [
-        {"at": 0, "state": {"k": 0}},
-        {"at": 1, "state": {"k": 1}},
-        {"at": 2, "state": {"k": 2}},
-        {"at": 1},
-        {"at": 1, "kept": True},
-    ]
-    for wrong in (-1, 3):
-        with pytest.raises(FieldError, match="0 to 2"):
-            history.go(wrong)
-    assert (history.at, history.kept) == (1, {1})
-    history.add({"k": 9})
-    assert (history.states, history.at, history.kept) == (
-        [{"k": 0}, {"k": 1}, {"k": 9}],
-        2,
-        {1},
-    )
-
-
-@pytest.mark.parametrize(
-    ("line", "taken"),
-    [
-        ('{"at": 1, "state": {"k": 1}}', True),
-        ('{"at": 7, "state": {"k": 1}}', True),  # behind the last: the last
-        ('{"at": -1, "state": {"k": 1}}', False),
-        ('{"at": true, "state": {"k": 1}}', False),
-        ('{"at": 1.0, "state": {"k": 1}}', False),
-        ('{"at": 1, "state": [1]}', False),
-        ("[1]", False),
-        ('{"at": 1, "state": {"k": 1}, "x": "' + 16_384 * "y" + '"}', False),
-    ],
-)
-def test_what_is_no_line_of_a_history_ends_it(
-    tmp_path: Path, line: str, taken: bool
-) -> None:
-    behind = '{"at": 2, "state": {"k": 2}}'
-    (tmp_path / "studio.jsonl").write_text(
-        f'{{"at": 0, "state": {{"k": 0}}}}\n{line}\n{behind}\n'
-    )
-    found = History.of(tmp_path)
-    assert found.states == ([{"k": 0}, {"k": 1}, {"k": 2}] if taken else [{"k": 0}])
-    assert found.at == (2 if taken else 0)
-
-
-# --- regions, map and fan -------------------------------------------------------------------------------
-
-
-def test_a_region_is_entered_only_by_what_lies_inside() -> None:
-    box, w = (
-        Region("gain", 10.0, 100.0, 0.0, 20.0),
-        np.array([1.0, 10.0, 100.0, 1000.0]),
-    )
-    none = np.zeros((1, 4))
-    for gain, inside in (
-        ([30.0, 30.0, -10.0, -10.0], True),  # through
-        (
-            [30.0, 20.0, 20.0, -10.0],
-            False,
-        ),  # along the upper edge and down the right one
-        ([10.0, 30.0, 30.0, 10.0], False),  # beside it
-        ([-10.0, -10.0, -10.0, 50.0], False),
-        ([5.0, 5.0, 5.0, 5.0], True),
-        ([-10.0, -10.0, 0.5, -10.0], True),
-    ):
-        assert box.entered(w, np.array([gain]), none) is inside, gain
-
-
 # --- the session ----------------------------------------------------------------------------------------
 
 
@@ -233,31 +88,6 @@ def test_a_session_opens_what_it_is_given(made: Session, tmp_path: Path) -> None
 
 
 # --- jobs -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_job_needs_its_part_and_its_range(made: Session, tmp_path: Path) -> None:
-    fresh = Session(fl.trials.Study(rig=RIG), tmp_path)
-    for verb, remedy in (
-        ("identify", "steps 1 and 2"),
-        ("prove", "step 4"),
-        ("arms", "step 4"),
-        ("faults", "step 4"),
-    ):
-        with pytest.raises(FieldError, match="is required") as why:
-            work.Job(fresh, verb, {}).done(lambda progress: None)
-        assert remedy in why.value.remedy
-    for runs in (0, 20_001, "x"):
-        with pytest.raises(FieldError, match="runs"):
-            work.Job(made, "arms", {"runs": runs}).done(lambda progress: None)
-    assert work.JOBS["identify"][1][0][1:] == (fl_between(0.05, 0.9), None)
-    assert work.JOBS["arms"][1][0][2] == 1000
-
-
-def fl_between(low: float, high: float) -> Any:
-    from fracsys.checks import Between
-
-    return Between(low, high)
 
 
 @pytest.mark.slow
@@ -445,34 +275,6 @@ def client(studio: server.Studio) -> TestClient:
     return TestClient(server.application(studio), base_url="http://127.0.0.1:8000")
 
 
-def test_files_are_served_with_their_kind(client: TestClient) -> None:
-    for path, kind in (
-        ("/", "text/html"),
-        ("/studio.js", "text/javascript"),
-        ("/studio.css", "text/css"),
-        ("/icon.svg", "image/svg+xml"),
-        ("/arm_box.js", "text/javascript"),
-        ("/arm_box.css", "text/css"),
-    ):
-        answer = client.get(path)
-        assert (
-            answer.headers["content-type"].startswith(kind)
-            and answer.status_code == 200
-        )
-        assert answer.headers["referrer-policy"] == "no-referrer"
-    assert (
-        "<!-- arm_box.html -->" not in client.get("/").text
-        and "{#" not in client.get("/").text
-    )
-    script = client.get("/arm_box.js").text
-    page = Path(server.__file__).parent / "page"
-    assert script.startswith((page / "arm_before.txt").read_text("utf-8"))
-    assert script.endswith((page / "arm_after.txt").read_text("utf-8"))
-    assert (
-        client.post("/").status_code == 405 and client.post("/").text == "nothing here"
-    )
-
-
 def test_an_upload_that_no_file_system_takes_is_refused(
     client: TestClient, studio: server.Studio
 ) -> None:
@@ -513,23 +315,6 @@ def test_an_upload_of_more_than_the_readers_take_is_refused(
     assert (answer.content, answer.headers["content-type"]) == (
         b"PK",
         "application/zip",
-    )
-
-
-def test_pages_are_counted_while_they_are_open(studio: server.Studio) -> None:
-    async def opened_twice() -> tuple[int, int]:
-        async with server._counted(studio):
-            async with server._counted(studio):
-                most = studio.pages
-            return most, studio.pages
-
-    studio.alone_since = 0.0
-    assert asyncio.run(opened_twice()) == (2, 1) and studio.pages == 0
-    assert time.monotonic() - studio.alone_since < 60.0
-    assert (
-        studio.knows(studio.token)
-        and not studio.knows(studio.token + "x")
-        and not studio.knows(None)
     )
 
 

@@ -63,7 +63,7 @@ BUDGET = 20.0  # s of processor time of the tests of one mutant
 UNCONCERNED = (
     "test_docs", "test_guards", "test_architecture", "test_studio_browser", "test_benchmarks_run",
     "test_readme", "test_reproduce", "test_examples", "test_export_gates", "test_export_firmware",
-    "test_export_fmu_sources", "test_palette", "test_readers_mutants", "test_mutation",
+    "test_export_fmu_sources", "test_palette", "test_readers_mutants",
 )  # fmt: skip
 INTERFACE = (
     "tests/test_interface.py"  # asks for every default and range, whatever it runs
