@@ -143,7 +143,7 @@ def document_of_class(cls: type) -> Document:
     if (
         cls not in _BY_CLASS
     ):  # of a room below this one, or of none: the refusal names all there are
-        for home in sorted(set(HOMES.values())):
+        for home in filter(_installed, sorted(set(HOMES.values()))):
             import_module(home)
     found = _BY_CLASS.get(cls) or _plain(cls)
     if found is None:
@@ -159,6 +159,11 @@ def document_of_class(cls: type) -> Document:
     return found
 
 
+def _installed(module: str) -> bool:
+    """Whether the package of a module is here: a copy of the core has no satellites."""
+    return find_spec(module.rpartition(".")[0]) is not None
+
+
 def _kind(name: str) -> str:
     """PidStep -> pid-step."""
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", name).lower()
@@ -172,7 +177,6 @@ def _public(name: str | Callable[[str], bool]) -> list[Any]:
     wanted = name.__eq__ if isinstance(name, str) else name
     values = []
     for package in PACKAGES:
-        # A copy of the core has no satellites.
         if find_spec(package) is not None:
             module = import_module(package)
             values += [getattr(module, key) for key in module.__all__ if wanted(key)]
@@ -204,7 +208,12 @@ def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
     """
     # The word comes from a file that may be hostile: it selects a module from a list
     # and is never itself imported.
-    if isinstance(kind, str) and kind not in _BY_KIND and kind in HOMES:
+    if (
+        isinstance(kind, str)
+        and kind not in _BY_KIND
+        and kind in HOMES
+        and _installed(HOMES[kind])
+    ):
         import_module(HOMES[kind])
     if isinstance(kind, str) and kind not in _BY_KIND:
         # Functions stand in the packages as well: `design` reads as the kind of
