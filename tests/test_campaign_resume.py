@@ -26,10 +26,9 @@ from campaigns import computed, continued, parts_of, small, started
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 from fraclink.trials import _run as part_module
-from fraclink.trials import _summary as summary_module
 from fraclink.trials._campaign import load_campaign, save_campaign
-from fraclink.trials._run import compute, parts_there, read_part, run_campaign
-from fraclink.trials._summary import columns, summarise
+from fraclink.trials._run import read_part, run_campaign
+from fraclink.trials._summary import summarise
 
 RUNS = 8000
 
@@ -274,102 +273,6 @@ def drop_digests(path: Path) -> None:
     parquet.write_table(table.replace_schema_metadata(told), path, compression="zstd")
 
 
-def state_fewer_runs(path: Path) -> None:
-    about = path.with_name("campaign.json")
-    about.write_text(
-        about.read_text("utf-8").replace('"runs": 2500', '"runs": 2000'), "utf-8"
-    )
-
-
-@pytest.mark.slow
-def test_parts_beyond_the_runs_that_are_stated_are_not_left_out_in_silence(
-    copy, capsys
-):
-    """A campaign.json with fewer runs than were computed would hide those that failed."""
-    state_fewer_runs(copy / "part-0000002.parquet")
-    found = summarise(part_module.load_campaign(copy), copy)
-    assert found.damaged == (2,) and not found.passed and found.failure.runs == 2000
-    assert found.left_out.startswith(
-        "part-0000002.parquet left out: beyond the 2000 runs that campaign.json"
-    )
-    assert main(["campaign", "report", str(copy)]) == 1
-    assert "part-0000002.parquet left out" in " ".join(capsys.readouterr().out.split())
-    assert run_campaign(small(), copy).before == 2500  # its command, given again
-    assert summarise(small(), copy).left_out == ""
-
-
-@pytest.mark.slow
-def test_fewer_runs_of_a_longer_campaign_are_told_without_doubts_of_the_rest(copy):
-    """`--runs 2000` in the folder of 2500: the third part is another request's, and no
-    damage to this one.
-    """
-    shorter = small(2000)
-    assert run_campaign(shorter, copy).before == 2000
-    found = summarise(shorter, copy)
-    assert (found.damaged, found.left_out, found.failure.runs) == ((), "", 2000)
-    assert found.passed == (not found.failure.count)
-    # A part that neither of the two states is named, with the number of runs that the
-    # file states.
-    (copy / "part-0000004.parquet").write_bytes(b"")
-    found = summarise(shorter, copy)
-    assert (
-        found.damaged == (4,)
-        and "beyond the 2500 runs that campaign.json" in found.left_out
-    )
-    # A file that cannot be read vouches for nothing.
-    (copy / "part-0000004.parquet").unlink()
-    (copy / "campaign.json").write_text("{}", "utf-8")
-    assert summarise(shorter, copy).damaged == (2,)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("runs", [1500, 500])
-def test_fewer_runs_that_end_within_a_part_are_its_first(copy, runs):
-    run_campaign(small(runs), copy)
-    found = summarise(small(runs), copy)
-    assert (found.damaged, found.left_out, found.failure.runs) == ((), "", runs)
-    numbers, passed = columns(small(runs), copy, "run", "passed")
-    assert numbers.tolist() == list(range(runs)) and found.failure.count == int(
-        (passed == 0).sum()
-    )
-    # In a file that states no more than is asked for, the same part may hide runs that
-    # failed.
-    about = copy / "campaign.json"
-    about.write_text(
-        about.read_text("utf-8").replace('"runs": 2500', '"runs": 2400'), "utf-8"
-    )
-    assert summarise(load_campaign(copy), copy).damaged == (2,)
-
-
-def test_a_part_has_one_name_and_is_counted_once(tmp_path):
-    for name in (
-        "0000001",
-        "00000001",
-        "\u0660\u0660\u0660\u0660\u0660\u0660\u0662",
-        "12345678",
-        "1",
-    ):
-        (tmp_path / f"part-{name}.parquet").touch()
-    assert parts_there(tmp_path) == [1, 12345678]
-
-
-@pytest.mark.slow
-def test_a_campaign_that_has_just_begun_is_not_asked_for_a_million_parts(
-    copy, monkeypatch
-):
-    asked = set()
-
-    def noted(campaign, folder, part, **names):
-        asked.add(part)
-        return read_part(campaign, folder, part, **names)
-
-    monkeypatch.setattr(summary_module, "read_part", noted)
-    assert (
-        summarise(replace(small(), runs=10**9), copy).failure.runs == 2000
-    )  # the last part is a short one
-    assert asked == {0, 1, 2}
-
-
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_a_pipe_in_the_place_of_a_part_holds_nobody(tmp_path):
     pipe = part_module.part_path(tmp_path, 0)
@@ -456,30 +359,6 @@ def test_the_folder_of_another_campaign_is_refused(copy):
         run_campaign(replace(small(), seed=8), copy)
 
 
-def test_a_folder_with_a_study_is_not_made_a_campaigns(tmp_path):
-    """A kill before campaign.json leaves the same two files: there the campaign goes
-    on.
-    """
-    save_campaign(small(), tmp_path)
-    (tmp_path / "campaign.json").unlink()
-    kept = (tmp_path / "law.json").read_bytes()
-    part_module._claim(small(), tmp_path)
-    assert load_campaign(tmp_path) == small()
-    (tmp_path / "campaign.json").unlink()
-    (tmp_path / "rig.toml").write_text(
-        (tmp_path / "rig.toml").read_text("utf-8") + "# mine", "utf-8"
-    )
-    with pytest.raises(
-        FieldError,
-        match=r"a folder with another rig\.toml, which a campaign would replace",
-    ):
-        run_campaign(small(), tmp_path)
-    assert (tmp_path / "rig.toml").read_text("utf-8").endswith("# mine")
-    assert (tmp_path / "law.json").read_bytes() == kept and not (
-        tmp_path / "campaign.json"
-    ).exists()
-
-
 def test_campaigns_read_back_equal(tmp_path):
     save_campaign(small(), tmp_path)
     back = load_campaign(tmp_path)
@@ -562,10 +441,3 @@ def test_an_unwritable_folder_is_told(tmp_path, capsys):
     ]
     assert main(line) == 2
     assert "not writable" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_worker_does_what_it_is_told_with_plain_values(copy, whole):
-    (copy / "part-0000002.parquet").unlink()
-    assert compute(str(copy), 2) == 2
-    assert parts_of(copy) == parts_of(whole)

@@ -5,7 +5,6 @@ and no memory does.
 from __future__ import annotations
 
 import itertools
-import re
 import subprocess
 from dataclasses import replace
 from functools import cache
@@ -20,9 +19,6 @@ from fraclink import _kernels
 from fraclink._cli import main
 from fraclink._design import Design
 from fraclink._law.estimator import (
-    COUNTS,
-    HEADER,
-    MODEL,
     MODELS,
     REALS,
     Estimates,
@@ -31,7 +27,6 @@ from fraclink._law.estimator import (
 )
 from fraclink._law.tracking import masses_of
 from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
-from fraclink._simulate.sensors import SensorFault
 from fraclink.errors import FieldError
 from fraclink.lab._connections import Callback
 from fraclink.lab._loop import run_realtime
@@ -77,21 +72,6 @@ def over(
     made: PayloadEstimator, angle: Real, torque: Real, ticks: object = None
 ) -> Estimates:
     return made.run(made.initial_state(), angle, torque, ticks=ticks)[1]  # type: ignore[arg-type]
-
-
-def test_the_block_is_the_struct_of_the_header() -> None:
-    text = (ROOT / "csrc" / "payload_estimator.h").read_text(encoding="utf-8")
-    assert int(re.search(r"PAYLOAD_MODELS (\d+)U", text)[1]) == MODELS  # type: ignore[index]
-    structs = dict(
-        re.findall(r"typedef struct \{([^}]*)\} (\w+);", text)[i][::-1]
-        for i in range(2)
-    )
-    fields = {
-        name: re.findall(r"(?:uint32_t|law_real|payload_model) (\w+)", structs[name])
-        for name in structs
-    }
-    assert fields["payload_model"] == list(MODEL)
-    assert fields["payload_params"] == [*HEADER, *COUNTS, *REALS, "model"]
 
 
 # --- the arithmetic, by another way -----------------------------------------------------------------------
@@ -241,39 +221,6 @@ def test_the_second_move_after_a_change_is_fast(before: float, after: float) -> 
     late = run.time >= 7.0
     outside = np.flatnonzero(np.abs(run.tip_angle[late] - 1.0) > 0.02)
     assert 0.004 * (outside[-1] + 1) <= 0.50
-
-
-@pytest.mark.parametrize("arm", ["model", "twin"])
-def test_a_run_holds_what_the_law_was_given(arm: str) -> None:
-    """The recorded sensors and payloads give the recorded commands again, to the last
-    bit.
-    """
-    made = designed().law()
-    place = (
-        {"arm": Twin.from_rig(GEARED, payload=0.04)}
-        if arm == "twin"
-        else {"payload": 0.04}
-    )
-    missed = SensorFault(0.3, 0.304, "tick missed")
-    run = fl.simulate(
-        designed(), MOVE, told="estimated", events=[missed], duration=1.0, **place
-    )  # type: ignore[arg-type]
-    came = np.ones(len(run.time), dtype=bool)
-    came[np.round(0.3 / made.period).astype(int)] = False
-    time = run.time[came]
-    ticks = np.flatnonzero(came) + 1
-    given = run.extras["payload_given"][came]
-    _, again = made.run(
-        made.initial_state(),
-        run.reference[came],
-        MOVE.acceleration(time),
-        run.motor_angle_measured[came],
-        run.torque_measured[came],
-        given,
-        ticks=ticks,
-    )
-    np.testing.assert_array_equal(again.motor_reference, run.motor_reference[came])
-    assert given[0] == 0.0 and given[-1] > 0.03
 
 
 def test_the_certificate_is_that_of_the_law_alone() -> None:
@@ -606,102 +553,3 @@ def test_the_export_has_the_estimator_and_its_self_test(
     assert "not proved" in page and f"{bank(precision).state_size} bytes" in page
     plain = {path.name for path in fl.export_c(law, tmp_path / "plain")}
     assert not plain & own
-
-
-# --- the numbers of the tables ------------------------------------------------------------------------------
-
-
-def test_what_the_bank_counts_on_follows_from_rig_law_and_request() -> None:
-    law, made = designed().law(), bank()
-    sample, values = (
-        made.together * law.period,
-        dict(zip(REALS, made.values, strict=True)),
-    )
-    noise = np.hypot(GEARED.gauge.noise, GEARED.gauge.quantum / 12**0.5)
-    own = 33 / 140 * GEARED.link.mass
-    limit, largest = law.limits.torque_limit, law.limits.payload_limit
-    wanted = {
-        "angle_limit": law.limits.angle_limit,
-        "torque_limit": limit,
-        "torque_moved": 4.0 * noise / made.together**0.5,
-        "variance": noise**2 / made.together,
-        "gain_weight": noise**2 / made.together / 0.05**2,
-        "offset_variance": (0.1 * limit) ** 2,
-        "keep": np.exp(-sample / 0.5),
-        "sum_limit": (2 * limit) ** 2 / (1 - np.exp(-sample / 0.5)),
-        "link": own,
-        "payload_limit": largest,
-        "certified_low": 0.02,
-        "certified_high": 0.04,
-        "width": 1.96,
-        "doubt": 0.005**2,
-    }
-    assert {name: values[name] for name in wanted} == pytest.approx(wanted, rel=1e-12)
-    assert made.certified == (0.02, 0.04)
-    masses = [row[MODEL.index("mass")] for row in made.models]
-    assert len(masses) == MODELS
-    assert masses == pytest.approx(
-        np.geomspace(0.25 * 0.02 + own, 1.15 * largest + own, MODELS)
-    )
-    # The lightest payload's vibration takes twelve samples; all models are asked within
-    # one sample.
-    nominal, _ = masses_of(GEARED.model, GEARED)
-    fastest = replace(
-        GEARED.model,
-        natural_frequency=GEARED.model.natural_frequency * (nominal / masses[0]) ** 0.5,
-    )
-    assert made.together == int(0.5 / (abs(fastest.pole) * law.period))
-    assert made.chunk * made.together >= MODELS > (made.chunk - 1) * made.together
-    assert made.quiet_limit == max(2, round(0.12 / sample)) and made.gap_limit == max(
-        2 * made.together, 8
-    )
-
-
-def test_a_model_of_the_bank_is_the_links_torque_over_what_a_move_excites() -> None:
-    law, made = designed().law(), bank()
-    sample, own = made.together * law.period, 33 / 140 * GEARED.link.mass
-    nominal, _ = masses_of(GEARED.model, GEARED)
-    for row in (made.models[2], made.models[9]):
-        a1, a2, a3, b0, b1, b2, c1, c2, c3, rest, mass = row
-        link = replace(
-            GEARED.model,
-            natural_frequency=GEARED.model.natural_frequency * (nominal / mass) ** 0.5,
-        )
-        w = np.linspace(0.2, 1.3, 40) * abs(link.pole)
-        x = np.exp(-1j * w * sample)
-        got = (1 - x) * (b0 + b1 * x + b2 * x**2) / (1 + a1 * x + a2 * x**2 + a3 * x**3)
-        assert np.abs(got / link.torque()(1j * w) - 1).max() < 0.03
-        # C forgets: a pair of ratio 0.35 and a real pole, both at the model's own
-        # frequency
-        pole = abs(link.pole) * sample
-        pair = np.exp(pole * complex(-0.35, (1 - 0.35**2) ** 0.5))
-        wanted = np.convolve([1, -2 * pair.real, abs(pair) ** 2], [1, -np.exp(-pole)])
-        assert (1.0, c1, c2, c3) == pytest.approx(wanted, rel=1e-12)
-        assert rest == pytest.approx((1 + a1 + a2 + a3) / wanted.sum(), rel=1e-9)
-        assert mass > own
-
-
-def test_doubt_of_the_gain_is_what_the_log_left_open() -> None:
-    law, model = designed().law(), GEARED.model
-    keep = dict(zip(REALS, bank().values, strict=True))["variance"]
-
-    def doubt(changed: fl.LinkModel, **options: float) -> float:
-        made = payload_estimator(changed, GEARED, law, (0.02, 0.04), **options)
-        return float(
-            (keep / dict(zip(REALS, made.values, strict=True))["gain_weight"]) ** 0.5
-        )
-
-    assert doubt(model) == pytest.approx(0.05)
-    known = replace(model, gauge_gain=0.9, intervals=(("gauge_gain", 0.8, 1.0),))
-    assert doubt(known) == pytest.approx(
-        0.2 / 3.92 / 0.9
-    )  # a 95 % interval is 3.92 deviations wide
-    sharp = replace(model, intervals=(("gauge_gain", 0.99, 1.01),))
-    assert doubt(sharp) == pytest.approx(0.03)  # no log knows it better
-    assert doubt(model, gain_doubt=0.2) == pytest.approx(0.2)
-    silent = replace(GEARED, gauge=replace(GEARED.gauge, noise=0.0, quantum=0.0))
-    made = payload_estimator(model, silent, law, (0.02, 0.04))
-    noise = dict(zip(REALS, made.values, strict=True))["variance"] * made.together
-    assert noise == pytest.approx((0.01 * law.limits.torque_limit) ** 2)
-    with pytest.raises(FieldError, match="not known to the law"):
-        payload_estimator(replace(model, payload=None), GEARED, law, (0.02, 0.04))

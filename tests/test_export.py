@@ -7,14 +7,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
 
-import fraclink as fl
 from fraclink._export import export_c
-from fraclink._export.claims import _plain_norm, _rounding, worst_case
+from fraclink._export.claims import _plain_norm, worst_case
 from fraclink._export.data import hex_float
 from fraclink._law import Law
 from fraclink.errors import FieldError, MissingExtraError
@@ -391,19 +389,6 @@ def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
     assert plain == pytest.approx(bounds.gain, rel=1e-6)
 
 
-@pytest.mark.parametrize("pole", [0.9, -0.9, 0.3 + 0.85j])
-@pytest.mark.parametrize("count", [3, 400])
-def test_a_sum_that_is_cut_is_closed_by_its_tail(pole: complex, count: int) -> None:
-    """However early the plain sum ends, it is no smaller than the whole one, and late
-    it is that one.
-    """
-    gain, direct = 0.7, 0.2
-    inner = np.concatenate([[direct], (gain * pole ** np.arange(2000)).real])
-    whole = np.abs(np.diff(inner, prepend=0.0)).sum()
-    bound = _plain_norm(direct, [pole], [gain], count)
-    assert bound >= whole and (count == 3 or bound == pytest.approx(whole, rel=1e-8))
-
-
 def test_the_worst_case_gain_of_a_pair_is_its_l1_norm() -> None:
     made = with_pair()
     c = made.correction
@@ -439,62 +424,3 @@ def test_a_proof_without_the_provers_names_their_package(
     ):
         export_c(law("single"), tmp_path / "firmware", prove=True)
     assert not (tmp_path / "firmware").exists()
-
-
-@pytest.mark.parametrize("precision", ["single", "double"])
-def test_the_rounding_bound_is_the_sum_of_its_parts(precision: str) -> None:
-    """By hand, for a filter of one mode: state, product, partial sums, and the change
-    rounded once.
-    """
-    made = law(precision, equipped=False)
-    unit, error = (2.0**-24 if precision == "single" else 2.0**-53), 0.05
-    change, direct, pole, gain = 2 * error, 1.7, 0.9, -0.3
-    assert _rounding(made, direct, [], [], error) == pytest.approx(
-        3 * direct * change * unit, rel=1e-12
-    )
-    step = (pole * change * 3 + change) * unit
-    state = 0.3 * step / (1 - pole) + 0.3 * change * unit
-    partial = direct * change + 0.3 * change
-    static = direct + 0.3 / (1 - pole)
-    expected = (
-        direct * change * unit + state + 2 * partial * unit + static * change * unit
-    )
-    assert _rounding(made, direct, [pole], [gain], error) == pytest.approx(
-        expected, rel=1e-12
-    )
-    # A mode of alternating sign sees changes, which add up to change/(1 − |p|); a pair
-    # is rounded twice.
-    size = change / (1 - pole)
-    step = (pole * size * 3 + change) * unit
-    state = 0.3 * step / (1 - pole) + 0.3 * size * unit
-    partial = direct * change + 0.3 * size
-    expected = (
-        direct * change * unit + state + 2 * partial * unit + static * change * unit
-    )
-    assert _rounding(made, direct, [-pole], [gain], error) == pytest.approx(
-        expected, rel=1e-12
-    )
-    turning = expected + 0.3 * step / (1 - pole)
-    assert _rounding(made, direct, [pole * 1j], [gain], error) == pytest.approx(
-        turning, rel=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("statuses", "passed"),
-    [
-        (("proved", "proved"), True),
-        (("proved", "failed"), False),
-        (("not proved", "proved"), False),
-    ],
-)
-def test_a_proof_passes_where_every_claim_is_proved(
-    statuses: tuple[Literal["proved", "failed", "not proved"], ...], passed: bool
-) -> None:
-    claims = tuple(
-        fl.extend.Claim(f"claim {k}", "holds", status)
-        for k, status in enumerate(statuses)
-    )
-    proof = fl.extend.Proof("00", {"law.c": "11"}, claims)
-    assert proof.passed is passed
-    assert proof["claim 1"] == claims[1]

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,9 @@ import fraclink as fl
 from campaigns import fault_bench
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.trials import _endurance as endurance
-from fraclink.trials import _fault_arm as fault_arm
 from fraclink.trials._endurance import Soak, soak, upsets
-from fraclink.trials._fault_checks import shared_checks
 from fraclink.trials._fault_rules import RULES
-from fraclink.trials._fault_trial import REALS, WORDS, Trial, execute, members
+from fraclink.trials._fault_trial import REALS, WORDS, members
 from fraclink.trials._faults import (
     CATALOGUE,
     Bench,
@@ -197,26 +194,6 @@ def test_a_run_in_which_nothing_happened_does_not_pass(
 
 
 @pytest.mark.slow
-def test_the_shared_criteria_see_what_they_are_for(bench: Bench) -> None:
-    e = observe(bench, Case("F02", 1, 0.03, "mid", 1), bench.law)
-    assert all(check.passed for check in shared_checks(e))
-    for field, value in (
-        ("command", math.nan),
-        ("command", 50.0),
-        ("asked", 11.0),
-        ("command", 0.8),
-    ):
-        values = np.array(getattr(e.faulty, field))
-        values[100] = value
-        assert not all(
-            check.passed
-            for check in shared_checks(
-                replace(e, faulty=replace(e.faulty, **{field: values}))
-            )
-        )
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["double", "single"])
 def test_the_members_of_the_state_are_where_they_are_said_to_be(
     bench: Bench, precision
@@ -279,39 +256,6 @@ def outcome(*failed: str, peak: float = 0.1, mode: str = "run") -> Outcome:
     return Outcome(case, checks, peak, 0.04, 0.0, mode, "none", -1)
 
 
-@pytest.mark.parametrize(
-    ("made", "group"),
-    [
-        (outcome(), "met"),
-        (outcome(peak=2.0), "met"),
-        (outcome("peak tip error over clean"), "slower than promised"),
-        (outcome("periods until off", peak=2.0, mode="off"), "slower than promised"),
-        (
-            outcome("settling time of the move back over clean", peak=0.5),
-            "slower than promised",
-        ),
-        (
-            outcome("periods in another mode than allowed", mode="off"),
-            "trips without need",
-        ),
-        (
-            outcome("periods in another mode than allowed, single precision"),
-            "trips without need",
-        ),
-        (outcome("periods until off (never)", peak=0.31), "unsafe"),
-        (outcome("peak tip error over clean", peak=0.31, mode="degraded"), "unsafe"),
-        (
-            outcome(
-                "G2: |voltage| [V]", "periods in another mode than allowed", mode="off"
-            ),
-            "unsafe",
-        ),
-    ],
-)
-def test_what_a_failure_means(made: Outcome, group: str) -> None:
-    assert made.group == group
-
-
 @pytest.mark.slow
 def test_every_fault_that_is_missed_has_a_cause_and_none_is_unsafe(
     table: FaultTable,
@@ -363,16 +307,6 @@ def test_a_flipped_bit_of_any_counter_does_no_harm(bench: Bench) -> None:
         found = upsets(single, phase=phase, names=WORDS)
         assert len(found) == len(WORDS) * 32
         assert [upset for upset in found if not upset.passed] == []
-
-
-@pytest.mark.slow
-def test_upsets_name_the_bit_that_they_flip(bench: Bench) -> None:
-    """A clock that is one period off, or was set back by a million, goes on; one that
-    missed 512 does not.
-    """
-    found = {upset.bit: upset for upset in upsets(bench, names=["tick"], phase="rest")}
-    assert sorted(found) == list(range(32))
-    assert found[0].off == found[20].off == 0 < found[9].off
 
 
 @pytest.mark.slow
@@ -476,105 +410,3 @@ def test_a_healthy_arm_that_trips_ends_the_campaign_at_once(bench: Bench) -> Non
     ):
         run_faults(tender, cases(tender), progress=begun.append)
     assert begun == ["F01"]
-
-
-@pytest.mark.parametrize(
-    ("payload", "inside"),
-    [(0.0199, False), (0.02, True), (0.03, True), (0.04, True), (0.0401, False)],
-)
-def test_another_payload_is_judged_by_whether_the_design_covers_it(
-    payload: float, inside: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(
-        fault_arm, "peak_ratio", lambda limit: lambda evidence: ("ratio", limit)
-    )
-    monkeypatch.setattr(
-        fault_arm, "bounded", lambda limit: lambda evidence: ("bounded", limit)
-    )
-    evidence: Any = SimpleNamespace(
-        case=SimpleNamespace(payload=payload),
-        bench=SimpleNamespace(payloads=(0.02, 0.03, 0.04)),
-        pick=lambda first, *others: first,
-    )
-    assert fault_arm.payload_peak(evidence) == (
-        ("ratio", 1.2) if inside else ("bounded", 0.1)
-    )
-
-
-def trial_of(bench: Bench) -> Trial:
-    return Trial(
-        bench, Case("F29", 1, 0.03, "mid", 3), bench.law, fl.smooth_step(0.5, 0.6), 2.4
-    )
-
-
-@pytest.mark.slow
-def test_a_byte_is_damaged_in_one_bit_or_as_a_word(bench: Bench) -> None:
-    trial = trial_of(bench)
-    whole = bytes(trial.block)
-    trial.corrupt(37)
-    changed = [
-        k for k, (a, b) in enumerate(zip(whole, trial.block, strict=True)) if a != b
-    ]
-    assert (
-        changed == [37]
-        and whole[37] ^ trial.block[37] == 1
-        and trial.detail == "byte 37"
-    )
-    trial.corrupt(37)
-    assert trial.block == whole
-    trial.corrupt(8, 0x01020304)
-    assert trial.block[8:12] == bytes([4, 3, 2, 1]) and trial.block[12:] == whole[12:]
-    trial.corrupt(8, -1)
-    assert trial.block[8:12] == b"\xff" * 4
-
-
-@pytest.mark.slow
-def test_a_period_is_as_long_as_its_sampling_instants_are_apart(bench: Bench) -> None:
-    """Without shifts, and with none of any size, the run is the same; a late sample is
-    one of a later arm.
-    """
-    plain = execute(trial_of(bench))
-    still = trial_of(bench)
-    still.shifts = np.zeros(still.count, dtype=int)
-    same = execute(still)
-    assert np.array_equal(same.tip, plain.tip) and np.array_equal(same.mode, plain.mode)
-    late = trial_of(bench)
-    late.shifts = np.zeros(late.count, dtype=int)
-    late.shifts[100] = 2
-    moved = execute(late)
-    assert np.array_equal(moved.tip[:100], plain.tip[:100])
-    # The arm has moved on by two of its steps when it is sampled, and is back in time
-    # with the next sample.
-    ahead = (moved.motor[100] - plain.motor[100]) / (
-        plain.motor[101] - plain.motor[100]
-    )
-    assert 0.2 < ahead < 1.0
-    assert abs(moved.motor[101] - plain.motor[101]) < 0.1 * abs(
-        moved.motor[100] - plain.motor[100]
-    )
-
-
-@pytest.mark.slow
-def test_marks_and_readings_stand_where_the_fault_is(bench: Bench) -> None:
-    trial = trial_of(bench)
-    rows = trial.rows(0.02)
-    assert rows == slice(trial.row, trial.row + 5) and trial.rows(1e-9) == slice(
-        trial.row, trial.row + 1
-    )
-    trial.replace_reading("gauge", 1.25, rows)
-    assert np.flatnonzero(trial.marks).tolist() == list(range(trial.row, trial.row + 5))
-    assert (trial.inputs == 1.25).sum() == 5
-    assert [
-        trial.pick(1.0, 2.0, 3.0),
-        replace_severity(trial, 3).pick(1.0, 2.0, 3.0),
-    ] == [1.0, 3.0]
-    ticked = trial_of(bench)
-    ticked.miss(3)
-    assert np.flatnonzero(ticked.marks).tolist() == [
-        ticked.row + 3
-    ]  # where the law can first tell
-
-
-def replace_severity(trial: Trial, severity: int) -> Trial:
-    trial.case = replace(trial.case, severity=severity)
-    return trial

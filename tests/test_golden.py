@@ -86,32 +86,3 @@ def test_a_command_prints_what_it_printed(name: str, desk: Desk) -> None:
 
 def test_every_text_is_of_a_command() -> None:
     assert sorted(path.stem for path in TEXTS.glob("*.txt")) == sorted(COMMANDS)
-
-
-def test_a_difference_is_named() -> None:
-    told = {
-        "run": {
-            "gain": 1.0,
-            "zero": 0.0,
-            "codes": ["W101"],
-            "sha256": {"tip": "ab"},
-            "lost": 1,
-        }
-    }
-    found = {
-        "run": {
-            "gain": 1.0 + 1e-6,
-            "zero": 1e-14,
-            "codes": ["W102"],
-            "sha256": {"tip": "cd"},
-            "new": 1,
-        }
-    }
-    assert differences(told, found, 1e-9, bits=True, place="runs") == [
-        "runs/run/lost: gone",
-        "runs/run/new: new",
-        "runs/run/gain: 1.0 became 1.000001",
-        "runs/run/codes[0]: 'W101' became 'W102'",
-        "runs/run/sha256/tip: 'ab' became 'cd'",
-    ]
-    assert len(differences(told, found, 1e-3, bits=False, place="runs")) == 3

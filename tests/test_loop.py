@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink._arm.box import Arm, ParameterBox, arms_of, outward
+from fraclink._arm.box import Arm, ParameterBox
 from fraclink._arm.controller import Controller, closed_loop
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.loop import Loop, noise_points, with_payload, worst_margins
+from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.sampled import sampled_plant, tail_sum
 from fraclink.errors import FieldError
@@ -250,13 +250,6 @@ def test_peak_and_noise_are_those_of_a_dense_grid(
         assert loop.noise_gain(w0, 0.004)[0] == pytest.approx(noise, rel=error)
 
 
-def test_noise_points_are_a_mean_over_the_band() -> None:
-    w, weights = noise_points(Loop.of(CONTROLLER, PLAIN, RIG), 11.0, 0.004)
-    nyquist = math.pi / 0.004
-    assert weights.sum() == pytest.approx(1.0) and w.min() > 0 and w.max() < nyquist
-    assert np.sum(weights * w**3) == pytest.approx(nyquist**3 / 4)
-
-
 def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
     loop = Loop.of(
         replace(CONTROLLER, gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG
@@ -422,30 +415,3 @@ def test_a_gauge_that_leads_is_believed_within_the_tolerance() -> None:
         0.0,
         0.0,
     )
-
-
-def test_corners_are_all_ends_and_the_worse_gain_of_the_mode() -> None:
-    link = LINKS["second mode"]
-    open_ones = {
-        "order": (1.9, 1.94),
-        "gauge_delay": (0.004, 0.006),
-        "mode_gain": (0.02, 0.04),
-    }
-    box = replace(ParameterBox.at(link), **open_ones)
-    arms = arms_of(box, link)
-    assert {(a.model.order, a.model.gauge_delay) for a in arms} == {
-        (order, delay) for order in (1.9, 1.94) for delay in (0.004, 0.006)
-    }
-    assert len(arms) == 4
-    assert {a.model.second_mode.gain for a in arms} == {0.04}  # type: ignore[union-attr]
-    assert {(a.model.natural_frequency, a.motor_ratio) for a in arms} == {(11.0, 1.0)}
-    assert all(a.model.intervals == () for a in arms)
-    assert box.holds(link) and not box.holds(replace(link, order=1.95))
-
-
-def test_intervals_are_rounded_outwards() -> None:
-    assert outward(1.23456789, 2.0000001) == (1.23456, 2.00001)
-    assert outward(1.5, 1.5) == (1.5, 1.5)
-    assert outward(-1.23456789, 0.0) == (-1.23457, 0.0)
-    assert outward(0.1, 0.3) == (0.1, 0.3)  # what has six digits or fewer is itself
-    assert outward(1234567.8, 1234567.9) == (1234560.0, 1234570.0)

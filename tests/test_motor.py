@@ -5,20 +5,15 @@ each other.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor import ContinuousPid, _one_pole, held_motor, place_pid
+from fraclink._arm.motor import ContinuousPid, held_motor, place_pid
 from fraclink._arm.motor_loop import (
-    MotorLoop,
     SampledMotorLoop,
-    _left_over,
-    direct_placement,
-    motor_loop_costs,
 )
 from fraclink.errors import FieldError
 
@@ -125,24 +120,6 @@ def test_partial_fractions_of_the_pid() -> None:
     assert d.stiffness == pytest.approx(loop.a2 + d.filter_gain / c, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("method", "now", "before", "decay"),
-    [
-        ("tustin", 0.002 / 1.6, 0.002 / 1.6, 0.4 / 1.6),
-        ("backward", 0.004 / 2.2, 0.0, 1 / 2.2),
-        ("zero-order-hold", 0.0, (1 - math.exp(-1.2)) / 300.0, math.exp(-1.2)),
-    ],
-)
-def test_one_pole_at_300_by_each_method(
-    method: str, now: float, before: float, decay: float
-) -> None:
-    assert _one_pole(300.0, 0.004, method) == pytest.approx(
-        (now, before, decay), rel=1e-12
-    )  # type: ignore[arg-type]
-    integral = _one_pole(0.0, 0.004, method)  # type: ignore[arg-type]
-    assert integral[0] + integral[1] == pytest.approx(0.004) and integral[2] == 1.0
-
-
 def test_a_held_motor_is_the_integral_of_its_speed() -> None:
     """θ(T) = A (T − w)/B and θ̇(T) = A w of a unit voltage, w = (1 − e^(−BT))/B;
     without friction A T²/2.
@@ -174,63 +151,3 @@ def test_closed_poles_are_the_roots_of_the_loop_written_in_z() -> None:
             x = 1 / poles[np.abs(poles) > 1e-3]
             first, second = loop.controllers(x)
             assert np.abs(1 + (first + second) * x**delay * loop.plant(x)).max() < 1e-6
-
-
-def test_costs_of_the_two_placements_are_those_of_their_loops() -> None:
-    rig = fl.Rig.named("paper-2023")
-    for cost in motor_loop_costs(rig, frequency=18.0):
-        loop = MotorLoop(80.0, 1, "sampled", cost.placement).sampled(
-            rig.motor, rig.period
-        )
-        w = np.geomspace(0.01, math.pi / rig.period, 20_000)
-        x = np.exp(-1j * w * rig.period)
-        first, second = loop.controllers(x)
-        open_loop = (first + second) * x * loop.plant(x)
-        assert cost.modulus_margin == pytest.approx(
-            np.abs(1 + open_loop).min(), rel=1e-3
-        )
-        noise = np.abs((first + second) / (1 + open_loop)).max()
-        assert cost.voltage_per_noise == pytest.approx(noise, rel=1e-3)
-        pid = loop.pid
-        jump = (
-            pid.direct
-            + pid.integral_gain * pid.integral_now
-            + pid.filter_gain * pid.filter_now
-        )
-        assert cost.voltage_per_step == pytest.approx(jump)
-        # θm/θm* against hold, delay and M(s) at 18 rad/s, aliases left out
-        s = 18j
-        z = np.exp(-s * 0.004)
-        one, two = loop.controllers(np.array([z]))
-        closed = complex(
-            (one * z * loop.plant(z) / (1 + (one + two) * z * loop.plant(z)))[0]
-        )
-        wanted = np.exp(-1.5 * 0.004 * s) / (1 + s / 80.0) ** 2
-        assert (
-            cost.lag == pytest.approx(-np.angle(closed / wanted), abs=2e-3)
-            and cost.frequency == 18.0
-        )
-    slow = replace(rig, motor_loop=MotorLoop(200.0, 3))
-    assert [one.placement for one in motor_loop_costs(slow, frequency=18.0)] == [
-        "tustin"
-    ]
-
-
-def test_the_filter_pole_of_a_direct_placement_leaves_the_fastest_rest() -> None:
-    rig = fl.Rig.named("paper-2023")
-    pid = direct_placement(rig.motor, 60.0, 0.004, 1)
-
-    def slowest(r: float) -> float:
-        return _left_over(rig.motor, 60.0, 0.004, 1, r)[1]
-
-    best = slowest(pid.filter_decay)
-    assert best <= min(slowest(float(r)) for r in np.linspace(-0.8, 0.8, 400)) + 2e-3
-    z0 = math.exp(-60.0 * 0.004)
-    poles = SampledMotorLoop(pid, rig.motor, 1).poles()
-    rest = np.abs(poles)[np.argsort(np.abs(poles - z0))[3:]]
-    assert rest.max() == pytest.approx(best, abs=1e-6)
-    # both zeros of Cm1 lie at z₀: the reference sees one of the three poles only
-    first, _ = SampledMotorLoop(pid, rig.motor, 1).controllers(
-        np.array([1 / z0, 1 / (z0 + 1e-4)])
-    )
-    assert np.abs(first[0]) < 1e-9 * pid.direct and abs(first[1]) < 1e-5 * pid.direct

@@ -76,15 +76,6 @@ def test_a_header_in_the_last_comment_counts(tmp_path: Path) -> None:
     assert read_log(path).motor_angle.size == 400
 
 
-def test_columns_without_names_are_called_by_number(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=None)
-    assert list(read_columns(path)) == ["#1", "#2", "#3"]
-    stated = LogColumns(
-        Channel("#1", "s"), Channel("#2", "rad"), Channel("#3", "Nm"), "torque"
-    )
-    assert read_log(path, columns=stated).motor_angle.size == 400
-
-
 def test_a_column_s_number_is_the_whole_number() -> None:
     """With 1000 columns, the most there may be; "#1234" is none, and not the 123rd."""
     table = LogTable(
@@ -166,15 +157,6 @@ def test_text_in_a_column_that_is_not_needed_does_no_harm(tmp_path: Path) -> Non
         write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state", "remark"])
     )
     assert log.motor_angle.size == 400
-
-
-def test_the_hash_is_that_of_the_file(tmp_path: Path) -> None:
-    import hashlib
-
-    path = write_log(tmp_path / "a.csv", made_rows())
-    log = read_log(path)
-    assert log.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert log.source == "a.csv"
 
 
 @pytest.mark.parametrize("name", bundled_logs())
@@ -480,20 +462,6 @@ def test_a_voltage_that_the_log_lacks_is_no_error(tmp_path: Path) -> None:
     assert [finding.code for finding in log.findings] == ["W219"]
 
 
-def test_a_column_of_text_has_no_range_in_the_listing_for_machines(
-    tmp_path: Path,
-) -> None:
-    import json
-
-    rows = [[*cells, "ok"] for cells in made_rows()]
-    values = inspect_log(
-        write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state"])
-    ).values()
-    text = json.dumps(values, allow_nan=False)
-    assert json.loads(text)["channels"][3]["minimum"] is None
-    assert json.loads(text)["channels"][3]["missing"] == 400
-
-
 @pytest.mark.parametrize(("unit", "told"), [("deg", True), ("rad", False)])
 def test_a_header_that_contradicts_the_stated_unit_is_a_gate(
     tmp_path: Path, unit: str, told: bool
@@ -548,16 +516,3 @@ def test_a_column_that_is_missing_is_told_with_those_that_are_there() -> None:
         LogTable(("t", "Theta_deg"), (np.zeros(2),) * 2, "text").place(
             "theta_deg", "motor_angle"
         )
-
-
-@pytest.mark.parametrize(
-    ("stated", "contradicts"), [(0.03 * (1 + 5e-10), False), (0.03 * (1 + 2e-9), True)]
-)
-def test_a_payload_that_differs_in_its_last_digits_is_the_header_s(
-    stated: float, contradicts: bool, tmp_path: Path
-) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), before="# payload_kg: 0.030\n")
-    log = read_log(path, payload=stated)
-    assert log.payload == stated and bool(log.findings) == contradicts
-    for finding in log.findings:
-        assert dict(finding.evidence) == {"stated": stated, "header": 0.03}

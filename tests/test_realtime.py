@@ -13,10 +13,7 @@ import math
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
-import textwrap
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -29,12 +26,12 @@ from fraclink import _kernels
 from fraclink._arm.reference import Reference
 from fraclink._files import write_npz
 from fraclink._law import MODES, REASONS, Law
-from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
+from fraclink.errors import FieldError, FileFormatError, LogError
 from fraclink.lab import _loop as loop
 from fraclink.lab._connections import Callback, Command
 from fraclink.lab._line import open_line
 from fraclink.lab._loop import run_realtime
-from fraclink.lab._machine import Spread, VirtualClock, signals_held
+from fraclink.lab._machine import VirtualClock, signals_held
 from fraclink.lab._run import RealtimeRun, reserved, saved
 from fraclink.view._views import view
 
@@ -440,28 +437,6 @@ def test_another_system_is_refused_and_not_its_missing_calls(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_place_that_takes_no_record_is_found_before_the_arm_moves(
-    law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    board = Board()
-    (tmp_path / "file").touch()
-    for place in (tmp_path / "file" / "run.npz", Path("/proc/nope/run.npz")):
-        with pytest.raises(
-            FieldError, match=r"out: not writable \(.*the arm has not moved"
-        ):
-            board.run(law, out=place)
-
-    def full(file: int, offset: int, size: int) -> None:
-        assert size > 16 * 112  # what 16 periods take
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    with pytest.raises(FieldError, match="No space left on device"):
-        board.run(law, out=tmp_path / "run.npz")
-    assert (board.reads, board.commands) == (0, [])
-    assert [item.name for item in tmp_path.iterdir()] == ["file"]
-
-
 def test_a_place_that_is_lost_in_the_run_has_a_second_one(
     law: Law, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -607,12 +582,6 @@ def test_a_run_is_a_log_to_identify_from(law: Law) -> None:
         replace(run, motor_angle=lost).experiment()
 
 
-def test_the_spread_is_that_of_a_sorted_list() -> None:
-    values = np.arange(1.0, 2001.0)
-    assert Spread.of(values) == (1.0, 1000.5, 1999.0, 2000.0)
-    assert all(math.isnan(value) for value in Spread.of(np.array([])))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "field"),
@@ -631,59 +600,6 @@ def test_bad_values_are_named(law: Law, options: dict[str, object], field: str) 
         board.run(law, **options)
     assert caught.value.field == field
     assert board.commands == []
-
-
-def test_periods_and_lengths_out_of_range_are_refused(law: Law) -> None:
-    slow = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=RIG.model), 1.5, order=2
-    )
-    with pytest.raises(FieldError, match=r"period: .*1\.5.* 5e-5 to 1 s"):
-        Board().run(slow)
-    with pytest.raises(SizeError):
-        Board().run(law, duration=1e6)
-    with pytest.raises(FieldError, match=r"callback\.write"):
-        live(law, Callback(lambda: None, None))  # type: ignore[arg-type]
-
-
-def test_another_system_is_told_plainly(
-    law: Law, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(_kernels, "REALTIME", False)
-    with pytest.raises(FieldError, match="expected Linux"):
-        Board().run(law)
-
-
-REFUSED = """
-    import os, resource, sys
-    import fraclink as fl
-    from fraclink.lab._machine import VirtualClock
-    from fraclink.lab._connections import Callback
-    from fraclink.lab._loop import run_realtime
-    rig = fl.Rig.named("paper-2023")
-    law = fl.discretize(fl.Controller(gain=0.07, order=0.6, link=rig.model), 0.02, order=4)
-    still = Callback(lambda: (0.0, 0.0), lambda command: None)
-    run_realtime(law, fl.extend.hold(0.0), still, duration=0.04, priority=0, lock_memory=False)
-    resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
-    resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))
-    if os.geteuid() == 0:
-        os.setresuid(65534, 65534, 65534)
-    run = run_realtime(law, fl.extend.hold(0.0), still, duration=0.1, clock=VirtualClock(1))
-    print(run.scheduling, "|", run.memory, "|", run.stopped)
-"""
-
-
-@pytest.mark.slow
-def test_what_the_machine_refuses_stands_in_the_result() -> None:
-    answer = subprocess.run(  # noqa: S603
-        [sys.executable, "-c", textwrap.dedent(REFUSED)],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    told = answer.stdout.strip().split(" | ")
-    assert told[0] == "refused (Operation not permitted)"
-    assert told[1].startswith("refused (")
-    assert told[2] == "finished"
 
 
 def locked_kilobytes() -> int:

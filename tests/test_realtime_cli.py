@@ -31,10 +31,8 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._cli import boards, main
 from fraclink._law import REASONS
 from fraclink._simulate import geared
-from fraclink.errors import FieldError
 from fraclink.lab._arm import ServedArm
-from fraclink.lab._connections import Callback, Command, Udp
-from fraclink.lab._loop import run_realtime
+from fraclink.lab._connections import Callback, Command
 from fraclink.lab._run import RealtimeRun
 from fraclink.trials._study import load_study
 
@@ -211,18 +209,6 @@ def test_a_board_is_run_and_left_with_its_drive_off(
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("virtual", "board")
-def test_a_reference_to_identify_from(fraclink: Line) -> None:
-    line = "run-realtime design.json --io udp:127.0.0.1:5005 --excitation prbs --amplitude 0.1 --duration 1.5"
-    fraclink(f"{line} --no-motor")
-    run = fl.load("realtime.npz", RealtimeRun)
-    # at rest for half a second; a register of ones makes the first nine bits alike
-    assert run.reference.tolist() == pytest.approx(
-        (0.1 * (run.time >= 0.4999)).tolist()
-    )
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("io", "said"),
     [
@@ -250,14 +236,6 @@ def test_ways_that_lead_nowhere(
     _, _, err = fraclink("--version")
     assert said in err
     assert len(err.strip().splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_a_host_that_is_not_found_is_refused(law: fl.Law) -> None:
-    way = Udp("no-such-host.invalid", 5005)
-    said = r"io: refused \(.*\(got udp:no-such-host\.invalid:5005\)"
-    with pytest.raises(FieldError, match=said):
-        run_realtime(law, fl.extend.hold(0.0), way, patience=0.05)
 
 
 CRASHING = """
@@ -365,21 +343,6 @@ def test_on_another_system_an_arm_is_refused_with_its_file(
         code, _, err = fraclink(f"serve-arm design.json --io udp:127.0.0.1:5005{more}")
         assert (code, "system: without clock_nanosleep" in err) == (2, True), err
     assert [item.name for item in tmp_path.iterdir()] == ["design.json"]
-
-
-@pytest.mark.slow
-def test_another_machine_needs_a_word(fraclink: Line) -> None:
-    for command in ("run-realtime", "serve-arm"):
-        code, _, err = fraclink(f"{command} design.json --io udp:203.0.113.7:5005")
-        assert (code, "not this machine" in err, "--unsafe-remote" in err) == (
-            2,
-            True,
-            True,
-        )
-    code, _, err = fraclink(
-        "serve-arm design.json --io udp:203.0.113.7:5005 --unsafe-remote"
-    )
-    assert (code, "refused" in err) == (2, True)  # nobody's address
 
 
 def free_port() -> int:

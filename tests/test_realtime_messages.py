@@ -18,7 +18,6 @@ import struct
 import threading
 import zlib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.reference import Reference
 from fraclink._law import REASONS, Law, equip
 from fraclink._simulate import Twin, geared
-from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.errors import FieldError, SizeError
 from fraclink.lab._arm import ServedArm, serve_arm
 from fraclink.lab._connections import (
     Callback,
@@ -213,21 +212,6 @@ def test_the_arm_in_real_time_is_the_twin_to_the_last_bit(
     assert run.motor_angle[-1] > 0.01
 
 
-def test_a_longer_delay_is_waited_out_by_the_arm(twin: Twin) -> None:
-    way = Udp("127.0.0.1", free_port())
-    with Serving(replace(twin, voltage_delay=3), way) as serving, Peer(serving) as peer:
-        answered = struct.unpack(MESSAGE, peer.greet()[:-4])[
-            4
-        ]  # the arm's period of the sample
-        for sequence in range(2, 8):
-            peer.say(sequence, 3.0)
-        peer.say(8, mode=OFF)
-    acted = int(np.flatnonzero(serving.arm.voltage == 3.0)[0])
-    assert acted - answered >= 3
-    with pytest.raises(FieldError, match="voltage_delay"):
-        serve_arm(replace(twin, voltage_delay=0), way, PERIOD)
-
-
 @pytest.mark.slow
 def test_an_arm_that_dies_is_given_up_by_the_law(
     law: Law, twin: Twin, way: Udp
@@ -300,32 +284,6 @@ def test_an_idle_command_moves_nothing_whatever_voltage_it_carries(twin: Twin) -
         peer.say(2, 5.0, mode=0)
         peer.say(3, mode=OFF)
     assert set(serving.arm.voltage) == {0.0}
-
-
-def test_an_arm_that_starts_again_in_a_run_is_another_one(law: Law, twin: Twin) -> None:
-    """Its samples carry another number, so that the law goes blind instead of jumping."""
-    way = Udp("127.0.0.1", free_port())
-    clock = VirtualClock(2)
-
-    def serve_twice() -> None:
-        for _ in range(2):
-            serve_arm(twin, way, PERIOD, duration=0.4, priority=0, clock=clock)
-        clock.leave()
-
-    thread = threading.Thread(target=serve_twice)
-    thread.start()
-    run = run_realtime(
-        law,
-        fl.extend.hold(0.0),
-        way,
-        duration=5.0,
-        priority=0,
-        lock_memory=False,
-        clock=clock,
-    )
-    clock.leave()
-    thread.join(60.0)
-    assert (run.stopped, REASONS[run.reason[-1]]) == ("law off", "encoder")
 
 
 def test_the_bytes_on_the_wire_are_the_documented_ones(twin: Twin) -> None:
@@ -492,13 +450,6 @@ def test_the_next_controller_is_welcome_and_its_count_may_begin_anew(
     assert runs[1].origin == pytest.approx(runs[0].motor_angle[-1], abs=0.05)
 
 
-def test_periods_that_differ_are_refused(law: Law, twin: Twin, way: Udp) -> None:
-    message = r"period: not the arm's \(got 0\.02\); expected 0\.025 s"
-    with Serving(twin, way, 0.025) as serving, pytest.raises(FieldError, match=message):
-        serving.control(law)
-    assert serving.arm.silences == 0
-
-
 @pytest.mark.slow
 def test_nobody_there_and_somebody_there_already(
     law: Law, twin: Twin, way: Udp
@@ -532,24 +483,6 @@ def test_another_machine_needs_a_word(law: Law, twin: Twin) -> None:
         serve_arm(twin, way, PERIOD, duration=0.1, clock=VirtualClock(1)).controllers
         == 0
     )
-
-
-def test_the_record_of_the_arm_comes_back(
-    law: Law, twin: Twin, way: Udp, tmp_path: Path
-) -> None:
-    with Serving(twin, way) as serving:
-        serving.control(law, duration=0.1)
-    served = serving.arm
-    again = fl.load(fl.save(served, tmp_path / "arm.npz"), ServedArm)
-    assert again.voltage.tobytes() == served.voltage.tobytes()
-    assert (again.period, again.late, again.scheduling) == (
-        PERIOD,
-        served.late,
-        served.scheduling,
-    )
-    assert again.time[-1] == pytest.approx(PERIOD * (len(again.voltage) - 1))
-    with pytest.raises(FileFormatError, match="kind"):
-        fl.load(tmp_path / "arm.npz", RealtimeRun)
 
 
 @pytest.mark.parametrize(

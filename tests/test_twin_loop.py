@@ -180,20 +180,6 @@ def test_payload_exchange_conserves_shape_and_speed(law, damping):
     assert vessel.plant.energy(vessel.state) == pytest.approx(energy - lost, rel=0.02)
 
 
-def test_exchange_for_the_same_payload_changes_nothing(law):
-    twin = quiet(payload=0.030)
-    vessel = ArmState(twin, law.period, law.initial_state())
-    vessel.run(
-        smooth(law).block,
-        healthy_inputs(twin.sensors, MOVE, law.period, 150, np.random.default_rng(0)),
-    )
-    before = vessel.state.copy()
-    vessel.change_payload(0.030)
-    assert vessel.state == pytest.approx(
-        before, rel=1e-9, abs=1e-9 * np.abs(before).max()
-    )
-
-
 @pytest.mark.slow
 def test_payload_lost_mid_move(law):
     twin = Twin.from_rig(RIG, payload=0.040, link_mass=LINK_MASS)

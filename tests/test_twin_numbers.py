@@ -6,35 +6,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels
 from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._law import MODES
 from fraclink._law.estimator import Estimates
 from fraclink._simulate import (
     FractionalKelvinVoigt,
     KelvinVoigt,
     PowerLaw,
-    Restart,
-    SensorFault,
     Sensors,
     Twin,
     damping_of,
     geared,
 )
-from fraclink._simulate.estimates import (
-    estimate_findings,
-    estimator_for,
-)
 from fraclink._simulate.links import link_weights, second_mode_weights
 from fraclink.errors import FieldError
-from law_bench import law
 
 PERIOD = 0.004
 RIG = fl.Rig.named("paper-2023")
@@ -198,134 +187,3 @@ def estimates(flags: list[int]) -> Estimates:
         np.full(count, 0.0567),
     )
     return Estimates(*own, np.array(flags, dtype=np.uint32))
-
-
-def test_an_estimate_outside_the_design_and_a_contact_are_findings() -> None:
-    bank: Any = SimpleNamespace(certified=(0.020, 0.040))
-    outside, touched = _kernels.PAYLOAD_OUTSIDE, _kernels.PAYLOAD_CONTACT
-    assert estimate_findings(bank, estimates([0, 0, 0]), PERIOD) == ()
-    first, second = estimate_findings(
-        bank, estimates([0, outside, outside | touched, touched, 0]), PERIOD
-    )
-    assert (first.code, second.code) == ("W604", "W605")
-    assert "(44 to 56.7 g at the end) left the 20 to 40 g" in first.message
-    assert first.message.endswith("in 2 of 5 periods") and first.evidence == {
-        "low": 0.044,
-        "high": 0.0567,
-    }
-    assert "a torque at 0.008 s that no payload explains" in second.message
-    assert second.evidence == {"time": 0.008}
-
-
-@pytest.mark.slow
-def test_who_estimates_the_payload() -> None:
-    design = fl.design(
-        MODEL, RIG, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50)
-    )
-    bank = estimator_for(design, "estimated")
-    assert bank is not None and bank.values == design.estimator().values
-    assert bank.certified == pytest.approx((0.02, 0.04))
-    of_law = estimator_for(law("single"), "estimated", RIG)
-    assert of_law is not None and of_law.precision == "single"
-    assert of_law.certified == pytest.approx((RIG.payloads.low, RIG.payloads.high))
-    assert (
-        estimator_for(design, True)
-        is estimator_for(law(), 0.03)
-        is estimator_for(law(), False)
-        is None
-    )
-    own = estimator_for(law("single"), bank)
-    assert own is not None and own.precision == "single" and own.models == bank.models
-    with pytest.raises(FieldError, match=r"told\.period"):
-        estimator_for(replace(law(), period=0.005), bank)
-    for options in ((), (replace(RIG, model=None),)):
-        with pytest.raises(FieldError, match="told: without a model of the link"):
-            estimator_for(law(), "estimated", *options)
-
-
-@pytest.mark.slow
-def test_a_run_with_an_estimator_keeps_what_it_said() -> None:
-    twin = Twin.from_rig(GEARED, link_mass=0.00735, payload=0.06)
-    design = fl.design(
-        MODEL,
-        GEARED,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
-    run = fl.simulate(
-        design, fl.smooth_step(1.0, 0.5), arm=twin, told="estimated", duration=1.5
-    )
-    assert run.about["payload_given"] == "estimated" and "W604" in [
-        finding.code for finding in run.findings
-    ]
-    assert run.extras["payload_estimate"][-1] == pytest.approx(0.06, rel=0.1)
-    assert (
-        run.extras["payload_low"][-1]
-        < run.extras["payload_estimate"][-1]
-        < run.extras["payload_high"][-1]
-    )
-
-
-def test_a_run_knows_its_period_its_error_and_its_about() -> None:
-    move = fl.smooth_step(0.5, 0.3)
-    run = fl.simulate(
-        law(), move, rig=RIG, model=MODEL, duration=0.6, seed=3, told=True, payload=0.02
-    )
-    assert (
-        run.period == pytest.approx(PERIOD)
-        and run.time[-1] == pytest.approx(0.6)
-        and len(run.time) == 151
-    )
-    assert np.array_equal(run.error, run.reference - run.tip_angle)
-    assert (
-        run.about["payload_given"] == 0.02
-        and run.about["seed"] == 3
-        and run.about["substeps"] == 10
-    )
-    assert (
-        run.about["delay_samples"] == 1
-        and run.about["arm"] == "model"
-        and "events" not in run.about
-    )
-    assert MODES[run.mode[0]] == "run" and run.finished and run.findings == ()
-    broken = SensorFault(0.1, 0.2, "gauge offset", 0.1)
-    shaken = fl.simulate(
-        law(),
-        move,
-        rig=RIG,
-        model=MODEL,
-        duration=0.6,
-        events=[broken],
-        gauge_offset=0.01,
-    )
-    assert (
-        shaken.about["events"] == repr(broken) and shaken.about["gauge_offset"] == 0.01
-    )
-    whole = fl.simulate(law(), move, rig=RIG, model=MODEL)
-    assert whole.time[-1] == pytest.approx(5.3) and whole.about["payload_given"] == 0.0
-
-
-@pytest.mark.slow
-def test_a_run_of_the_twin_says_what_it_was_told() -> None:
-    twin = Twin.from_rig(GEARED, link_mass=0.00735, payload=0.025)
-    own = fl.simulate(
-        law(), fl.smooth_step(0.2, 0.3), arm=twin, duration=0.4, told=True
-    )
-    assert (
-        own.about["payload_given"] == "the arm's own"
-        and own.about["link_mass"] == 0.00735
-    )
-    assert own.payload == own.about["payload"] == 0.025 and np.all(
-        own.extras["payload"] == 0.025
-    )
-    lie = fl.simulate(
-        law(), fl.smooth_step(0.2, 0.3), arm=twin, payload=0.03, duration=0.4, told=0.02, delay_samples=2,
-        gauge_offset=0.05, noise=0.0, gauge_gain=0.9, gauge_delay=0.002, events=[Restart(0.3)],
-    )  # fmt: skip
-    assert (
-        lie.about["payload_given"] == 0.02
-        and lie.payload == 0.03
-        and lie.about["events"] == repr(Restart(0.3))
-    )
-    assert lie.torque_measured[1] == pytest.approx(0.05, abs=2e-3)
