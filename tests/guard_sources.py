@@ -75,11 +75,16 @@ def _inside_functions(tree: ast.Module) -> set[int]:
     }
 
 
-def imported_modules(source: Source, *, at_once: bool = False) -> Iterator[str]:
+@cache
+def imported_modules(source: Source, *, at_once: bool = False) -> tuple[str, ...]:
     """Modules of the packages that a module imports.
 
     At its top or inside a function; with `at_once` at its top only.
     """
+    return tuple(_imported_modules(source, at_once=at_once))
+
+
+def _imported_modules(source: Source, *, at_once: bool) -> Iterator[str]:
     names = {item.name for item in sources()}
     tree = source.tree  # one for all three: nodes are told apart by their identity
     hidden = _typing_only(tree) | (_inside_functions(tree) if at_once else set())

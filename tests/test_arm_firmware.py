@@ -252,6 +252,7 @@ def test_a_law_runs_on_the_firmware_over_a_pseudo_terminal(library: Any) -> None
     assert got.size > 0 and set(got.tolist()) <= sent
 
 
+@pytest.mark.slow
 def test_a_served_arm_is_reached_over_its_pseudo_terminal() -> None:
     design = fl.design(
         fl.Rig.named("paper-2023-geared").model, fl.Rig.named("paper-2023-geared")

@@ -5,7 +5,6 @@ done twice.
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import os
 import random
@@ -22,15 +21,13 @@ from pathlib import Path
 
 import pytest
 
-from campaigns import computed, continued, parts_of, small, started
+from campaigns import computed, continued, parts_of, small
 from fraclink._cli import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 from fraclink.trials import _run as part_module
 from fraclink.trials._campaign import load_campaign, save_campaign
 from fraclink.trials._run import read_part, run_campaign
 from fraclink.trials._summary import summarise
-
-RUNS = 8000
 
 
 @pytest.fixture(scope="module")
@@ -101,16 +98,6 @@ def test_killed_campaigns_resume_to_the_same_bytes(tmp_path):
     save_campaign(campaign, folder)
     killed(folder, continued, 2)
     assert parts_of(folder) == parts_of(computed(campaign, tmp_path / "alone"))
-
-
-@pytest.mark.slow
-def test_the_command_killed_five_times_resumes_to_the_same_bytes(tmp_path):
-    folder = tmp_path / "killed"
-    out = killed(folder, functools.partial(started, runs=RUNS), 5)
-    assert f"of {RUNS} runs" in out and len(parts_of(folder)) == RUNS // 1000
-    assert parts_of(folder) == parts_of(
-        computed(load_campaign(folder), tmp_path / "alone")
-    )
 
 
 @pytest.mark.slow

@@ -180,16 +180,9 @@ def test_the_manual_page_has_every_command_and_option(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("shell", "marker"), [("bash", "design"), ("zsh", "design"), ("fish", "design")]
-)
-def test_the_shell_completes_commands(shell: str, marker: str) -> None:
+def test_the_shell_completes_commands() -> None:
     given = {"COMP_WORDS": "fraclink des", "COMP_CWORD": "1"}
-    given |= {
-        "_TYPER_COMPLETE_ARGS": "fraclink des",
-        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
-    }
-    environment = os.environ | given | {"_FRACLINK_COMPLETE": f"complete_{shell}"}
+    environment = os.environ | given | {"_FRACLINK_COMPLETE": "complete_bash"}
     answer = subprocess.run(
         [sys.executable, "-m", "fraclink"],
         capture_output=True,
@@ -197,7 +190,7 @@ def test_the_shell_completes_commands(shell: str, marker: str) -> None:
         env=environment,
         check=False,
     )
-    assert marker in answer.stdout
+    assert "design" in answer.stdout
     assert "inspect" not in answer.stdout
 
 
@@ -410,6 +403,7 @@ def test_names_cannot_drive_the_terminal(fraclink: Command, name: str) -> None:
     assert json.loads(fraclink("design", "--rig", name, "--json").out)["exit"] == 2
 
 
+@pytest.mark.slow
 def test_the_module_is_the_command() -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "fraclink", "--version"],

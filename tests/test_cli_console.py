@@ -191,6 +191,7 @@ def left_pipe(*, buffered: bool) -> TextIO:
     return io.TextIOWrapper(raw, "utf-8", write_through=not buffered)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("buffered", [False, True])
 @pytest.mark.parametrize(
     ("words", "codes"),

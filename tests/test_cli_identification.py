@@ -66,6 +66,7 @@ def test_identify_motor_makes_the_load_of_a_deflection(
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_a_ring_down_is_fitted_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -80,6 +80,7 @@ def test_modulus_of_the_moderate_box_is_proved() -> None:
     assert found.statement.gauge_gain_high == made.box.gauge_gain[1]
 
 
+@pytest.mark.slow
 def test_finding_says_what_each_interval_costs() -> None:
     asked = WANTED | {"phase_margin": fl.deg(45)}
     made = design(RIG.model, RIG, **asked, box=True, law=False)

@@ -402,12 +402,10 @@ def test_a_pipe_or_a_folder_in_the_place_of_a_file_holds_nobody(
     ("value", "name"),
     [(FULL, "x.json"), (SIGNALS, "x.npz"), (Exact(0.1, 1j), "y.json")],
 )
-def test_two_thousand_mutants_are_equal_or_refused(
-    value: Any, name: str, tmp_path: Path
-) -> None:
+def test_mutants_are_equal_or_refused(value: Any, name: str, tmp_path: Path) -> None:
     rng, refused = np.random.default_rng(5), 0
     path = save(value, tmp_path / name)
-    raw, count = path.read_bytes(), 2000
+    raw, count = path.read_bytes(), 400
     for _ in range(count):
         path.write_bytes(mutate(raw, rng))
         try:

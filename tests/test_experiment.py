@@ -179,6 +179,7 @@ def test_arrays_in_other_units_are_the_same_experiment() -> None:
     assert bent.output_unit == "rad"
 
 
+@pytest.mark.slow
 def test_a_frame_reads_like_the_file_with_the_same_columns() -> None:
     pa = pytest.importorskip("pyarrow")
     columns = {"t": TIME, "pot": np.degrees(ANGLE), "gauge": -TORQUE, "u": ANGLE}

@@ -370,6 +370,7 @@ def test_hex_floats_come_back_exactly() -> None:
         assert float.fromhex(hex_float(rounded, "single").rstrip("F")) == rounded
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["single", "double"])
 def test_the_worst_case_gain_is_reached_and_not_passed(precision: str) -> None:
     """The l1 norm is the gain for the worst signal: its sign pattern reversed in time

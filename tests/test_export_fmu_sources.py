@@ -135,6 +135,7 @@ def test_a_life_under_sanitizers(tmp_path: Path) -> None:
     assert answer.stdout.strip() == "lived"
 
 
+@pytest.mark.slow
 def test_two_fmus_link_into_one_program(tmp_path: Path) -> None:
     """Importers for real-time targets compile sources and link them; each FMU brings
     its own law.

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from guard_sources import PACKAGES, ROOT, Source, sources
+from guard_sources import PACKAGES, ROOT, sources
 
 FILE_LINES = 600  # an alarm, not an aim: a file is as long as its subject
 FUNCTION_LINES = 100
-FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "shelve", "marshal"}
 
 
 def test_files_stay_readable() -> None:
@@ -56,69 +55,10 @@ def test_functions_stay_readable() -> None:
     assert long == []
 
 
-def _dangers(tree: ast.AST) -> Iterator[str]:
-    """Constructs that run or unpack what a file holds, or swallow an error."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (
-                alias.name for alias in node.names if alias.name in FORBIDDEN_MODULES
-            )
-        elif isinstance(node, ast.ImportFrom) and node.module in FORBIDDEN_MODULES:
-            yield node.module or ""
-        elif isinstance(node, ast.Call):
-            yield from _dangerous_call(node)
-        elif isinstance(node, ast.ExceptHandler):
-            if node.type is None:
-                yield "bare except"
-            elif all(isinstance(part, ast.Pass) for part in node.body):
-                yield "except: pass"
-
-
-def _dangerous_call(node: ast.Call) -> Iterator[str]:
-    if isinstance(node.func, ast.Name) and node.func.id in {"eval", "exec"}:
-        yield node.func.id
-    if isinstance(node.func, ast.Attribute) and ast.unparse(node.func) in {
-        "yaml.load",
-        "os.system",
-    }:
-        yield ast.unparse(node.func)
-    for keyword in node.keywords:
-        value = (
-            keyword.value.value
-            if isinstance(keyword.value, ast.Constant)
-            else "computed"
-        )
-        if keyword.arg in {"allow_pickle", "shell"} and value is not False:
-            yield f"{keyword.arg}={value!r}"
-
-
-def test_nothing_runs_what_a_file_holds() -> None:
-    found = {source.name: sorted(_dangers(source.tree)) for source in sources()}
-    assert {name: dangers for name, dangers in found.items() if dangers} == {}
-
-
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import pickle",
-        "from dill import load",
-        "eval('1')",
-        "np.load(p, allow_pickle=True)",
-        "run(c, shell=flag)",
-        "yaml.load(t)",
-        "try:\n f()\nexcept:\n g()",
-        "try:\n f()\nexcept OSError:\n pass",
-    ],
-)
-def test_the_gate_closes(code: str) -> None:
-    assert list(_dangers(ast.parse(code)))
-
-
-def test_no_global_state() -> None:
-    def writes_globals(source: Source) -> bool:
-        return any(isinstance(node, ast.Global) for node in ast.walk(source.tree))
-
-    assert [source.name for source in sources() if writes_globals(source)] == []
+def test_no_array_of_objects_is_unpickled() -> None:
+    # What else runs a file's content (pickle, eval, a shell) the linter's S rules see.
+    asked = re.compile(r"allow_pickle=(?!False)")
+    assert [source.name for source in sources() if asked.search(source.text)] == []
 
 
 def tracked_files() -> list[Path]:
@@ -185,21 +125,3 @@ def test_docstrings_have_one_style() -> None:
         if (found := OTHER_STYLE.search(text))
     ]
     assert other == []
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "Sum.\n\nArguments:\n    a: one",
-        "Sum.\n\nParameters: `a`, one",
-        "Sum.\n\nParameters\n----------\na\n    one.\nb : int\n    two.",
-        "Sum.\n\nReturns\n-------\nfloat\n    the sum.",
-    ],
-)
-def test_other_styles_are_seen(text: str) -> None:
-    assert OTHER_STYLE.search(text)
-
-
-def test_the_style_itself_is_not_seen() -> None:
-    text = "Sum.\n\nParameters\n----------\na, b\n    two : numbers.\n\nRaises\n------\nFieldError\n    no."
-    assert not OTHER_STYLE.search(text)

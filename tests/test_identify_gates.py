@@ -261,6 +261,7 @@ def test_a_bad_log_gives_no_model_that_passes_and_says_why(name: str) -> None:
     assert any(part in sentence for sentence in said), "\n".join(map(str, errors))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["noise alone", "slow noise alone", "channels two seconds apart"]
 )

@@ -48,6 +48,7 @@ def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(
     assert search._from_other_valleys(found).shape[0] == 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 3, 4, 6])
 def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
     seed: int,
@@ -63,6 +64,7 @@ def test_a_lightly_damped_link_still_swings_by_what_was_long_before_the_cut(
     assert fit.model.natural_frequency == pytest.approx(10.0, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", ["first", "zero"])
 def test_a_ring_down_behind_a_cut_is_fitted_by_the_move_before_it(hold: Any) -> None:
     time = PERIOD * np.arange(2500)

@@ -285,6 +285,7 @@ def test_systems_of_python_control_in_the_algebra() -> None:
     assert control.feedback(held, 2, 1) == held.feedback(2, sign=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plant",
     [

@@ -132,6 +132,7 @@ def test_zero_at_one_is_exact(slow_filter: DiscreteRational) -> None:
     assert y[-1] / y[-2] == pytest.approx(slowest, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["slow_filter", "fast_filter"])
 def test_recursion_is_the_frequency_response(
     made: str, request: pytest.FixtureRequest

@@ -308,6 +308,7 @@ def test_a_missing_extra_is_named(
         read_columns(path)
 
 
+@pytest.mark.slow
 def test_content_decides_about_the_format(tmp_path: Path) -> None:
     for kind, name in (
         ("mat5", "MAT v5"),

@@ -12,7 +12,7 @@ from mutants import KINDS, run
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
-    count = {"text": 400, "rig": 400}.get(kind, 120)
+    count = {"text": 160, "rig": 160}.get(kind, 50)
     outcome = run(kind, count, tmp_path, seed=7, cpu_seconds=1)
     assert outcome.surprises == []
     assert sum(outcome.counts.values()) == count

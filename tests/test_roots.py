@@ -177,6 +177,7 @@ def test_count_and_residues(seed: int) -> None:
         assert count_strip(terms, angle) == 2 * len(inside) - np.sum(inside.imag == 0)
 
 
+@pytest.mark.slow
 @given(st.floats(0.3, 3.0), st.floats(0.02, 50.0))
 @settings(max_examples=40, deadline=None)
 def test_homothety(power: float, scale: float) -> None:

@@ -102,6 +102,7 @@ def test_gradients_are_those_of_differences(
         assert slope[near] == pytest.approx(rows.gradient[k][near], abs=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "asked",
     [
@@ -121,6 +122,7 @@ def test_an_offer_passes_when_it_is_followed(asked: dict[str, float]) -> None:
         assert float(f"{shown:.3g}") == pytest.approx(shown, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     late = replace(MODEL, gauge_delay=0.03)
     with pytest.raises(InfeasibleError, match=r"at .* g at most .* is asked for") as e:

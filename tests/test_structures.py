@@ -54,6 +54,7 @@ def lines(
 
 # From the second pair no start leads there that is ranked as if the cut were a rest,
 # from the third none that is drawn so.
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "late"), [(3, 700), (3, 1300), (7, 1300)])
 def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
     seed: int, late: int
@@ -86,6 +87,7 @@ def test_a_log_that_was_cut_in_mid_motion_is_recovered_with_the_angle_before(
     assert np.std(fit.predicted - 0.3 - torque[late:]) < 0.1 * noise.std()
 
 
+@pytest.mark.slow
 def test_a_ring_down_that_was_cut_from_a_move_is_driven_by_the_move() -> None:
     time = 0.004 * np.arange(1500)
     angle = 0.4 * np.clip((time - 0.1) / 0.2, 0, 1)
@@ -104,6 +106,7 @@ def test_a_ring_down_that_was_cut_from_a_move_is_driven_by_the_move() -> None:
     assert fit.parameters == pytest.approx({"k": 1.5, "a": 1.9, "w": 80.0}, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("expression", "truth"),
     [
@@ -359,6 +362,7 @@ def test_every_parameter_at_a_bound(
     repr(fit)
 
 
+@pytest.mark.slow
 def test_noise_is_no_system() -> None:
     rng = np.random.default_rng(1)
     noise = fl.extend.Recording(
@@ -460,6 +464,7 @@ def test_given_orders_and_much_noise(seed: int) -> None:
         assert abs(fit.parameters[name] - value) < 4 * fit.standard_errors[name]
 
 
+@pytest.mark.slow
 def test_a_coefficient_may_have_either_sign() -> None:
     truth = {"k": 2.0, "c": -0.4, "a": 0.7, "w": 1.0}
     record = recording("k/(s + c*s**a + w)", truth, noise=0.0)

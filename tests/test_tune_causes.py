@@ -82,6 +82,7 @@ def test_a_late_gauge_is_named_with_its_phase() -> None:
     assert "30 ms late" in said(vibration(), link=late)
 
 
+@pytest.mark.slow
 def test_what_slows_the_motor_loop_is_named() -> None:
     assert said(vibration(), motor=motor(0.0)) == ""
     coarse = 2 * np.pi / 500

@@ -58,6 +58,7 @@ def test_vibration_is_a_root_of_the_characteristic_equation(
     assert found.damping_ratio == pytest.approx(float(-root.real / abs(root)), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_move_dies_as_fast_as_the_vibration_says() -> None:
     model = replace(
         LINK, order=1.97, payload=0.03, natural_frequency=RIG.natural_frequency(0.03)
