@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 import fraclink as fl
-from fraclink._simulate import geared
-from fraclink.trials._campaign import Campaign, save_campaign
-from fraclink.trials._faults import Bench
+from fraclink.extend import geared
+from fraclink.trials import Bench, Campaign
+from fraclink.trials._campaign import save_campaign
 from fraclink.trials._run import write_part
 
 

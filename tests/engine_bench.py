@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._arm.reference import Reference, sampled
-from fraclink._design import Design
-from fraclink._law import Law
+from fraclink import Design, Law, Reference, _kernels
+from fraclink._arm.reference import sampled
 from fraclink._simulate.engine import (
     RIG_NUMBERS,
     engine_bytes,

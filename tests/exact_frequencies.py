@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.beam import Beam
 from fraclink.errors import FieldError
+from fraclink.extend import Beam
 
 __all__ = ["exact_frequencies"]
 

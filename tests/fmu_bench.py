@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
+from fraclink import Law, Run, Twin
 from fraclink._arm.reference import Path as Trajectory
-from fraclink._law import Law, LawOutputs, discretize_controller
-from fraclink._simulate import PayloadChange, Run, SensorFault, TipPulse, Twin, geared
+from fraclink._law import discretize_controller
+from fraclink.extend import LawOutputs, PayloadChange, SensorFault, TipPulse, geared
 from law_bench import default_controller
 from needed_tools import missing
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._identify import simulated_torque
+from fraclink import Experiment, LinkModel
+from fraclink.extend import simulated_torque
 from fracsys import s, time_response
 
 PERIOD = 0.004

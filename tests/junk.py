@@ -13,11 +13,9 @@ import numpy as np
 
 import fraclink as fl
 import fracsys
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._identify import simulated_torque
-from fraclink._simulate import geared
+from fraclink import Experiment, LinkModel
 from fraclink.errors import FraclinkError
+from fraclink.extend import geared, simulated_torque
 
 Call = tuple[Callable[..., object], Callable[[], Mapping[str, Any]]]
 

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink._law import Law, LawInputs, LawOutputs, discretize_controller
+from fraclink import Law
+from fraclink._law import discretize_controller
+from fraclink.extend import LawInputs, LawOutputs
 
 PERIOD = 0.004
 DESIGN = (

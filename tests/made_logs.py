@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Experiment
+from fraclink import Experiment
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,8 @@ from types import TracebackType
 
 import numpy as np
 
-from fraclink._arm.rig import Rig
+from fraclink import Rig, read_log
 from fraclink._reading.formats import ReaderChild, sniffed_kind
-from fraclink._reading.reading import read_log
 from fraclink._reading.text import CPU_SECONDS
 from fraclink.errors import FraclinkError
 from made_files import made_file

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
-from fraclink._arm.rig import Rig
-from fraclink._reading.reading import read_columns, read_log
+from fraclink import Channel, LogColumns, Rig, read_log
+from fraclink._arm.log_columns import parse_columns
 from fraclink._reading.text import SAMPLE_LIMIT
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
+from fraclink.extend import read_columns
 from made_logs import HEADER, made_rows, write_log
 
 Rows = list[list[str]]
@@ -547,7 +547,7 @@ def test_columns_stated_in_words_equal_those_of_a_rig_file() -> None:
 
 
 def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
-    from fraclink._cli import main
+    from fraclink import main
 
     rows = made_rows(600)
     rows[100][1], rows[200][0] = "nan", rows[199][0]

@@ -15,11 +15,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.log_columns import Channel, LogColumns
-from fraclink._arm.motor_loop import MotorLoop
-from fraclink._arm.rig import Encoder, Link, Motor, Payloads, Rig
+from fraclink import Channel, LogColumns, MotorLoop, Rig
 from fraclink._files.toml import FileFaults
 from fraclink.errors import FieldError, FileFormatError
+from fraclink.extend import Encoder, Link, Motor, Payloads
 from junk import CHARACTERS
 from processor_limit import processor_limit
 
@@ -380,7 +379,7 @@ def test_any_junk_in_any_field_is_a_rig_or_a_field_error(
 def test_the_command_line_prints_a_line_for_each_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fraclink._cli import main
+    from fraclink import main
 
     text = (
         PAPER.read_text(encoding="utf-8")
@@ -403,7 +402,7 @@ def test_the_command_line_prints_a_line_for_each_fault(
 def test_the_command_line_keeps_one_line_for_one_fault(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fraclink._cli import main
+    from fraclink import main
 
     path = tmp_path / "rig.toml"
     path.write_text(changed('name = "a"\nnombre = "b\\nc"', tmp_path), encoding="utf-8")

@@ -13,11 +13,10 @@ import pytest
 
 import fraclink as fl
 import fracsys
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
+from fraclink import Experiment, LinkModel, identify_payloads
 from fraclink._design.assess import PRINTED
-from fraclink._identify import identify_payloads, simulated_torque
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.extend import simulated_torque
 from identify_cases import smooth_pulse
 
 RIG = fl.Rig.named("paper-2023")

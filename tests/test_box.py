@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.box import ParameterBox, arms_of
-from fraclink._cli import main
+from fraclink import ParameterBox, main
+from fraclink._arm.box import arms_of
 from fraclink._design.completed import design_for
 from fraclink.errors import FieldError
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, parts_of, small
-from fraclink._cli import main
+from fraclink import main
 from fraclink.errors import MissingExtraError
-from fraclink.trials._run import run_campaign
+from fraclink.trials import run_campaign
 from needed_tools import missing
 
 

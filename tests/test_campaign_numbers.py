@@ -14,13 +14,9 @@ import pytest
 import fraclink as fl
 from campaigns import small
 from fraclink.errors import FieldError
+from fraclink.trials import Campaign, Distribution
 from fraclink.trials._arms import unit_paths
-from fraclink.trials._campaign import (
-    Campaign,
-    Distribution,
-    load_campaign,
-    save_campaign,
-)
+from fraclink.trials._campaign import load_campaign, save_campaign
 from fraclink.trials._run import part_path, read_part, write_part
 
 RIG = fl.Rig.named("paper-2023")

@@ -22,12 +22,12 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, continued, parts_of, small
-from fraclink._cli import main
+from fraclink import main
 from fraclink.errors import FieldError, FileFormatError, NotConvergedError
 from fraclink.trials import _run as part_module
+from fraclink.trials import run_campaign, summarise
 from fraclink.trials._campaign import load_campaign, save_campaign
-from fraclink.trials._run import read_part, run_campaign
-from fraclink.trials._summary import summarise
+from fraclink.trials._run import read_part
 
 
 @pytest.fixture(scope="module")

@@ -16,19 +16,12 @@ import numpy as np
 import pytest
 
 from campaigns import computed, small
-from fraclink._cli import main
+from fraclink import main
 from fraclink._law import MODES
 from fraclink.errors import FieldError
-from fraclink.trials._campaign import Distribution
-from fraclink.trials._run import read_part, run_campaign
-from fraclink.trials._summary import (
-    METRICS,
-    PARAMETERS,
-    _failure,
-    _quantile,
-    _trips,
-    summarise,
-)
+from fraclink.trials import Distribution, run_campaign, summarise
+from fraclink.trials._run import read_part
+from fraclink.trials._summary import METRICS, PARAMETERS, _failure, _quantile, _trips
 from fraclink.view._records import to_json
 from fraclink.view._views import view
 

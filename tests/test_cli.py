@@ -17,9 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 import typer
 
-from fraclink import __version__
-from fraclink._arm.rig import Rig
-from fraclink._cli import main
+from fraclink import Rig, __version__, main
 from fraclink._cli.app import application
 from fraclink._cli.console import guarded
 from fraclink.errors import (

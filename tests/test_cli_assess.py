@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink._cli import main
-from fraclink._design.assess import mode_gains
-from fraclink._simulate import Beam
+from fraclink import main
+from fraclink.extend import Beam, mode_gains
 
 
 def _design(place: Path) -> fl.Design:

@@ -14,7 +14,8 @@ from typing import TextIO
 
 import pytest
 
-from fraclink._cli import main, tunings
+from fraclink import main
+from fraclink._cli import tunings
 from fraclink._cli.console import (
     guarded,
 )

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.rig import Rig
+from fraclink import Rig, bundled_log
 from fraclink._cli.app import run
-from fraclink._reading.reading import bundled_log
 from fraclink.extend import StructureFit
 
 

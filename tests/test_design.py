@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink import Design, Rig
 from fraclink._arm.controller import closed_loop_poles
-from fraclink._arm.loop import Loop
-from fraclink._arm.rig import Rig
-from fraclink._design import Design
 from fraclink._design.assess import PRINTED
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.extend import Loop
 
 RIG = Rig.named("paper-2023")
 DEFAULT = {

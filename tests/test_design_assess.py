@@ -11,24 +11,20 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.box import ParameterBox
-from fraclink._arm.controller import Controller
+from fraclink import Controller, Design, MotorLoop, ParameterBox, Rig, certify
 from fraclink._arm.motor import held_motor
-from fraclink._arm.motor_loop import MotorLoop, direct_placement, motor_loop_costs
-from fraclink._arm.rig import Rig
+from fraclink._arm.motor_loop import direct_placement
 from fraclink._arm.sampled import SampledPlant
-from fraclink._certify import certify, enclose_phase_margin
-from fraclink._design import Design
-from fraclink._design.assess import (
+from fraclink.errors import FieldError, SizeError
+from fraclink.extend import (
     VibrationMode,
+    enclose_phase_margin,
+    equip,
+    feasibility_map,
+    motor_loop_costs,
     phase_budget,
     spillover,
 )
-from fraclink._design.feasibility import (
-    feasibility_map,
-)
-from fraclink._law import equip
-from fraclink.errors import FieldError, SizeError
 
 RIG = Rig.named("paper-2023")
 WANTED = {

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.box import Arm, ParameterBox, arms_of
-from fraclink._arm.link import SecondMode
-from fraclink._arm.loop import Loop
-from fraclink._arm.motor_loop import MotorLoop
-from fraclink._design import Design, design
+from fraclink import Design, MotorLoop, ParameterBox, SecondMode, design
+from fraclink._arm.box import Arm, arms_of
 from fraclink._design.box_cost import _shrunk, cost_of_box
 from fraclink.errors import FieldError
+from fraclink.extend import Loop
 
 RIG = fl.Rig.named("paper-2023")
 WANTED = {

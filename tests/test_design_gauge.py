@@ -15,12 +15,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.loop import Loop
-from fraclink._arm.motor_loop import MotorLoop
+from fraclink import Design, LinkModel, MotorLoop, SecondMode
 from fraclink._arm.sampled import sampled_plant
-from fraclink._design import Design
 from fraclink.errors import InfeasibleError
+from fraclink.extend import Loop
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model

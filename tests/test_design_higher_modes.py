@@ -13,15 +13,13 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink import Design, Rig, main
 from fraclink._arm.beam import assumed_ratio, material_law, unmodelled_modes
-from fraclink._arm.rig import Rig
-from fraclink._cli import main
-from fraclink._design import Design
-from fraclink._design.assess import mode_gains
 from fraclink._law import modes
-from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, assemble
+from fraclink._simulate import assemble
 from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError
+from fraclink.extend import Beam, KelvinVoigt, PowerLaw, mode_gains
 from fraclink.trials._setting import NominalLoop, law_filter, sampled
 
 RIG = Rig.named("paper-2023-geared")

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.loop import Loop
 from fraclink._design.equations import ClosedForm
+from fraclink.extend import Loop
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import chirp, prbs, pulse
-from fraclink._arm.rig import Gauge, Rig
-from fraclink._identify import simulated_torque
-from fraclink._reading.reading import bundled_log, bundled_logs, read_log
+from fraclink import Experiment, LinkModel, Rig, bundled_log, chirp, prbs, read_log
+from fraclink.extend import Gauge, bundled_logs, pulse, simulated_torque
 from fraclink.findings import Finding
+from fraclink.logs import diagnose
 from fraclink.logs._channels import find_mode
-from fraclink.logs._diagnosis import diagnose
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
 

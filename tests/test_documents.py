@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 import fracsys
-from fraclink._files import document, kind_of, load, save
+from fraclink import load, save
+from fraclink._files import document
 from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.extend import kind_of
 from fraclink.findings import Finding
 from mutants import mutate
 

@@ -16,9 +16,7 @@ import pytest
 
 import fraclink as fl
 from engine_bench import MARKS, SIGNALS, Engine
-from fraclink._arm.link import SecondMode
-from fraclink._design import Design
-from fraclink._simulate import KelvinVoigt, SensorFault
+from fraclink import Design, SecondMode
 from fraclink._simulate.engine import (
     LONGEST,
     MOST_ROWS,
@@ -27,6 +25,7 @@ from fraclink._simulate.engine import (
     engine_bytes,
 )
 from fraclink._simulate.sensors import fault_rows
+from fraclink.extend import KelvinVoigt, SensorFault
 from needed_tools import missing, tool
 
 ROOT = Path(__file__).parents[1]

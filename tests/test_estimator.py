@@ -15,24 +15,21 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._cli import main
-from fraclink._design import Design
-from fraclink._law.estimator import (
-    MODELS,
-    REALS,
+from fraclink import Callback, Design, Run, Twin, _kernels, main
+from fraclink._law.estimator import MODELS, REALS
+from fraclink._law.tracking import masses_of
+from fraclink.errors import FieldError
+from fraclink.extend import (
     Estimates,
+    Obstacle,
+    PayloadChange,
     PayloadEstimator,
     payload_estimator,
 )
-from fraclink._law.tracking import masses_of
-from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
-from fraclink.errors import FieldError
-from fraclink.lab._connections import Callback
-from fraclink.lab._loop import run_realtime
+from fraclink.lab import run_realtime
 from fraclink.lab._machine import VirtualClock
-from fraclink.trials._arms import replay_run, simulate_part
-from fraclink.trials._campaign import Campaign, load_campaign, save_campaign
+from fraclink.trials import Campaign, replay_run, simulate_part
+from fraclink.trials._campaign import load_campaign, save_campaign
 from fraclink.view._views import view
 from needed_tools import tool
 from shared_data import shared_data

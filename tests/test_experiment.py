@@ -8,8 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._reading.reading import read_log
+from fraclink import Experiment, read_log
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding, worst_first
 

@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._export import export_c
+from fraclink import Law, export_c
 from fraclink._export.claims import _plain_norm, worst_case
 from fraclink._export.data import hex_float
-from fraclink._law import Law
 from fraclink.errors import FieldError, MissingExtraError
 from law_bench import law, with_pair
 from law_bench import run as run_law

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fmu_bench import Imported
-from fraclink._export import export_fmu
+from fraclink import export_fmu
 from law_bench import PERIOD, law, signals
 from needed_tools import tool
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fmu_bench import Imported, fmpy_or_skip, outputs_of, sources_of
-from fraclink._export import export_fmu
+from fraclink import export_fmu
 from fraclink._export.data import law_source
 from fraclink._export.fmi import VARIABLES
 from fraclink.errors import FieldError

@@ -16,9 +16,9 @@ from typing import TypeVar
 import pytest
 
 import fraclink as fl
-from fraclink._export import export_c
+from fraclink import Law, export_c
 from fraclink._export.data import exact_flags
-from fraclink._law import Law, discretize_controller
+from fraclink._law import discretize_controller
 from law_bench import PERIOD, law, with_pair
 from law_mutants import MUTANTS
 from needed_tools import missing, tool

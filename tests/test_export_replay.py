@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._export import Replay, export_c, replay, replay_log
-from fraclink._law import Law
+from fraclink import Law, export_c
+from fraclink._export import replay
 from fraclink.errors import FieldError
+from fraclink.extend import Replay, replay_log
 from law_bench import PERIOD, law, signals
 from needed_tools import tool
 

@@ -14,23 +14,23 @@ import pytest
 import fraclink as fl
 from campaigns import fault_bench
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.trials import _endurance as endurance
-from fraclink.trials._endurance import Soak, soak, upsets
-from fraclink.trials._fault_rules import RULES
-from fraclink.trials._fault_trial import REALS, WORDS, members
-from fraclink.trials._faults import (
+from fraclink.trials import (
     CATALOGUE,
     Bench,
     Case,
-    Check,
     FaultTable,
     Outcome,
+    Soak,
     cases,
-    fault_named,
-    observe,
     run_case,
     run_faults,
+    soak,
 )
+from fraclink.trials import _endurance as endurance
+from fraclink.trials._endurance import upsets
+from fraclink.trials._fault_rules import RULES
+from fraclink.trials._fault_trial import REALS, WORDS, members
+from fraclink.trials._faults import Check, fault_named, observe
 
 # Open points of the shipped law on this arm; docs/how-to/run-a-fault-campaign.md gives
 # their values.

@@ -11,7 +11,7 @@ import pytest
 import fraclink as fl
 from fraclink._cli.app import run
 from fraclink._files.containers import read_archive
-from fraclink.trials._faults import Case, FaultTable, Outcome
+from fraclink.trials import Case, FaultTable, Outcome
 
 ARM = [
     "campaign",

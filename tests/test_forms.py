@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fraclink import inspect_log, read_log
 from fraclink._reading.formats import read_table
-from fraclink._reading.reading import inspect_log, read_columns, read_log
 from fraclink._reading.text import read_text_table
 from fraclink.errors import FileFormatError, LogError
+from fraclink.extend import read_columns
 from fraclink.logs import start
 from made_logs import HEADER, made_rows, write_log
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink.errors import FieldError
-from fracsys._fractional import FractionalTransferFunction, s
+from fracsys import FractionalTransferFunction, s
 from fracsys._terms import Term
 
 LINK = 1.56 * s**1.92 / (s**1.92 + 10.02**2)

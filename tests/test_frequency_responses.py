@@ -14,9 +14,9 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink._cli.app import run
-from fraclink._identify import DrivenLinkFit, Interval
 from fraclink._identify.driven import _of_the_band
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import DrivenLinkFit, Interval
 
 LINES = np.geomspace(2.0, 60.0, 120)
 

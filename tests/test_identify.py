@@ -12,21 +12,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import STRUCTURES, LinkModel, Structure
-from fraclink._arm.reference import smooth_step
-from fraclink._files import write_json
-from fraclink._identify import (
+from fraclink import (
+    Experiment,
     Fit,
-    aic,
+    LinkModel,
     compare_structures,
     identify,
-    load_model,
-    save_model,
-    simulated_torque,
+    smooth_step,
 )
+from fraclink._files import write_json
+from fraclink._identify import aic, load_model, save_model
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
-from fracsys._response import time_response
+from fraclink.extend import STRUCTURES, Structure, simulated_torque
+from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, made_log, smooth_pulse
 
 NOISE = 0.0052**0.5

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import STRUCTURES, LinkModel
-from fraclink._arm.rig import Rig
-from fraclink._identify import (
+from fraclink import (
+    Experiment,
     Fit,
+    LinkModel,
+    Rig,
     compare_structures,
     identify,
-    simulated_torque,
+    read_log,
 )
-from fraclink._reading.reading import read_log
 from fraclink.errors import FieldError
+from fraclink.extend import STRUCTURES, simulated_torque
 from fracsys import s, time_response
 from identify_cases import TRUTH, made_log
 from shared_data import shared_data

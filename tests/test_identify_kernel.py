@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink._arm.link import LinkModel
-from fraclink._identify import simulated_torque
+from fraclink import LinkModel
 from fraclink._identify.shape import Window, chosen_hold, shape_of, undamped_as_damped
-from fracsys._response import time_response
+from fraclink.extend import simulated_torque
+from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
 
 LINKS = [

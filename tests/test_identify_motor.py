@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._arm.rig import Rig
-from fraclink._identify import (
-    design_experiment,
-    identify,
-    identify_motor,
-    simulated_torque,
-)
+from fraclink import Experiment, LinkModel, Rig, identify, identify_motor
 from fraclink.errors import FieldError, InfeasibleError, LogError
+from fraclink.extend import design_experiment, simulated_torque
 from identify_cases import PERIOD
 from made_logs import example_motor_log
 

@@ -7,16 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._identify import (
-    JointFit,
-    identify,
-    identify_payloads,
-)
+from fraclink import Experiment, LinkModel, identify, identify_payloads
 from fraclink._identify.joint import Coordinates
 from fraclink._identify.shape import damping_and_square
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import JointFit
 from identify_cases import made_log
 
 LINK = LinkModel(1.56, 11.0, order=1.92, payload=0.03)

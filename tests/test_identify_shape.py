@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._identify import identify, identify_structure, simulated_torque
+from fraclink import Experiment, identify, identify_structure
 from fraclink._identify.fitting import (
     make_search,
 )
 from fraclink._identify.search import Search
 from fraclink.errors import LogError
+from fraclink.extend import simulated_torque
 from identify_cases import PERIOD, TRUTH, late_cut, made_log
 
 # --- starts and limits --------------------------------------------------------------------------------------

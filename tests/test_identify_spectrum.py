@@ -7,12 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.link import LinkModel
-from fraclink._identify import (
-    frequency_response,
-    identify_frequency_response,
-)
+from fraclink import LinkModel, identify_frequency_response
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import frequency_response
 from shared_data import shared_data
 
 FREQUENCY = np.linspace(1, 40, 200)

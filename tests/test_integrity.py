@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink import export_c, load
 from fraclink._cli.app import run as main
-from fraclink._export import export_c
-from fraclink._files import load
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
-from fraclink.trials._study import Study, load_study, save_study
+from fraclink.trials import Study, load_study
+from fraclink.trials._study import save_study
 
 Edit = Callable[[dict[str, Any]], object]
 RIG = fl.Rig.named("paper-2023")

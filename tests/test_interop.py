@@ -19,9 +19,7 @@ import pytest
 
 import fracsys
 from fraclink.errors import FieldError, MissingExtraError
-from fracsys import from_control, to_control
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._margins import margins
+from fracsys import FractionalTransferFunction, from_control, margins, s, to_control
 
 mpl.use("Agg")
 W = 10.31

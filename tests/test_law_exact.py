@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flint import arb, ctx
 
-from fraclink._law import Law
+from fraclink import Law
 from law_bench import law, run
 
 PERIODS = 20_000

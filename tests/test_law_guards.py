@@ -12,7 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink._law import MODES, REASONS, LawOutputs
+from fraclink._law import MODES, REASONS
+from fraclink.extend import LawOutputs
 from fraclink.trials._fault_trial import REALS, WORDS, members
 from law_bench import closed_loop, law, run, signals
 

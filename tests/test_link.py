@@ -9,8 +9,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.link import STRUCTURES, LinkModel, structure
+from fraclink import LinkModel
 from fraclink.errors import FieldError
+from fraclink.extend import STRUCTURES, structure
 
 
 def denominator(link: LinkModel, s: complex) -> complex:

@@ -7,12 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink._arm.log_columns import (
-    Channel,
-    ColumnStatement,
-    LogColumns,
-    parse_columns,
-)
+from fraclink import Channel, LogColumns
+from fraclink._arm.log_columns import ColumnStatement, parse_columns
 from fraclink._arm.timebase import TimeBase, time_base
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding

@@ -11,13 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink._arm.box import Arm, ParameterBox
-from fraclink._arm.controller import Controller, closed_loop
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.loop import Loop, with_payload, worst_margins
-from fraclink._arm.motor_loop import MotorLoop
+from fraclink import Controller, LinkModel, MotorLoop, ParameterBox, SecondMode
+from fraclink._arm.box import Arm
+from fraclink._arm.controller import closed_loop
+from fraclink._arm.loop import with_payload, worst_margins
 from fraclink._arm.sampled import sampled_plant, tail_sum
 from fraclink.errors import FieldError
+from fraclink.extend import Loop
 
 RIG = fl.Rig.named("paper-2023")
 MODE = SecondMode(frequency=150.0, gain=0.03, damping_ratio=0.02)

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.motor import ContinuousPid, held_motor, place_pid
+from fraclink._arm.motor import ContinuousPid, held_motor
 from fraclink._arm.motor_loop import (
     SampledMotorLoop,
 )
 from fraclink.errors import FieldError
+from fraclink.extend import place_pid
 
 A, B = 0.21 / 6.87e-5, 1.041e-3 / 6.87e-5
 

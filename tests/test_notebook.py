@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import fraclink as fl
-from fraclink._certify import Certificate
+from fraclink import Certificate
 from fraclink.view._pages import DARK, LIGHT, colours
 from fraclink.view._views import view
 

@@ -16,7 +16,6 @@ import pytest
 
 from fraclink._files import (
     checked_envelope,
-    kind_of,
     parse_json,
     read_json,
     write_json,
@@ -24,6 +23,7 @@ from fraclink._files import (
 )
 from fraclink._files.containers import read_archive
 from fraclink.errors import FieldError, FileFormatError
+from fraclink.extend import kind_of
 from mutants import mutate
 
 ARRAYS = {

@@ -14,7 +14,7 @@ import pytest
 import fraclink as fl
 from fraclink._design.pid_search import Candidates
 from fraclink.errors import FieldError, InfeasibleError
-from fracsys._fractional import s
+from fracsys import s
 
 LAG = (1 / (0.4 * s**1.5 + 1)).delayed(0.05)
 

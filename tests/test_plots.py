@@ -15,7 +15,7 @@ import pytest
 
 from fraclink.errors import FieldError, MissingExtraError
 from fraclink.view import _plots as plots
-from fracsys._fractional import s
+from fracsys import s
 
 mpl.use("Agg")
 LINK = 1.56 * s**1.92 / (s**1.92 + 100.4)

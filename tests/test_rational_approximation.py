@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from fraclink.errors import FieldError
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._rational import RationalApproximation, approximate
+from fracsys import FractionalTransferFunction, RationalApproximation, approximate, s
 from fracsys._zero_pole import cascade
 
 BAND = (1e-2, 700.0)

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.log_columns import Channel, LogColumns
+from fraclink import Channel, LogColumns, inspect_log, read_log
 from fraclink._reading.formats import ReaderChild, read_table, sniffed_kind
-from fraclink._reading.reading import inspect_log, read_columns, read_log
 from fraclink.errors import (
     FieldError,
     FileFormatError,
@@ -22,6 +21,7 @@ from fraclink.errors import (
     MissingExtraError,
     SizeError,
 )
+from fraclink.extend import read_columns
 from made_files import KINDS, made_columns, made_file, write_mat5
 from shared_data import shared_data
 

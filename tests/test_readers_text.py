@@ -12,22 +12,23 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import Channel, LogColumns
-from fraclink._arm.rig import Rig
-from fraclink._files import load, save
+from fraclink import (
+    Channel,
+    Experiment,
+    LogColumns,
+    Rig,
+    bundled_log,
+    inspect_log,
+    load,
+    read_log,
+    save,
+)
 from fraclink._reading.columns import suggested_mapping
 from fraclink._reading.forms import NUMBER
-from fraclink._reading.reading import (
-    bundled_log,
-    bundled_logs,
-    inspect_log,
-    read_columns,
-    read_log,
-)
 from fraclink._reading.text import LogTable, parse_cells, read_text_table
 from fraclink.errors import FieldError
-from fraclink.logs._diagnosis import diagnose
+from fraclink.extend import bundled_logs, read_columns
+from fraclink.logs import diagnose
 from junk import CHARACTERS
 from made_logs import HEADER, made_rows, write_log
 from shared_data import shared_data

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink.lab._connections import Callback, Command
+from fraclink import Callback, _kernels
+from fraclink.lab._connections import Command
 from fraclink.lab._line import (
     ArmLine,
     ArmLost,

@@ -23,21 +23,13 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._arm.motor_loop import MotorLoop
-from fraclink._arm.reference import Reference
-from fraclink._law import REASONS, Law, equip
-from fraclink._simulate import Twin, geared
+from fraclink import Callback, Law, MotorLoop, Reference, Twin, _kernels
+from fraclink._law import REASONS
 from fraclink.errors import FieldError, SizeError
-from fraclink.lab._arm import ServedArm, serve_arm
-from fraclink.lab._connections import (
-    Callback,
-    Udp,
-    arm_end,
-)
-from fraclink.lab._loop import run_realtime
+from fraclink.extend import equip, geared
+from fraclink.lab import RealtimeRun, ServedArm, Udp, run_realtime, serve_arm
+from fraclink.lab._connections import arm_end
 from fraclink.lab._machine import VirtualClock
-from fraclink.lab._run import RealtimeRun
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
+from fraclink import FrequencyResponse
+from fraclink._arm.recording import coherence_weights
 from fraclink.errors import FieldError, LogError
+from fraclink.extend import Recording
 
 T = 0.01
 TIME = T * np.arange(1000)

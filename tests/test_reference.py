@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
-from fraclink._arm.reference import Path, Reference, checked_reference, sampled
+from fraclink import Reference
+from fraclink._arm.reference import Path, checked_reference, sampled
 from fraclink.errors import FieldError, SizeError
 
 SMOOTH: dict[str, Reference] = {

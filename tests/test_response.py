@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, gamma, wofz
 
-from fraclink._arm.link import LinkModel
+from fraclink import LinkModel
 from fraclink.errors import FieldError, NotConvergedError
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._modes import split_delay
-from fracsys._response import (
+from fracsys import (
+    FractionalTransferFunction,
     discrete_modes,
     grunwald_letnikov,
-    held_quotient,
     impulse_response,
+    s,
     step_response,
     time_response,
 )
+from fracsys._modes import split_delay
+from fracsys._response import held_quotient
 from fracsys._terms import Term
 
 T = 0.004

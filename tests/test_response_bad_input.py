@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from fraclink.errors import FieldError, SizeError
-from fracsys._fractional import s
-from fracsys._rational import approximate
-from fracsys._response import (
+from fracsys import (
+    approximate,
     discrete_modes,
     grunwald_letnikov,
     impulse_response,
+    s,
     step_response,
     time_response,
 )

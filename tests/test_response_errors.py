@@ -9,14 +9,15 @@ import mpmath
 import numpy as np
 import pytest
 
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._response import (
+from fracsys import (
+    FractionalTransferFunction,
     TimeResponse,
     impulse_response,
+    poles,
+    s,
     step_response,
     time_response,
 )
-from fracsys._stability import poles
 
 MEMORY = 1 / (
     s**6.1 + 5 * s**5.2 + 11 * s**4.1 + 14 * s**2.9 + 11 * s**2.2 + 5 * s**0.9 + 1

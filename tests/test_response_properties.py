@@ -11,14 +11,15 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fracsys._contour import careful_response
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._response import (
+from fracsys import (
+    FractionalTransferFunction,
     discrete_modes,
-    held_quotient,
+    s,
     step_response,
     time_response,
 )
+from fracsys._contour import careful_response
+from fracsys._response import held_quotient
 
 orders = st.floats(0.05, 1.98).map(lambda x: round(x, 3))
 factors = st.builds(lambda a, c: (a, c), orders, st.floats(-3, 6).map(math.exp))

@@ -14,8 +14,13 @@ import numpy as np
 import pytest
 from scipy.special import erfcx, wofz
 
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._response import impulse_response, step_response, time_response
+from fracsys import (
+    FractionalTransferFunction,
+    impulse_response,
+    s,
+    step_response,
+    time_response,
+)
 
 REFERENCE = Path(__file__).parent / "reference" / "step_responses.json"
 PERIOD = 0.004

@@ -13,15 +13,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink import Design, LinkModel, bundled_log, read_log
 from fraclink._arm.draft import doubts_of
-from fraclink._arm.link import LinkModel
 from fraclink._cli.app import run as main
-from fraclink._design import Design
-from fraclink._identify import simulated_torque
-from fraclink._reading.reading import bundled_log, read_log
 from fraclink.errors import InfeasibleError
-from fraclink.trials._stages import run
-from fraclink.trials._study import Study
+from fraclink.extend import simulated_torque
+from fraclink.trials import Study, run
 from identify_cases import PERIOD, TRUTH
 
 RIG = fl.Rig.named("paper-2023")

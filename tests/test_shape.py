@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import fraclink as fl
+from fraclink import Callback, Twin, main
 from fraclink._arm.reference import sampled
-from fraclink._cli import main
-from fraclink._law import LawInputs
-from fraclink._simulate import Twin
 from fraclink._simulate import shaped_move as move
 from fraclink._simulate.shape_programme import (
     SIGNALS,
@@ -29,11 +27,11 @@ from fraclink._simulate.shape_programme import (
     responses_of,
     without_friction,
 )
-from fraclink._simulate.shaped_move import ShapedMove
 from fraclink.errors import FieldError, FileFormatError
-from fraclink.lab._connections import Callback
+from fraclink.extend import LawInputs, ShapedMove
 from fraclink.lab._machine import VirtualClock
-from fraclink.trials._campaign import Campaign, load_campaign, save_campaign
+from fraclink.trials import Campaign
+from fraclink.trials._campaign import load_campaign, save_campaign
 from fraclink.view._runs import shaped_figure
 from fraclink.view._tunings import shaped_view
 from needed_tools import tool

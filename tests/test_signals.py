@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 import fracsys
-from fraclink._arm.log_columns import Channel, LogColumns, parse_columns
-from fraclink._cli import main
+from fraclink import Channel, LogColumns, main
+from fraclink._arm.log_columns import parse_columns
 from fraclink.errors import FieldError, LogError
-from fracsys._fractional import s
+from fracsys import s
 
 PERIOD, COUNT, LENGTH = 0.004, 3000, 0.32
 ORDER, FREQUENCY = 1.93, 10.02

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.link import SecondMode
+from fraclink import SecondMode, Specification
 from fraclink._design.procedure import request_of
 from fraclink._design.solver import Problem
-from fraclink._law.design import Specification
 from fraclink.errors import FieldError, InfeasibleError
 
 RIG = fl.Rig.named("paper-2023")

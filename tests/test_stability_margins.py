@@ -15,9 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink.errors import FieldError
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._margins import Margins, margins
-from fracsys._stability import is_stable
+from fracsys import FractionalTransferFunction, Margins, is_stable, margins, s
 
 K, BETA, W = 0.148, 0.65, 10.0
 

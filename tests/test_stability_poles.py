@@ -13,10 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink.errors import FieldError
-from fracsys._fractional import FractionalTransferFunction, s
-from fracsys._margins import margins
-from fracsys._response import step_response
-from fracsys._stability import is_stable, poles
+from fracsys import (
+    FractionalTransferFunction,
+    is_stable,
+    margins,
+    poles,
+    s,
+    step_response,
+)
 
 
 def test_poles_of_integer_systems_are_the_polynomial_roots() -> None:

@@ -26,7 +26,8 @@ from fraclink.studio import _server as server
 from fraclink.studio import _serving as serving
 from fraclink.studio import _work as work
 from fraclink.studio._session import Session, opened
-from fraclink.trials._faults import Case, Check, FaultTable, Outcome
+from fraclink.trials import Case, FaultTable, Outcome
+from fraclink.trials._faults import Check
 
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
 RIG = fl.Rig.named("paper-2023")

@@ -10,21 +10,18 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink import Twin
 from fraclink._law import Modes
-from fraclink._simulate import Twin, geared
+from fraclink.extend import geared
+from fraclink.trials import Rival, Standing, Tournament
 from fraclink.trials._rival_runs import (
     run_rival,
 )
-from fraclink.trials._rivals import (
-    Rival,
-    collocated,
-    servo_law,
-)
+from fraclink.trials._rivals import collocated, servo_law
 from fraclink.trials._setting import (
     Setting,
     prepare,
 )
-from fraclink.trials._tournament import Standing, Tournament
 
 RIG = geared(fl.Rig.named("paper-2023"))
 PERIOD = 0.004

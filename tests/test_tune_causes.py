@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
+from fraclink.lab import Wiring
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Record
 from fraclink.lab._tune_motor import MotorResult, closed_motor
-from fraclink.lab._tune_wiring import Wiring
 
 PERIOD, NOISE = 0.004, 0.004
 WIRING = Wiring(11.0, 0.4, 0.0015, 1.7, 12.0, 0.002, 0.0, NOISE, 3.8e-4, 1.0, 0.02, ())

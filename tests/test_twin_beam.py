@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exact_frequencies import exact_frequencies
-from fraclink._simulate import Beam
 from fraclink.errors import FieldError
+from fraclink.extend import Beam
 
 ROD = Beam(length=0.65, flexural_rigidity=0.26, link_mass=0.00735, payload=0.030)
 

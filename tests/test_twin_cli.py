@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fraclink._cli import main
+from fraclink import main
 
 
 @pytest.mark.slow

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.reference import smooth_step
+from fraclink import Twin, smooth_step
 from fraclink._law import discretize_controller
-from fraclink._simulate import SensorFault, Twin, geared
 from fraclink.errors import FieldError
+from fraclink.extend import SensorFault, geared
 
 RIG = geared(fl.Rig.named("paper-2023"))
 MOVE = smooth_step(1.0, duration=1.0)

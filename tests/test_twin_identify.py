@@ -7,10 +7,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.reference import prbs
-from fraclink._identify import compare_structures
-from fraclink._simulate import (
+from fraclink import Experiment, compare_structures, prbs
+from fraclink.extend import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,

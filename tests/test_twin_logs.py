@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, Sensors, simulate_log
 from fraclink.errors import FieldError, SizeError
+from fraclink.extend import Beam, KelvinVoigt, PowerLaw, Sensors, simulate_log
 
 ROOT = Path(__file__).parents[1]
 ROD = Beam(0.65, 0.338, 0.00735, 0.030)

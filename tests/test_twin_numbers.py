@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._law.estimator import Estimates
-from fraclink._simulate import (
+from fraclink import LinkModel, SecondMode, Twin
+from fraclink._simulate import damping_of
+from fraclink._simulate.links import link_weights, second_mode_weights
+from fraclink.errors import FieldError
+from fraclink.extend import (
+    Estimates,
     FractionalKelvinVoigt,
     KelvinVoigt,
     PowerLaw,
     Sensors,
-    Twin,
-    damping_of,
     geared,
 )
-from fraclink._simulate.links import link_weights, second_mode_weights
-from fraclink.errors import FieldError
 
 PERIOD = 0.004
 RIG = fl.Rig.named("paper-2023")

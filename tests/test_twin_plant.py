@@ -9,14 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fraclink._kernels import twin_exponential, twin_march
-from fraclink._simulate import (
-    Beam,
-    FractionalKelvinVoigt,
-    KelvinVoigt,
-    PowerLaw,
-    assemble,
-)
+from fraclink._simulate import assemble
 from fraclink.errors import FieldError
+from fraclink.extend import Beam, FractionalKelvinVoigt, KelvinVoigt, PowerLaw
 
 ROD = Beam(0.65, 1.56 * 0.65 / 3, 0.00735, 0.030)
 MASSLESS = Beam(0.65, 1.56 * 0.65 / 3, 0.0, 0.030)

@@ -9,9 +9,10 @@ from dataclasses import replace
 import pytest
 
 import fraclink as fl
-from fraclink._arm.rig import DesignDefaults, Rig
+from fraclink import Rig
 from fraclink._design.completed import design_for
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.extend import DesignDefaults
 
 SILENT = replace(Rig.named("paper-2023"), design=None)
 MODEL = SILENT.model

@@ -7,12 +7,13 @@ from __future__ import annotations
 from functools import partial
 
 import fraclink as fl
-from fraclink.lab._connections import Callback
+from fraclink import Callback
+from fraclink.lab import Wiring
 from fraclink.lab._line import open_line
 from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_link import LinkResult, tune_link
 from fraclink.lab._tune_motor import MotorResult, tune_motor
-from fraclink.lab._tune_wiring import Wiring, check_wiring
+from fraclink.lab._tune_wiring import check_wiring
 
 RIG = fl.Rig.named("paper-2023-geared")
 PERIOD = RIG.period

@@ -21,7 +21,7 @@ AROUND = ("lab", "logs", "trials", "view", "studio", "_cli")
 LENT = ("Callback", "MotionLimits", "TuningPlan", "bode", "main", "tune")
 NAMES_AROUND = re.compile(
     rf"\b(?:fl|fraclink)\.(?:{'|'.join(AROUND + LENT)})\b"
-    rf"|from fraclink import .*\b(?:{'|'.join(AROUND)})\b"
+    rf"|from fraclink import (?:\([^)]*|.*)\b(?:{'|'.join(AROUND + LENT)})\b"
 )
 # The finder of an editable install stands before the path, and would load the package
 # with everything around it.

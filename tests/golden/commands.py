@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 import fraclink as fl
-from fraclink._cli import main
+from fraclink import main
 from made_logs import example_motor_log
 
 HERE = Path(__file__).resolve().parent
