@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from fraclink import Channel, LogColumns, Rig, read_log
-from fraclink._arm.log_columns import parse_columns
 from fraclink._reading.text import SAMPLE_LIMIT
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
 from fraclink.extend import read_columns
@@ -94,15 +93,6 @@ def test_b05_gaps_are_counted_and_measured(tmp_path: Path) -> None:
     assert "--resample" in error.remedy
 
 
-def test_b05_strong_jitter_is_measured(tmp_path: Path) -> None:
-    def change(rows: Rows) -> None:
-        for row in rows[5::7]:
-            row[0] = f"{float(row[0]) + 0.0018:.4f}"
-
-    error = spoilt(tmp_path, change)
-    assert "ms" in str(error.value) and "%" in str(error.value)
-
-
 def test_b06_repeated_stamps_are_numbered(tmp_path: Path) -> None:
     def change(rows: Rows) -> None:
         rows[10][0] = rows[9][0]
@@ -111,15 +101,6 @@ def test_b06_repeated_stamps_are_numbered(tmp_path: Path) -> None:
     error = spoilt(tmp_path, change)
     assert error.field == "time"
     assert "sample 10, 20 (2 such)" in error.problem
-
-
-def test_b06_repeated_stamps_may_be_resampled(tmp_path: Path) -> None:
-    rows = made_rows()
-    rows[10][0] = rows[9][0]
-    assert (
-        read_log(write_log(tmp_path / "log.csv", rows), resample=True).motor_angle.size
-        == 400
-    )
 
 
 def test_b07_decreasing_time(tmp_path: Path) -> None:
@@ -137,13 +118,6 @@ def test_b08_milliseconds_called_seconds(tmp_path: Path) -> None:
     assert error.field == "time"
     assert "4 s between samples" in str(error.value)
     assert "milliseconds" in error.problem and '"ms"' in error.remedy
-
-
-def test_b16_a_payload_label_given_twice(tmp_path: Path) -> None:
-    before = "# payload_kg: 0.030\n# payload_kg: 0.040\n"
-    error = refused(write_log(tmp_path / "log.csv", made_rows(), before=before))
-    assert error.field == "payload_kg"
-    assert "0.030, 0.040" in str(error.value)
 
 
 @pytest.mark.parametrize("label", ["thirty", "-0.03", "nan", "1_0"])
@@ -177,18 +151,6 @@ def test_b19_a_misspelt_column_is_answered_by_the_nearest(tmp_path: Path) -> Non
     assert error.allowed == "t, theta_m, gamma"
 
 
-def test_b19_a_name_that_two_columns_have(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows(), header=["t", "gamma", "gamma"])
-    error = refused(path, columns=stated("#2"))
-    assert error.field == "column of torque"
-    assert '"#2" or "#3"' in error.remedy
-
-
-def test_b19_a_column_number_beyond_the_last(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows(), header=["t", "theta", "gamma"])
-    assert refused(path, columns=stated("#4")).value == "#4"
-
-
 def test_b20_a_log_without_units_is_refused_with_a_mapping_to_fill_in(
     tmp_path: Path,
 ) -> None:
@@ -211,12 +173,6 @@ def test_b20_a_role_stated_twice(tmp_path: Path) -> None:
         header=["time_s", "motor_angle_rad", "motor_angle_deg"],
     )
     assert "stated twice" in refused(path).problem
-
-
-def test_b20_two_outputs(tmp_path: Path) -> None:
-    rows = [[*row, "0"] for row in made_rows()]
-    path = write_log(tmp_path / "log.csv", rows, header=[*HEADER, "deflection_rad"])
-    assert "two outputs" in refused(path).problem
 
 
 def test_b21_an_input_of_zeros(tmp_path: Path) -> None:
@@ -320,26 +276,10 @@ def test_b57_what_is_no_number(cell: str, hint: str, tmp_path: Path) -> None:
     assert hint in error.remedy
 
 
-def test_b57_blanks_around_a_number_are_no_part_of_it(tmp_path: Path) -> None:
-    rows = made_rows()
-    rows[3][1] = f" {rows[3][1]} "
-    assert read_log(write_log(tmp_path / "log.csv", rows)).motor_angle[3] == float(
-        rows[3][1]
-    )
-
-
 def test_b58_commas_that_may_group_thousands(tmp_path: Path) -> None:
     rows = [[f"{1 + k},000", f"{1 + k},{k:03d}", "2"] for k in range(400)]
     error = refused(write_log(tmp_path / "log.csv", rows, separator=";"))
     assert error.field == "line 2, column time_s"
-    assert "decimal comma" in error.remedy
-
-
-def test_b58_one_decimal_comma_among_points(tmp_path: Path) -> None:
-    rows = made_rows()
-    rows[200][1] = rows[200][1].replace(".", ",")
-    error = refused(write_log(tmp_path / "log.csv", rows, separator=";"))
-    assert error.field == "line 202, column motor_angle_rad"
     assert "decimal comma" in error.remedy
 
 
@@ -368,21 +308,6 @@ def test_b59_a_nul_byte(tmp_path: Path) -> None:
     assert "NUL at byte 500" in refused(path).problem
 
 
-@pytest.mark.parametrize("text", [b"\xff\xfe1", b"\xff\xfe\x00\x00abc"])
-def test_b59_a_mark_of_wide_characters_before_what_is_none(
-    text: bytes, tmp_path: Path
-) -> None:
-    path = tmp_path / "log.csv"
-    path.write_bytes(text)
-    assert "damaged UTF-" in refused(path).problem
-
-
-def test_b59_latin_1_among_the_numbers(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows())
-    path.write_bytes(path.read_bytes() + b"1,2,3\xb0\n")
-    assert "not UTF-8" in refused(path).problem
-
-
 def test_b59_mixed_separators(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
     lines = path.read_bytes().split(b"\n")
@@ -402,21 +327,6 @@ def test_b60_ragged_rows_are_numbered(separator: str, tmp_path: Path) -> None:
     error = refused(write_log(tmp_path / "log.csv", rows, separator=separator))
     assert error.field == "line 42"
     assert "4 cells" in error.problem and error.allowed == "3 cells"
-
-
-def test_b60_rows_that_end_with_a_separator(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows())
-    path.write_bytes(
-        path.read_bytes().replace(b"\n", b",\n").replace(b"torque_Nm,", b"torque_Nm")
-    )
-    assert read_log(path).motor_angle.size == 400
-    every_row = path.read_bytes()
-    path.write_bytes(every_row.rstrip(b"\n,") + b"\n")  # but the last
-    error = refused(path)
-    assert error.field == "line 2"
-    assert "rows end with a separator" in error.remedy
-    path.write_bytes(every_row.replace(b"torque_Nm", b"torque_Nm,"))
-    assert read_log(path).motor_angle.size == 400
 
 
 @pytest.mark.parametrize("separator", [",", " "])
@@ -474,20 +384,6 @@ def test_read_columns_refuses_what_it_cannot_name(tmp_path: Path) -> None:
         )
 
 
-def test_every_error_of_a_reader_is_one_line(tmp_path: Path) -> None:
-    error = spoilt(tmp_path, put(100, 1, "a\nb,1,2"))
-    assert "\n" not in str(error)
-
-
-def test_stamps_of_one_value_are_refused(tmp_path: Path) -> None:
-    error = spoilt(
-        tmp_path,
-        lambda rows: [row.__setitem__(0, "0.004") for row in rows],
-        resample=True,
-    )
-    assert "constant" in error.problem
-
-
 def test_resampling_cannot_blow_up_the_memory(tmp_path: Path) -> None:
     def change(rows: Rows) -> None:
         rows[-1][0] = "1e9"
@@ -495,55 +391,6 @@ def test_resampling_cannot_blow_up_the_memory(tmp_path: Path) -> None:
     error = spoilt(tmp_path, change, resample=True)
     assert "too long to resample" in error.problem
     assert np.isfinite(float(str(error.value).split()[0]))
-
-
-@pytest.mark.parametrize(
-    ("texts", "field"),
-    [
-        ([], "column"),
-        (["time=t [s]"], "column"),
-        (
-            ["time=t [s]", "motor_angle=a [rad]", "torque=g [Nm]", "torque=h [Nm]"],
-            "column",
-        ),
-        (
-            [
-                "time=t [s]",
-                "motor_angle=a [rad]",
-                "torque=g [Nm]",
-                "deflection=h [rad]",
-            ],
-            "column",
-        ),
-        (["time=t", "motor_angle=a [rad]", "torque=g [Nm]"], "column"),
-        (["time=t [s]", "angle=a [rad]", "torque=g [Nm]"], "column"),
-        (
-            ["time=t [s]", "motor_angle=a [furlong]", "torque=g [Nm]"],
-            "log.motor_angle.unit",
-        ),
-    ],
-)
-def test_b19_b20_columns_stated_in_words(texts: list[str], field: str) -> None:
-    with pytest.raises(FieldError) as caught:
-        parse_columns(texts)
-    assert caught.value.field == field
-    assert caught.value.allowed and caught.value.remedy
-
-
-def test_columns_stated_in_words_equal_those_of_a_rig_file() -> None:
-    words = [
-        "time = t [s]",
-        "motor_angle=scope.values(:,2) [deg]",
-        "deflection=-alpha [mrad]",
-        "voltage=u [V]",
-    ]
-    assert parse_columns(words) == LogColumns(
-        Channel("t", "s"),
-        Channel("scope.values(:,2)", "deg"),
-        Channel("alpha", "mrad", sign=-1),
-        "deflection",
-        Channel("u", "V"),
-    )
 
 
 def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
@@ -562,43 +409,3 @@ def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:
     assert main([*call, *words]) == 2
     assert main([*call, *words, "--interpolate"]) == 2
     assert main([*call, *words, "--interpolate", "--resample"]) == 0
-
-
-@pytest.mark.parametrize(("columns", "accepted"), [(5, True), (6, False)])
-def test_b57_too_many_columns(
-    columns: int, accepted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from fraclink._reading import text
-
-    monkeypatch.setattr(text, "COLUMN_LIMIT", 5)
-    rows = [[*row, *(["0"] * (columns - len(row)))] for row in made_rows()]
-    header = [*HEADER, *(f"more_{k}" for k in range(columns - len(HEADER)))]
-    path = write_log(tmp_path / "log.csv", rows, header=header)
-    if accepted:
-        assert len(read_columns(path)) == columns
-        return
-    error = refused(path)
-    assert isinstance(error, SizeError)
-    assert (error.field, error.value, error.allowed) == ("columns", 6, "5")
-
-
-@pytest.mark.parametrize("separator", [";", "\t", " "])
-def test_b58_a_row_with_another_separator_is_told_so(
-    separator: str, tmp_path: Path
-) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows())
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines[7] = lines[7].replace(",", separator)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    error = refused(path)
-    assert error.field == "line 8"
-    assert "use one separator in the whole file" in error.remedy
-
-
-def test_b59_a_row_of_one_number_is_not_told_of_separators(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", made_rows())
-    lines = path.read_text(encoding="utf-8").splitlines()
-    lines[7] = "0.25"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    error = refused(path)
-    assert (error.field, error.remedy) == ("line 8", "repair or remove the line")

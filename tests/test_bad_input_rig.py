@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fraclink import Channel, LogColumns, MotorLoop, Rig
+from fraclink import MotorLoop, Rig
 from fraclink._files.toml import FileFaults
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import Encoder, Link, Motor, Payloads
@@ -187,31 +187,6 @@ def test_every_fault_is_listed_at_once(tmp_path: Path) -> None:
     assert "kg·m²" in missing.allowed and "add inertia_kg_m2" in missing.remedy
 
 
-def test_faults_cross_a_process_border() -> None:
-    from multiprocessing.reduction import ForkingPickler
-
-    error = FileFaults(
-        [
-            FieldError("a", 1, "bad", allowed="b", remedy="c"),
-            FieldError("d", 2, "e", allowed="f", remedy="g"),
-        ]
-    )
-    again = ForkingPickler.loads(ForkingPickler.dumps(error))
-    assert str(again) == str(error)
-    assert len(again.faults) == 2
-
-
-def test_the_period_is_stated_once(tmp_path: Path) -> None:
-    text = PAPER.read_text(encoding="utf-8")
-    with pytest.raises(FieldError, match="given twice"):
-        load(
-            text.replace("period_ms = 4.0", "period_ms = 4.0\nperiod_s = 0.004"),
-            tmp_path,
-        )
-    with pytest.raises(FieldError, match=r"period_ms is required"):
-        load(text.replace("period_ms = 4.0", ""), tmp_path)
-
-
 LOG = """
 [log]
 time = { column = "t", unit = "s" }
@@ -251,21 +226,6 @@ def test_b20_the_columns_state_unit_and_sign(
     assert hint in chosen.remedy + chosen.allowed
 
 
-def test_a_log_has_one_output(tmp_path: Path) -> None:
-    both = LOG + 'deflection = { column = "alpha", unit = "deg" }\n'
-    with pytest.raises(FieldError, match="exactly one of"):
-        load(PAPER.read_text(encoding="utf-8") + both, tmp_path)
-
-
-def test_columns_given_in_python_are_checked_too() -> None:
-    with pytest.raises(FieldError, match="not a unit of time"):
-        LogColumns(
-            Channel("t", "rad"), Channel("a", "rad"), Channel("g", "Nm"), "torque"
-        )
-    with pytest.raises(FieldError, match="unknown"):
-        LogColumns(Channel("t", "s"), Channel("a", "rad"), Channel("g", "Nm"), "force")  # type: ignore[arg-type]
-
-
 def test_b29_python_values_are_checked_too() -> None:
     with pytest.raises(FieldError, match=r"link\.stiffness: out of range \(got 0\.0\)"):
         Link(length=0.65, flexural_rigidity=0.26, stiffness=0.0)
@@ -300,15 +260,6 @@ def test_b61_long_files_lines_and_keys_are_refused_fast(tmp_path: Path) -> None:
             )
 
 
-def test_b59_other_encodings(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_bytes(PAPER.read_bytes().decode().encode("utf-16"))
-    with pytest.raises(FileFormatError, match="not UTF-8"):
-        Rig.load(path)
-    path.write_bytes(b"\xef\xbb\xbf" + PAPER.read_bytes().replace(b"\n", b"\r\n"))
-    assert Rig.load(path) == Rig.named("paper-2023")
-
-
 def test_b72_hostile_texts_cannot_leave_their_string(tmp_path: Path) -> None:
     import dataclasses
 
@@ -316,13 +267,6 @@ def test_b72_hostile_texts_cannot_leave_their_string(tmp_path: Path) -> None:
     rig = dataclasses.replace(Rig.named("paper-2023"), name=name)
     rig.save(tmp_path / "rig.toml")
     assert Rig.load(tmp_path / "rig.toml") == rig
-
-
-def test_a_surrogate_is_refused_before_it_reaches_a_file() -> None:
-    import dataclasses
-
-    with pytest.raises(FieldError, match="Unicode"):
-        dataclasses.replace(Rig.named("paper-2023"), name="a\ud800")
 
 
 junk = st.one_of(

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import linalg, signal
 
 import fraclink as fl
 from fraclink._arm.motor_loop import MotorLoop
@@ -27,7 +26,6 @@ from fraclink.trials._rival_controllers import (
 )
 from fraclink.trials._rival_runs import (
     feed_forward,
-    linear_growth,
     mode_gain,
     run_rival,
 )
@@ -37,9 +35,7 @@ from fraclink.trials._setting import (
     NominalLoop,
     Setting,
     law_filter,
-    sampled,
     tune,
-    tustin,
 )
 from fraclink.trials._shaper import Shaped, zv_impulses
 from fraclink.trials._tournament import Tournament, compare
@@ -155,16 +151,6 @@ def test_offset_rejection_by_structure(setting):
     assert abs(pd.response(one)[0]) == pytest.approx(0.1, rel=1e-3)
 
 
-def test_tustin_and_chaining():
-    first = tustin(np.array([[-3.0]]), np.ones(1), np.array([3.0]), 0.0, 0.01)
-    s = 2 / 0.01 * (np.exp(0.05j) - 1) / (np.exp(0.05j) + 1)
-    assert first.response(np.exp(np.array([0.05j])))[0] == pytest.approx(3 / (s + 3))
-    both = first.after(first)
-    assert both.response(np.exp(np.array([0.05j])))[0] == pytest.approx(
-        (3 / (s + 3)) ** 2
-    )
-
-
 @pytest.mark.slow
 def test_rivals_and_the_law_run_on_the_same_arm(setting):
     """Our filter run tick by tick in Python, and law.c: the same motor reference to
@@ -229,17 +215,6 @@ def test_mode_gain_sees_only_feedback_of_the_tip(setting):
 
 
 @pytest.mark.slow
-def test_sampled_delay_is_a_delay(setting):
-    from fraclink._simulate.plant import assemble
-
-    twin = Twin.from_rig(RIG, link_mass=0.0)
-    plant = assemble(twin.beam, twin.damping, drive="servo")
-    z = np.exp(1j * np.array([0.02, 0.3, 1.5]))
-    now, late = (sampled(plant, plant.outputs[2], 0.004, d).response(z) for d in (0, 3))
-    assert late == pytest.approx(now * z**-3, rel=1e-12)
-
-
-@pytest.mark.slow
 def test_every_rival_that_was_tuned_is_sound_at_the_nominal_payload(everything):
     for standing in everything.standings:
         assert standing.sound or standing.name == PUBLISHED, (
@@ -247,14 +222,6 @@ def test_every_rival_that_was_tuned_is_sound_at_the_nominal_payload(everything):
         )
         assert standing.rule and standing.knob
     assert len(everything.standings) == 6
-
-
-@pytest.mark.slow
-def test_linear_growth_is_that_of_the_loops_eigenvalues(setting):
-    twin = Twin.from_rig(RIG, link_mass=0.0, payload=0.030)
-    made = builders(setting)
-    assert linear_growth(setting, twin, made["fraclink"]()) == 0.0
-    assert linear_growth(setting, twin, made["ZV shaping"]()) == 0.0
 
 
 @pytest.mark.slow
@@ -336,63 +303,6 @@ def test_what_is_no_payload_name_seed_or_reference_is_refused_by_its_field(field
     ):
         with pytest.raises(FieldError, match=field):
             compare(RIG, **{"names": ["fraclink"], field: junk})
-
-
-@pytest.mark.parametrize(("delay", "weight"), [(0, 1.0), (1, 4.0), (3, 0.3)])
-def test_the_lqg_loop_has_the_poles_of_regulator_and_filter(
-    delay: int, weight: float
-) -> None:
-    """Separation, with both Riccati equations solved for another realisation of the
-    arm.
-    """
-    period, pole, noise = 0.004, 80.0, 0.0064
-    w, ratio = integer_mode(RIG.model)
-    denominator = np.polymul(
-        np.polymul([1.0, pole], [1.0, pole]), [1.0, 2.0 * ratio * w, w**2]
-    )
-    arm = signal.TransferFunction([w**2 * pole**2], denominator).to_ss()
-    a, b, c, *_ = signal.cont2discrete((arm.A, arm.B, arm.C, arm.D), period)
-    n = 4 + delay
-    held, drive, row = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    held[:4, :4], row[:, :4] = a, c
-    if delay:
-        held[:4, 4:5] = b
-        held[4 : n - 1, 5:] = np.eye(delay - 1)
-        drive[-1] = 1.0
-    else:
-        drive[:4] = b
-    cost = linalg.solve_discrete_are(
-        held, drive, row.T @ row, np.array([[1.0 / weight]])
-    )
-    regulator = held - drive @ np.linalg.solve(
-        1.0 / weight + drive.T @ cost @ drive, drive.T @ cost @ held
-    )
-    made = lqg_correction(
-        RIG.model, period=period, pole=pole, delay=delay, noise=noise, weight=weight
-    )
-    loop = np.block(
-        [
-            [held - made.d * drive @ row, drive @ made.c[None, :]],
-            [-made.b[:, None] @ row, made.a],
-        ]
-    )
-    # The filter: a noise of 10 mrad on the motor reference, an offset that walks by 3
-    # mrad in ten seconds.
-    wide = linalg.block_diag(held, 1.0)
-    seen = np.hstack([row, [[1.0]]])
-    process = linalg.block_diag(0.01**2 * drive @ drive.T, 3e-3**2 * period / 10.0)
-    spread = linalg.solve_discrete_are(
-        wide.T, seen.T, process + 1e-26 * np.eye(n + 1), np.array([[noise**2]])
-    )
-    kalman = spread @ seen.T / (noise**2 + seen @ spread @ seen.T)
-    found, wanted = np.linalg.eigvals(loop), np.linalg.eigvals(regulator)
-    slowest = np.abs(np.linalg.eigvals(wide @ (np.eye(n + 1) - kalman @ seen))).max()
-    assert (
-        np.abs(np.abs(found) - slowest).min() < 1e-8 and slowest > 0.99
-    )  # the offset's
-    for one in wanted:  # the regulator's poles are among those of the loop
-        assert np.abs(found - one).min() < 1e-4
-    assert np.abs(found).max() <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.0654, 0.2])

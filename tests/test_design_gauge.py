@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import Design, LinkModel, MotorLoop, SecondMode
-from fraclink._arm.sampled import sampled_plant
+from fraclink import Design, LinkModel, SecondMode
 from fraclink.errors import InfeasibleError
 from fraclink.extend import Loop
 
@@ -157,74 +156,6 @@ def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
         assert stable == is_stable(trial, model, payload)
         verdicts.add(stable)
     assert verdicts == {True, False}
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"gauge_delay": 0.0273},
-        {"gauge_delay": 0.4, "gauge_gain": 1.2},
-        {"gauge_gain": 0.8, "damping": 0.7, "damping_order": 0.9, "order": 2.0},
-        {"gauge_delay": 0.01, "second_mode": SecondMode(120.0, 0.05, 0.02)},
-    ],
-)
-def test_the_loop_is_the_one_written_out_with_an_unwrapped_phase(
-    changes: dict[str, object],
-) -> None:
-    model = replace(MODEL, **changes)
-    design = fl.design(MODEL, RIG, **WANTED, procedure="published", law=False)
-    loop = Loop.of(design.controller, model, RIG)
-    w = np.geomspace(0.05, 780.0, 4000)
-    w0 = model.at_payload(0.025).natural_frequency
-    expected = written_out(design, model, 0.025, w)
-    np.testing.assert_allclose(loop(w, w0), expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(np.exp(loop.log(w, w0)), expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(np.exp(loop.level(w, w0)), np.abs(expected), rtol=1e-9)
-    step = 1e-6
-    slope = (loop.log(w * math.exp(step), w0) - loop.log(w * math.exp(-step), w0)) / (
-        2 * step
-    )
-    near = np.abs(slope) < 1e3  # beyond, a zero of B is too close for differences
-    np.testing.assert_allclose(
-        loop.slope(w, w0)[near], slope[near], rtol=1e-4, atol=1e-4
-    )
-
-
-def test_a_loop_with_a_late_gauge_is_the_limit_of_the_exact_one() -> None:
-    loop = Loop.of(
-        fl.design(MODEL, RIG, **WANTED, procedure="published", law=False).controller,
-        MODEL,
-        RIG,
-    )
-    w, w0 = np.geomspace(0.1, 700.0, 500), 11.0
-    for late in (
-        replace(loop, gauge_delay=1e-13),
-        replace(loop, gauge_gain=1.0 + 1e-14),
-    ):
-        np.testing.assert_allclose(late.log(w, w0), loop.log(w, w0), atol=1e-9)
-
-
-def test_the_sampled_plant_with_a_late_gauge_is_the_sum_of_its_aliases() -> None:
-    model = replace(
-        MODEL,
-        gauge_delay=0.0273,
-        gauge_gain=1.1,
-        second_mode=SecondMode(150.0, 0.04, 0.02),
-    )
-    plant = sampled_plant(model, MotorLoop(80.0, 1), RIG.motor, RIG.period)
-    w = np.array([1.0, 12.0, 40.0, 300.0])
-    s = 1j * (w[:, None] + 2 * np.pi / RIG.period * np.arange(-4000, 4001))
-    g = s**model.order / (s**model.order + model.natural_frequency**2)
-    g = g + 0.04 * s**2 / (s**2 + 2 * 0.02 * 150 * s + 150**2)
-    f = (
-        (1 - 1.1 * np.exp(-0.0273 * s) * g)
-        / (1 + s / 80) ** 2
-        / s
-        * np.exp(-s * RIG.period)
-    )
-    exact = (1 - np.exp(-1j * w * RIG.period)) / RIG.period * f.sum(axis=1)
-    np.testing.assert_allclose(plant(w), exact, rtol=1e-6)
 
 
 @pytest.mark.slow

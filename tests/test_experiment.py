@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
 
 from fraclink import Experiment, read_log
 from fraclink.errors import FieldError, LogError
-from fraclink.findings import Finding, worst_first
 
 
 def test_arrays_are_copies_that_cannot_be_written() -> None:
@@ -43,16 +41,6 @@ def test_a_split_covers_every_sample_once(fraction: float) -> None:
         == log.output.tolist()
     )
     assert log.output[first].size == round(100 * fraction)
-
-
-@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, 0.001, float("nan"), True])
-def test_a_split_leaves_no_part_empty(fraction: float) -> None:
-    log = Experiment(
-        period=0.004, motor_angle=np.arange(100.0), output=np.arange(100.0)
-    )
-    with pytest.raises(FieldError) as caught:
-        log.split(fraction)
-    assert caught.value.field == "fraction"
 
 
 @pytest.mark.parametrize(
@@ -198,49 +186,3 @@ def test_a_frame_reads_like_the_file_with_the_same_columns() -> None:
             log.output, TORQUE
         )
         assert log.voltage is not None and log.payload == 0.02
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"time": "x [s]"}, "no column of numbers"),
-        ({"time": "word [s]"}, "no column of numbers"),
-        ({"time": "gap [s]"}, "gap"),
-        ({"motor_angle": "t [V]"}, "not a unit of motor_angle"),
-        ({"torque": "square [Nm]"}, "of shape"),
-    ],
-)
-def test_a_frame_that_is_no_log_is_named(change: dict[str, str], words: str) -> None:
-    stated = {"time": "t [s]", "motor_angle": "a [rad]", "torque": "g [Nm]"} | change
-    frame = {
-        "t": TIME,
-        "a": ANGLE,
-        "g": TORQUE,
-        "word": ["x"] * 500,
-        "square": np.zeros((500, 2)),
-    }
-    frame["gap"] = np.where(np.arange(500) > 250, TIME + 1.0, TIME)
-    with pytest.raises(FieldError, match=words):
-        Experiment.from_frame(frame, stated)
-
-
-def test_two_samples_are_a_log_and_one_is_none() -> None:
-    assert (
-        Experiment.from_arrays([0.0, 0.004], [0.0, 0.1], [0.0, 0.01]).motor_angle.size
-        == 2
-    )
-    with pytest.raises(LogError, match=r"of shape \(1,\)"):
-        Experiment.from_arrays([0.0], [0.0], [0.0])
-
-
-def test_findings_are_told_worst_first_and_else_in_their_order() -> None:
-    kinds: tuple[Literal["info", "warning", "error"], ...] = (
-        "info",
-        "warning",
-        "error",
-    )
-    told = [
-        Finding(f"W2{k:02d}", kind, "x", {}, "y") for k, kind in enumerate(kinds * 2)
-    ]
-    order = [finding.code for finding in worst_first(told)]
-    assert order == ["W202", "W205", "W201", "W204", "W200", "W203"]

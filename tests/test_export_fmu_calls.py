@@ -136,63 +136,6 @@ def test_only_inputs_are_set(arm: Imported, reference: int) -> None:
 
 
 @pytest.mark.slow
-def test_wrong_kinds_of_variables(arm: Imported) -> None:
-    arm.initialize()
-    references, reals, wholes = (
-        (ctypes.c_uint * 1)(7),
-        (ctypes.c_double * 1)(),
-        (ctypes.c_uint32 * 1)(),
-    )
-    flags = (ctypes.c_bool * 1)()
-    _refused(arm, "no real number", "GetFloat64", references, 1, reals, 1)
-    arm.call("Reset")
-    references[0] = 4
-    _refused(arm, "no whole number", "GetUInt32", references, 1, wholes, 1)
-    arm.call("Reset")
-    _refused(arm, "no variable has the type", "GetBoolean", references, 1, flags, 1)
-    arm.call("Reset")
-    arm.call("GetBoolean", references, 0, flags, 0)  # nothing is asked for
-    _refused(arm, "one value for each reference", "GetFloat64", references, 1, reals, 2)
-
-
-@pytest.mark.slow
-def test_what_is_not_offered_says_so(arm: Imported) -> None:
-    arm.initialize()
-    _refused(arm, "does not offer", "EnterEventMode")
-
-
-@pytest.mark.slow
-def test_instances_that_cannot_be(arm: Imported, file: Path, tmp_path: Path) -> None:
-    arm.messages.clear()
-    hear = lambda *told: arm.messages.append(told[-1].decode())  # noqa: E731
-    with pytest.raises(Exception, match="instantiate"):
-        arm.slave.instantiate(eventModeUsed=True, logMessage=hear)
-    assert "neither event mode" in arm.messages[0]
-    with pytest.raises(Exception, match="instantiate"):
-        Imported(file, tmp_path / "other", token="{another}")  # noqa: S106
-
-
-@pytest.mark.slow
-def test_the_fmu_is_silent_where_logging_is_off(file: Path, tmp_path: Path) -> None:
-    from fmpy.fmi1 import FMICallException
-
-    arm = Imported(file, tmp_path / "fmu", logging=False)
-    for wanted, categories in (
-        (0, None),
-        (1, [b"logStatusError"]),
-        (0, [b"logAll"]),
-        (1, []),
-    ):
-        if categories is not None:
-            arm.slave.setDebugLogging(True, [name.decode() for name in categories])
-        arm.call("Reset")
-        arm.messages.clear()
-        with pytest.raises(FMICallException):
-            arm.step(0.0, PERIOD)
-        assert len(arm.messages) == wanted, categories
-
-
-@pytest.mark.slow
 def test_before_the_first_step_the_arm_rests_where_it_is(arm: Imported) -> None:
     arm.write(np.array([0.0, 0.0, 0.7, 0.156]))
     stiffness = law().stiffness

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from fraclink import Law, export_c
 from fraclink._export import replay
 from fraclink.errors import FieldError
 from fraclink.extend import Replay, replay_log
-from law_bench import PERIOD, law, signals
+from law_bench import law, signals
 from needed_tools import tool
 
 ROWS = signals(2000)
@@ -72,31 +71,6 @@ def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
             replay(tmp_path, made, **(given | {field: values}), name="arm_2")
     with pytest.raises(FieldError, match="payload"):
         replay(tmp_path, made, **given, payload=-0.01, name="arm_2")
-
-
-@pytest.mark.slow
-def test_a_difference_is_told_with_its_period_and_size(tmp_path: Path) -> None:
-    """C that adds 0.25 V in the periods from 100 on: the oracle is the change itself."""
-    made = law("double")
-    export_c(made, tmp_path)
-    source = tmp_path / "law.c"
-    text = source.read_text(encoding="utf-8")
-    changed = "    output->voltage += (input->tick > 100U) ? 0.25 : 0.0;\n}\n"
-    head, brace, tail = text.partition("void law_step(")
-    body = tail.index("\n}\n")
-    source.write_text(
-        head + brace + tail[: body + 1] + changed + tail[body + 3 :], encoding="utf-8"
-    )
-    names = ("reference", "reference_acceleration", "motor_angle", "torque")
-    given = dict(zip(names, ROWS[:, :200], strict=True))
-    with pytest.raises(
-        FieldError, match="firmware: not as this release exports it"
-    ) as refused:
-        replay(tmp_path, made, **given)
-    assert refused.value.value == "law.c"
-    result = replay(tmp_path, made, **given, allow_changed=True)
-    assert not result.passed and result.first_difference == 100
-    assert result.largest_difference == pytest.approx(0.25, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -237,39 +211,3 @@ def test_a_log_of_another_period_is_refused(tmp_path: Path) -> None:
     (tmp_path / "firmware" / "law.json").unlink()
     with pytest.raises(FieldError, match="firmware: not an export"):
         replay_log(tmp_path / "firmware", log)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["torque", "deflection"])
-def test_a_log_s_sensors_drive_the_law(
-    kind: Literal["torque", "deflection"], tmp_path: Path
-) -> None:
-    """The motor's path is the reference, without acceleration; a deflection is c times
-    as large a torque.
-    """
-    made = law()
-    export_c(made, tmp_path, name="arm_2")
-    angle, signal = ROWS[2, :300], ROWS[3, :300]
-    log = fl.Experiment(
-        period=PERIOD, motor_angle=angle, output=signal, output_kind=kind
-    )
-    result = replay_log(tmp_path, log)
-    torque = signal if kind == "torque" else made.stiffness * signal
-    _, own = made.run(made.initial_state(), angle, np.zeros(300), angle, torque)
-    assert result.passed
-    np.testing.assert_array_equal(result.motor_reference, own.motor_reference)
-    # a period that differs by rounding is the law's
-    close = fl.Experiment(
-        period=PERIOD * (1 + 9e-7), motor_angle=angle, output=signal, output_kind=kind
-    )
-    assert replay_log(tmp_path, close).passed
-    far = fl.Experiment(
-        period=PERIOD * (1 + 1.1e-6), motor_angle=angle, output=signal, output_kind=kind
-    )
-    with pytest.raises(FieldError, match="period"):
-        replay_log(tmp_path, far)
-    record = fl.extend.Recording(period=PERIOD, input=angle, output=signal)
-    with pytest.raises(
-        FieldError, match=r"of another kind than the law .got a recording"
-    ):
-        replay_log(tmp_path, record)

@@ -204,31 +204,6 @@ def test_a_form_is_read_as_the_plain_table_is(name: str, tmp_path: Path) -> None
     assert all(f"read as: {remark}" in said for remark in table.remarks)
 
 
-def test_points_between_thousands(tmp_path: Path) -> None:
-    rows = [f"{4 * k:,d}".replace(",", ".") + f",0;{k % 9},25" for k in range(300)]
-    path = tmp_path / "log.csv"
-    path.write_text("t_ms;a\n" + "\n".join(rows) + "\n")
-    table = read_text_table(path)
-    np.testing.assert_array_equal(table.values[0], 4.0 * np.arange(300))
-    assert table.remarks == ("decimal commas, points between thousands",)
-    path.write_text(
-        "t_ms;a\n" + "\n".join(rows) + "\n1.5;0,25\n"
-    )  # one cell has a point for its decimals
-    assert read_text_table(path).faults
-
-
-def test_names_that_stand_again_are_shown(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "log.csv", [*ROWS, [*HEADER], *ROWS])
-    with pytest.raises(
-        LogError,
-        match=re.escape("logger was started again") + ".*" + re.escape("'302,$d'"),
-    ):
-        read_columns(path)
-    assert "time_s: 1 cells are no numbers, the first in line 302" in str(
-        inspect_log(path)
-    )
-
-
 def test_whole_seconds_beside_nanoseconds_are_one_time(tmp_path: Path) -> None:
     stamps = [1_764_000_000_250_000_000 + round(1e9 * float(row[0])) for row in ROWS]
     rows = [
@@ -294,36 +269,6 @@ def test_names_that_do_not_fit_are_shown_and_refused(
     )
 
 
-def test_the_number_of_a_row_that_r_writes_has_no_name(tmp_path: Path) -> None:
-    rows = [f"{k + 1},{','.join(row)}" for k, row in enumerate(ROWS)]
-    path = tmp_path / "log.csv"
-    path.write_text(",".join(HEADER) + "\n" + "\n".join(rows) + "\n")
-    with pytest.raises(LogError, match=r"row,time_s,motor_angle_rad,torque_Nm"):
-        read_text_table(path)
-
-
-def test_names_with_blanks_between_blanks_keep_their_brackets(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
-    path.write_text("Time (s) Motor angle (rad) Torque (Nm)\n" + BODY.replace(",", " "))
-    with pytest.raises(
-        LogError, match=re.escape("Time_(s) Motor_angle_(rad) Torque_(Nm)")
-    ):
-        read_text_table(path)
-
-
-@pytest.mark.parametrize(
-    "above", ["x,y,z\ntime_s,a,b\n", "s,deg,x\ns,deg,mNm\nq,r,s\n"]
-)
-def test_two_lines_that_may_be_the_names_are_not_decided(
-    above: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(above + BODY)
-    table = read_text_table(path)
-    assert table.names == tuple(above.split("\n")[0].split(","))
-    assert table.faults  # the reader refuses the second line as a row
-
-
 def test_what_follows_a_table_is_cut_off_by_the_line_that_is_told(
     tmp_path: Path,
 ) -> None:
@@ -359,27 +304,6 @@ def test_raw_numbers_are_refused_with_the_way_to_read_them(tmp_path: Path) -> No
     NUMBERS.tofile(tmp_path / "log.bin")
     with pytest.raises(FileFormatError, match=r"np\.fromfile\('log\.bin'\)"):
         read_table(tmp_path / "log.bin")
-
-
-def test_bytes_that_are_no_numbers_have_no_shape(tmp_path: Path) -> None:
-    (tmp_path / "log.bin").write_bytes(np.random.default_rng(1).bytes(24_000))
-    with pytest.raises(FileFormatError, match=r"damaged or binary|not UTF-8"):
-        read_table(tmp_path / "log.bin")
-
-
-def test_commas_that_are_not_all_decimal_stay_what_they_are(tmp_path: Path) -> None:
-    """A remark with a comma among decimal commas: what the others mean is for a person
-    to say.
-    """
-    rows = "\n".join(
-        ";".join(row).replace(".", ",") + ";slow, then fast" for row in ROWS
-    )
-    path = tmp_path / "log.csv"
-    path.write_text(";".join(HEADER) + ";remark\n" + rows + "\n", "utf-8")
-    with pytest.raises(LogError, match="decimal comma: export with decimal points"):
-        read_log(path)
-    table = read_table(path)
-    assert table.remarks == () and table.names == (*HEADER, "remark")
 
 
 @pytest.mark.parametrize(

@@ -28,14 +28,6 @@ def test_str_reads_like_the_formula() -> None:
     assert str(1 / s**0.5) == "1 / s^0.5"
 
 
-def test_latex() -> None:
-    assert (
-        LINK._repr_latex_() == r"$\displaystyle\frac{1.56\,s^{1.92}}{s^{1.92} + 100.4}$"
-    )
-    assert (2e-7 * s).delayed(0.5)._repr_latex_() == r"$2 \cdot 10^{-7}\,s\,e^{-0.5 s}$"
-    assert (0 * s + 1)._repr_latex_() == "$1$"
-
-
 TERM = st.tuples(
     st.floats(-1e6, 1e6).filter(lambda c: abs(c) > 1e-6),
     st.floats(0, 4),
@@ -59,17 +51,6 @@ def test_repr_is_python_that_makes_an_equal_function(
         assert eval(repr(function), {"s": s}) == function  # noqa: S307
 
 
-def test_constants_equal_their_numbers() -> None:
-    assert s / s == 1
-    assert hash(s / s) == hash(1)
-    assert s**0 * 1.5 == 1.5
-    assert s != 1
-    assert not s - s
-    assert s - s == 0
-    assert hash(s - s) == hash(0)
-    assert bool(s)
-
-
 def test_arrays_give_arrays_of_functions() -> None:
     made: Any
     for made in (np.array([1.0, 2.0]) * s, s * np.array([1.0, 2.0])):
@@ -87,11 +68,6 @@ def test_arrays_give_arrays_of_functions() -> None:
         assert array.tolist() == wanted
 
 
-def test_sign_of_the_feedback_by_position() -> None:
-    assert LINK.feedback(1, 1) == LINK.feedback(sign=1)
-    assert LINK.feedback(1, -1) == LINK.feedback()
-
-
 def test_normal_form_makes_equal_functions_equal() -> None:
     assert 2 * s / (4 * s**2 + 2 * s) == 0.5 / (s + 0.5)
     assert (0 * s + 0.1) + 0.2 - 0.3 != 0  # numbers are not rounded for the user
@@ -102,12 +78,6 @@ def test_normal_form_makes_equal_functions_equal() -> None:
     assert (s + 1) / (2 * s + 2) == 0.5 + 0 * s
     assert hash(2 * s / (4 * s**2 + 2 * s)) == hash(0.5 / (s + 0.5))
     assert len({LINK, 1.56 * s**1.92 / (10.02**2 + s**1.92)}) == 1
-
-
-def test_orders_that_differ_by_rounding_are_one_order() -> None:
-    total = sum((s**0.1 * s**0.2, s**0.3), 0 * s)
-    assert total.numerator == (Term(2.0, total.numerator[0].order),)
-    assert (s**1.92 / s**0.92).numerator[0].order == 1.0
 
 
 @pytest.mark.parametrize(
@@ -228,14 +198,6 @@ def test_bad_input_names_the_field(call, field: str) -> None:  # type: ignore[no
     assert caught.value.field == field
 
 
-def test_arrays_and_strings_are_refused_in_algebra() -> None:
-    for other in (np.array(["1"]), "1", None, 1j, True):
-        with pytest.raises(TypeError):
-            other * s
-        with pytest.raises(TypeError):
-            s + other
-
-
 TEXTS: list[tuple[Any, str, str, str]] = [
     (-s, "-s", "-s", "-s"),
     (0 * s - 1, "-1*s**0", "-1", "-1"),
@@ -262,38 +224,6 @@ def test_a_function_is_written_as_one_would(
     )
 
 
-def test_powers_of_functions() -> None:
-    twice = (2 * s).delayed(0.2) ** 2
-    assert twice == (4 * s**2).delayed(0.4)
-    assert (9 * s**3) ** 0.5 == 3 * s**1.5
-    assert (4 / s) ** -0.5 == 0.5 * s**0.5
-    assert (s.delayed(0.3)) ** 1.5 == (s**1.5).delayed(0.3 * 1.5)
-    assert (s + 2) ** 0 == 1
-    assert (s + 2) ** 5 == (s + 2) * (s + 2) * (s + 2) * (s + 2) * (s + 2)
-    assert (s + 2) ** -3 == 1 / ((s + 2) * (s + 2) * (s + 2))
-    binomials = [t.coefficient for t in ((s + 1) ** 64).numerator]
-    assert binomials == pytest.approx([math.comb(64, k) for k in range(65)], rel=1e-14)
-    with pytest.raises(FieldError) as refused:
-        (s + 1) ** 65
-    assert refused.value.field == "exponent" and "64" in str(refused.value)
-    assert (3 * s) ** 65 == 3.0**65 * s**65  # of one term there is any power
-
-
-def test_sums_over_one_denominator_keep_it() -> None:
-    one = 1 / (s**1.3 + 2)
-    assert one + one == 2 / (s**1.3 + 2)
-    assert (one + 1 / (s + 1)).denominator == ((s**1.3 + 2) * (s + 1)).numerator
-
-
-def test_whole_powers_to_eight_are_exact() -> None:
-    """(2j)^n has one part that is a power of two and one that is 0: a trace of the
-    other turns a phase.
-    """
-    for n, value in ((1, 2j), (2, -4), (3, -8j), (4, 16), (7, -128j), (8, 256)):
-        assert (s**n)(2j) == value
-    assert (1 / (s**8 + 1))(2j) == 1 / 257
-
-
 def test_values_where_powers_leave_the_range_of_doubles() -> None:
     G = (3 * s**4 + s) / (2 * s**4 + s**2 + 5)
     assert G(1e200j) == pytest.approx(1.5, rel=1e-15)
@@ -313,29 +243,6 @@ def test_gain_at_rest_zeros_and_poles() -> None:
     )
     assert (LINK.delayed(0.3) + LINK).delay == 0.0
     assert (0 * s).delay == 0.0
-
-
-def test_numbers_that_are_none_are_refused_with_what_is_allowed() -> None:
-    for junk in (True, "1", b"1", 1j, None, [1.0], math.inf, 10**400):
-        with pytest.raises(FieldError, match="real numbers"):
-            Term(junk, 1.0)  # type: ignore[arg-type]
-    assert Term(np.float64(2.0), 1) == Term(2.0, 1.0)  # type: ignore[arg-type]
-    assert Term(1.0, 1.0, 0.0).delay == 0.0
-    with pytest.raises(FieldError, match="0 s"):
-        Term(1, 1, -1e-9)
-
-
-def test_orders_and_delays_are_one_within_rounding_and_no_further() -> None:
-    ulp = 2.0**-52
-    assert len((s**1.5 + s ** (1.5 + 32 * ulp)).numerator) == 1
-    assert len((s**1.5 + s ** (1.5 + 256 * ulp)).numerator) == 2
-    assert len((s.delayed(0.3) + s.delayed(0.1 + 0.2)).numerator) == 1
-    assert len((s.delayed(0.3) + s.delayed(0.3001)).numerator) == 2
-    early = s.delayed(0.3) / (0 * s + 1).delayed(
-        0.1 + 0.2
-    )  # 5e-17 s before its input, by rounding
-    assert early == s
-    assert (s ** math.sqrt(2)).numerator[0].order == math.sqrt(2)
 
 
 def test_a_multiple_of_the_denominator_is_a_number_a_power_and_a_delay() -> None:

@@ -16,7 +16,7 @@ import fracsys
 from fraclink._cli.app import run
 from fraclink._identify.driven import _of_the_band
 from fraclink.errors import FieldError, LogError
-from fraclink.extend import DrivenLinkFit, Interval
+from fraclink.extend import DrivenLinkFit
 
 LINES = np.geomspace(2.0, 60.0, 120)
 
@@ -104,39 +104,6 @@ def test_a_unit_that_is_not_converted_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("header", "frequency", "first"),
-    [
-        ("freqHz,Re(H),Im(H)", 2 * np.pi, 1),
-        ("fkHz,gain_link,phaseDeg", 2000 * np.pi, np.exp(1j * np.pi / 180)),
-        ("KHZ,mag (abs),phase [mrad]", 2000 * np.pi, np.exp(1e-3j)),
-        ("omega_rad_per_s,H_mag [-],phase_yu_degrees", 1, np.exp(1j * np.pi / 180)),
-        ("w,MAG_DB,PHASE (RAD)", 1, 10**0.05 * np.exp(1j)),
-    ],
-)
-def test_units_in_their_spellings(
-    tmp_path: Path, header: str, frequency: float, first: complex
-) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text(f"{header}\n1,1,{0 if 'Im' in header else 1}\n2,1,1\n")
-    found = fl.read_frequency_response(path)
-    assert found.frequency[0] == pytest.approx(frequency)
-    assert found.response[0] == pytest.approx(first)
-
-
-@pytest.mark.parametrize(("role", "unit"), [("phase", "Hz"), ("imaginary", "deg")])
-def test_a_stated_column_has_a_unit_of_its_role(
-    tmp_path: Path, role: str, unit: str
-) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
-    first = "gain" if role == "phase" else "real"
-    with pytest.raises(LogError, match=f"column of {role}: in {unit}"):
-        fl.read_frequency_response(
-            path, {"frequency": "a [Hz]", first: "b", role: f"c [{unit}]"}
-        )
-
-
-@pytest.mark.parametrize(
     ("name", "period"),
     [
         *(
@@ -170,22 +137,6 @@ def test_stamps_are_in_the_unit_of_their_name(
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"),
-    [("time_min", "min"), ("time [h]", "h"), ("t [kg]", "kg"), ("t_V", "V")],
-)
-def test_stamps_in_another_unit_are_refused(
-    tmp_path: Path, name: str, unit: str
-) -> None:
-    path = tmp_path / "record.csv"
-    path.write_text(f"{name},u,y\n0,0,0\n10,1,1\n20,0,2\n")
-    with pytest.raises(
-        LogError, match=rf"column of time: in {unit}, .* expected s or ms or us or ns"
-    ):
-        fl.extend.read_recording(path, "u", "y", time="#1")
-    assert fl.extend.read_recording(path, "u", "y", period=60.0).period == 60.0
-
-
-@pytest.mark.parametrize(
     ("given", "field", "words"),
     [
         ({"period": 0.1, "time": "nonsense"}, "period", "given beside a time column"),
@@ -215,53 +166,12 @@ def test_columns_of_a_recording(
     assert words in (caught.value.problem, caught.value.remedy)
 
 
-def test_a_stated_column_that_is_not_there(tmp_path: Path) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text("a,b,c\n1,1,0\n2,0.1,90\n")
-    with pytest.raises(LogError, match="by its number"):
-        fl.read_frequency_response(
-            path, {"frequency": "#0 [Hz]", "gain": "b", "phase": "c [deg]"}
-        )
-
-
 def test_coherence_is_read(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text("w,real,imag,coh\n1,1,0,0.9\n2,0,1,0.5\n")
     coherence = fl.read_frequency_response(path).coherence
     assert coherence is not None
     assert coherence.tolist() == [0.9, 0.5]
-
-
-@pytest.mark.parametrize(
-    ("text", "columns", "message"),
-    [
-        ("f,re,im\n1,1,0\n2,0,1\n", None, "without its unit"),
-        ("f [Hz],gain,phase\n1,1,0\n2,0,1\n", None, "without its unit"),
-        ("f [Hz],gain\n1,1\n2,0\n", None, "without gain and phase"),
-        ("a,b,c\n1,1,0\n2,0,1\n", None, "without frequency"),
-        ("f [Hz],freq [Hz],re,im\n1,1,1,0\n2,2,0,1\n", None, "given twice"),
-        ("a,b,c\n1,1,0\n2,0,1\n", {"frequencies": "a"}, "unknown"),
-        ("a,b,c\n1,1,0\n2,0,1\n", ("f [Hz]", "re", "im", "x"), "none of which"),
-    ],
-)
-def test_tables_that_say_too_little(
-    tmp_path: Path, text: str, columns: object, message: str
-) -> None:
-    path = tmp_path / "table.csv"
-    path.write_text(text)
-    with pytest.raises(LogError, match=message):
-        fl.read_frequency_response(path, columns)  # type: ignore[arg-type]
-
-
-def test_lines_out_of_range() -> None:
-    with pytest.raises(FieldError, match="zero frequency"):
-        fl.FrequencyResponse([0.0, 1.0], [1.0, 1.0])
-    with pytest.raises(FieldError, match="coherence"):
-        fl.FrequencyResponse([1.0, 2.0], [1.0, 1.0], coherence=[0.5, 1.5])
-    with pytest.raises(FieldError, match="response"):
-        fl.FrequencyResponse([1.0, 2.0], [1.0])
-    with pytest.raises(FieldError, match="band"):
-        noisy().between(100.0, 200.0)
 
 
 def test_recordings(tmp_path: Path) -> None:
@@ -424,34 +334,6 @@ def test_the_peak_lies_between_the_points_of_its_grid(driven: DrivenLinkFit) -> 
 def changed(found: DrivenLinkFit, **values: float) -> DrivenLinkFit:
     fit = replace(found.fit, parameters={**found.parameters, **values})
     return replace(found, fit=fit)
-
-
-def test_a_model_of_the_driven_link(driven: DrivenLinkFit) -> None:
-    model = driven.model(0.2, payload=0.03)
-    assert model.stiffness == pytest.approx(9.0 * 0.2, rel=1e-5)
-    assert model.natural_frequency == pytest.approx(10.0, rel=1e-5)
-    assert (model.payload, model.gauge_delay) == (0.03, 0.0)
-    stiff = changed(driven, l=2.1, z=12.0)
-    assert (
-        stiff.order,
-        stiff.model(0.2).order,
-        stiff.model(0.2).natural_frequency,
-    ) == (2.0, 2.0, 12.0)
-    intervals = {
-        "l": Interval(1.9, 2.1, False, False), "z": Interval(0.5, 2.0, False, False),
-        "m": Interval(8.0, 10.0, False, False),
-    }  # fmt: skip
-    wide = replace(driven, fit=replace(driven.fit, intervals=intervals)).model(0.2)
-    assert wide.interval("order") == (1.9, 2.0)
-    assert wide.interval("natural_frequency") == (
-        pytest.approx(0.5),
-        pytest.approx(2.0),
-    )
-    assert wide.interval("stiffness") == (pytest.approx(1.6), pytest.approx(2.0))
-    none = replace(
-        driven, fit=replace(driven.fit, intervals={"z": intervals["z"]})
-    ).model(0.2)
-    assert none.intervals == ()
 
 
 @pytest.mark.slow

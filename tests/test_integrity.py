@@ -138,18 +138,6 @@ def test_a_file_cut_short_is_refused(
         load(path)
 
 
-def test_every_number_of_a_law_is_under_its_digest(files: Path, tmp_path: Path) -> None:
-    data = json.loads((files / "law.json").read_text("utf-8"))
-    content = data["content"]
-    for key, value in content.items():
-        changed = dict(content, **{key: None if value is not None else 1.0})
-        (tmp_path / "law.json").write_text(
-            json.dumps(data | {"content": changed}), "utf-8"
-        )
-        with pytest.raises(FileFormatError):
-            load(tmp_path / "law.json")
-
-
 @pytest.mark.slow
 def test_a_law_with_eight_times_the_gain_is_refused_by_replay(
     made: fl.Design, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +21,6 @@ import fraclink.studio._conversation as conversation
 import fraclink.studio._work as swept_module
 from fraclink._cli import main
 from fraclink._cli.designs import DesignOptions
-from fraclink._export.data import exact_sizes
-from fraclink._export.selftest import expected
 from fraclink._law.requirement import margins_of
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.studio._history import History
@@ -41,10 +38,7 @@ from fraclink.studio._regions import (
 from fraclink.studio._server import POLICY, Studio, application
 from fraclink.studio._serving import serve
 from fraclink.studio._session import Session, SupersededError, opened
-from fraclink.studio._work import Job, moves_of_arms, proof_of, swept
-from fraclink.trials._arms import replay_run
-from fraclink.trials._campaign import Campaign
-from fraclink.trials._faults import FaultTable
+from fraclink.studio._work import Job, swept
 from junk import CHARACTERS
 
 ADDRESS = "http://127.0.0.1:8000"
@@ -308,32 +302,6 @@ def test_a_tip_that_is_held_stays_and_a_payload_that_is_lost_is_gone(made):
     assert np.array_equal(thrown["tip"][0][before], free["tip"][0][before])
     assert np.abs(thrown["torque"][0] - free["torque"][0]).max() > 0.05
     assert "8 g at 0.30 s" in head["said"]
-
-
-@pytest.mark.slow
-def test_a_red_cell_shows_the_run_that_was_judged(made):
-    case = {"fault": "F09", "severity": 1, "payload": 0.03, "phase": "mid"}
-    head, curves = unpacked(PLAY_VERBS["fault"](made, case).packed(1, "fault"))
-    bench = fl.trials.Bench.of(made.study.design)
-    outcome = fl.trials.run_case(
-        bench, fl.trials.Case("F09", 1, 0.03, "mid", 1), single=False
-    )
-    assert np.abs(curves["tip"] - curves["reference"]).max() == pytest.approx(
-        outcome.peak, rel=1e-5
-    )
-    assert head["said"].startswith("F09, severity 1, 30 g: gauge open circuit")
-    table = FaultTable(
-        (
-            outcome,
-            fl.trials.run_case(
-                bench, fl.trials.Case("F07", 3, 0.03, "mid", 1), single=False
-            ),
-        )
-    )
-    cells = proof_of(replace(made.study, faults=table))["cells"]
-    assert [(cell["fault"], cell["phase"], cell["passed"]) for cell in cells] == [
-        (o.case.fault, "mid", o.passed) for o in table.outcomes
-    ]
 
 
 @pytest.mark.slow
@@ -626,44 +594,6 @@ def test_what_is_kept_is_what_the_commands_write_byte_for_byte(tmp_path, monkeyp
 
 
 @pytest.mark.slow
-def test_what_is_copied_in_a_step_does_what_the_step_did(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
-    LOG_VERBS["log"](session, {"name": "prbs_30g"})
-    given = {"columns": COLUMNS, "payload": 0.03, "keep": [0.0, 18.0]}
-    assert LOG_VERBS["columns"](session, given).head["ok"]
-    Job(session, "identify", {"heldout": 0.25}).done(lambda progress: None)
-    session.exact({"gain_crossover": None})
-    session.keep()
-    copied = session.overview()["copies"]
-    for step in ("log", "channels", "model", "move"):
-        assert (
-            main(
-                shlex.split(copied[step]["command"].replace("ours/model", "theirs"))[1:]
-            )
-            == 0
-        ), step
-        space: dict = {}
-        exec(compile(copied[step]["python"], "copied", "exec"), space)  # noqa: S102
-        if step == "model":
-            assert (
-                "--heldout 0.25" in copied[step]["command"]
-                and "heldout=0.25" in copied[step]["python"]
-            )
-            fits = (fl.load("ours/model.json"), fl.load("theirs.json"), space["fit"])
-            assert {
-                (fit.model, fit.heldout_nmse, fit.fitted_samples) for fit in fits
-            } == {
-                (
-                    session.study.fit.model,
-                    session.study.fit.heldout_nmse,
-                    session.study.fit.fitted_samples,
-                )
-            }
-    assert Path("ours/model.json").read_bytes() == Path("theirs.json").read_bytes()
-
-
-@pytest.mark.slow
 def test_a_study_made_step_by_step_is_the_one_of_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     made = [
@@ -795,96 +725,3 @@ def test_a_history_survives_a_torn_line(tmp_path):
         ]
         == 50.0
     )
-
-
-@pytest.mark.slow
-def test_a_log_is_listed_by_its_name_or_as_the_last_upload(tmp_path):
-    from fraclink.studio._logs import LOG_VERBS
-
-    session = opened(None, out=tmp_path)
-    choose = LOG_VERBS["log"]
-    with pytest.raises(fl.errors.FieldError, match="log"):
-        choose(session, {"name": "upload"})  # nothing was sent yet
-    assert choose(session, {}).head["log"] is None
-    assert (
-        choose(session, {"name": "prbs_30g"}).head["log"]["name"]
-        == Path(fl.bundled_log("prbs_30g")).name
-    )
-    session.upload = tmp_path / "mine.csv"
-    session.upload.write_bytes(Path(fl.bundled_log("prbs_30g")).read_bytes())
-    reply = choose(session, {"name": "upload"})
-    assert (reply.head["log"]["name"], session.source) == ("mine.csv", session.upload)
-    assert reply.head["bundled"] == fl.extend.bundled_logs()
-    with pytest.raises(fl.errors.FieldError, match="log"):
-        choose(session, {"name": "../mine.csv"})
-
-
-COLUMNS = [
-    "time=time_s [s]",
-    "motor_angle=motor_angle_rad [rad]",
-    "torque=torque_Nm [Nm]",
-]
-
-
-@pytest.mark.slow
-def test_a_stretch_that_the_page_marks_is_what_the_command_reads(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    session = opened(None, rig=fl.Rig.named("paper-2023-geared"), out=Path("ours"))
-    LOG_VERBS["log"](session, {"name": "prbs_30g"})
-    answer = LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": [2.0, 12.5]})
-    shown, log = answer.head["experiment"], session.study.experiment
-    assert (shown["keep"], shown["duration"], shown["whole"]) == (
-        (2.0, 12.5),
-        20.0,
-        True,
-    )
-    assert np.asarray(answer.curves["motor_angle"]).size > 2000  # all of it is drawn
-    assert (log.start_time, log.duration) == (pytest.approx(2.0), pytest.approx(10.5))
-    assert "W237" in [finding.code for finding in shown["findings"]]
-    session.keep()
-    for step in ("channels", "model"):
-        assert "--keep 2 12.5" in answer.head["copies"][step]["command"]
-        assert "keep=(2.0, 12.5)" in answer.head["copies"][step]["python"]
-    space: dict = {}
-    exec(compile(answer.head["copies"]["channels"]["python"], "copied", "exec"), space)  # noqa: S102
-    assert space["log"] == log
-    whole = LOG_VERBS["columns"](session, {"columns": COLUMNS}).head["experiment"]
-    assert (whole["keep"], session.study.experiment.duration) == (None, 20.0)
-    for bad in ([3.0], "all", [2.0, 1.0], [1.0, "x"], [True, 2.0]):
-        with pytest.raises(FieldError, match="keep"):
-            LOG_VERBS["columns"](session, {"columns": COLUMNS, "keep": bad})
-
-
-@pytest.mark.slow
-def test_a_board_is_told_what_the_law_needs(made):
-    board = OUTPUT_VERBS["board"](made, {"precision": "single"}).head
-    law = made.study.law.in_precision("single")
-    assert {row[0]: row[1] for row in board["board"]}["memory of each arm (RAM)"] == (
-        f"{exact_sizes(law)[1]} bytes"
-    )
-    assert (
-        board["board"][-1][1] == f"hash {expected(law).hash:08X}"
-        and len(board["power_on"]) == 6
-    )
-    double = OUTPUT_VERBS["board"](made, {"precision": "double"}).head["board"]
-    assert double[-1] != board["board"][-1] and "not counted" in double[2][1]
-    assert OUTPUT_VERBS["board"](made, {"precision": []}).head["board"] == []
-
-
-@pytest.mark.slow
-def test_moves_of_arms_are_those_of_the_campaign(made, tmp_path):
-    campaign = Campaign.of(
-        made.study.rig, made.study.design.model, made.study.law, runs=40
-    )
-    curves = moves_of_arms(campaign, (3, 5))
-    assert (
-        curves["fan_passed"].shape == (24, curves["fan_t"].size)
-        and curves["fan_failed"].shape[0] == 2
-    )
-    run = replay_run(campaign, 3)
-    assert curves["fan_failed"][0][-1] == pytest.approx(
-        100.0
-        * np.interp(curves["fan_t"][-1], run.time, run.tip_angle)
-        / run.reference[-1]
-    )
-    assert set(moves_of_arms(campaign, ())) == {"fan_t", "fan_passed"}
