@@ -30,10 +30,8 @@ from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
 from fraclink.studio._preview import Subject, nearest, preview
 from fraclink.studio._regions import (
-    checked_regions,
     fan_of,
     map_of,
-    round_regions,
 )
 from fraclink.studio._server import POLICY, Studio, application
 from fraclink.studio._serving import serve
@@ -172,20 +170,6 @@ def test_a_refusal_names_the_nearest_that_is_feasible(subject):
     found = nearest(subject, {**ASKED, "gain_crossover": 30.0}).head["state"]
     assert preview(subject, found).head["ok"]
     assert found["gain_crossover"] == head["nearest"]["gain_crossover"]
-
-
-@pytest.mark.slow
-def test_a_way_round_the_regions_is_found_or_refused(subject):
-    wall = [{"plot": "gain", "left": 11.5, "right": 12.5, "low": -3.0, "high": 3.0}]
-    shown = preview(subject, {**ASKED, "regions": wall}).head
-    assert shown["entered"] == [True]
-    found = round_regions(subject, ASKED, checked_regions(wall))
-    assert preview(subject, {**found, "regions": wall}).head["entered"] == [False]
-    everywhere = [
-        {"plot": "gain", "left": 1.0, "right": 500.0, "low": -3.0, "high": 3.0}
-    ]
-    with pytest.raises(FieldError, match="entered by every design"):
-        round_regions(subject, ASKED, checked_regions(everywhere))
 
 
 @pytest.mark.parametrize(

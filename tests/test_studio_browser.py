@@ -25,7 +25,6 @@ HANDLES = {
     "#h-filter": ((-30, 0), "filter_time"),
     "#h-margin-phase": ((0, 6), "phase_margin_deg"),
     "#h-margin-nichols": ((-12, 0), "phase_margin_deg"),
-    "#h-crossover-nichols": ((0, -8), "gain_crossover"),
     "#h-margin-payload": ((0, 8), "phase_margin_deg"),
     "#h-payload-0": ((12, 0), "payloads"),
     "#h-payload-1": ((-12, 0), "payloads"),
@@ -193,6 +192,50 @@ def test_the_picture_of_a_state_is_asked_for_once(page, tmp_path):
         )
 
 
+def test_what_was_drawn_of_another_model_says_so(page, tmp_path):
+    def step(name: str) -> str:
+        return page.run(f"document.querySelector('#go-{name}').dataset.mark")
+
+    with studio(tmp_path) as (address, _process):
+        page.open(address)
+        settled(page)
+        page.key("7")
+        page.click("[data-target=c]")
+        page.until(lambda: step("board") == "passed", "the files of the first design")
+        page.key("1")
+        page.until("document.querySelector('#bundled button')", "the bundled logs")
+        page.click("#bundled button")
+        page.until(lambda: step("log") == "passed", "the log")
+        assert step("board") == "outdated"
+        outdated = "document.querySelector('#step-design').matches('.outdated')"
+        page.run(
+            f"new MutationObserver(() => {{ window.grey ||= {outdated}; }})"
+            ".observe(document.querySelector('#step-design'), {attributes: true})"
+        )
+        page.key("3")
+        page.click("#fit")
+        page.until(lambda: step("model") == "passed", "a fit")
+        page.key("4")
+        page.until(lambda: step("design") == "passed", "the design for the new model")
+        page.until(f"window.grey && !{outdated}", "grey, and then the new design")
+        assert step("board") == "outdated"
+        page.until("!document.documentElement.dataset.busy", "the end of every wait")
+
+
+def test_a_request_that_no_design_meets_has_no_command(page, tmp_path):
+    with studio(tmp_path) as (address, _process):
+        page.open(address)
+        page.key("4")
+        settled(page)
+        page.until("document.querySelector('#command').textContent", "the command")
+        ask_for(page, "60")
+        page.until("!document.querySelector('#refused').hidden", "the refusal")
+        assert page.run(
+            "document.querySelector('#copy-command').disabled"
+            " && !document.querySelector('#command').textContent"
+        )
+
+
 def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
     with studio(tmp_path) as (address, process):
         page.open(address)
@@ -260,8 +303,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         ):
             page.key(str(number))
             assert page.run(f"!document.querySelector('#step-{step}').hidden"), step
-        # A region that the curves may not enter: drawn, found to be entered, gone
-        # round, removed by a key.
+        # A region that the curves may not enter: drawn, found to be entered, removed
+        # by a key.
         page.key("4")
         page.click("#keepout-gain")
         x, y = page.middle("#h-crossover")
@@ -276,11 +319,6 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         page.until(
             lambda: bool(states(tmp_path)[-1].get("state", {}).get("regions")),
             "the region in the history",
-        )
-        page.until("!document.querySelector('#around').hidden")
-        page.run("document.querySelector('#around').click()")
-        page.until(
-            "document.querySelector('#regions').textContent.startsWith('✓ kept out of')"
         )
         page.run("document.querySelector('#h-region-0-low').focus()")
         page.key("ArrowUp")
@@ -501,7 +539,7 @@ def test_from_a_dropped_log_to_the_board(page, tmp_path):
             "document.querySelector('#p-swept .cells')?.getAttribute('d')",
             "the map about -1",
         )
-        page.key("f")
+        page.click("#faults")
         page.until("document.querySelector('.cell')", "faults stream")
         page.run("document.querySelector('#cancel').click()")
         page.until(

@@ -313,7 +313,7 @@ class DesignDefaults:
     table.
 
     `gain_crossover` [rad/s] and `phase_margin_deg` [°] are the least over the payload
-    range; `filter_time` δ [s] is 0 for no filter and None for the 10 % rule.
+    range; `filter_time` δ [s] is 0 for no filter and None to choose it with the controller.
 
     >>> round(DesignDefaults(gain_crossover=12.0, phase_margin_deg=50.0).phase_margin, 6)
     0.872665

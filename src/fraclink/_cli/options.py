@@ -53,7 +53,9 @@ PayloadRange = Annotated[
     typer.Option(metavar="LOW HIGH"),
     "Payload range [kg]; default: the rig's",
 ]
-FilterTime = Annotated[float | None, "δ [s], 0 for none; default: the 10 % rule"]
+FilterTime = Annotated[
+    float | None, "δ [s], 0 for none; default: chosen with the controller"
+]
 ModeGain = Annotated[
     float | None,
     "Bound on the loop gain at modes 2 and 3 of a link with mass, usually 0.5",

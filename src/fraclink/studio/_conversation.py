@@ -19,7 +19,7 @@ from fraclink.studio._messages import Message, Reply, checked_request, parsed, r
 from fraclink.studio._outputs import OUTPUT_VERBS
 from fraclink.studio._played import PLAY_VERBS
 from fraclink.studio._preview import Subject, nearest, preview
-from fraclink.studio._regions import map_of, parted, round_regions
+from fraclink.studio._regions import map_of, parted
 from fraclink.studio._session import Session, SupersededError
 from fraclink.studio._work import JOBS, WORK_VERBS, Job
 
@@ -91,13 +91,6 @@ def _map(session: Session, given: Mapping[str, Any]) -> Reply:
     )
 
 
-def _around(session: Session, given: Mapping[str, Any]) -> Reply:
-    state, regions = parted(given.get("state"))
-    return Reply(
-        {"ok": True, "state": round_regions(_subject(session), state, regions)}
-    )
-
-
 _VERBS: dict[str, Verb] = {
     "hello": _hello,
     "note": _note,
@@ -105,7 +98,6 @@ _VERBS: dict[str, Verb] = {
     "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
     "look": lambda session, given: preview(_subject(session), given.get("state")),
     "map": _map,
-    "around": _around,
     "keep": _keep,
     **LOG_VERBS,
     **OUTPUT_VERBS,
@@ -154,8 +146,12 @@ class Conversation:
         if message.verb in self._awake:
             # The older one is forgotten here: a hand asks sixty times a second, and
             # only where it is now is worth an answer.
+            older = self._newest.get(message.verb)
+            waits = self._awake[message.verb].is_set()
             self._newest[message.verb] = message
             self._awake[message.verb].set()
+            if older is not None and waits:  # a page would wait for its answer for ever
+                await self._answered(older, _superseded())
         # Past the queue: it is meant for what runs there, and would wait for its end.
         elif message.verb == "cancel":
             if self._job is not None:
@@ -257,13 +253,17 @@ def _guarded(work: Callable[[Message], Reply], message: Message) -> Reply:
     try:
         return work(message)
     except SupersededError:
-        return Reply(
-            {"ok": False, "superseded": True, "error": "a newer request took its place"}
-        )
+        return _superseded()
     except FraclinkError as error:
         return refusal(error)
     except Exception:  # whatever it is, the study in memory must survive it  # noqa: BLE001
         return _defect()
+
+
+def _superseded() -> Reply:
+    return Reply(
+        {"ok": False, "superseded": True, "error": "a newer request took its place"}
+    )
 
 
 def _defect() -> Reply:

@@ -390,14 +390,14 @@ def fit_answer(session: Session) -> Reply:
 # Plot of the page, curve in it, its style, and which of the answer's curves hold its
 # places and its values; without places it is drawn over time.
 _DRAWN = (
-    ("overlay", "measured", "measured", None, "measured"),
-    ("overlay", "predicted", "predicted", None, "predicted"),
+    ("fitted", "measured", "measured", None, "measured"),
+    ("fitted", "predicted", "predicted", None, "predicted"),
     ("rest", "log minus model", "heavy", None, "residual"),
-    ("bode", "log", "measured", "response_w", "response_log"),
-    ("bode", "model", "predicted", "response_w", "response_model"),
-    ("trust", "coherence", "heavy", "response_w", "coherence"),
+    ("response", "log", "measured", "response_w", "response_log"),
+    ("response", "model", "predicted", "response_w", "response_model"),
+    ("coherence", "coherence", "heavy", "response_w", "coherence"),
     ("spectrum", "log", "measured", "spectrum_hz", "spectrum_log"),
-    ("spectrum", "what the model leaves", "predicted", "spectrum_hz", "spectrum_rest"),
+    ("spectrum", "residual", "predicted", "spectrum_hz", "spectrum_rest"),
 )
 
 
@@ -417,10 +417,10 @@ def _axes_of(curves: Mapping[str, Real], duration: float) -> dict[str, Any]:
         float(curves[name].max()) for name in ("response_log", "response_model")
     )
     return {
-        "overlay": over_time,
+        "fitted": over_time,
         "rest": over_time,
-        "bode": [ends("response_w"), {"low": top - 70.0, "high": top}],
-        "trust": [ends("response_w"), {}],
+        "response": [ends("response_w"), {"low": top - 70.0, "high": top}],
+        "coherence": [ends("response_w"), {}],
         "spectrum": [ends("spectrum_hz", 0.05), {}],
         "valley": [ends("error_resonance"), ends("error_order")],
     }

@@ -101,7 +101,9 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
         path.relative_to(session.folder).as_posix(): path.stat().st_size
         for path in paths
     }
-    session.written |= names
+    # Files of an earlier design stay in the folder, and are none of this export.
+    session.written = session.written | names if session.current else names
+    session.exported = made
     head = {"ok": True, "target": target, "written": names, "export_command": command}
     return Reply(head | session.overview())
 

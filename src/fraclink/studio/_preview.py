@@ -5,6 +5,7 @@ promise is made by it.
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,6 +48,11 @@ class Subject:
     rig: Rig
     model: LinkModel
     law: Law | None = None
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of rig and link: what is drawn of another pair is outdated."""
+        return hashlib.sha256(repr((self.rig, self.model)).encode()).hexdigest()[:16]
 
     @cached_property
     def payloads(self) -> Real:
@@ -103,7 +109,11 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
         words = [
             region.said(inside) for region, inside in zip(regions, entered, strict=True)
         ]
-        head = dict(shown.head) | {"entered": entered, "regions": words}
+        head = dict(shown.head) | {
+            "of": subject.key,
+            "entered": entered,
+            "regions": words,
+        }
         return Reply(
             head,
             dict(shown.curves) | (fan_of(made, subject.frequencies) if fan else {}),

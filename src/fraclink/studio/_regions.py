@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
-from fraclink._design.completed import design_for
 from fraclink._design.feasibility import feasibility_map
-from fraclink.errors import FieldError, FraclinkError
-from fraclink.studio._messages import checked_request, wanted_of
+from fraclink.errors import FieldError
+from fraclink.studio._messages import checked_request
 from fraclink.view._text import number
 
 __all__ = [
@@ -26,7 +25,6 @@ __all__ = [
     "fan_of",
     "map_of",
     "parted",
-    "round_regions",
     "violated",
 ]
 
@@ -175,68 +173,6 @@ def violated(made: Design, regions: Iterable[Region], frequencies: Real) -> list
     logs = made.loop.log(frequencies, links[:, None])
     gain, phase = _DECIBELS * logs.real, np.degrees(logs.imag)
     return [region.entered(frequencies, gain, phase) for region in regions]
-
-
-def round_regions(
-    subject: Any, state: object, regions: tuple[Region, ...]
-) -> dict[str, Any]:
-    """Return the state nearest to `state` on the map whose loop enters none of the
-    regions.
-
-    Distance is the ratio of crossovers and the difference of margins, a factor of two
-    as much as 30°. Raises FieldError where no cell of the map keeps out.
-    """
-    request = checked_request(state)
-    here, _ = design_for(subject.rig, subject.model, **wanted_of(request))
-    at = (here.gain_crossover, math.degrees(here.phase_margin))
-    found = map_of(subject, state)
-    crossovers, margins = np.asarray(found["crossovers"]), np.asarray(found["margins"])
-    # A crossover at half the speed and 30° of margin are changes of about one size to
-    # who designs: neither is given up for a trifle of the other.
-    far = np.hypot(
-        np.log2(crossovers / at[0])[None, :], (margins[:, None] - at[1]) / 30.0
-    )
-    far[np.asarray(found["noise"]) < 0.0] = np.inf
-    # In the order of distance, and the first that keeps out is taken: each try is a
-    # design of its own. Every third cell tells in seconds whether there is one at all;
-    # the others matter only where they are nearer.
-    coarse = np.full_like(far, np.inf)
-    coarse[::3, ::3] = far[::3, ::3]
-    nearest: dict[str, Any] | None = None
-    reach = math.inf
-    for distances in (coarse, far):
-        for cell in np.argsort(distances, axis=None):
-            row, column = np.unravel_index(cell, far.shape)
-            if not distances[row, column] < reach:
-                break
-            candidate = request | {
-                # Rounded before it is tried: what stands in the fields afterwards is
-                # what was found to keep out.
-                "gain_crossover": float(f"{crossovers[column]:.3g}"),
-                "phase_margin_deg": float(f"{margins[row]:.3g}"),
-            }
-            try:
-                made, _ = design_for(subject.rig, subject.model, **wanted_of(candidate))
-            except FraclinkError:
-                continue
-            if not any(violated(made, regions, subject.frequencies)):
-                nearest, reach = candidate, float(far[row, column])
-                break
-        if nearest is None:
-            break
-    if nearest is not None:
-        return nearest
-    allowed, remedy = (
-        "a design that keeps out of them",
-        "make a region smaller, or the payload range narrower",
-    )
-    raise FieldError(
-        "regions",
-        len(regions),
-        "entered by every design of the map",
-        allowed=allowed,
-        remedy=remedy,
-    )
 
 
 def map_of(subject: Any, state: object) -> dict[str, Any]:

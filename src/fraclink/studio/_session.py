@@ -84,7 +84,9 @@ class Session:
             None  # the log of which `stretch` was read: the page shows all of it
         )
         self.heldout: float | None = None
+        # The exported files with their sizes [B], and the design that they were made of.
         self.written: dict[str, int] = {}
+        self.exported: Design | None = None
         self.lock = Lock()
         self._kept = _digests(folder) if kept else {}
         self.history = History.of(folder)
@@ -204,6 +206,7 @@ class Session:
         return {
             "name": study.rig.name if study.rig else "",
             "folder": str(self.folder),
+            "of": self.subject.key if self.subject else "",
             "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
             "spoken": ", ".join(f"{name} {scope.state}" for name, _, scope in tables.scopes(verdict)),
             "verdict": [
@@ -224,7 +227,9 @@ class Session:
             "certificate": study.certificate is not None,
             "proof_said": self._proof_said(),
             "files": self.written,
-            "board_said": f"Written into {self.folder}." if self.written
+            "board_said": f"Outdated: {self.folder} holds the files of another design."
+            if self.written and not self.current
+            else f"Written into {self.folder}." if self.written
             else "Nothing written yet." if made else "Make a design first (step 4).",
             "copies": copies(self),
         }  # fmt: skip
@@ -258,8 +263,17 @@ class Session:
             "design": verdict.promise.state,
             "move": verdict.model.state,
             "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
-            "board": "passed" if self.written else "not run",
+            "board": "not run"
+            if not self.written
+            else "passed"
+            if self.current
+            else "outdated",
         }
+
+    @property
+    def current(self) -> bool:
+        """Whether the exported files are of the present design."""
+        return self.exported == self.study.design
 
     # ---- what is kept -------------------------------------------------------------------------------------
 

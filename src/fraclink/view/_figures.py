@@ -106,14 +106,14 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
             180.0,
         ),
         Panel(
-            "what the model leaves",
+            "residual",
             Scale.around(fit.residual),
             _rest(log.time, fit.residual, edge),
             80.0,
         ),
     )
     ends = Scale(float(log.time[0]), float(log.time[-1]))
-    said = "The recorded output under its model, and what the model leaves"
+    said = "The recorded output under its model, and the residual"
     return Figure("fit", said, ends, panels, "time [s]", "log")
 
 

@@ -226,6 +226,7 @@ _MARKS = {
     "not shown": "!",
     "missing": "!",
     "not run": "–",
+    "outdated": "⟳",
 }
 
 

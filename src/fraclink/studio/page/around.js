@@ -14,7 +14,6 @@ export class Around {
     this.both = (x, y) => { design.set('gain_crossover', round(x)); design.set('phase_margin_deg', Math.round(y)); };
     this.map.painted(app.hand, (from, to) => this.both(...to));
     on('fan', 'change', () => app.change());
-    on('around', 'click', () => design.offer('around'));
   }
 
   // ---- regions ----
@@ -70,7 +69,6 @@ export class Around {
       const item = make('li', entered[i] ? 'error' : 'info', `${words} `, place);
       button('×', 'chip', item, () => this.drop(i), `Remove region ${i + 1}`);
     });
-    $('around').hidden = !entered.some(Boolean);
   }
 
   // ---- the map ----

@@ -96,8 +96,6 @@ export class Design {
     }, hand);
     this.phase.handle({...turned, id: 'h-margin-phase', drag: 'y', at: () => [upper(), margin.get() - 180]}, hand);
     this.nichols.handle({...turned, id: 'h-margin-nichols', drag: 'x', at: () => [margin.get() - 180, 0]}, hand);
-    // Up is faster: a decibel of the heavy curve is 4 % of its crossover, near the slope that these loops have.
-    this.nichols.handle({...crossover, id: 'h-crossover-nichols', drag: 'y', toAxis: (v) => 25 * Math.log(v / (this.grabbed || v)), fromAxis: (db) => (this.grabbed || 12) * Math.exp(db / 25), at: () => this.octaveBelow()}, {...hand, begin: () => { this.grabbed = crossover.get(); app.begin(); }});
     this.margin.handle({...margin, id: 'h-margin-payload', drag: 'y', shape: 'square', line: true, at: () => [Math.sqrt(this.payload(0) * this.payload(1)), margin.get()]}, hand);
     for (const [i, end] of [[0, 'Lightest'], [1, 'Heaviest']]) {
       this.margin.handle({
@@ -112,13 +110,6 @@ export class Design {
     const {crossover, margin} = this.sliders;
     map.handle({...crossover, id: 'h-map-crossover', drag: 'x', line: true, at: () => [crossover.get(), map.y.low]}, this.app.hand);
     map.handle({...margin, id: 'h-map-margin', drag: 'y', shape: 'square', line: true, at: () => [map.x.low, margin.get()]}, this.app.hand);
-  }
-  /** The heavy curve an octave below its crossover: the margin has its handle on the line of 0 dB. */
-  octaveBelow() {
-    const c = this.last?.curves, w = this.app.axes.frequencies;
-    if (!c || !w) return [-130, 6];
-    const at = Math.max(0, w.findIndex((v) => 2 * v >= (this.get('gain_crossover') || 10))), heavy = c.gain.length - 1;
-    return [c.phase[heavy][at], c.gain[heavy][at]];
   }
   /** What the request itself forbids: below 0 dB left of the crossover, 0 dB nearer to −180° than the margin, the disk of Ms. */
   forbidden() {
@@ -161,6 +152,7 @@ export class Design {
     $('step-design').classList.toggle('stale', !answer.ok);
     if (!answer.ok) { this.refuse(answer); return; }
     $('refused').hidden = true;
+    this.app.refuse(false);
     this.last = answer;
     const {curves: c} = answer, {frequencies: w, payloads} = this.app.axes;
     const {names} = answer, named = Object.fromEntries(KINDS.map((kind, i) => [kind, names[i]]));
@@ -219,8 +211,8 @@ export class Design {
     }
   }
   /** Another state that Python looked for. */
-  async offer(verb) {
-    const found = await this.app.need(verb, {state: this.app.state});
+  async offer() {
+    const found = await this.app.need('nearest', {state: this.app.state});
     if (!found) return;
     this.app.begin();
     this.app.state = {...found.state, regions: this.app.state.regions};
@@ -233,9 +225,10 @@ export class Design {
     make('b', '', answer.condition ? `${answer.condition}. ` : 'Not possible. ', place);
     place.append(answer.explanation || answer.error);
     if (Object.keys(answer.nearest || {}).length) {
-      button('Take the nearest that is', '', place, () => this.offer('nearest'));
+      button('Take the nearest that is', '', place, () => this.offer());
     }
     $('step-design').classList.add('stale');
+    this.app.refuse(true);
     this.app.say(answer.error);
   }
 
@@ -249,7 +242,7 @@ export class Design {
     };
     let sum = 180;
     for (const [name, value] of shares) { row(name, sum, value, value < 0 ? 'lag' : 'lead'); sum += value; }
-    row('left: the phase margin', 0, sum, 'rest');
+    row('remaining phase margin', 0, sum, 'rest');
   }
 
   /** The law in the page moves three payloads, 1 ms each: not more often than anybody sees. */

@@ -11,6 +11,7 @@ export class Link {
     this.next = null; // the newest drag, behind the one under way
     this.dragging = false;
     this.tries = 0;
+    this.busy = 0;
     this.token = location.hash.slice(1) || sessionStorage.getItem('studio') || '';
     sessionStorage.setItem('studio', this.token);
     // Out of the address bar: it would be in a screenshot, and in the history.
@@ -27,6 +28,7 @@ export class Link {
       if (socket !== this.socket) return;
       for (const done of this.waiting.values()) done({ok: false, lost: true, error: 'the studio is not there'});
       this.waiting.clear();
+      this.sign();
       this.dragging = false;
       this.changed(event.code === 1008 ? 'refused' : 'lost');
       if (event.code !== 1008) setTimeout(() => this.open(), Math.min(5000, 300 * 2 ** this.tries++));
@@ -43,7 +45,7 @@ export class Link {
     }
     head.curves = curves;
     const done = this.waiting.get(head.seq);
-    if (done && head.verb !== 'progress') { this.waiting.delete(head.seq); done(head); } else this.heard(head);
+    if (done && head.verb !== 'progress') { this.waiting.delete(head.seq); this.sign(); done(head); } else this.heard(head);
   }
 
   /** @returns {Promise<any>} the answer; a refusal is one, too */
@@ -51,7 +53,14 @@ export class Link {
     if (this.socket.readyState !== WebSocket.OPEN) return Promise.resolve({ok: false, lost: true, error: 'the studio is not there'});
     const seq = ++this.seq;
     this.socket.send(JSON.stringify({seq, verb, ...given}));
-    return new Promise((done) => this.waiting.set(seq, done));
+    return new Promise((done) => { this.waiting.set(seq, done); this.sign(); });
+  }
+
+  /** A wait that a person notices has a sign: the bar under the header. */
+  sign() {
+    const root = document.documentElement;
+    if (!this.waiting.size) { clearTimeout(this.busy); this.busy = 0; delete root.dataset.busy; }
+    else this.busy ||= setTimeout(() => { root.dataset.busy = 'true'; }, 200);
   }
 
   /** One request under way, the newest waits, those between are forgotten. */

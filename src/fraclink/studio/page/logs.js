@@ -4,7 +4,7 @@ import {Plot, el, limited, line, plain} from './plot.js';
 import {$, make, button, choices, emptied, findings, on, put, table, takes, say} from './dom.js';
 import {upload} from './link.js';
 
-const PLOTS = {angle: 'angle', output: 'output', overlay: 'fit', rest: 'rest', spectrum: 'spectrum', bode: 'response', trust: 'coherence', valley: 'valley'};
+const PLOTS = ['angle', 'output', 'fitted', 'rest', 'spectrum', 'response', 'coherence', 'valley'];
 const peak = (ys) => ys.reduce((a, v) => Math.max(a, Math.abs(v)), 1e-9);
 const evenly = (ys, duration) => Array.from(ys, (_, i) => (duration * i) / (ys.length - 1));
 const TURN = 14, BEND = 7, LENGTH = 320; // of the drawn arm: at most so many degrees, and pixels
@@ -20,15 +20,15 @@ export class Logs {
     on('rig', 'change', () => this.rig($('rig').value));
     on('read', 'click', () => this.read());
     on('fit', 'click', () => this.fit());
-    for (const name in PLOTS) this[name] = new Plot(`p-${PLOTS[name]}`);
+    for (const name of PLOTS) this[name] = new Plot(`p-${name}`);
     const hold = (v) => { this.heldout = Math.round(100 - limited(v, 10, 95)) / 100; this.chosen = true; };
     const hand = {change: () => this.split(), end: () => this.fit()};
-    this.overlay.handle({
+    this.fitted.handle({
       id: 'h-split', label: 'Where the part begins that no fit sees', unit: 's', low: 10, high: 95, step: 1, drag: 'x', line: true,
       get: () => 100 * (1 - this.heldout), set: hold, toAxis: (v) => (v / 100) * this.duration, fromAxis: (t) => (100 * t) / this.duration,
-      at: () => [(1 - this.heldout) * this.duration, this.overlay.y.low], text: (v) => `${plain((v / 100) * this.duration, 3)} s, ${Math.round(100 - v)} % held out`,
+      at: () => [(1 - this.heldout) * this.duration, this.fitted.y.low], text: (v) => `${plain((v / 100) * this.duration, 3)} s, ${Math.round(100 - v)} % held out`,
     }, hand);
-    this.overlay.painted(hand, (from, to) => hold((100 * to[0]) / this.duration));
+    this.fitted.painted(hand, (from, to) => hold((100 * to[0]) / this.duration));
     this.cutting();
     this.replaying();
   }
@@ -44,8 +44,6 @@ export class Logs {
     }, hand).h);
     for (const plot of this.two) plot.painted(hand, (from, to) => { this.cut = [from[0], to[0]].sort((a, b) => a - b); }, () => this.log?.cuts);
     on('cut-keep', 'click', () => this.taken(this.cut));
-    // A fit takes one unbroken recording: of two rests the longer stays.
-    on('cut-drop', 'click', () => { const [a, b] = this.cut, end = this.log.duration; this.taken(a > end - b ? [0, a] : [b, end]); });
     on('cut-all', 'click', () => this.taken(null));
   }
   taken(keep) { this.keep = keep && keep.map((t) => Number(t.toFixed(3))); this.read(); }
@@ -58,7 +56,7 @@ export class Logs {
       plot.place();
     }
     say('cut-said', whole ? '' : `Marked: ${plain(a)} to ${plain(b)} s`);
-    $('cut-keep').disabled = $('cut-drop').disabled = whole || b - a < 0.1;
+    $('cut-keep').disabled = whole || b - a < 0.1;
     $('cut-all').hidden = !keep;
   }
 
@@ -120,7 +118,7 @@ export class Logs {
   }
   lists(answer) {
     const place = emptied('bundled');
-    for (const name of answer.bundled) button(name === 'prbs_30g' ? 'demo: prbs_30g' : name, 'chip', place, () => this.open(name)).dataset.name = name;
+    for (const name of answer.bundled) button(name, 'chip', place, () => this.open(name)).dataset.name = name;
     choices(emptied('rig'), answer.rigs, answer.rig || undefined);
   }
   channels(answer) {
@@ -187,7 +185,6 @@ export class Logs {
     this.app.took(answer);
     say('toml', answer.toml || $('toml').textContent);
     this.experiment(answer);
-    this.app.toast('Read. Next: fit a model (step 3).');
   }
   experiment(answer) {
     const known = answer.experiment;
@@ -260,5 +257,5 @@ export class Logs {
     this.valley.cross('fit', ...used.at);
     this.split();
   }
-  split() { this.overlay.box('held', 'held', [(1 - this.heldout) * this.duration, this.duration], null); }
+  split() { this.fitted.box('held', 'held', [(1 - this.heldout) * this.duration, this.duration], null); }
 }

@@ -1,11 +1,11 @@
 // @ts-check
-// Everything that can be done, by its name: buttons, handles and fields of all steps.
+// Everything that can be done, by its name: buttons and fields of all steps.
 import {$, make, on, put} from './dom.js';
 
 export function palette(app) {
   const box = $('palette'), input = $('palette-find'), list = $('palette-list');
   let found = [], at = 0;
-  const name = (node) => node.getAttribute('aria-label') || (node.querySelector('.word') || node.labels?.[0] || node).textContent || node.title;
+  const name = (node) => (node.getAttribute('aria-label') || (node.querySelector('.word') || node.labels?.[0]?.querySelector('span')?.firstChild || node.labels?.[0] || node).textContent || node.title).trim();
   const step = (node) => node.closest('.step')?.id.slice(5);
   const mark = () => [...list.children].forEach((item, i) => {
     put(item, {'aria-selected': i === at});
@@ -15,13 +15,13 @@ export function palette(app) {
     box.close();
     if (step(node)) app.show(step(node));
     for (let open = node.closest('details'); open; open = open.parentElement.closest('details')) open.open = true;
-    if (node.matches('.handle, input, select')) node.focus(); else node.click();
+    if (node.matches('input, select')) node.focus(); else node.click();
   };
   const fill = () => {
     const words = input.value.toLowerCase().split(/\s+/);
-    found = [...document.querySelectorAll('button[id], .handle, .step input[id], .step select[id], .chip[data-name]')]
+    found = [...document.querySelectorAll('button[id], .step input[id], .step select[id], .chip[data-name]')]
       .filter((node) => !node.closest('dialog') && !node.disabled && !node.closest('.step [hidden]'))
-      .map((node) => [node, `${step(node) ? `${step(node)}: ` : ''}${name(node).trim()}`])
+      .map((node) => [node, `${step(node) ? `${step(node)}: ` : ''}${name(node)}`])
       .filter(([, text]) => words.every((word) => text.toLowerCase().includes(word))).slice(0, 60);
     at = 0;
     list.replaceChildren();

@@ -12,7 +12,7 @@ const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
 export const app = {
   /** what is asked for, under the names of the command line */
-  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', told() {},
+  state: {}, states: [], at: -1, kept: new Set(), axes: {}, study: {}, step: '', began: null, timer: 0, exactly: '', refused: false, told() {},
   link: /** @type {Link} */ (/** @type {any} */ (null)),
 
   // ---- one gesture: begin, change …, end or cancel ----
@@ -67,10 +67,18 @@ export const app = {
     app.told();
     if (!answer.ok) return;
     arm.take(answer);
+    app.outdated(false);
     app.say(answer.spoken);
   },
+  /** Whether what is drawn is of another link or rig than the study's. */
+  outdated(is) {
+    for (const id of ['step-design', 'step-move', 'step-proof']) {
+      $(id).classList.toggle('outdated', is);
+      $(id).setAttribute('aria-busy', String(is));
+    }
+  },
   shown(answer) {
-    if (answer.lost) return;
+    if (answer.lost || (answer.of && answer.of !== app.study.of)) return;
     design.preview(answer);
     if (answer.ok && answer.blocks) arm.law(answer.blocks);
   },
@@ -92,11 +100,11 @@ export const app = {
     design.around.strip();
     $('undo').disabled = app.at <= 0;
     $('redo').disabled = app.at >= app.states.length - 1;
-    $('undo').title = `Undo (Ctrl Z): ${Math.max(0, app.at)} back`;
   },
 
   // ---- what Python says of the study ----
   took(answer) {
+    if (app.study.of !== undefined && app.study.of !== answer.of) app.outdated(true);
     Object.assign(app.study, answer);
     say('study', answer.title);
     app.line();
@@ -118,7 +126,13 @@ export const app = {
     design.took(answer);
   },
   /** What the user did in this step, as the command line has it. */
-  line() { say('command', app.study.copies?.[app.step]?.command || ''); },
+  line() {
+    const none = app.refused && STEPS.indexOf(app.step) >= STEPS.indexOf('design');
+    say('command', none ? '' : app.study.copies?.[app.step]?.command || '');
+    for (const kind of ['command', 'python']) $(`copy-${kind}`).disabled = none;
+  },
+  /** A request that no design meets has no command: the last one that had is another. */
+  refuse(is) { app.refused = is; app.line(); },
   ask: (verb, given) => app.link.ask(verb, given),
   /** An answer, and what it says of the study; or nothing: then a refusal is said, in its place or to all. */
   async need(verb, given, place = '') {
@@ -146,6 +160,9 @@ export const app = {
       $(`go-${name}`).setAttribute('aria-current', name === step ? 'step' : 'false');
     }
     sessionStorage.setItem('step', step);
+    const next = STEPS[STEPS.indexOf(step) + 1];
+    $('next').hidden = !next;
+    if (next) say('next', `Next: ${$(`go-${next}`).querySelector('.word').textContent} →`);
     app.line();
     arm.move(step);
     if (step === 'log' || step === 'channels') logs.open();
@@ -214,7 +231,7 @@ async function hello() {
 }
 
 function listen() {
-  const open = palette(app), clicked = {undo: () => app.go(app.at - 1), redo: () => app.go(app.at + 1), keep: () => app.keep(), 'help-open': () => $('help').showModal(), 'palette-open': open, theme: () => {
+  const open = palette(app), clicked = {next: () => app.show(STEPS[STEPS.indexOf(app.step) + 1]), undo: () => app.go(app.at - 1), redo: () => app.go(app.at + 1), keep: () => app.keep(), 'help-open': () => $('help').showModal(), 'palette-open': open, theme: () => {
     const root = document.documentElement, dark = root.dataset.theme ? root.dataset.theme === 'dark' : matchMedia('(prefers-color-scheme: dark)').matches;
     sessionStorage.setItem('theme', root.dataset.theme = dark ? 'light' : 'dark');
   }};
@@ -224,7 +241,7 @@ function listen() {
       const text = app.study.copies?.[app.step]?.[kind] || '';
       try {
         await navigator.clipboard.writeText(text);
-        app.toast(`Copied: ${text.split('\n').slice(-1)[0]}`);
+        app.toast('Copied');
       } catch {
         say('command', text); // no clipboard: there it can be selected
       }
@@ -241,7 +258,7 @@ function listen() {
     if (/^[1-7]$/.test(key)) app.show(STEPS[Number(key) - 1]);
     else if (key === '/') open();
     else if (key === '?') $('help').showModal();
-    else if (key === 'p' || key === 'f') { app.show('proof'); $(key === 'p' ? 'prove' : 'faults').click(); } else return;
+    else return;
     event.preventDefault();
   });
 }
