@@ -311,8 +311,8 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         # Beside the handle, where the curve of the lightest payload crosses 0 dB.
         page.mouse("mousePressed", x + 17, y - 4)
         for k in range(1, 5):
-            page.mouse("mouseMoved", x + 17 + 2 * k, y - 4 + 2 * k)
-        page.mouse("mouseReleased", x + 25, y + 4, 0)
+            page.mouse("mouseMoved", x + 17 + 8 * k, y - 4 + 2 * k)
+        page.mouse("mouseReleased", x + 49, y + 4, 0)
         page.until(
             "document.querySelector('#regions').textContent.startsWith('✗ entered')"
         )
@@ -354,10 +354,10 @@ def test_every_handle_drags_and_every_drag_can_be_undone(page, tmp_path):
         )
         page.run("document.querySelector('#fan').click()")
         page.key("k", control=True)
-        page.do("Input.insertText", text="lightest payload designed")
+        page.do("Input.insertText", text="lightest")
         page.key("Enter")
         page.until(
-            "document.activeElement.id === 'h-payload-0'", "the handle of that name"
+            "document.activeElement.id === 'f-payloads.0'", "the field of that name"
         )
         page.run("document.activeElement.blur()")
         # A request that cannot be met: pale curves, a sentence, and the nearest that
