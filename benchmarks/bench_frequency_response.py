@@ -93,10 +93,10 @@ def main() -> None:
         inside >= 17 * seeds / 20,
     )
     for low, high, code, words in (
-        (1.0, 0.96 * dip, "W347", "band ends below the anti-resonance"),
-        (1.04 * dip, 80.0, "W347", "band begins above the anti-resonance"),
-        (1.0, 0.96 * peak, "W348", "band ends below the peak"),
-        (1.04 * peak, 80.0, "W348", "band begins above the peak"),
+        (1.0, 0.96 * dip, "W315", "band ends below the anti-resonance"),
+        (1.04 * dip, 80.0, "W315", "band begins above the anti-resonance"),
+        (1.0, 0.96 * peak, "W315", "band ends below the peak"),
+        (1.04 * peak, 80.0, "W315", "band begins above the peak"),
     ):
         told, passed = missed(seeds, low, high, code)
         line(

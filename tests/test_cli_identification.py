@@ -70,7 +70,7 @@ def test_a_ring_down_is_fitted_on_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     time = 0.004 * np.arange(2000)
-    # Let go at rest: of anything else the smooth rest would be an error (W360).
+    # Let go at rest: of anything else the smooth rest would be an error (W310).
     swing = np.cos(10 * time) + 0.03 * np.sin(10 * time)
     ring = 0.3 + 0.1 * swing * np.exp(-0.3 * time)
     held = np.concatenate((np.full(80, 0.4), ring))[:2000]

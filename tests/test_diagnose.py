@@ -89,7 +89,7 @@ def test_b02_a_motor_that_hardly_moves_is_an_error() -> None:
 
 def test_b03_a_dead_gauge_is_an_error() -> None:
     assert (
-        found(changed(output=np.zeros(2000)), "W203").message
+        found(changed(output=np.zeros(2000)), "W202").message
         == "the torque is zero throughout"
     )
 

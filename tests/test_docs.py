@@ -62,20 +62,18 @@ def test_every_code_and_error_of_the_source_stands_on_the_page() -> None:
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("W102", "model.stiffness = … contradicts link.stiffness = …"),
-        (
-            "W347",
-            "the band does not show the frequency of the link with the motor held / anti-resonance",
-        ),
-        ("W348", "the band does not show the peak"),
+        ("W101", "model.stiffness = … contradicts link.stiffness = …"),
+        ("W315", "the band does not show the …"),
     ],
 )
 def test_a_code_that_is_handed_over_has_the_words_of_its_own_function(
     code: str, message: str
 ) -> None:
     rows = (DOCS / "reference" / "errors.md").read_text("utf-8").splitlines()
-    row = next(line for line in rows if line.startswith(f"| **{code}**"))
-    assert row.split("|")[3].strip() == message
+    told = [
+        row.split("|")[3].strip() for row in rows if row.startswith(f"| **{code}**")
+    ]
+    assert message in told
 
 
 @pytest.mark.parametrize(

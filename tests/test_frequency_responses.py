@@ -222,10 +222,10 @@ def test_link_and_motor(output: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("low", "high", "code"),
     [
-        (2.0, 10.5, "W347"),
-        (11.6, 60.0, "W347"),
-        (2.0, 11.5, "W348"),
-        (12.6, 60.0, "W348"),
+        (2.0, 10.5, "W315"),
+        (11.6, 60.0, "W315"),
+        (2.0, 11.5, "W315"),
+        (12.6, 60.0, "W315"),
     ],
 )
 def test_a_band_that_misses_one(low: float, high: float, code: str) -> None:
@@ -353,13 +353,13 @@ def test_lines_on_both_sides_show_a_place(driven: DrivenLinkFit) -> None:
         ]
 
     assert codes(3, 3) == []
-    assert codes(2, 3) == ["W347"]
-    assert codes(3, 2) == ["W348"]
-    assert codes(3, 3, undetermined=("z",)) == codes(3, 3, at_bound=("l",)) == ["W347"]
+    assert codes(2, 3) == ["W315"]
+    assert codes(3, 2) == ["W315"]
+    assert codes(3, 3, undetermined=("z",)) == codes(3, 3, at_bound=("l",)) == ["W315"]
     assert codes(3, 3, undetermined=("m",)) == []
     data = fl.FrequencyResponse(LINES, np.ones(LINES.size))
     (missing,) = _of_the_band(driven.fit, data, "motor_angle", None)
-    assert (missing.code, missing.severity) == ("W348", "error")
+    assert (missing.code, missing.severity) == ("W315", "error")
     assert math.isnan(missing.evidence["place"])
     assert (missing.evidence["low"], missing.evidence["high"]) == (
         pytest.approx(2.0),

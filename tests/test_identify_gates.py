@@ -69,17 +69,17 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     "angle in degrees, torque": (
         lambda: log(np.rad2deg(ANGLE)),
-        "W323",
+        "W209",
         "degrees labelled as radians",
     ),
     "torque with the other sign": (
         lambda: log(output=-TORQUE),
-        "W307",
+        "W211",
         "opposite sign",
     ),
     "deflection with the other sign": (
         lambda: log(output=-DEFLECTION, output_kind="deflection"),
-        "W307",
+        "W211",
         "opposite sign",
     ),
     # --- wrong columns
@@ -105,7 +105,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     "the reference as torque": (
         lambda: log(output=np.sign(ANGLE)),
-        "W325",
+        "W213",
         "a command, not a measurement",
     ),
     "a counter as torque": (
@@ -185,7 +185,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     ),
     "a gauge hard at its stops": (
         lambda: log(output=saturated(0.05)),
-        "W325",
+        "W213",
         "the amplifier saturates",
     ),
     "a motor that stops, and noise": (
@@ -214,7 +214,7 @@ def test_a_bad_log_gives_no_model_that_passes_and_says_why(name: str) -> None:
 )
 def test_of_noise_neither_sign_nor_delay_is_said(name: str) -> None:
     fit = identify(BAD[name][0]())
-    assert not {"W306", "W307", "W309", "W316"} & {
+    assert not {"W306", "W211", "W309", "W316"} & {
         finding.code for finding in fit.findings
     }
 
@@ -235,7 +235,7 @@ def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
     """
     late = int(np.flatnonzero(np.diff(ANGLE) != 0)[0]) + 600
     cut = identify(log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:]))
-    (begins,) = (item for item in cut.findings if item.code == "W326")
+    (begins,) = (item for item in cut.findings if item.code == "W231")
     assert (
         begins.severity == "warning"
         and "the link is bent" in begins.message
@@ -246,7 +246,7 @@ def test_a_log_cut_in_mid_motion_says_so_and_one_at_rest_does_not() -> None:
     assert begins.evidence["first_mse"] == pytest.approx(first.mean())
     assert first.mean() > 2 * residual[first.size :].mean()
     whole = identify(log())
-    assert "W326" not in {item.code for item in whole.findings}
+    assert "W231" not in {item.code for item in whole.findings}
     assert abs(cut.delay - 0.004) > 2 * abs(whole.delay - 0.004)
 
 
@@ -259,7 +259,7 @@ def test_a_log_that_knows_the_angle_before_its_cut_is_fitted_as_the_whole_one(
     found = identify(
         log(ANGLE[late:], (TORQUE + 0.02 * WHITE)[late:], earlier_angle=ANGLE[:late])
     )
-    assert "W326" not in {item.code for item in found.findings}
+    assert "W231" not in {item.code for item in found.findings}
     for name, truth in (
         ("delay", 0.004),
         ("natural_frequency", 10.02),
@@ -294,7 +294,7 @@ def test_a_quiet_end_is_not_what_is_held_out() -> None:
     torque = simulated_torque(TRUTH, RING, PERIOD)
     fit = identify(log(RING, torque + 0.02 * WHITE))
     assert fit.passed
-    assert "W319" in {finding.code for finding in fit.findings}
+    assert "W317" in {finding.code for finding in fit.findings}
     assert fit.heldout_nmse is not None
     assert fit.heldout_nmse < 0.5
     quiet = identify(log(RING, torque + 0.02 * WHITE), heldout=0.4)

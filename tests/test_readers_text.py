@@ -441,7 +441,7 @@ def test_interpolation_of_few_missing_cells_is_a_finding(tmp_path: Path) -> None
     rows[100][2] = ""
     rows[101][2] = "NaN"
     log = read_log(write_log(tmp_path / "a.csv", rows), interpolate=True)
-    assert [finding.code for finding in log.findings] == ["W201"]
+    assert [finding.code for finding in log.findings] == ["W205"]
     assert log.output[100] == pytest.approx(
         float(rows[99][2]) * 2 / 3 + float(rows[102][2]) / 3
     )

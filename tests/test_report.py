@@ -105,7 +105,7 @@ def study(text: str, *, design: bool = False) -> Study:
         source=f"{text}.csv",
         notes=(("title", text), ("source", text)),
     )
-    finding = Finding("W201", "warning", text, {}, text)
+    finding = Finding("W205", "warning", text, {}, text)
     made = design_for(RIG)[0] if design else None
     return Study(
         rig=replace(RIG, name=text, source=text, assumptions=(text,)),

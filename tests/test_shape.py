@@ -198,7 +198,7 @@ def test_a_promise_that_noise_breaks_is_a_finding(
     assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
     monkeypatch.setattr(move, "_NOISES", 0.0)  # nothing is left to noise
     tight = fl.shape(design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2)
-    assert [finding.code for finding in tight.findings] == ["W502"]
+    assert [finding.code for finding in tight.findings] == ["W501"]
 
 
 @pytest.mark.slow
@@ -206,9 +206,8 @@ def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -
     arm = Twin.from_rig(RIG)
     sticks = replace(arm, motor=replace(arm.motor, coulomb_torque=0.4))
     found = fl.shape(design, 1.0, payloads=KNOWN, told=True, arm=sticks, seeds=1)
-    assert {"W501", "W503"} & {
-        finding.code for finding in found.findings
-    } and not found.passed
+    assert "W501" in {finding.code for finding in found.findings}
+    assert not found.passed
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ def test_a_refusal_keeps_what_was_asked_for_of_the_nearest() -> None:
 
 
 def test_what_was_remarked_comes_back_from_the_folder(tmp_path: Path) -> None:
-    finding = Finding("W201", "warning", "short", {"seconds": 2.0}, "record more")
+    finding = Finding("W205", "warning", "short", {"seconds": 2.0}, "record more")
     kept = Study(
         rig=RIG, experiment=log(), findings=(finding,), stopped="no data", uncertified="too large",
         refused=Refusal({"gain_crossover": 14.0}, {"gain_crossover": 11.0}), assumptions=("a payload",),

@@ -104,12 +104,8 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
 # One call makes both and takes their words from a loop.
 NAMED = {
     "W202": {
-        "message": "the motor angle is constant or zero throughout",
-        "remedy": "excite the arm: a pulse, a PRBS or a square wave",
-    },
-    "W203": {
-        "message": "the torque or deflection is constant or zero throughout",
-        "remedy": "check the gauge and its amplifier",
+        "message": "the motor angle, or the torque or deflection, is constant or zero throughout",
+        "remedy": "excite the arm: a pulse, a PRBS or a square wave / check the gauge and its amplifier",
     },
 }
 NONE: Mapping[str, ast.expr] = {}
@@ -220,31 +216,13 @@ def codes_of(path: Path) -> list[Code]:
         ]
         code = handed[0] if handed and CODE.fullmatch(handed[0]) else ""
         if code and name == "Finding":
-            found.append(of_finding(code, call))
+            found.append(replace(of_finding(code, call), **NAMED.get(code, {})))
         elif code and name == "FraclinkWarning":
             found.append(Code(code, "warning", words(call.args[1]), ""))
         elif code and name in made:
             inside, parameters = made[name]
             given = dict(zip(parameters, unpacked(call, tree), strict=True))
             found.append(of_finding(code, inside, given))
-    for function in (
-        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
-    ):
-        if (
-            function.name in made
-        ):  # codes in a tuple, walked through by the same function
-            inside = [
-                n.value for n in ast.walk(function) if isinstance(n, ast.Constant)
-            ]
-            listed = [
-                value
-                for value in inside
-                if isinstance(value, str) and CODE.fullmatch(value)
-            ]
-            found += [
-                replace(of_finding(code, made[function.name][0]), **NAMED.get(code, {}))
-                for code in listed
-            ]
     return found
 
 

@@ -181,7 +181,7 @@ _UNITS = {
 def doubts_of(
     rig: Rig, model: LinkModel, payloads: Iterable[float] = ()
 ) -> tuple[Finding, ...]:
-    """Return the errors W105, W106 and W107 of a model and of payloads [kg] on this
+    """Return the errors W105 and W106 of a model and of payloads [kg] on this
     rig.
 
     A payload is in doubt a hundred times beyond the rig's range, a stiffness that
@@ -233,7 +233,7 @@ def _of_frequency(rig: Rig, model: LinkModel) -> Iterator[Finding]:
     if min(ratios) <= _FREQUENCY_MOST:
         return
     yield Finding(
-        "W107",
+        "W106",
         "error",
         f"the model vibrates at {found[1]:.4g} rad/s with {model.payload:.4g} kg, where the rig's stiffness "
         f"and length give {expected:.4g} rad/s",

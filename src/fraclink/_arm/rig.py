@@ -227,7 +227,7 @@ class Rig:
         if model is not None:
             stated = ("model.stiffness", model.stiffness)
             found.append(
-                _contradiction("W102", *stated, "link.stiffness", link.stiffness)
+                _contradiction("W101", *stated, "link.stiffness", link.stiffness)
             )
         if model is not None and model.payload is not None:
             lumped = (
@@ -236,7 +236,7 @@ class Rig:
             )
             found.append(
                 _contradiction(
-                    "W103", "model.natural_frequency", model.natural_frequency, *lumped
+                    "W101", "model.natural_frequency", model.natural_frequency, *lumped
                 )
             )
         return tuple(

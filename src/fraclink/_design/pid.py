@@ -208,7 +208,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
     if not found.stable:
         return (
             Finding(
-                "W422",
+                "W404",
                 "error",
                 "the loop of the shipped law is not stable",
                 evidence,
@@ -219,7 +219,7 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "W422",
+            "W404",
             # As W404 judges a design: below half of the margin it is another loop than
             # the one asked for.
             "error" if kept < LEAST_SHARE * made.phase_margin else "warning",

@@ -78,7 +78,7 @@ def design(
 
     The result has the controller and the table of requirements with what is achieved.
     It does not pass where the fit failed a gate, or where model or payloads contradict
-    the rig (W105 to W107).
+    the rig (W105, W106).
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ STOPPED_MOST = 0.1
 
 
 def column_findings(log: Experiment) -> Iterator[Finding]:
-    """Findings W323 to W325: degrees, a copy of the motor's motion, a clock, an
+    """Findings W209, W324 and W213: degrees, a copy of the motor's motion, a clock, an
     amplifier at its stops.
     """
     angle, output, period = log.motor_angle, log.output, log.period
@@ -65,7 +65,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
     share = _at_stops(output)
     if share > STOPPED_MOST:
         yield Finding(
-            "W325",
+            "W213",
             "error",
             f"{100 * share:.3g} % of the samples lie at the largest or smallest output: the amplifier "
             "saturates, or this is a command, not a measurement",
@@ -82,7 +82,7 @@ def column_findings(log: Experiment) -> Iterator[Finding]:
     # called radians do.
     if largest > 2 * math.pi:
         yield Finding(
-            "W323",
+            "W209",
             "error",
             "the motor turns by more than one revolution: are these degrees labelled as radians?",
             {"largest_angle": largest, "if_degrees": math.radians(largest)},

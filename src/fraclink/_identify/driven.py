@@ -75,7 +75,7 @@ class DrivenLinkFit:
         where the magnitude of the fitted response is largest behind the anti-resonance
         [rad/s]; None where it only falls.
     findings
-        those of the fit, and W347, W348 where the band misses the anti-resonance or the
+        those of the fit, and W315 where the band misses the anti-resonance or the
         peak.
 
     Examples
@@ -357,20 +357,19 @@ def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float
 def _of_the_band(
     fit: StructureFit, measured: FrequencyResponse, output: Output, peak: float | None
 ) -> Iterator[Finding]:
-    """W347, W348: a place that the lines do not surround is an extrapolation, however
+    """W315: a place that the lines do not surround is an extrapolation, however
     narrow its interval.
     """
     z = fit.parameters["z"]
     if not _surrounded(measured, z) or {"z", "l"} & {*fit.undetermined, *fit.at_bound}:
         held = output == "torque"
         yield _missed(
-            "W347",
             "frequency of the link with the motor held" if held else "anti-resonance",
             z,
             measured,
         )
     if peak is None or not _surrounded(measured, peak):
-        yield _missed("W348", "peak", math.nan if peak is None else peak, measured)
+        yield _missed("peak", math.nan if peak is None else peak, measured)
 
 
 def _surrounded(measured: FrequencyResponse, place: float) -> bool:
@@ -378,10 +377,10 @@ def _surrounded(measured: FrequencyResponse, place: float) -> bool:
     return _AROUND <= below <= measured.frequency.size - _AROUND
 
 
-def _missed(code: str, name: str, place: float, measured: FrequencyResponse) -> Finding:
+def _missed(name: str, place: float, measured: FrequencyResponse) -> Finding:
     low, high = measured.band
     return Finding(
-        code,
+        "W315",
         "error",
         f"the band does not show the {name}",
         {"place": place, "low": low, "high": high},

@@ -153,7 +153,7 @@ def _of_the_vibration(
 
 
 def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
-    """W326: the vibration from before the first sample, which the model does not have.
+    """W231: the vibration from before the first sample, which the model does not have.
 
     A log that begins in motion and is met from its first sample on had little of it;
     what a fit cannot meet there it takes for a delay and a damping.
@@ -167,7 +167,7 @@ def _of_the_start(fit: Fit, log: Experiment) -> Iterator[Finding]:
     first, rest = float(error[:length].mean()), float(error[length:].mean())
     if first > _FIRST_ERROR * rest:
         yield Finding(
-            "W326",
+            "W231",
             "warning",
             f"the log begins in motion ({begins}), and the model is off most there: in the first "
             f"{length * fit.period:.2g} s its mean square error is {first / rest:.2g} times that of the rest",
@@ -202,7 +202,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
     # a large mean square.
     elif relative > 4 * fit.nmse and held > 2 * fit.mse:
         yield Finding(
-            "W311",
+            "W318",
             "warning",
             "the part of the log that was held out is predicted much worse than the part that was fitted",
             {"nmse": fit.nmse, "heldout_nmse": relative},
@@ -212,7 +212,7 @@ def _of_the_prediction(fit: Fit, motion: tuple[float, float]) -> Iterator[Findin
     # motion is.
     if fit.fitted_samples < fit.samples // 2:
         yield Finding(
-            "W319",
+            "W317",
             "info",
             "the end of the log is at rest: the held-out part was made longer, so that it contains motion",
             {
@@ -354,7 +354,7 @@ def _of_the_sign(fit: Fit, cycle: float) -> Iterator[Finding]:
     late = abs(fit.delay) > cycle / 8
     if fit.gain < 0 and not late:
         yield Finding(
-            "W307",
+            "W211",
             "error",
             "the output has the opposite sign: it is negative where the tip lags a motor that turns forward",
             {"gain": fit.gain},
@@ -427,7 +427,7 @@ def _of_outliers(fit: Fit) -> Iterator[Finding]:
     # Of Gaussian noise the largest 0.2 % of the samples hold 2 % of the squares.
     if share > 0.3:
         yield Finding(
-            "W312",
+            "W224",
             "warning",
             "a few samples cause most of the error: outliers distort the fit",
             {"samples": float(few), "share_of_error": share},

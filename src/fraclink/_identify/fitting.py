@@ -358,7 +358,7 @@ def _identified(
 
     A torque log shows gauge gain times stiffness and nothing that tells them apart: the
     product is the stiffness that the controller meets. A deflection log shows the gauge
-    gain itself. A reversed sign is a wiring fault to be stated in the rig file (W307),
+    gain itself. A reversed sign is a wiring fault to be stated in the rig file (W211),
     not a property of the gauge.
     """
     # Zero is no stiffness of a link model; a fit of nothing ends there, and its gates

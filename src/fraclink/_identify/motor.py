@@ -220,7 +220,7 @@ def _judged(fit: MotorFit) -> MotorFit:
         if 1 / fit.inertia < _SIGN * error:
             findings.append(
                 Finding(
-                    "W332",
+                    "W303",
                     "warning",
                     "the link's torque does not show in the motion, and so neither does the inertia",
                     {"reciprocal": 1 / fit.inertia, "standard_error": error},
@@ -231,7 +231,7 @@ def _judged(fit: MotorFit) -> MotorFit:
     if fit.nmse > _NMSE_MOST:
         findings.append(
             Finding(
-                "W331",
+                "W313",
                 "error",
                 "the motor model leaves most of the acceleration unexplained",
                 {"nmse": fit.nmse, "most": _NMSE_MOST},

@@ -228,7 +228,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
     """
     if fit.fit < _FIT_LEAST:
         yield Finding(
-            "W341",
+            "W313",
             "error",
             "the modes leave most of the response unexplained",
             {"fit_percent": fit.fit, "least": _FIT_LEAST},
@@ -238,7 +238,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
     longest = LONGEST / float(frequency.max())
     if "delay" in fit.standard_errors and abs(fit.delay) > 0.999 * longest:
         yield Finding(
-            "W344",
+            "W301",
             "error",
             "the delay ended at the bound of its range",
             {"delay": fit.delay, "bound": longest},
@@ -247,7 +247,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
     # At 2 the order ends where a classical link has it: that is no fault.
     if fit.at_bound and fit.order < 1.5:
         yield Finding(
-            "W345",
+            "W301",
             "error",
             "the order ended at 1, where nothing vibrates",
             {"order": fit.order},
@@ -256,7 +256,7 @@ def _findings(fit: SpectrumFit, frequency: Reals) -> Iterator[Finding]:
     # With anti-resonances the sign depends on where along the beam was measured.
     if fit.gain < 0 and not fit.anti_resonances:
         yield Finding(
-            "W346",
+            "W211",
             "error",
             "the response has the opposite sign of a link's",
             {"gain": fit.gain},
@@ -275,7 +275,7 @@ def _of_the_places(fit: SpectrumFit, low: float, high: float) -> Iterator[Findin
         error = fit.standard_errors[name] / place
         if not low <= place <= high:
             yield Finding(
-                "W342",
+                "W315",
                 "error",
                 f"{name} lies outside the frequencies that were measured",
                 {"place": place, "low": low, "high": high},
@@ -283,7 +283,7 @@ def _of_the_places(fit: SpectrumFit, low: float, high: float) -> Iterator[Findin
             )
         elif not error <= _ERROR_MOST:
             yield Finding(
-                "W343",
+                "W303",
                 "error",
                 f"the response does not determine {name}",
                 {"place": place, "relative_error": error, "most": _ERROR_MOST},

@@ -273,7 +273,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
             fit.limits[name][0] == 0.0 and fit.parameters[name] < 1e-6 * high
         )  # no delay is seen
         yield Finding(
-            "W351",
+            "W301",
             "warning" if nothing else "error",
             f"{name} ended at a bound, which is no estimate; other intervals hold with it there only",
             {"value": fit.parameters[name], "low": low, "high": high},
@@ -281,7 +281,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
         )
     if certain.blind:
         yield Finding(
-            "W352",
+            "W354",
             "error",
             f"the data see {', '.join(certain.blind)} only in combination, however precise they are",
             {name: fit.parameters[name] for name in certain.blind},
@@ -291,7 +291,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
         if name not in certain.blind:
             interval = fit.intervals[name]
             yield Finding(
-                "W353",
+                "W303",
                 "error",
                 f"the data do not determine {name}",
                 {
@@ -313,7 +313,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
 
     if not fit.converged:
         yield Finding(
-            "W359",
+            "W302",
             "error",
             "the search stopped early: the data hardly distinguish the parameters",
             {"evaluations": float(fit.evaluations)},
@@ -324,7 +324,7 @@ def _of_the_parameters(fit: StructureFit, certain: Certainty) -> Iterator[Findin
 def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
     if fit.nmse > _UNEXPLAINED:
         yield Finding(
-            "W355",
+            "W313",
             "error",
             "the structure leaves most of the output unexplained",
             {"nmse": fit.nmse, "most": _UNEXPLAINED},
@@ -333,7 +333,7 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
     held = fit.heldout_nmse
     if held is not None and held > max(_WORSE * fit.nmse, 1e-12):
         yield Finding(
-            "W356",
+            "W318",
             "error" if held > _UNEXPLAINED else "warning",
             "the structure predicts the held-out data worse than the data it was fitted to",
             {"heldout_nmse": held, "nmse": fit.nmse},
@@ -352,7 +352,7 @@ def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[F
     size = float(np.std(residual))
     if noise < _SMOOTH * size:
         yield Finding(
-            "W360",
+            "W310",
             "error",
             "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
             {"noise": noise, "residual": size, "most": _SMOOTH},
@@ -417,7 +417,7 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
     ):  # a term that vanished has no corner
         if not low / _BEYOND <= corner <= high * _BEYOND:
             yield Finding(
-                "W358",
+                "W315",
                 "warning",
                 "a corner of the structure lies outside the band that was excited",
                 {"corner": corner, "low": low, "high": high},

@@ -99,7 +99,7 @@ class Validation:
     logs
         one `LogValidation` for each.
     findings
-        W361 (error) where it does not predict a log, W362 (warning) where a log's own
+        W318 (error) where it does not predict a log, W362 (warning) where a log's own
         fit lies beyond the intervals of both.
 
     Examples
@@ -269,7 +269,7 @@ def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
     name = each.log.source or "the log"
     if not each.nmse <= HELDOUT_MOST:
         yield Finding(
-            "W361",
+            "W318",
             "error",
             f"the model does not predict {name}",
             {"nmse": each.nmse, "most": HELDOUT_MOST},

@@ -248,7 +248,7 @@ def clean_column(
     filled = np.interp(np.arange(values.size), good, values[good])
     return filled, [
         Finding(
-            "W201",
+            "W205",
             "warning",
             f"{missing.size} missing cells of column {name!r} were interpolated",
             {"missing": missing.size, "share": share},

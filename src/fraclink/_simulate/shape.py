@@ -350,7 +350,7 @@ def _along(made: ShapedMove, span: float) -> list[Finding]:
 
 
 def _findings(made: ShapedMove) -> tuple[Finding, ...]:
-    """W501: later or farther away than promised; W502: voltage; W503: a guard acted;
+    """W501: later or farther away than promised, or by voltage or guards beyond the linear loop;
     W504: too fast.
     """
     ours, found = made.shaped, []
@@ -378,7 +378,7 @@ def _findings(made: ShapedMove) -> tuple[Finding, ...]:
     if ours.peak_voltage > made.voltage:
         found.append(
             Finding(
-                "W502",
+                "W501",
                 "warning",
                 "noise and friction take the voltage beyond its limit",
                 {
@@ -392,7 +392,7 @@ def _findings(made: ShapedMove) -> tuple[Finding, ...]:
     if ours.limited:
         found.append(
             Finding(
-                "W503",
+                "W501",
                 "warning",
                 "a guard of the law acts during the move, so that the loop is not the linear one",
                 {"part_of_the_runs": ours.limited},

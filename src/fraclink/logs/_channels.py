@@ -284,8 +284,8 @@ def constant_channels(experiment: Experiment) -> Iterator[Finding]:
         "excite the arm: a pulse, a PRBS or a square wave",
         "check the gauge and its amplifier",
     )
-    for code, (name, named, unit), remedy in zip(
-        ("W202", "W203"), _channels(experiment), remedies, strict=True
+    for (name, named, unit), remedy in zip(
+        _channels(experiment), remedies, strict=True
     ):
         values = getattr(experiment, name)
         spread, size = float(values.std()), float(np.abs(values).max())
@@ -297,7 +297,7 @@ def constant_channels(experiment: Experiment) -> Iterator[Finding]:
                 else "zero throughout"
             )
             yield Finding(
-                code,
+                "W202",
                 "error",
                 f"the {named} is {state}",
                 {"standard_deviation": spread},

@@ -39,7 +39,7 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the output, found by a scan that
     needs no guess.
 
-    The findings have codes W201 … W237; ``error`` means that the log cannot be used as
+    The findings have codes W205 … W237; ``error`` means that the log cannot be used as
     it is.
 
     Parameters
