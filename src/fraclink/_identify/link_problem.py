@@ -13,9 +13,11 @@ from fraclink._arm.link import structure
 from fraclink._identify.problem import Quadratic, reduced
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
+    ALPHA_LIMITS,
     COORDINATE,
     NAMES,
     columns_of,
+    largest_ratio,
     link_parameters,
     mask_of,
 )
@@ -24,6 +26,7 @@ from fraclink._kernels import FitProblem
 __all__ = ["LinkProblem", "quadratic_of"]
 
 Reals = NDArray[np.float64]
+_NO_DAMPING = 1e-12  # of ζ: below it α has no meaning
 
 
 def quadratic_of(
@@ -48,47 +51,67 @@ class LinkProblem:
     """A search's problem around a solution: the `free` coordinates of a shape, all
     others as they are there.
 
-    On the edge ω₀ = 0 of fractional damping the damping ratio follows α where the
-    others are inside their limits; an interval may leave that edge.
+    Where ζ and α are both free, r = 2ζ cot(απ/2) stands for α < 1: the fractional
+    damping is Ω^λ (r + 2iζ) at the resonance and ω₀² = Ω^λ (1 − r), so that the edge
+    ω₀ = 0 is the limit r = 1, and the valley of equal ζ is straight. For α > 1 it goes
+    on as r = (1 − α)πζ with the ζ of the solution.
     """
 
     search: Search
     solution: Solution
     free: tuple[int, ...]
-    edge: bool
+    turned: bool
 
     @classmethod
-    def of(
-        cls,
-        search: Search,
-        solution: Solution,
-        *,
-        inside: bool,
-        along: bool | None = None,
-    ) -> LinkProblem:
+    def of(cls, search: Search, solution: Solution, *, inside: bool) -> LinkProblem:
         """With all coordinates that are free in the structure, or those `inside` their
-        limits only; `along` the edge or off it, by default along it where inside.
+        limits only.
         """
-        stuck = solution.at_bound if inside else ()
-        along = inside if along is None else along
-        edge = along and solution.on_edge and not {2, 3} & set(stuck)
-        free = [i for i in solution.free if i not in stuck and not (edge and i == 2)]
-        return cls(search, solution, tuple(free), edge)
+        stuck = set(solution.at_bound) if inside else set()
+        turned = {2, 3} <= set(solution.free) - stuck
+        if inside and turned and solution.on_edge:
+            stuck.add(3)
+        free = [i for i in solution.free if i not in stuck]
+        return cls(search, solution, tuple(free), turned)
+
+    @cached_property
+    def _start(self) -> Reals:
+        """The solution's shape, with r for α where it stands for it."""
+        start = self.solution.shape.copy()
+        if self.turned:
+            ratio, order = start[2:4]
+            start[3] = (
+                min(2 * ratio / math.tan(order * math.pi / 2), 1.0)
+                if order < 1
+                else (1 - order) * self._slope
+            )
+        return start
+
+    @property
+    def _slope(self) -> float:
+        """−dr/dα at α = 1; without damping α has no meaning, and any will do."""
+        return math.pi * float(self.solution.shape[2] or 1.0)
 
     @property
     def place(self) -> Reals:
         """The solution's coordinates."""
-        return self.solution.shape[list(self.free)]
+        return self._start[list(self.free)]
 
     @cached_property
     def low(self) -> Reals:
         """As of `Problem`."""
-        return self.solution.lower[list(self.free)]
+        low = self.solution.lower.copy()
+        if self.turned:
+            low[3] = (1 - ALPHA_LIMITS[1]) * self._slope
+        return low[list(self.free)]
 
     @cached_property
     def high(self) -> Reals:
         """As of `Problem`."""
-        return self.solution.upper[list(self.free)]
+        high = self.solution.upper.copy()
+        if self.turned:
+            high[3] = 1.0
+        return high[list(self.free)]
 
     @property
     def reach(self) -> Reals:
@@ -99,36 +122,41 @@ class LinkProblem:
     def names(self) -> tuple[str, ...]:
         """The link's parameters, and the delay, that these coordinates move."""
         own = (*structure(self.solution.structure).free, "delay")
+        edge = self.turned and 3 not in self.free
         return tuple(
             name
             for name in own
-            if (COORDINATE[name] in self.free or (self.edge and name == "damping"))
+            if (COORDINATE[name] in self.free or (edge and name == "damping_order"))
             # At ω₀ = 0 it is no parameter: the link is the undamped one with λ = 2 − α.
-            and not (self.edge and name == "natural_frequency")
+            and not (edge and name == "natural_frequency")
         )
 
     def expanded(self, places: Reals) -> tuple[Reals, Reals]:
         """Shapes (M, 5) and their derivatives by the coordinates (M, 5, p)."""
-        shapes = np.repeat(self.solution.shape[None, :], len(places), axis=0)
+        shapes = np.repeat(self._start[None, :], len(places), axis=0)
         shapes[:, list(self.free)] = places
-        chain = np.zeros((len(places), 5, len(self.free)))
-        chain[:, list(self.free), range(len(self.free))] = 1.0
-        if self.edge:
-            turn = shapes[:, 3] * math.pi / 2
-            shapes[:, 2] = np.tan(turn) / 2
-            chain[:, 2, self.free.index(3)] = math.pi / 4 / np.cos(turn) ** 2
-        return shapes, chain
+        chain = np.tile(np.eye(5), (len(places), 1, 1))
+        if self.turned:
+            double, share = 2 * np.maximum(shapes[:, 2], _NO_DAMPING), shapes[:, 3]
+            square, over = math.pi / 2 * (double**2 + share**2), share < 0
+            shapes[:, 3] = np.where(
+                over, 1 - share / self._slope, 2 / math.pi * np.arctan2(double, share)
+            )
+            chain[:, 3, 2] = np.where(over, 0.0, 2 * share / square)
+            chain[:, 3, 3] = np.where(over, -1 / self._slope, -double / square)
+        return shapes, chain[:, :, list(self.free)]
 
     def clip(self, places: Reals) -> Reals:
         """As of `Problem`; beyond the largest damping ratio ω₀² would be negative."""
         places = np.clip(places, self.low, self.high)
-        if 2 in self.free:
-            shapes = self.expanded(places)[0]
-            column, below = self.free.index(2), shapes[:, 3] < 1
-            most = np.where(
-                below, np.tan(np.minimum(shapes[:, 3], 1) * math.pi / 2) / 2, np.inf
-            )
+        if self.turned and 3 in self.free:
+            double, column = 2 * places[:, self.free.index(2)], self.free.index(3)
+            most = double / math.tan(ALPHA_LIMITS[0] * math.pi / 2)
             places[:, column] = np.minimum(places[:, column], most)
+        elif 2 in self.free and self.solution.shape[3] < 1:
+            column = self.free.index(2)
+            largest = largest_ratio(float(self.solution.shape[3]))
+            places[:, column] = np.minimum(places[:, column], largest)
         return places
 
     def costs(self, places: Reals) -> Reals:
@@ -141,15 +169,18 @@ class LinkProblem:
         own = self.search
         return quadratic_of(own.kernel, *self.expanded(places), own.gain, own.offset)
 
-    def parameters(self, places: Reals, names: tuple[str, ...]) -> tuple[Reals, Reals]:
-        """Values (M, q) of parameters and their derivatives by the coordinates, shape
-        (M, q, p).
+    def parameters(
+        self, places: Reals, names: tuple[str, ...], *, squared: bool = False
+    ) -> tuple[Reals, Reals]:
+        """Values (M, q) of parameters, ω₀² for ω₀ where `squared`, and their
+        derivatives by the coordinates, shape (M, q, p).
         """
         shapes, chain = self.expanded(places)
         values, slopes = link_parameters(shapes)
         # ω₀ is the root of what the shape has; at zero its slope is infinite.
-        values[:, 0] = np.sqrt(values[:, 0])
-        slopes[:, 0] /= 2 * np.maximum(values[:, :1], 1e-6)
+        if not squared:
+            values[:, 0] = np.sqrt(values[:, 0])
+            slopes[:, 0] /= 2 * np.maximum(values[:, :1], 1e-6)
         rows = [NAMES.index(name) for name in names]
         return values[:, rows], slopes[:, rows] @ chain
 

@@ -145,28 +145,26 @@ def link_intervals(
 
     α has one where it ended at a limit, too.
     """
-    found: dict[str, Interval] = {}
-    # From the edge ω₀ = 0 some ends lie along it and some off it: the farther
-    # one that was reached is it.
-    for along in (False, True) if solution.on_edge else (False,):
-        problem = LinkProblem.of(search, solution, inside=False, along=along)
-        wanted = {*inflation, "damping_order"}
-        if solution.on_edge:
-            wanted.add("natural_frequency")
-        names = tuple(name for name in problem.names if name in wanted)
-        ends = interval_ends(
-            problem,
-            problem.place,
-            solution.cost,
-            search.window.samples,
-            partial(problem.parameters, names=names),
-            np.array([inflation.get(name, 1.0) for name in names]),
-        )
-        for name, own in zip(names, ends, strict=True):
-            other = found.get(name, own)
-            low = min(own, other, key=lambda end: (end.low_open, end.low))
-            high = min(own, other, key=lambda end: (end.high_open, -end.high))
-            found[name] = Interval(low.low, high.high, low.low_open, high.high_open)
+    problem = LinkProblem.of(search, solution, inside=False)
+    wanted = {*inflation, "damping_order"}
+    if solution.on_edge:
+        wanted.add("natural_frequency")
+    names = tuple(name for name in problem.names if name in wanted)
+    ends = interval_ends(
+        problem,
+        problem.place,
+        solution.cost,
+        search.window.samples,
+        # ω₀² is straight up to the edge ω₀ = 0, and ω₀ is not.
+        partial(problem.parameters, names=names, squared=True),
+        np.array([inflation.get(name, 1.0) for name in names]),
+    )
+    found = dict(zip(names, ends, strict=True))
+    if squares := found.get("natural_frequency"):
+        low, high = (math.sqrt(max(x, 0.0)) for x in (squares.low, squares.high))
+        # At its limit an end is open; the square is known to rounding, 1e-8.
+        low_open = squares.low_open or low <= 1e-4 * high
+        found["natural_frequency"] = Interval(low, high, low_open, squares.high_open)
     return found
 
 
