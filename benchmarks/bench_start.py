@@ -33,10 +33,11 @@ import numpy as np
 
 import fraclink as fl
 from fraclink._cli import main as command
+from fraclink.logs._guess import Question
 from harness import line, sizes
 from start_shapes import DELAY, FREQUENCY, ORDER, PERIOD, Shape, forms, motion, signals
 
-MOST_DECISIONS, MOST_SECONDS, FEWEST_SHAPES = 7, 3.0, 20
+MOST_DECISIONS, MOST_SECONDS, FEWEST_SHAPES, MOST_ANSWERS = 7, 3.0, 20, 3
 
 
 @dataclass
@@ -213,6 +214,12 @@ def made(count: int) -> tuple[dict[str, Outcome], int]:
     return found, broken
 
 
+def recorded_data() -> Path:
+    """The folder of the recorded logs beside the repository."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    return Path(os.environ.get("FRACLINK_SHARED", str(beside)))
+
+
 def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
     """Bundled and recorded logs: the file, what only its laboratory knows, the log as
     its rig states it.
@@ -221,9 +228,7 @@ def known_logs() -> Iterator[tuple[str, Path, tuple[str, ...], fl.Experiment]]:
         path = fl.bundled_log(name)
         yield name, path, (), fl.read_log(path)
     tests = Path(__file__).resolve().parents[1] / "tests"
-    data = Path(
-        os.environ.get("FRACLINK_SHARED", str(tests.parents[1] / "shared" / "data"))
-    )
+    data = recorded_data()
     recorded = {
         "ist_flexbar/2_lab_a05_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
         "ist_flexbar/2_lab_a10_f04.csv": ("ist", ("motor_angle=* 36.79 [deg]",)),
@@ -286,6 +291,69 @@ def known() -> tuple[int, int, list[str]]:
             flush=True,
         )
     return count, fitted, wrong
+
+
+# What the person at each recorded rig would answer: their READMEs say so.
+_ANSWERS = {
+    "daisy_robot_arm/robot-arm.csv": {"time": "4 ms", "motor_angle": "none"},
+    "ist_flexbar/1_test_deflection_model_2_final.mat": {"motor_angle": "none"},
+    "ist_flexbar/2_lab_a05_f04.csv": {"motor_angle": "36.79 deg"},
+    "ist_flexbar/2_lab_a10_f04.csv": {"motor_angle": "36.79 deg"},
+    "ist_flexbar/2_lab_a15_f10.csv": {"motor_angle": "36.79 deg"},
+    "quanser_rfl_merced/data_alpha.mat": {},
+    "quanser_rfl_merced/data_theta.mat": {
+        "motor_angle": "data_theta(:,3) [deg]",
+        "output": "none",
+    },
+    "quanser_rfl_merced/data_vm.mat": {},
+    "quanser_rfl_merced/merced_rfl.csv": {},
+    "rig_a_late_gauge/unit7.csv": {"time": "ms"},
+    "rig_b_two_stage/lqg30.mat": {
+        "motor_angle": "theta11 [rad]",
+        "output": "theta12 [rad]",
+    },
+    "rig_d_servo/linkshield.mat": {
+        "time": "4 ms",
+        "motor_angle": "u [deg]",
+        "output": "y",
+    },
+    "rig_e_cart/new_model.csv": {"motor_angle": "#3 [rad]", "output": "#4 [rad]"},
+    "rig_e_cart/step_damping.csv": {
+        "motor_angle": "#3 [rad]",
+        "output": "#3 + #4 [rad]",
+    },
+}
+
+
+def nothing_stated(data: Path) -> None:
+    """Every recorded file with nothing stated: fitted, or said why not, and the answers
+    that it took. Whether the reason is the true one is for a reader to judge.
+    """
+    ended, files = 0, [name for name in _ANSWERS if (data / name).exists()]
+    for name in files:
+        asked: list[str] = []
+
+        def answer(
+            question: Question, name: str = name, asked: list[str] = asked
+        ) -> str:
+            asked.append(question.role)
+            return _ANSWERS[name][question.role]
+
+        try:
+            found = fl.logs.start(data / name, ask=answer)
+        except ValueError as error:
+            end = str(error)
+        else:
+            codes = [finding.code for finding in found.fit.findings]
+            end = f"{'passed' if found.passed else 'not shown'} {' '.join(codes)}"
+        ended += len(asked) <= MOST_ANSWERS
+        print(f"     {name:<48} {len(asked)} answers: {end[:150]}", flush=True)
+    line(
+        f"recorded files, nothing stated: an end after <= {MOST_ANSWERS} answers",
+        f"{ended} of {len(files)}",
+        ">= 80 %",
+        ended >= 0.8 * len(files),
+    )
 
 
 def speed(rounds: int) -> None:
@@ -374,6 +442,7 @@ def main() -> None:
             "0",
             not faults,
         )
+        nothing_stated(recorded_data())
     speed(given.rounds)
 
 

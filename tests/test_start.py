@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -680,3 +681,43 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
         "strain_V",
     )
     assert found.columns.voltage.column == "u_V"
+
+
+@pytest.mark.parametrize(
+    ("name", "answers", "remedy"),
+    [
+        (
+            "daisy_robot_arm/robot-arm.csv",
+            {"time": "4 ms", "motor_angle": "none"},
+            "--input u --output y",
+        ),
+        (
+            "ist_flexbar/1_test_deflection_model_2_final.mat",
+            {"motor_angle": "none"},
+            "identify-structure",
+        ),
+        (
+            "quanser_rfl_merced/data_theta.mat",
+            {"motor_angle": "data_theta(:,3) [deg]", "output": "none"},
+            "both signals together",
+        ),
+    ],
+)
+def test_a_recorded_log_without_a_signal_ends_in_what_goes_on(
+    name: str, answers: dict[str, str], remedy: str
+) -> None:
+    asked = []
+
+    def answer(question: Question) -> str:
+        asked.append(question.role)
+        return answers[question.role]
+
+    with pytest.raises(LogError, match=re.escape(remedy)):
+        fl.logs.start(shared_data(*name.split("/")), ask=answer)
+    assert len(asked) <= 3
+
+
+def test_no_column_is_suggested_for_two_roles(tmp_path: Path) -> None:
+    path = Shape({"t": TIME, "a": MOTOR, "b": TORQUE}).write(tmp_path / "log.csv")
+    angle, output = guess_columns(read_table(path), {}).questions
+    assert angle.choices[0] != output.choices[0]

@@ -20,7 +20,7 @@ from fraclink.errors import FieldError
 from fraclink.logs._guess import Question
 from fraclink.logs._start import START_FILES, Start
 from fraclink.logs._start import start as start_from
-from fraclink.logs._weighing import answered
+from fraclink.logs._weighing import ABSENT, answered
 from fraclink.view._figures import fit_figure
 from fracsys.checks import Between, Payload
 
@@ -104,8 +104,13 @@ def _ask(question: Question) -> str:
     tell(question.text)
     # No numbers before them: 1 before "36.8 deg" would read as one of several choices,
     # and "2" as the column #2.
-    shown = "one of" if question.part == "column" else "such as"
-    tell(f"  {shown}: {', '.join(question.choices)}")
+    choices = ", ".join(question.choices)
+    column = question.part == "column"
+    tell(
+        f"  one of: {choices}; or {ABSENT}, where the log does not hold it"
+        if column
+        else f"  such as: {choices}"
+    )
     while True:
         sys.stderr.write(f"[{question.default}] > " if question.default else "> ")
         sys.stderr.flush()

@@ -65,11 +65,14 @@ class LinkProblem:
     @classmethod
     def of(cls, search: Search, solution: Solution, *, inside: bool) -> LinkProblem:
         """With all coordinates that are free in the structure, or those `inside` their
-        limits only.
+        limits only, of which the edge ω₀ = 0 is one.
         """
         stuck = set(solution.at_bound) if inside else set()
         turned = {2, 3} <= set(solution.free) - stuck
-        if inside and turned and solution.on_edge:
+        # α itself where it is inside: a covariance under colour is widened for each
+        # coordinate (see `sandwich`).
+        turned = turned and (not inside or solution.on_edge)
+        if inside and turned:
             stuck.add(3)
         free = [i for i in solution.free if i not in stuck]
         return cls(search, solution, tuple(free), turned)
@@ -137,7 +140,8 @@ class LinkProblem:
         shapes[:, list(self.free)] = places
         chain = np.tile(np.eye(5), (len(places), 1, 1))
         if self.turned:
-            double, share = 2 * np.maximum(shapes[:, 2], _NO_DAMPING), shapes[:, 3]
+            share = shapes[:, 3].copy()
+            double = 2 * np.maximum(shapes[:, 2], _NO_DAMPING)
             square, over = math.pi / 2 * (double**2 + share**2), share < 0
             shapes[:, 3] = np.where(
                 over, 1 - share / self._slope, 2 / math.pi * np.arctan2(double, share)

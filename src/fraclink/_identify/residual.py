@@ -120,6 +120,13 @@ def _power(coefficients: Vector, variance: float, size: int) -> Vector:
     return np.asarray(variance / np.abs(rfft(coefficients, size)) ** 2)
 
 
+def _memory(count: int) -> int:
+    """Length of the circle on which an autoregression's memory is taken: noise that
+    rings for longer than the record goes round it.
+    """
+    return 1 << (2 * count - 1).bit_length()
+
+
 def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, float]:
     """Autoregression (coefficients, variance) of the noise that left a residual, and
     its degrees of freedom.
@@ -140,11 +147,12 @@ def noise_behind(regressors: Matrix, residual: Vector) -> tuple[Vector, float, f
     spectra = rfft(basis, size, axis=1)
     found = autocovariance(residual)
     coefficients, variance = _levinson(found)
-    model = irfft(_power(coefficients, variance, size), size)
+    memory = _memory(count)
+    model = irfft(_power(coefficients, variance, memory), memory)
     freedom = _freedom(model[:count])
     for _ in range(_ROUNDS):
         again = _levinson(found + _taken(basis, spectra, model, size))
-        model = irfft(_power(*again, size), size)
+        model = irfft(_power(*again, memory), memory)
         # What has no four independent samples in a log is a drift or a misfit, not
         # noise: its strength is not to be had from a spectrum, and the correction runs
         # away with it. A ring-down of 8 s without noise, met to 0.004 %, had its
@@ -202,7 +210,7 @@ def coloured_covariance(
     of a model that misses nothing is.
     """
     count = regressors.shape[1]
-    size = next_fast_len(2 * count, real=True)
+    size = _memory(count)
     spectrum = rfft(regressors, size, axis=1)
     density = _power(coefficients, variance, size)
     density[1 : (size + 1) // 2] *= 2  # the negative frequencies

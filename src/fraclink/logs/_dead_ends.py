@@ -109,6 +109,19 @@ def no_angle(
             "without a motor that moves",
             f"if the link was bent and let go, run {command}",
         )
+    if len(free) > 1:
+        # Of two signals that belong together any structure can be fitted, whatever they
+        # are; which one drives is for the user to say.
+        command = (
+            f'fraclink identify-structure {shlex.quote(weighing.source)} "k/(s**a + w)*exp(-L*s)" '
+            f"--input {_called(weighing, free[0])} --output {_called(weighing, free[1])} "
+            f"--period-ms {1e3 * _period(weighing, time):.6g} --bound k=-1e9,1e9"
+        )
+        return _dead_end(
+            table,
+            "without the motor angle, from which a link is identified",
+            f"if one of its signals drives the other, run {command}",
+        )
     return _without(table, "the motor angle")
 
 

@@ -255,7 +255,12 @@ def _signals(weighing: Weighing, time: Channel | None) -> dict[str, int]:
         if (place := weighing.place(weighing.statement(role))) is not None
     }
     free = _free(weighing, time, roles, next(iter(stated.values()), None))
+    if time is not None and weighing.lacks("motor_angle"):
+        raise no_angle(weighing, time, free, roles)
+    if time is not None and weighing.lacks("output"):
+        raise no_output(weighing, time, stated.get("motor_angle"), free, roles)
     places: dict[str, int] = {}
+    suggested: set[str] = set()
     wanted: dict[str, tuple[str, ...]]
     wanted = {"motor_angle": ("motor_angle",), "output": ("torque", "deflection")}
     for role, part in (("motor_angle", "motor angle"), ("output", "output")):
@@ -281,7 +286,11 @@ def _signals(weighing: Weighing, time: Channel | None) -> dict[str, int]:
             unnamed = [k for k in left if roles[k][0] in likely]
             # Names of one letter are habits, and say little: u may be any input.
             unnamed += [k for k in left if len(weighing.name(k)) == 1]
-            _ask_column(weighing, role, named or list(dict.fromkeys(unnamed)))
+            choices = named or list(dict.fromkeys(unnamed))
+            # The column that one question suggests is no suggestion of the other.
+            choices.sort(key=lambda k: weighing.label(k) in suggested)
+            suggested.update(weighing.label(k) for k in choices[:1])
+            _ask_column(weighing, role, choices)
     open_roles = [q for q in weighing.questions if q.part == "column"]
     if time is not None and any(not question.choices for question in open_roles):
         # Asked without a choice: there is nothing in this log to answer with.

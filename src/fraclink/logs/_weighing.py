@@ -26,7 +26,18 @@ from fraclink._reading.names import unit_of_name
 from fraclink._reading.text import LogTable
 from fraclink.errors import FieldError
 
-__all__ = ["Guess", "Question", "Weighing", "answered", "stamps_of", "statements"]
+__all__ = [
+    "ABSENT",
+    "Guess",
+    "Question",
+    "Weighing",
+    "answered",
+    "stamps_of",
+    "statements",
+]
+
+# The answer where a log does not hold what a question asks for.
+ABSENT = "none"
 
 Certainty = Literal["stated", "certain", "likely", "assumed"]
 Array = NDArray[np.float64]
@@ -64,8 +75,9 @@ class Question:
     role
         time, motor_angle or output.
     part
-        ``"column"`` (the answer is a name, with its unit in brackets: ``theta [deg]``),
-        ``"unit"`` or ``"period"`` (a unit, with a factor before it if need be).
+        ``"column"`` (the answer is a name, with its unit in brackets: ``theta [deg]``;
+        or ``none``, where the log does not hold it), ``"unit"`` or ``"period"`` (a unit,
+        with a factor before it if need be).
     text
         the question.
     choices
@@ -122,6 +134,8 @@ def answered(
     """
     text = text.strip()
     if question.part == "column":
+        if text == ABSENT and ABSENT not in question.choices:
+            return replace(statement, column=ABSENT)
         _check_columns(question, text)
         stated, unit = text, text.rpartition("[")[2].rstrip("]") if "[" in text else ""
     else:
@@ -156,7 +170,9 @@ def answered(
 def _check_columns(question: Question, text: str) -> None:
     """Raise FieldError where an answer names none of the columns that may be meant."""
     if not any(name in text for name in question.choices):
-        allowed = f"{', '.join(question.choices[:12])}, or a sum such as a + b [rad]"
+        allowed = (
+            f"{', '.join(question.choices[:12])}, a sum such as a + b [rad], or none"
+        )
         remedy = f"such as {question.choices[0]} [deg]"
         problem = "none of these columns"
         raise FieldError("answer", text, problem, allowed=allowed, remedy=remedy)
@@ -191,11 +207,16 @@ class Weighing:
     def statement(self, role: str) -> ColumnStatement:
         return self.stated.get(role, ColumnStatement(role))
 
+    def lacks(self, role: str) -> bool:
+        """Whether an answer says that the log does not hold a role."""
+        own = self.statement(role).column
+        return own == ABSENT and ABSENT not in self.table.names
+
     def place(self, statement: ColumnStatement) -> int | None:
         """The place of a stated column; a name that itself ends in brackets is found
         whole.
         """
-        if statement.column is None:
+        if statement.column is None or self.lacks(statement.role):
             return None
         whole = f"{statement.column} [{statement.unit}]"
         known = statement.column in self.table.names or whole not in self.table.names
