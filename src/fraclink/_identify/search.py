@@ -17,6 +17,7 @@ from fraclink._identify.shape import (
     ORDER_LIMITS,
     Shape,
     Window,
+    columns_of,
     delayed,
     embedded,
     free_coordinates,
@@ -34,10 +35,10 @@ from fraclink.errors import NotConvergedError
 # 0.5 it is 23, with a sharper resonance (1.97) 24.
 _SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2
 _SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
-# λ and step in ln Ω, of the width of the resonance: ζ = 0.024 and 0.008, for what rings
-# on from before a cut.
-_SHARP, _SHARP_VALLEYS = ((1.97, 0.02), (1.99, 0.007)), 3
-_REMEMBERED = 20_000  # samples before the cut; ζ = 0.008 forgets in 60 periods
+# ζ, each a third of the one before, for what rings on from before a cut; steps in ln Ω
+# of a fifth of it, as gain and phase at the cut leave a fifth of the resonance's width.
+_SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 3
+_REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 forgets in 180 periods
 _ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
 # Delays that are tried as starts, as parts of the vibration's period: a fit creeps over
 # ± 0.15 by itself. Either of them alone, or neither, loses 3 more of those 160 logs.
@@ -258,16 +259,9 @@ class Search:
         """The best fit of a structure; found once."""
         if name not in self.solutions:
             found = self._best(name, list(self._starts(name)))
-            if (
-                name == FRACTIONAL and "delay" not in self.fixed
-            ):  # the other structures start from it
-                found = self._over_the_delays(found)
-            if (
-                name == FRACTIONAL and self.window.angle.size > self.window.samples
-            ):  # a cut log
-                found = self._from_places(found, self._sharp())
-            if 1 in found.at_bound or (4 in found.at_bound and found.shape[4] != 0.0):
-                found = self._from_other_valleys(found)
+            if name == FRACTIONAL:
+                # The other structures start from it, and in its valley.
+                found = self._over_the_valleys(found)
             if "delay" not in self.fixed:
                 if self.window.hold == "zero":
                     found = self._over_the_jumps(found)
@@ -277,6 +271,18 @@ class Search:
             # too.
             self.solutions[name] = replace(found, evaluations=self._evaluations)
         return self.solutions[name]
+
+    def _over_the_valleys(self, found: Solution) -> Solution:
+        """The best of a fit and of those from other delays, other vibrations of a cut
+        log, and other frequencies where it ended at a limit.
+        """
+        if "delay" not in self.fixed:
+            found = self._over_the_delays(found)
+        if self.window.angle.size > self.window.samples:
+            found = self._from_places(found, self._sharp())
+        if 1 in found.at_bound or (4 in found.at_bound and found.shape[4] != 0.0):
+            found = self._from_other_valleys(found)
+        return found
 
     def _from_other_valleys(self, found: Solution) -> Solution:
         """The best of a fit that ended at a limit of ω₀ or the delay, and of fits from
@@ -296,10 +302,7 @@ class Search:
 
     def _sharp(self) -> list[Shape]:
         """Places to begin at on a cut log, where a lightly damped link swings by all
-        that went before.
-
-        Of 48 logs that keep the last 2 s of 32 s (ζ of 0.005 and 0.02, 1 % noise) the
-        delay is right in 14 by the scan alone, in 37 with fits from these places.
+        that went before: the scan's broad resonances have forgotten it by then.
         """
         low, high = (math.log(x) for x in self.window.frequency_limits)
         delay = self.fixed.get("delay", 0.0)
@@ -309,13 +312,41 @@ class Search:
             self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :]
         )
         kernel = near.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
+        bands, width = self._ringing()
         rows: list[Shape] = []
         # Each is a seed of its own: the best one of so coarse a row need not be of the
         # best valley.
-        for order, step in _SHARP:
-            tried, costs = self._tried(kernel, np.arange(low, high, step), order, delay)
+        for ratio in _SHARP:
+            order = math.pi / math.acos(-ratio)
+            places = np.arange(low, high, ratio / 5)
+            apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
+            tried, costs = self._tried(kernel, places[apart <= width], order, delay)
             rows.extend(tried[lowest_valleys(costs, _SHARP_VALLEYS)])
         return rows
+
+    def _ringing(self) -> tuple[NDArray[np.float64], float]:
+        """Frequencies (K,) [rad/s] of the vibration behind a cut, and how far they lie
+        apart: those that explain the log with any state of the link at the cut.
+        """
+        own = self.window
+        inside = replace(own, angle=own.angle[-own.samples :])
+        low, high = own.frequency_limits
+        # Within the log two vibrations are told apart by half a turn.
+        spacing = math.pi / (2 * own.samples * own.period)
+        kernel = inside.kernel(low, longest_delay=0.0, coarse=True)
+        time = own.period * np.arange(own.samples)
+        ratio = _SHARP[1]
+        order, costs = math.pi / math.acos(-ratio), []
+        frequencies = np.arange(low, high, spacing)
+        for frequency in frequencies.tolist():
+            shape = np.array([order, math.log(frequency), 0.0, 1.0, 0.0])
+            state = np.exp((1j - ratio) * frequency * time)
+            moved = columns_of(kernel, shape)[0]
+            columns = np.stack([moved, state.real, state.imag, np.ones(time.size)])
+            basis = np.linalg.qr(columns.T)[0]
+            costs.append(own.output @ own.output - np.sum((own.output @ basis) ** 2))
+        self._evaluations += len(costs)
+        return frequencies[np.array(costs) <= _WORTH * min(costs)], spacing
 
     def _from_places(self, found: Solution, rows: Iterable[Shape]) -> Solution:
         """The best of a fit and of those from other places."""

@@ -263,10 +263,13 @@ class Window:
 
     @property
     def frequency_limits(self) -> tuple[float, float]:
-        """Resonances [rad/s] that the log can show: a period and a half in it, six
-        samples in a period.
+        """Resonances [rad/s] that the log can show: a period and a half in it or in the
+        motion known before it, six samples in a period.
         """
-        return 3 * math.pi / (self.samples * self.period), math.pi / (3 * self.period)
+        # What moved before a cut swings on behind it, and shows there how slowly.
+        return 3 * math.pi / (self.angle.size * self.period), math.pi / (
+            3 * self.period
+        )
 
     @property
     def is_rough(self) -> bool:
