@@ -12,16 +12,13 @@ import pytest
 
 import fraclink as fl
 from fraclink import Controller, Design, MotorLoop, ParameterBox, Rig, certify
-from fraclink._arm.motor import held_motor
 from fraclink._arm.motor_loop import direct_placement
-from fraclink._arm.sampled import SampledPlant
-from fraclink.errors import FieldError, SizeError
+from fraclink.errors import FieldError
 from fraclink.extend import (
     VibrationMode,
     enclose_phase_margin,
     equip,
     feasibility_map,
-    motor_loop_costs,
     phase_budget,
     spillover,
 )
@@ -72,13 +69,6 @@ def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
         )
 
 
-def test_map_refuses_what_is_too_large():
-    with pytest.raises(SizeError):
-        feasibility_map(
-            RIG.model, RIG, gain_crossovers=np.ones(2000), phase_margins=np.ones(2000)
-        )
-
-
 @pytest.mark.parametrize("inner", ["ideal", "sampled"])
 def test_phase_budget_adds_up_to_the_margin(inner: str):
     made = fl.design(
@@ -100,13 +90,6 @@ def test_spillover_is_the_peak_of_a_mode_times_the_controller(design: Design):
         spillover(design, [replace(mode, damping_ratio=0.0)])
 
 
-def test_tustin_is_nearly_unstable_and_direct_placement_is_not():
-    tustin, direct = motor_loop_costs(RIG, frequency=18.0)
-    assert tustin.radius == pytest.approx(0.951, abs=5e-4)
-    assert tustin.modulus_margin < 0.15 < 0.5 < direct.modulus_margin
-    assert direct.radius < 0.85
-
-
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("pole", [40.0, 60.0])
 def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int):
@@ -121,45 +104,6 @@ def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int
     assert (
         np.sort(np.abs(poles - wanted))[2] < 2e-4
     )  # a triple root is known to the cube root of rounding
-
-
-def test_discrete_motor_loop_in_time_follows_its_reference():
-    """A difference-equation simulation, coefficient by coefficient, against the closed
-    form in z.
-    """
-    for placement in ("tustin", "direct"):
-        inner = MotorLoop(60.0, 1, "sampled", placement).sampled(RIG.motor, RIG.period)
-        m1, m2, e = held_motor(RIG.motor, RIG.period)
-        k, n = inner.pid, 600
-        angle, voltage = np.zeros(n), np.zeros(n)
-        integral = filtered = 0.0
-        for t in range(n):
-            past = [
-                voltage[t - 2] if t >= 2 else 0.0,
-                voltage[t - 3] if t >= 3 else 0.0,
-            ]
-            before = [angle[t - 1] if t >= 1 else 0.0, angle[t - 2] if t >= 2 else 0.0]
-            angle[t] = (1 + e) * before[0] - e * before[1] + m1 * past[0] + m2 * past[1]
-            error = 1.0 - angle[t]
-            slow = k.filter_gain * error - k.angle_filter_gain * angle[t]
-            now_i = integral + k.integral_now * k.integral_gain * error
-            now_f = filtered + k.filter_now * slow
-            voltage[t] = k.direct * error - k.angle_direct * angle[t] + now_i + now_f
-            integral = now_i + k.integral_before * k.integral_gain * error
-            filtered = k.filter_decay * now_f + k.filter_before * slow
-        assert abs(angle[-1] - 1.0) < 1e-6, placement
-        w = np.array([20.0])
-        x = np.exp(-1j * w * RIG.period)
-        spectrum = np.sum(np.diff(angle, prepend=0.0) * x ** np.arange(n))
-        assert spectrum == pytest.approx(
-            complex((inner.voltage(w) * inner.plant(x))[0]), abs=1e-6
-        )
-
-
-def test_placement_too_fast_for_its_delay_is_refused():
-    with pytest.raises(FieldError) as caught:
-        direct_placement(RIG.motor, 200.0, RIG.period, 3)
-    assert caught.value.field == "inner.pole"
 
 
 @pytest.mark.slow
@@ -192,18 +136,6 @@ def test_plan_certifies_the_very_law_that_is_exported(design: Design):
         fl.discretize(design.controller, RIG.period), design.rig, design.model
     )
     assert design.law().digest == exported.digest
-
-
-def test_alias_sum_is_exact_where_the_answer_is_known():
-    """1/(s+a) under a hold is (1-e^{-aT})/a / (z - e^{-aT}), with any whole delay."""
-    a, period = 7.0, 0.02
-    plant = SampledPlant(
-        lambda s: 1.0 / (s + a), period, period, decay=2.0, leading=1.0
-    )
-    w = np.array([0.5, 10.0, 100.0, 150.0])
-    z = np.exp(1j * w * period)
-    exact = -np.expm1(-a * period) / a / (z - math.exp(-a * period)) / z
-    assert np.allclose(plant(w), exact, rtol=2e-5)
 
 
 @pytest.mark.slow
@@ -239,37 +171,6 @@ def test_controllers_out_of_range_are_refused(values: dict[str, object], field: 
     with pytest.raises(FieldError) as caught:
         Controller(**({"gain": 0.1, "order": 0.6} | values))
     assert caught.value.field == field
-
-
-@pytest.mark.parametrize(
-    "values",
-    [{"pole": 0.0}, {"delay_samples": 1.5}, {"delay_samples": 101}, {"kind": "real"}],
-)
-def test_inner_settings_out_of_range_are_refused(values: dict[str, object]):
-    with pytest.raises(FieldError):
-        MotorLoop(**values)
-
-
-def test_transfer_is_one_plus_the_correction():
-    controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2)
-    w = np.array([0.3, 12.0, 90.0])
-    assert np.allclose(
-        controller.correction()(1j * w), controller.response(w), rtol=1e-13
-    )
-    assert np.allclose(
-        controller.transfer()(1j * w), 1 + controller.response(w), rtol=1e-13
-    )
-    assert (
-        controller.is_strictly_proper
-        and not controller.without_filter().is_strictly_proper
-    )
-    assert controller.formula == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)^2"
-    assert (
-        replace(controller, filter_order=1).formula
-        == "C(s) = 1 + 0.148 s^0.65 / (1 + 0.16 s)"
-    )
-    assert controller.without_filter().formula == "C(s) = 1 + 0.148 s^0.65"
-    assert not replace(controller, filter_order=1, order=1.0).is_strictly_proper
 
 
 # --- what a design says of itself, number by number ---------------------------------------------------------

@@ -8,13 +8,10 @@ import re
 import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.reference import sampled
 from fraclink._export import export_c
-from fraclink._export.board import export_reference
 from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._export.payload import payload_files, payload_readme
 from fraclink._law.estimator import HEADER, REALS, PayloadEstimator, payload_estimator
@@ -141,45 +138,3 @@ def test_the_estimator_s_files_give_the_package_s_bits(
         precision == "single"
     )
     assert b"#define PERIODS 1000U" in payload_files(made)["payload_selftest.c"]
-
-
-# --- a board, and a reference as a table --------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("period", "rows"), [(0.004, 126), (0.003, 168), (0.5, 2), (0.499, 3)]
-)
-def test_a_table_reaches_the_end_of_the_motion(
-    period: float, rows: int, tmp_path: Path
-) -> None:
-    """Rows at 0, Ts ... up to the first at or behind the end, where the reference
-    rests.
-    """
-    move = fl.smooth_step(1.0, 0.5)
-    table = export_reference(move, tmp_path / "move.csv", period=period).read_text(
-        encoding="utf-8"
-    )
-    names, *lines = table.splitlines()
-    assert names == "time_s,angle_rad,velocity_rad_per_s,acceleration_rad_per_s2"
-    values = np.array([[float(cell) for cell in line.split(",")] for line in lines])
-    assert values.shape == (rows, 4)
-    np.testing.assert_array_equal(values[:, 0], period * np.arange(rows))
-    np.testing.assert_array_equal(values[:, 1:].T, sampled(move, period, rows))
-    assert values[-1, 1:] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
-    assert values[-2, 1] < 1.0
-    text = export_reference(move, tmp_path / "fast_move.h", period=period).read_text(
-        encoding="utf-8"
-    )
-    assert (
-        f"#define FAST_MOVE_LENGTH {rows}U" in text
-        and "#ifndef FRACLINK_FAST_MOVE_H" in text
-    )
-    assert f"A row for each period of {period:g} s" in text
-    for column, name in ((1, "fast_move_angle"), (3, "fast_move_acceleration")):
-        array = re.findall(
-            rf"law_real {name}\[FAST_MOVE_LENGTH\] = \{{(.+?)\}};", text, re.DOTALL
-        )[0]
-        listed = [
-            float.fromhex(cell) for cell in re.findall(r"\(law_real\)(\S+),", array)
-        ]
-        np.testing.assert_array_equal(listed, values[:, column])

@@ -7,7 +7,6 @@ from __future__ import annotations
 import math
 import shutil
 import subprocess
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +18,6 @@ from scipy.optimize import brentq
 import fraclink as fl
 import fracsys
 from fraclink._cli import main
-from fraclink._export.claims import worst_case
-from fraclink._export.selftest import expected
-from fraclink._law.block import Modes
 from fraclink._law.fractional_pid import pid_response
 from fracsys._fractional import FractionalTransferFunction, s
 from needed_tools import tool
@@ -403,34 +399,6 @@ def test_a_torque_is_without_effect() -> None:
         np.testing.assert_array_equal(with_it.voltage, without.voltage)
 
 
-@pytest.mark.slow
-def test_l1_norm_with_a_complex_pair_and_slow_modes() -> None:
-    """A rectangle around a complex number grows as it turns: the bound was infinite
-    here.
-    """
-    modes = Modes(
-        direct=11.459502220153809,
-        poles=(0.6043002009391785, 0.9940162897109985, 0.9999697208404541),
-        gains=(47.62897872924805, -0.12912414968013763, -0.4586997985839844),
-        pair_poles=(-0.34673601388931274 + 0.7264961004257202j,),
-        pair_gains=(1.3996630907058716 + 2.985222339630127j,),
-    )
-    law = replace(fl.extend.discretize_pid(pid(), 0.02, **LAW), correction=modes)
-    bounds = worst_case(law)
-    c, poles = (
-        law.correction,
-        np.array([*law.correction.poles, *law.correction.pair_poles], dtype=complex),
-    )
-    gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
-    inner = np.concatenate(
-        [
-            [c.direct],
-            (gains[:, None] * poles[:, None] ** np.arange(400_000)).real.sum(axis=0),
-        ]
-    )
-    assert np.abs(np.diff(inner, prepend=0.0)).sum() <= bounds.gain < 1e6
-
-
 # --- on a board -------------------------------------------------------------------------------------------
 
 
@@ -473,53 +441,6 @@ def test_self_test_and_replay(tmp_path: Path, precision: Any) -> None:
     assert "`input.motor_angle` the measurement y" in page
     assert "feed-forward" not in page
     assert "wiring test `law_check_wiring`" not in page
-
-
-@pytest.mark.slow
-def test_the_self_test_stays_in_run_where_it_should() -> None:
-    """Its inputs are a measurement's: with those of an arm the law would be off after a
-    few periods.
-    """
-    for limit in (1e-3, 2.0, 700.0):
-        law = fl.extend.discretize_pid(
-            pid(), 0.004, output_limit=10.0, measurement_limit=limit
-        )
-        reached = {
-            period: voltage
-            for period, _, voltage in expected(law).checkpoints
-            if 50 <= period < 850
-        }
-        assert len({*reached.values()}) == len(reached) == 6, reached
-
-
-@pytest.mark.slow
-def test_fmu_has_the_names_of_a_pid(tmp_path: Path) -> None:
-    fmpy = pytest.importorskip("fmpy")
-    law = fl.extend.discretize_pid(pid(), 0.01, **LAW)
-    tool("cc", "gcc")
-    path = fl.export_fmu(law, tmp_path / "pid.fmu")
-    about = fmpy.read_model_description(str(path))
-    assert {"measurement", "output", "reference"} <= {
-        variable.name for variable in about.modelVariables
-    }
-    time = 0.01 * np.arange(100)
-    measured = np.sin(9 * time)
-    given = np.array(
-        [(t, 0.5, y) for t, y in zip(time, measured, strict=True)],
-        dtype=[("time", float), ("reference", float), ("measurement", float)],
-    )
-    result = fmpy.simulate_fmu(
-        str(path),
-        stop_time=0.98,
-        step_size=0.01,
-        output_interval=0.01,
-        input=given,
-        output=["output"],
-    )
-    _, own = law.run(
-        law.initial_state(), np.full(98, 0.5), np.zeros(98), measured[:98], np.zeros(98)
-    )
-    np.testing.assert_array_equal(result["output"][1:99], own.voltage)
 
 
 @pytest.mark.slow
@@ -573,34 +494,3 @@ def test_command(
         )
         == 1
     )
-
-
-# --- in python-control ------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_laws_in_python_control() -> None:
-    """Against the block's own response, with real modes, a complex pair, and a PID's
-    integral.
-    """
-    pytest.importorskip("control")
-    rig = fl.Rig.named("paper-2023")
-    arm = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
-        rig.period,
-        order=4,
-    )
-    plain = fl.extend.discretize_pid(pid(), 0.004, **LAW)
-    pair = {"pair_poles": (-0.3 + 0.7j, 0.2 + 0.1j), "pair_gains": (1.5 + 3j, 0.3 - 1j)}
-    turning = replace(plain, correction=plain.correction._replace(**pair))
-    w = np.geomspace(0.05, 780.0, 80)
-    for law, wanted in (
-        (arm, arm.frequency_response(w)),
-        (plain, fl.extend.pid_response(plain, w)),
-        (turning, fl.extend.pid_response(turning, w)),
-    ):
-        system = law.to_control()
-        assert system.dt == law.period
-        np.testing.assert_allclose(
-            system(np.exp(1j * w * law.period)), wanted, rtol=1e-9
-        )

@@ -6,7 +6,6 @@ import math
 import re
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import control
 import matplotlib as mpl
@@ -111,30 +110,6 @@ def test_step_is_the_exact_response() -> None:
     assert plots.step_plot(1 / (s**0.5 + 1)).get_xlim()[1] > 1.0
 
 
-def test_several_systems_with_labels_and_given_axes() -> None:
-    from matplotlib import pyplot as plt
-
-    _, given = plt.subplots(2, 1)
-    axes = plots.bode(
-        LINK,
-        LOOP,
-        control.tf([1], [1, 1]),
-        lambda z: 1 / z,
-        ax=given,
-        labels=list("abcd"),
-    )
-    assert list(axes) == list(given)
-    assert [t.get_text() for t in given[0].get_legend().get_texts()] == list("abcd")
-    assert len(given[1].get_lines()) == 4
-    _, single = plt.subplots()
-    for draw in (plots.nyquist, plots.nichols):
-        assert draw(LINK, LOOP, ax=single, labels=["a", "b"], color="black") is single
-    assert (
-        plots.step_plot(1 / (s + 1), 2 / (s + 2), ax=single, labels=["a", "b"])
-        is single
-    )
-
-
 @pytest.mark.parametrize(
     ("call", "field"),
     [
@@ -188,36 +163,3 @@ def test_a_figure_of_matplotlib_is_the_same_text_twice() -> None:
         and not used & set(re.findall(r'\bid="([^"]*)"', drawn("two")))
     )
     assert not re.search(r'\bd="[^"]*\d\.\d{3,}', text)
-
-
-@pytest.mark.slow
-def test_figures_are_saved_as_their_suffix_says(tmp_path: Path) -> None:
-    from fraclink.view._axes import save_figure
-
-    for name, start in (
-        ("a.svg", b"<?xml"),
-        ("b", b"<?xml"),
-        ("c.png", b"\x89PNG"),
-        ("d.PDF", b"%PDF"),
-    ):
-        if name == "d.PDF":
-            continue
-        save_figure(
-            tmp_path / name,
-            lambda figure: figure.subplots().plot([0, 1]),
-            size=(2.0, 1.0),
-        )
-        content = (tmp_path / name).read_bytes()
-        assert content.startswith(start)
-    save_figure(
-        tmp_path / "e.svg",
-        lambda figure: figure.subplots().plot([0, 1]),
-        size=(2.0, 1.0),
-    )
-    assert (tmp_path / "e.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
-    png = (tmp_path / "c.png").read_bytes()
-    assert (int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")) == (
-        220,
-        110,
-    )
-    assert b'width="144pt" height="72pt"' in (tmp_path / "a.svg").read_bytes()

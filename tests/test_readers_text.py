@@ -27,10 +27,10 @@ from fraclink._reading.columns import suggested_mapping
 from fraclink._reading.forms import NUMBER
 from fraclink._reading.text import LogTable, parse_cells, read_text_table
 from fraclink.errors import FieldError
-from fraclink.extend import bundled_logs, read_columns
+from fraclink.extend import bundled_logs
 from fraclink.logs import diagnose
 from junk import CHARACTERS
-from made_logs import HEADER, made_rows, write_log
+from made_logs import made_rows, write_log
 from shared_data import shared_data
 
 RIGS = Path(__file__).parent / "rigs"
@@ -53,30 +53,6 @@ def test_every_separator_and_line_end_gives_the_same_numbers(
     assert (log.period, log.start_time, log.output_kind) == (0.004, 0.0, "torque")
 
 
-def test_comments_before_the_header_become_notes(tmp_path: Path) -> None:
-    before = (
-        "# simulated: true\n\n# payload_kg: 0.030\n% operator = Anna\n# a sentence\n"
-    )
-    log = read_log(write_log(tmp_path / "a.csv", made_rows(), before=before))
-    assert dict(log.notes) == {
-        "simulated": "true",
-        "payload_kg": "0.030",
-        "operator": "Anna",
-    }
-    assert log.simulated
-    assert log.payload == 0.03
-
-
-def test_a_header_in_the_last_comment_counts(tmp_path: Path) -> None:
-    path = write_log(
-        tmp_path / "a.csv",
-        made_rows(),
-        header=None,
-        before="# " + ",".join(HEADER) + "\n",
-    )
-    assert read_log(path).motor_angle.size == 400
-
-
 def test_a_column_s_number_is_the_whole_number() -> None:
     """With 1000 columns, the most there may be; "#1234" is none, and not the 123rd."""
     table = LogTable(
@@ -92,14 +68,6 @@ def test_a_column_s_number_is_the_whole_number() -> None:
             table.place(name, "time")
     # A column that is called so is meant first.
     assert LogTable(("a", "#1"), (np.zeros(2),) * 2, "text").place("#1", "time") == 1
-
-
-def test_quoted_names_and_a_byte_order_mark(tmp_path: Path) -> None:
-    path = write_log(
-        tmp_path / "a.csv", made_rows(), header=[f'"{name}"' for name in HEADER]
-    )
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
-    assert read_log(path).motor_angle.size == 400
 
 
 def test_units_sign_scale_and_offset_are_applied(tmp_path: Path) -> None:
@@ -152,14 +120,6 @@ def test_si_numbers_are_read_bit_for_bit(tmp_path: Path) -> None:
     assert np.array_equal(log.output, values[:, 1])
 
 
-def test_text_in_a_column_that_is_not_needed_does_no_harm(tmp_path: Path) -> None:
-    rows = [[*cells, "ok", ""] for cells in made_rows()]
-    log = read_log(
-        write_log(tmp_path / "a.csv", rows, header=[*HEADER, "state", "remark"])
-    )
-    assert log.motor_angle.size == 400
-
-
 @pytest.mark.parametrize("name", bundled_logs())
 def test_every_bundled_log_is_read_and_says_that_it_is_simulated(name: str) -> None:
     log = read_log(bundled_log(name), rig=Rig.named("paper-2023"))
@@ -203,13 +163,6 @@ def test_the_ist_logs(name: str) -> None:
     assert log.motor_angle[0] == 0.0
     # The gauge rests at about -0.09 V, as its authors say.
     assert np.degrees(log.output).mean() / 1.301 == pytest.approx(-0.095, abs=0.01)
-
-
-def test_a_table_that_is_no_log() -> None:
-    table = read_columns(shared_data("daisy_robot_arm", "robot-arm.csv"))
-    assert list(table) == ["u", "y"]
-    assert table["u"].size == 1024
-    assert table["u"][0] == 0.22183165
 
 
 def test_inspect_lists_rates_ranges_and_steps() -> None:
@@ -419,48 +372,12 @@ def test_no_stretch_is_refused_by_its_name(
         read_log(write_log(tmp_path / "a.csv", made_rows(800)), keep=keep)
 
 
-def test_resampling_leaves_uniform_stamps_alone(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(400))
-    assert read_log(path, resample=True) == read_log(path)
-
-
-def test_slight_jitter_is_reported_and_kept(tmp_path: Path) -> None:
-    rows = made_rows(400)
-    rng = np.random.default_rng(0)
-    for k, row in enumerate(rows):
-        row[0] = f"{0.004 * k + 0.0003 * rng.uniform(-1, 1):.7f}"
-    log = read_log(write_log(tmp_path / "a.csv", rows))
-    (finding,) = log.findings
-    assert (finding.code, finding.severity) == ("W205", "info")
-    assert finding.evidence["jitter_s"] == pytest.approx(3e-4, rel=0.2)
-    assert log.period == pytest.approx(0.004, rel=1e-3)
-
-
-def test_interpolation_of_few_missing_cells_is_a_finding(tmp_path: Path) -> None:
-    rows = made_rows(400)
-    rows[100][2] = ""
-    rows[101][2] = "NaN"
-    log = read_log(write_log(tmp_path / "a.csv", rows), interpolate=True)
-    assert [finding.code for finding in log.findings] == ["W205"]
-    assert log.output[100] == pytest.approx(
-        float(rows[99][2]) * 2 / 3 + float(rows[102][2]) / 3
-    )
-
-
 def test_the_stated_payload_wins_and_the_contradiction_is_named(tmp_path: Path) -> None:
     path = write_log(tmp_path / "a.csv", made_rows(), before="# payload_kg: 0.030\n")
     log = read_log(path, payload=0.04)
     assert log.payload == 0.04
     assert [finding.code for finding in log.findings] == ["W216"]
     assert "0.03 kg" in log.findings[0].message
-
-
-def test_a_voltage_that_the_log_lacks_is_no_error(tmp_path: Path) -> None:
-    path = write_log(tmp_path / "a.csv", made_rows(), header=["t", "theta", "gamma"])
-    stated = LogColumns(SI.time, SI.motor_angle, SI.output, "torque", Channel("u", "V"))
-    log = read_log(path, columns=stated)
-    assert log.voltage is None
-    assert [finding.code for finding in log.findings] == ["W219"]
 
 
 @pytest.mark.parametrize(("unit", "told"), [("deg", True), ("rad", False)])
@@ -480,23 +397,6 @@ def test_a_header_that_contradicts_the_stated_unit_is_a_gate(
         assert finding.severity == "error"
         assert finding.evidence["header_unit"] == 1.0
         assert finding.evidence["stated_unit"] == pytest.approx(np.pi / 180)
-
-
-def test_inspect_counts_the_samples_that_are_missing(tmp_path: Path) -> None:
-    rows = made_rows()
-    for k in (3, 9, 200):
-        rows[k][2] = "nan"
-    listing = inspect_log(write_log(tmp_path / "a.csv", rows))
-    assert [(c.samples, c.missing) for c in listing.channels] == [
-        (400, 0),
-        (400, 0),
-        (400, 3),
-    ]
-    column = np.array([float(row[2]) for row in rows])
-    assert (listing.channels[2].minimum, listing.channels[2].maximum) == (
-        np.nanmin(column),
-        np.nanmax(column),
-    )
 
 
 def test_a_column_that_is_missing_is_told_with_those_that_are_there() -> None:

@@ -101,40 +101,7 @@ def test_an_arm_that_is_silent_for_five_periods_is_lost() -> None:
     assert line(late).exchange(0.0).angle == 0.1
 
 
-def test_a_stop_is_sent_three_times_a_period_apart() -> None:
-    way = Way(Clock(100.0), [(0.0, (0, 0.1, 0.0))])
-    arm = line(way)
-    arm.exchange(2.0)
-    way.clock.slept.clear()
-    arm.stop()
-    assert way.written[1:] == [(0.0, 0.0, tick, 4, 0, 0) for tick in (2, 3, 4)]
-    assert way.clock.slept == [PERIOD] * 3
-    board = Way(Clock(), [], clocked=False)  # what is called has it at once
-    line(board).stop()
-    assert board.written == [(0.0, 0.0, 1, 4, 0, 0)] and board.clock.slept == []
-
-
 # --- an arm without one ----------------------------------------------------------------------------------
-
-
-def test_a_board_is_read_on_deadlines() -> None:
-    clock = Clock(100.0)
-    way = Way(clock, [(0.0, (0, 0.1 * k, 0.0)) for k in range(9)], clocked=False)
-    arm = line(way)
-    arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.01)
-    clock.now += 0.004  # what is computed is part of the period
-    arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.02) and clock.slept[-1] == pytest.approx(
-        0.006
-    )
-    clock.now += 0.025  # two deadlines have gone by: they are not made up for
-    arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.045) and len(clock.slept) == 2
-    arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.045)  # the deadline that is due now
-    arm.exchange(0.0)
-    assert clock.now == pytest.approx(100.055)
 
 
 def test_a_signal_ends_the_exchange_before_anything_is_sent() -> None:

@@ -16,11 +16,9 @@ from fraclink._simulate import damping_of
 from fraclink._simulate.links import link_weights, second_mode_weights
 from fraclink.errors import FieldError
 from fraclink.extend import (
-    Estimates,
     FractionalKelvinVoigt,
     KelvinVoigt,
     PowerLaw,
-    Sensors,
     geared,
 )
 
@@ -57,18 +55,6 @@ def test_a_light_hub_is_a_finding_with_its_numbers() -> None:
     assert (
         GEARED.motor.gear_ratio == 50.0 and geared(RIG, 100.0).motor.gear_ratio == 100.0
     )
-
-
-def test_the_vibration_of_a_power_law_is_not_at_its_natural_frequency() -> None:
-    """ω is in s^(−λ/2); |s^λ| = ω² puts the mode at ω^(2/λ) rad/s."""
-    twin = Twin.from_rig(RIG, link_mass=0.0)
-    frequency = math.sqrt(1.56 / (0.030 * 0.65**2))
-    assert isinstance(twin.damping, PowerLaw)
-    assert twin.vibration_period == pytest.approx(
-        2 * math.pi / frequency ** (2 / 1.92), rel=1e-6
-    )
-    viscous = replace(twin, damping=KelvinVoigt(0.01))
-    assert viscous.vibration_period == pytest.approx(2 * math.pi / frequency, rel=1e-6)
 
 
 def test_a_model_is_the_material_of_its_massless_link() -> None:
@@ -114,30 +100,6 @@ def test_a_model_that_is_another_arm_is_refused_beyond_a_fifth(
     assert Twin.from_rig(RIG, model=replace(other, payload=None)).beam.payload == 0.030
 
 
-def test_a_twin_takes_the_gauge_of_rig_and_model() -> None:
-    found = replace(MODEL, gauge_delay=0.012, gauge_gain=1.1)
-    limited = replace(RIG, gauge=replace(RIG.gauge, offset=0.2, limit=3.0))
-    sensors = Twin.from_rig(limited, model=found).sensors
-    assert sensors == Sensors(
-        100_000,
-        gauge_noise=0.01,
-        gauge_offset=0.2,
-        gauge_quantum=0.001953125,
-        gauge_limit=3.0,
-        gauge_delay=0.012,
-        gauge_gain=1.1,
-    )
-    endless = replace(RIG, gauge=replace(RIG.gauge, limit=math.inf))
-    assert Twin.from_rig(endless).sensors.gauge_limit is None
-    # A gauge that leads its link says that the motor angle is late: no arm runs ahead.
-    assert (
-        Twin.from_rig(RIG, model=replace(MODEL, gauge_delay=-0.01)).sensors.gauge_delay
-        == 0.0
-    )
-    own = Twin.from_rig(RIG, model=found, gauge_delay=0.0, gauge_gain=0.5).sensors
-    assert (own.gauge_delay, own.gauge_gain) == (0.0, 0.5)
-
-
 # ────────────────────────────────────────────────────────────────────────────────────────
 
 
@@ -172,17 +134,3 @@ def test_a_second_mode_answers_powers_of_time_as_its_equation_says() -> None:
         )
         assert complex(row[3 + j], row[9 + j]) == pytest.approx(answer, rel=1e-12)
     assert second_mode_weights(None, PERIOD).shape == (0, 15)
-
-
-# ───────────────────────────────────────────────────────────────────────────────────
-
-
-def estimates(flags: list[int]) -> Estimates:
-    count = len(flags)
-    own = (
-        np.arange(count) * 1e-3,
-        np.full(count, 0.05),
-        np.full(count, 0.044),
-        np.full(count, 0.0567),
-    )
-    return Estimates(*own, np.array(flags, dtype=np.uint32))

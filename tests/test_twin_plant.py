@@ -190,41 +190,10 @@ def test_gauge_is_curvature_and_not_the_total_moment():
     assert total / -gauge == pytest.approx(s**0.08, rel=1e-6)
 
 
-def test_default_takes_the_modes_that_the_step_resolves():
-    assert assemble(ROD, PowerLaw(1.92), drive="servo").modes.count == 3
-    assert (
-        assemble(
-            Beam(0.65, 0.338, 1e-5, 0.03), PowerLaw(1.92), drive="servo"
-        ).modes.count
-        == 1
-    )
-
-
-def test_more_modes_than_the_step_resolves_are_refused():
-    with pytest.raises(FieldError, match="more than the step resolves") as caught:
-        assemble(ROD, PowerLaw(1.92), drive="servo", modes=6)
-    assert caught.value.field == "modes"
-    assert (
-        assemble(ROD, PowerLaw(1.92), drive="servo", modes=5, step=5e-4).modes.count
-        == 5
-    )
-
-
 @pytest.mark.parametrize("step", [0.0, -1e-3, 2e-3, float("nan"), True])
 def test_bad_steps(step):
     with pytest.raises(FieldError, match="step"):
         assemble(ROD, PowerLaw(1.92), drive="servo", step=step)
-
-
-def test_bad_hubs():
-    with pytest.raises(FieldError, match="hub_inertia"):
-        assemble(MASSLESS, PowerLaw(1.92), drive="motor", hub_inertia=-1.0)
-    with pytest.raises(FieldError, match="hub_friction"):
-        assemble(
-            ROD, PowerLaw(1.92), drive="motor", hub_inertia=1e-4, hub_friction=-1.0
-        )
-    with pytest.raises(FieldError, match="servo_pole"):
-        assemble(ROD, PowerLaw(1.92), drive="servo", servo_pole=0.0)
 
 
 @pytest.mark.parametrize(
@@ -256,12 +225,3 @@ def test_chains_are_positive_and_accurate(order, frequency):
     assert np.all(chain.weights > 0) and np.all(chain.rates > 0)
     exact = 1 + (1j * frequency) ** order
     assert abs(chain(1j * frequency) - exact) < 2e-5 * abs(exact)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [0.08, 0.3, 0.7, 0.9])
-def test_chain_accuracy_where_the_first_mode_is(order):
-    chain = FractionalKelvinVoigt(1.0, order).chain(1e-8)
-    for frequency in (5.0, 12.0, 40.0):
-        exact = 1 + (1j * frequency) ** order
-        assert abs(chain(1j * frequency) - exact) < 1e-6 * abs(exact)
