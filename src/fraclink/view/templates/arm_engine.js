@@ -205,7 +205,7 @@ const EXTRA_DELAY = 6; // periods that the button "late" adds
 
 const state = {
   payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-  delay: DATA.start.delay, told: DATA.told, single: false, twin: false, late: false, thrown: -1,
+  delay: DATA.start.delay, told: false, single: false, twin: false, late: false, thrown: -1,
   faults: {}, // id: period from which on
 };
 const amplitude = () => (state.move * Math.PI) / 180;

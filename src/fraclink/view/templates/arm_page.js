@@ -180,7 +180,7 @@ function recall() {
 function reset() {
   Object.assign(state, {
     payload: DATA.start.payload, move: 60, time: DATA.start.time, noise: DATA.start.noise, offset: DATA.start.offset,
-    delay: DATA.start.delay, told: DATA.told, single: false, twin: false, late: false, thrown: -1, faults: {},
+    delay: DATA.start.delay, told: false, single: false, twin: false, late: false, thrown: -1, faults: {},
   });
   renew({layout: true});
 }
