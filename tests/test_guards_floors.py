@@ -111,10 +111,6 @@ LATE = {
     ): "that child imports this module: it would start in 0.5 s, not 0.2 s",
     ("fraclink._arm.reference", "scipy.interpolate"): "the same",
     (
-        "fraclink._identify.fit",
-        "fraclink._identify.validation",
-    ): "a method of a fit that fits other logs, with what makes fits",
-    (
         "fraclink._cli.studio",
         "fraclink._cli.options",
     ): "the page is painted while what is numerical is loaded",

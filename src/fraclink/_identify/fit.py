@@ -6,11 +6,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,6 +215,9 @@ class Fit:
     sha256: str = ""
 
     __made_by__ = "fraclink.identify(log)"
+    # It fits every log by itself, with what makes fits: `validation`, which lies above
+    # this module, sets it.
+    _validated: ClassVar[Callable[..., Any]]
 
     def __post_init__(self) -> None:
         for name in ("standard_errors", "white_standard_errors", "intervals"):
@@ -285,10 +288,8 @@ class Fit:
         >>> fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
         Validation(the model predicts the other log: error 1.33 % (NMSE))
         """
-        # Here and not above: it fits every log by itself, with what makes fits.
-        from fraclink._identify.validation import validate
-
-        return validate(self, logs)
+        found: Validation = self._validated(logs)
+        return found
 
     def save(self, path: Path | str) -> None:
         """Write the fit as JSON, complete or not at all; `load` reads back an equal

@@ -265,6 +265,9 @@ def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
     return replace(found, findings=worst_first(findings))
 
 
+Fit._validated = validate
+
+
 def _findings(found: Validation, each: LogValidation) -> Iterator[Finding]:
     name = each.log.source or "the log"
     if not each.nmse <= HELDOUT_MOST:
