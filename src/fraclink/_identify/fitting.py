@@ -194,6 +194,8 @@ def motion_after(log: Experiment, count: int) -> tuple[float, float]:
     """Shares of the motor's motion and of the output's vibration that lie after sample
     `count`.
     """
+    if count >= log.output.size:
+        return 0.0, 0.0
     places = np.linspace(0, log.output.size, _BLOCKS + 1)
     swing = log.output - np.median(log.output)
     motor, output = (

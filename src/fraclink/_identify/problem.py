@@ -232,7 +232,8 @@ def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
     """
     square = np.einsum("mpp->mp", normal)
     size = np.sqrt(np.where((square > 0) & np.isfinite(square), square, 1.0))
-    scaled = np.nan_to_num(normal / size[:, :, None] / size[:, None, :])
+    scaled = normal / size[:, :, None] / size[:, None, :]
+    scaled = np.where(np.isfinite(scaled), scaled, 0.0)
     scaled[held] = 0.0
     scaled.transpose(0, 2, 1)[held] = 0.0
     scaled[:, range(held.shape[1]), range(held.shape[1])] += np.where(held, 1.0, 0.0)
@@ -379,7 +380,7 @@ def _outward(
         with np.errstate(all="ignore"):
             reach = np.where(across > 0, sign * np.sqrt(room / across), 0.0)
             step = np.where(held, 0.0, down + reach[:, None] * along)
-        step = np.nan_to_num(step, posinf=0.0, neginf=0.0)
+        step = np.where(np.isfinite(step), step, 0.0)
         held = ((places <= problem.low) & (step < 0)) | (
             (places >= problem.high) & (step > 0)
         )

@@ -280,13 +280,15 @@ class Search:
             found = self._over_the_delays(found)
         if self.window.angle.size > self.window.samples:
             found = self._from_places(found, self._sharp())
-        if 1 in found.at_bound or (4 in found.at_bound and found.shape[4] != 0.0):
+        if {0, 1} & {*found.at_bound} or (
+            4 in found.at_bound and found.shape[4] != 0.0
+        ):
             found = self._from_other_valleys(found)
         return found
 
     def _from_other_valleys(self, found: Solution) -> Solution:
-        """The best of a fit that ended at a limit of ω₀ or the delay, and of fits from
-        elsewhere.
+        """The best of a fit that ended at a limit of λ, ω₀ or the delay, and of fits
+        from elsewhere.
 
         On a noisy log of little motion the scan may take a rate far above the resonance
         for it. The limits of the delay and the kernel's rates are made for the seed:
