@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shlex
 import subprocess
 import sys
@@ -140,41 +139,6 @@ def test_no_command_passes_without_having_done_what_it_was_asked(
         answer = fraclink(*words, "--no-such-option")
         assert answer.code == 2, (words, answer.out)
         assert "--no-such-option" in answer.err, (words, answer.err)
-
-
-def test_the_manual_page_has_every_command_and_option(
-    fraclink: Command, tmp_path: Path
-) -> None:
-    page = fraclink("man").out
-    for words, command in _commands():
-        called = re.escape(" ".join(words).replace("-", r"\-"))
-        section = re.split(rf'\n\.SS "fraclink {called}["\s]', page)[1].partition(
-            "\n.S"
-        )[0]
-        for item in command.params:
-            for option in (
-                getattr(item, "opts", ()) if item.param_type_name == "option" else ()
-            ):
-                assert f"\n.B {option}".replace("-", r"\-") in section, (words, option)
-    # roff reads a line that begins so as a request, and a bare hyphen as a dash.
-    requests = {line.split()[0] for line in page.splitlines() if line[:1] in (".", "'")}
-    assert requests == {
-        '.\\"',
-        ".TH",
-        ".SH",
-        ".SS",
-        ".PP",
-        ".TP",
-        ".B",
-        ".I",
-        ".EX",
-        ".EE",
-    }
-    answer = fraclink("man", "--out", str(tmp_path / "fraclink.1"))
-    assert (
-        answer.code == 0
-        and (tmp_path / "fraclink.1").read_text("utf-8").strip() == page.strip()
-    )
 
 
 @pytest.mark.slow

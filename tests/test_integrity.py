@@ -66,7 +66,6 @@ COMMANDS = (
     "campaign faults --design FILE --out faults",
     "design --rig paper-2023 --model FILE --out d.json",
     "compare --rig paper-2023 --model FILE --out comparison",
-    "design-map --rig paper-2023 --model FILE --out map.svg",
     "plan-experiment --rig paper-2023 --model FILE --standard-error 1e-3 --noise 0.04",
     "record --rig paper-2023 --model FILE --out log.csv",
 )

@@ -50,7 +50,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "record": ("log", "how-to/run-the-twin"),
     "assess": ("budget", "explanation/margins"),
     "compare": ("published", "how-to/compare-rivals"),
-    "design-map": ("refused", "how-to/design-a-controller"),
     "tune-pid": ("pid-step", "how-to/tune-a-fractional-pid"),
     "shape": ("moves", "how-to/shape-a-move"),
     "campaign montecarlo": ("arms", "how-to/run-a-campaign"),
@@ -59,7 +58,6 @@ SHOWN: dict[str, tuple[str, str]] = {
     "campaign faults": ("dropped", "how-to/run-a-fault-campaign"),
     "replay": ("loop", "how-to/flash-a-board"),
     "doctor": ("arm", "how-to/bring-your-rig"),
-    "man": ("arm", "tutorial/from-log-to-board"),
 }
 
 

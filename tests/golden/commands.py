@@ -87,7 +87,6 @@ COMMANDS: dict[str, str] = {
     "replay-of-nothing": "replay nothing demo",
     "run": f"run {RIG} --log demo --out results",
     "report": "report results --out page.html",
-    "design-map": f"design-map {RIG} --points 7 --crossovers 9 15",
     "compare": f"compare {RIG} --link-mass 0.00735 --only fraclink --only collocated --filter-time 0",
     "campaign-montecarlo": "campaign montecarlo --design design.json --runs 200 --seed 7 --out carlo",
     "campaign-replay": "campaign replay carlo --run 65 --out replayed.npz",

@@ -56,13 +56,13 @@ _SECTIONS: dict[str, dict[str, str]] = {
         **dict.fromkeys(("plan-experiment", "record"), "models"),
     },
     "More on designs and laws": {
-        **dict.fromkeys(("assess", "compare", "design-map"), "assessments"),
+        **dict.fromkeys(("assess", "compare"), "assessments"),
         "shape": "moves",
         "tune-pid": "assessments",
         "campaign": "campaigns",
         "replay": "boards",
     },
-    "This installation": dict.fromkeys(("doctor", "man"), "installation"),
+    "This installation": {"doctor": "installation"},
 }
 # A module of commands brings the library with it: the first screen must not pay for all
 # of them, and lists what it has not loaded from this table.

@@ -1,4 +1,4 @@
-"""Commands that say what a design is worth: assess, compare, design-map."""
+"""Commands that say what a design is worth: assess, compare."""
 
 from __future__ import annotations
 
@@ -18,14 +18,10 @@ from fraclink._cli.options import (
     FilterTime,
     LinkMass,
     ModelFile,
-    MotorLoopKind,
-    PayloadRange,
-    Placement,
     RigName,
     SeedNumber,
     load_link_model,
     load_rig,
-    required_model,
 )
 from fraclink._design import Design, Requirement
 from fraclink._design.assess import (
@@ -36,21 +32,16 @@ from fraclink._design.assess import (
     mode_gains,
     phase_budget,
 )
-from fraclink._design.feasibility import (
-    feasibility_map,
-)
 from fraclink._design.pid import tune_pid as pid_for
-from fraclink._files import output_path, write_json, write_text
+from fraclink._files import write_json, write_text
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
-from fraclink.view._axes import save_figure
-from fraclink.view._loops import budget_figure, map_figure, margin_curves_figure
-from fraclink.view._plots import feasibility
-from fraclink.view._records import plain, to_json
+from fraclink.view._loops import budget_figure, margin_curves_figure
+from fraclink.view._records import to_json
 from fracsys._fractional import FractionalTransferFunction
-from fracsys.checks import Between, Frequency, Ordered, PhaseMarginDeg
+from fracsys.checks import Between, Frequency, PhaseMarginDeg
 
 app = group()
 
@@ -180,62 +171,6 @@ def compare(
     return Answer(
         result, result.standings[0].passed, values={"out": str(out)}, written=(table,)
     )
-
-
-class MapOptions(TypedDict):
-    """What is the same for every cell of a map."""
-
-    payloads: PayloadRange
-    filter_time: FilterTime
-    filter_order: Annotated[int, "n, 1 or 2, the same for the whole map", Default(1)]
-    inner: Annotated[MotorLoopKind, Default("ideal")]
-    placement: Annotated[Placement, Default("tustin")]
-
-
-@command(app)
-def design_map(
-    rig: RigName,
-    out: Annotated[
-        Path, "Figure, .svg or .png; a .json with the numbers lies beside it", Writes()
-    ] = Path("design-map.svg"),
-    points: Annotated[int, Between(5, 400), "Values on each axis"] = 80,
-    crossovers: Annotated[
-        tuple[float, float],
-        Ordered(strict=True),
-        typer.Option(metavar="LOW HIGH"),
-        "Range of ω_c [rad/s]",
-    ] = (8.0, 45.0),
-    model: ModelFile = None,
-    force: bool = False,
-    **options: Unpack[MapOptions],
-) -> Answer:
-    """Map which crossovers and margins are feasible, with noise and settling contours.
-
-    $ fraclink design-map --rig paper-2023 --crossovers 9 15 --out map.svg
-    """
-    # Before the map is computed, which takes seconds.
-    if out.suffix.lower() not in (".svg", ".png"):
-        allowed, remedy = ".svg or .png", "end the figure's name in one of these"
-        raise FieldError(
-            "out", out.name, "of another kind", allowed=allowed, remedy=remedy
-        )
-    # The numbers' file is looked at as well: it is written beside, under a name that
-    # was not given.
-    numbers = output_path(out.with_suffix(".json"), force=force)
-    known = load_rig(rig, model=model)
-    found = feasibility_map(
-        required_model(known),
-        known,
-        gain_crossovers=np.linspace(*crossovers, points),
-        phase_margins=np.radians(np.linspace(10.0, 110.0, points)),
-        **options,
-    )
-    if out.suffix.lower() == ".svg":
-        map_figure(found).save(out)
-    else:
-        save_figure(out, lambda drawing: feasibility(found, ax=drawing.subplots()))
-    write_json(numbers, "design-map", 1, plain(vars(found)))
-    return Answer(found, bool(found.feasible.any()), written=(out, numbers))
 
 
 # --- a fractional PID for any plant -----------------------------------------------------------------------

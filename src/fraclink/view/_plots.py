@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fraclink._design.assess import MarginCurve, PhaseShare
-from fraclink._design.feasibility import FeasibilityMap
 from fraclink.errors import FieldError
 from fraclink.view._axes import finish, labelled, new_axes, tint
 from fraclink.view._bode import bode, margin_plot
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "bode",
-    "feasibility",
     "latency",
     "margin_plot",
     "margins_against_payload",
@@ -291,55 +289,4 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     ax.set_ylim(0.5, 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1))
     ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
     ax.legend(loc="best", fontsize="small")
-    return ax
-
-
-_NOISE = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 300.0)
-_SETTLING = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.8)
-
-
-def feasibility(found: FeasibilityMap, *, ax: Any = None) -> Any:
-    """Draw β in colour where a controller exists, with contours of noise gain and
-    settling time.
-
-    Parameters
-    ----------
-    found
-        from `feasibility_map`.
-    ax
-        axes to draw into; new ones without.
-
-    Examples
-    --------
-    >>> import fraclink as fl
-    >>> from fraclink._design.feasibility import feasibility_map
-    >>> rig = fl.Rig.named("paper-2023")
-    >>> grid = {"gain_crossovers": np.linspace(9, 15, 6), "phase_margins": np.linspace(0.5, 1.2, 6)}
-    >>> feasibility(feasibility_map(rig.model, rig, filter_order=1, **grid)).get_ylabel()
-    'phase margin at the lightest payload [°]'
-    """
-    ax = new_axes() if ax is None else ax
-    grid = (found.gain_crossover, np.degrees(found.phase_margin))
-    # Where no controller exists nothing is drawn, and the background says so.
-    shade = ax.pcolormesh(
-        *grid, np.ma.masked_invalid(found.order), cmap="Blues", shading="nearest"
-    )
-    ax.figure.colorbar(shade, ax=ax, label="β")
-    noise = ax.contour(
-        *grid, np.ma.masked_invalid(found.noise_gain), _NOISE, colors=tint(ax, "line-2")
-    )
-    ax.clabel(noise, fmt="noise %g", fontsize=8)
-    settling = ax.contour(
-        *grid,
-        np.ma.masked_invalid(found.settling_time),
-        _SETTLING,
-        colors=tint(ax, "ink"),
-    )
-    ax.clabel(settling, fmt="%g s", fontsize=8)
-    ax.set(
-        xlabel="gain crossover ω_c at the heaviest payload [rad/s]",
-        ylabel="phase margin at the lightest payload [°]",
-        title="Feasible requests, with contours of noise gain (orange) and 2π/ω_c",
-    )
-    ax.set_facecolor(tint(ax, "faint"))
     return ax
