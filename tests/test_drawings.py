@@ -5,8 +5,6 @@ dots and shares.
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,37 +13,7 @@ import fraclink as fl
 from fraclink.view import _figures as figures
 from fraclink.view import _loops as loops
 from fraclink.view import _marks as marks
-from fraclink.view._drawing import Figure, Panel
-from fraclink.view._scales import Scale
-
-# --- panels and figures -----------------------------------------------------------------------------------
-
-
-def figure(**more: Any) -> Figure:
-    """Two panels over ten seconds."""
-    upper = Panel(
-        "upper [V]",
-        Scale(0.0, 100.0),
-        [marks.Curve([0, 10], [0, 100], 1, "line")],
-        150.0,
-    )
-    lower = Panel(
-        "lower",
-        Scale(-1.0, 1.0),
-        [marks.Zone(2.0, 4.0), marks.Across(0.0, "zero")],
-        100.0,
-    )
-    given = {"panels": (upper, lower), "xlabel": "time [s]", "link": "time", **more}
-    return Figure("try", "what <it> is", Scale(0.0, 10.0), **given)
-
-
-def test_only_svg_files_are_written(tmp_path: Path) -> None:
-    for name in ("a.svg", "b", "c.SVG"):
-        figure().save(tmp_path / name)
-        assert (tmp_path / name).read_text("utf-8") == figure().alone() + "\n"
-    with pytest.raises(fl.errors.FieldError, match="of another kind"):
-        figure().save(tmp_path / "a.pdf")
-
+from fraclink.view._drawing import Panel
 
 # --- drawings of loops ------------------------------------------------------------------------------------
 

@@ -16,9 +16,10 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
+from fraclink import main
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
 from fraclink._arm.log_columns import ROW_NUMBER
-from fraclink._cli import main, starting
+from fraclink._cli import starting
 from fraclink._reading.formats import read_table
 from fraclink.errors import FieldError, LogError
 from fraclink.logs._guess import GuessedColumns, Question, guess_columns
