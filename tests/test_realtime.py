@@ -463,6 +463,23 @@ def test_a_place_that_is_lost_in_the_run_has_a_second_one(
     assert fl.load(run.saved, RealtimeRun).tick.tobytes() == run.tick.tobytes()
 
 
+def test_a_run_whose_last_periods_never_ran_does_not_pass(law: Law) -> None:
+    """The law is not called again behind them, and trips on nothing."""
+    board, clock = Board(), VirtualClock(1)
+
+    def asleep() -> tuple[float, float] | None:
+        if board.reads == 20:
+            clock.sleep(3.0)
+        return board.read()
+
+    connection = Callback(asleep, board.write)
+    run = live(law, connection, duration=2.0, clock=clock, allowed_overruns=999)
+    assert (run.stopped, run.planned) == ("finished", round(2.0 / PERIOD) + 1)
+    assert run.missed == run.planned - len(run.tick) > 70
+    assert not run.passed
+    assert run.problem.startswith(f"the last {run.unfinished} of {run.planned} periods")
+
+
 def test_a_signal_before_the_first_sample_leaves_an_empty_record(
     law: Law, tmp_path: Path
 ) -> None:
