@@ -69,12 +69,12 @@ def test_modulus_of_the_moderate_box_is_proved() -> None:
         RIG,
         payloads=(0.02, 0.04),
         gain_crossover=11.5,
-        max_sensitivity=1 / 0.55,
+        max_sensitivity=1 / 0.57,
         box=True,
     )
     assert made.passed and made.box == ParameterBox.of(RIG.model, RIG)
     found = fl.certify(made)
-    assert found.passed and found.statement.modulus >= 0.54
+    assert found.passed and found.statement.modulus >= 0.56
     assert found.statement.gauge_gain_high == made.box.gauge_gain[1]
 
 

@@ -78,7 +78,7 @@ def test_gradients_are_those_of_differences(
     bounds = {"max_sensitivity": 1.6, "noise_gain": 1.0, "phase_margin": fl.deg(40)}
     spec = Specification(payloads=RANGE, gain_crossover=12.0, **bounds)
     request = request_of(model, RIG, spec, None, goal)  # type: ignore[arg-type]
-    wanted = replace(request.wanted(request.soft), damping=0.06)
+    wanted = replace(request.wanted(request.soft), damping=True)
     problem = Problem(
         request.sheets[0],
         request.loops,
@@ -122,6 +122,27 @@ def test_an_offer_passes_when_it_is_followed(asked: dict[str, float]) -> None:
 
 
 @pytest.mark.slow
+def test_figures_of_a_refusal_are_the_best_together() -> None:
+    asked = {"gain_crossover": 30.0, "phase_margin": fl.deg(60)}
+    with pytest.raises(InfeasibleError, match="even with a phase margin of") as refused:
+        fl.design(MODEL, RIG, payloads=RANGE, **asked, law=False)
+    offer = refused.value.nearest
+    assert set(offer) == set(asked)
+    for name in offer:
+        more = offer | {name: 1.04 * offer[name]}
+        with pytest.raises(InfeasibleError):
+            fl.design(MODEL, RIG, payloads=RANGE, **more, law=False, nearest=False)
+
+
+def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> None:
+    late = replace(MODEL, gauge_delay=0.057)
+    try:
+        made = fl.design(late, RIG, phase_margin=fl.deg(22), goal="settling", law=False)
+    except InfeasibleError:
+        return
+    assert made.gain_crossover > 10.0
+
+
 def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     late = replace(MODEL, gauge_delay=0.03)
     with pytest.raises(InfeasibleError, match=r"at .* g at most .* is asked for") as e:

@@ -74,43 +74,47 @@ class Trial:
         w, value, slope = self._between(row, i, t)
         return row, w, value, slope, ~above[row, i]
 
+    def bands(self) -> tuple[NDArray[np.int64], Real, Complex, Real]:
+        """(link, ω, slope, offset) of every crossing: how far its phase is from the
+        multiple of 2π in whose band the loop has to stay there [rad].
+
+        |L| > 1 between a rising and the next falling crossing. The loop is stable where
+        both lie in one band of 2π about a multiple of it.
+        """
+        row, w, log, slope, rising = self.crossings()
+        phase = log.imag
+        # the partner: behind a rising crossing the next one of its link, before a
+        # falling one the last; the ends of the table where there is none
+        partner = phase.copy()
+        up, down = np.flatnonzero(rising), np.flatnonzero(~rising)
+        after, before = np.minimum(up + 1, row.size - 1), np.maximum(down - 1, 0)
+        partner[up] = np.where(
+            (up < after) & (row[after] == row[up]), phase[after], phase[up]
+        )
+        has_last = (before < down) & (row[before] == row[down])
+        partner[down] = np.where(has_last, phase[before], phase[down])
+        middle = 0.5 * (phase + partner)
+        # |L| > 1 from the first frequency on: the curve began in its band there
+        first = down[~has_last]
+        middle[first] = self.log[row[first], 0].imag
+        return row, w, slope, phase - np.round(middle / (2.0 * math.pi)) * 2.0 * math.pi
+
     def margins(self) -> tuple[Figure, Real]:
         """The smallest margins of each link at its crossings [rad], shape (K, 4), and
         the last crossing (K,), 0 where there is none.
 
-        |L| > 1 between a rising and the next falling crossing. The loop is stable where
-        both lie in one band of 2π about a multiple of it: what they keep from its edges
-        is their margin, negative on the wrong side.
+        What a crossing keeps from the edges of its band is its margin, negative on the
+        wrong side.
         """
         count, size = len(self.sheet), self.outer.x.size
         value = np.full((count, _CROSSINGS), math.pi)
         at = np.ones((count, _CROSSINGS))
         gradient = np.zeros((size, count, _CROSSINGS))
         last = np.zeros(count)
-        row, w, log, slope, rising = self.crossings()
+        row, w, slope, offset = self.bands()
         if not row.size:
             return Figure(value, gradient, at), last
         np.maximum.at(last, row, w)
-        phase = log.imag
-        # the partner: behind a rising crossing the next one of its link, before a
-        # falling one the last; the ends of the table where there is none
-        partner = phase.copy()
-        up = np.flatnonzero(rising)
-        down = np.flatnonzero(~rising)
-        has_next = (up + 1 < row.size) & (
-            row[np.minimum(up + 1, row.size - 1)] == row[up]
-        )
-        partner[up] = np.where(
-            has_next, phase[np.minimum(up + 1, row.size - 1)], phase[up]
-        )
-        has_last = (down > 0) & (row[down - 1] == row[down])
-        partner[down] = np.where(has_last, phase[down - 1], phase[down])
-        middle = 0.5 * (phase + partner)
-        # |L| > 1 from the first frequency on: the curve began in its band there
-        first = down[~has_last]
-        middle[first] = self.log[row[first], 0].imag
-        band = np.round(middle / (2.0 * math.pi)) * 2.0 * math.pi
-        offset = phase - band
         margin = math.pi - np.abs(offset)
         g = self.outer.gradient(w)
         steep = np.where(
@@ -127,6 +131,29 @@ class Trial:
         at[row[chosen], place] = w[chosen]
         gradient[:, row[chosen], place] = moved[:, chosen]
         return Figure(value, gradient, at), last
+
+    def coarse(self) -> tuple[Real, Real, Real]:
+        """(smallest margin [rad], last crossing [rad/s], ln of the smallest |1 + L| in
+        the table) of each link, without gradients: for a Ĉ of its own at each.
+        """
+        row, w, _, offset = self.bands()
+        margin, last = np.full(len(self.sheet), math.pi), np.zeros(len(self.sheet))
+        np.minimum.at(margin, row, math.pi - np.abs(offset))
+        np.maximum.at(last, row, w)
+        loop = np.exp(np.minimum(self.log.real, 50.0) + 1j * self.log.imag)
+        return margin, last, np.log(np.min(np.abs(1.0 + loop), axis=1) + 1e-300)
+
+    def noise_level(self) -> Real:
+        """ln of the noise gain of each link, without gradients."""
+        sheet = self.sheet
+        outer = np.exp(self.outer.log(sheet.noise_w))
+        power = np.abs(outer / (1.0 + outer * sheet.noise_rest)) ** 2 * sheet.weight
+        return np.asarray(0.5 * np.log(np.sum(power, axis=1) + 1e-300))
+
+    def mode_level(self) -> Real:
+        """ln of the largest loop gain at a higher mode of each link, without gradients."""
+        loud = self.outer.log(self.sheet.modes_w).real + self.sheet.modes_level
+        return np.asarray(np.max(loud, axis=1, initial=-1e3))
 
     def distances(self) -> Figure:
         """ln of the smallest |1 + L| of each link at its dents, shape (K, 3)."""

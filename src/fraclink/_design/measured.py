@@ -109,11 +109,10 @@ def _measured(
         yield row_of(
             "noise_voltage", NOISE_SHARE, float(shares[top]), float(w0[[0, -1]][top])
         )
-    found = [(vibration(loop, float(x)), float(x)) for x in (w0[0], w0[-1])]
-    ratio, where = min(
-        (1.0 if one is None else one.damping_ratio, x) for one, x in found
-    )
-    yield row_of("damping", DAMPING, ratio, where)
+    for end in (w0[0], w0[-1]):
+        found = vibration(loop, float(end))
+        ratio = 1.0 if found is None else found.damping_ratio
+        yield row_of("damping", DAMPING, ratio, float(end))
     if number == 0:
         light = request.model.at_payload(request.empty).natural_frequency
         kept = float(loop.margins(light)[1][0])

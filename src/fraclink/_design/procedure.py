@@ -39,7 +39,7 @@ Real = NDArray[np.float64]
 # with that much more in reserve: the law's own error is nearly the same in each round.
 _ROUNDS = 4
 # Beyond the edge, relative, by which an offer may exceed it to pass with its law.
-_LOOSER = (0.0, 0.003, 0.01, 0.03, 0.1)
+_LOOSER = (0.0, 0.01, 0.1)
 _BOX = "ParameterBox.of(model, rig), or True for it"
 
 
@@ -215,12 +215,15 @@ def _solved(
     nearest one that there is.
     """
     request = request_of(link, rig, spec, box, goal)
-    made = _best(request, law=law)
+    made, slack = _best(request, law=law)
     if _kept(made):
         return _with_cost(made)
-    condition, sentence = _in_the_way(made)
-    offer = _offer(request, made, law=law) if nearest else {}
-    raise InfeasibleError(condition, sentence, offer)
+    condition, sentence = _in_the_way(request, made, slack)
+    # where what is not the user's is missed, no other request of his is known to pass
+    near = nearest and slack < math.inf
+    raise InfeasibleError(
+        condition, sentence, _offer(request, made, law=law) if near else {}
+    )
 
 
 def request_of(
@@ -252,9 +255,10 @@ def request_of(
     return request
 
 
-def _best(request: Request, *, law: bool) -> Design:
+def _best(request: Request, *, law: bool) -> tuple[Design, float]:
     """The design of a request, with more in reserve until the engine
-    and the law that ships find every row kept; the nearest one where none keeps them.
+    and the law that ships find every row kept; the nearest one where none keeps them,
+    and the slack that it needs.
     """
     solved = request.solved()
     for turn in range(_ROUNDS):
@@ -271,7 +275,7 @@ def _best(request: Request, *, law: bool) -> Design:
         if tighter.solution.slack > 0.0:
             break
         solved = tighter
-    return made
+    return made, solved.solution.slack
 
 
 def _kept(made: Design) -> bool:
@@ -290,9 +294,8 @@ def _missed(request: Request, made: Design) -> dict[str, float]:
             more = -item.slack * request.highest
             found["phase_margin"] = max(found.get("phase_margin", 0.0), more)
             continue
-        key = {"law_margin": "phase_margin", "law_modulus": "phase_margin"}.get(
-            key, key
-        )
+        if key == "law_margin" or (key == "law_modulus" and item.achieved <= 0.0):
+            key = "phase_margin"
         if item.unit == "rad" or key == "damping":
             found[key] = max(found.get(key, 0.0), -1.05 * item.slack + RESERVE)
         elif item.achieved > 0.0 and math.isfinite(item.achieved):
@@ -340,14 +343,26 @@ def _with_cost(made: Design) -> Design:
     return replace(made, findings=(*made.findings, cost))
 
 
-def _in_the_way(made: Design) -> tuple[str, str]:
-    """(the row that is missed by most, the sentence that says by how much)."""
+def _in_the_way(request: Request, made: Design, slack: float) -> tuple[str, str]:
+    """(the row that is missed by most, the sentence that says by how much).
+
+    The nearest controller gives of everything that was asked for, so that its figure is
+    the best one only together with what the other rows give.
+    """
     failed = [item for item in made.requirements if not item.passed]
-    if not failed:
-        return "requirements", "; ".join(str(item) for item in made.doubts)
     worst = max(failed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3))
     wanted, achieved = worst.shown
     most = "at most" if worst.bound == "at least" else "at least"
+    if slack == math.inf:
+        most = "no controller was found with more than"
+        if worst.bound == "at most":
+            most = "no controller was found with less than"
+    given = [
+        f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
+        for item in failed
+        if item is not worst and _own_key(request, item) is not None
+    ]
+    even = f", even with a {' and a '.join(given)}" if given else ""
     late = made.model.gauge_delay
     crossing = made.gain_crossover_upper
     why = ""
@@ -357,7 +372,7 @@ def _in_the_way(made: Design) -> tuple[str, str]:
             f"{math.degrees(late * crossing):.0f}° at {crossing:.3g} rad/s"
         )
     return worst.name, (
-        f"at {1e3 * worst.at_payload:.3g} g {most} {achieved} where {wanted} is asked for{why}"
+        f"at {1e3 * worst.at_payload:.3g} g {most} {achieved} where {wanted} is asked for{even}{why}"
     )
 
 
@@ -392,7 +407,7 @@ def _offer(request: Request, made: Design, *, law: bool) -> dict[str, float]:
             continue
         try:
             spec = replace(request.spec, **values)
-            trial = _best(request.asking(spec), law=law)
+            trial, _ = _best(request.asking(spec), law=law)
         except FieldError:
             return {}
         if _kept(trial):

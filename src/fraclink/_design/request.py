@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
+from fraclink._design.descent import peaks
 from fraclink._design.equations import check_bandwidth, check_modes, range_of
 from fraclink._design.sheet import Sheet, stacked, tabulated
 from fraclink._design.solver import (
@@ -37,6 +38,7 @@ from fraclink._law.modes import (
     higher_modes,
     vibration,
 )
+from fraclink._law.requirement import least_modulus
 from fraclink._law.rows import (
     DAMPING,
     EMPTY_SHARE,
@@ -52,13 +54,14 @@ Real = NDArray[np.float64]
 _ALLOWANCE = math.radians(0.5)  # of the law's fit, which states it as its own error
 _LINKS = 3  # of the range, on the model; on an arm of a box its two ends
 _ROUNDS = 6  # in which arms of a box are taken in
-# δ times the crossover: of the start, as a loop is quiet with a long filter and a steep
-# Ĉ, and of the lattice
-_LAG, _LAGS = 1.2, np.array([0.01, 0.1, 0.4, 1.0, 2.0])
-_BEYOND = 1.1  # of the crossover asked for: where the lattice crosses
-_TRIED = 3  # of the lattice
+# δ times the crossover of the start, as a loop is quiet with a long filter and a steep
+# Ĉ; and times the resonance, of the lattice
+_LAG, _LAGS = 1.2, np.geomspace(0.01, 6.0, 7)
+# of the lattice: where it crosses, by what is asked for; the values of β, and how far
+# they keep from their limits
+_PLACES, _ORDERS, _LEAST = np.array([0.2, 0.45, 1.02, 1.15, 1.4, 2.0]), 7, 0.1
+_TRIED = 4  # of the lattice
 _SAME = 1e-3  # of two slacks: both searches ended at the same point
-_AGREED = 2  # searches that ended where the first did: no other is tried
 _GIVEN = 0.1  # of a goal reached, for less noise
 _ASIDE = 1.1  # of the second mode, to either side: where its notch may lie
 _TOLERANCE = 1e-4  # of a row in the table, before the engine measures it
@@ -111,7 +114,7 @@ class Request:
 
     @cached_property
     def gain_crossover(self) -> float | None:
-        """The least crossover [rad/s]; of 2π/t_s where only a settling time is asked."""
+        """The least crossover asked for [rad/s]; 2π/t_s for a settling time."""
         if self.spec.gain_crossover is not None or self.spec.settling_time is None:
             return self.spec.gain_crossover
         return 2.0 * math.pi / self.spec.settling_time
@@ -169,10 +172,11 @@ class Request:
     def wanted(self, soft: frozenset[str]) -> Wanted:
         """Return the rows as the solver has them."""
         return Wanted(
-            gain_crossover=self.gain_crossover,
+            gain_crossover=self.gain_crossover or self.resonance,
             phase_margin=self.phase_margin,
             highest=self.highest,
             allowance=0.5 * _ALLOWANCE,
+            modulus=least_modulus(self.phase_margin),
             max_sensitivity=self.max_sensitivity,
             noise_gain=self.spec.noise_gain,
             mode_gain=self.mode_gain,
@@ -185,9 +189,10 @@ class Request:
     @property
     def soft(self) -> frozenset[str]:
         """The rows that the slack may give: what was asked for, or stands for it."""
-        return frozenset(
-            ("gain_crossover", "phase_margin", "max_sensitivity", "noise_gain")
-        ) | {"mode_gain"}
+        keys = {"phase_margin", "max_sensitivity", "noise_gain", "mode_gain"}
+        if self.gain_crossover is not None:
+            keys.add("gain_crossover")
+        return frozenset(keys)
 
     # ---- where it is asked
 
@@ -323,34 +328,33 @@ class Request:
         return np.array([gain, beta, math.log(max(delta, 1e-12))])
 
     def scanned(self, problem: Problem) -> list[Real]:
-        """The best of a lattice of parameters, by the row that is missed by most: where
-        a search from them ends differs, as what is feasible may be in parts.
-
-        Ranked at the two ends of the payloads, without what takes long to measure.
+        """The best points of a lattice, each better than its neighbours at the two ends
+        of the payloads: what is feasible may be in parts, and every part has its own.
         """
         given, reference = self.spec.filter_time, self.reference()
-        delays = _LAGS / reference if given is None else [given]
-        orders = np.linspace(0.15, self.model.order - 0.1, 7)
+        lags = _LAGS / self.resonance if given is None else np.array([given])
+        orders = np.linspace(_LEAST, self.model.order - _LEAST, _ORDERS)
         sheet = self.sheets[0]
-        ends = np.flatnonzero(sheet.kind == MODEL)[[0, -1]]
-        wanted = replace(problem.wanted, damping=None, noise_voltage=None)
-        coarse = replace(problem, wanted=wanted, sheet=sheet.rows(ends))
-        pairs: list[tuple[float, Real]] = []
-        for delta in delays:
-            for beta in orders:
-                x = self._through(
-                    _BEYOND * reference,
-                    float(beta),
-                    float(delta),
-                    problem.filter_order,
+        change = np.diff(sheet.kind, prepend=-1) != 0
+        ends = np.flatnonzero(change | np.roll(change, -1))
+        shape = lags.size, _ORDERS, _PLACES.size
+        lattice = np.array(
+            [
+                problem.widened(
+                    self._through(
+                        float(place) * reference,
+                        float(beta),
+                        float(delta),
+                        problem.filter_order,
+                    )
                 )
-                with np.errstate(all="ignore"):
-                    x = problem.widened(x)
-                    goal = coarse.start_goal(x)
-                    least = float(np.min(coarse.rows(x, goal).value))
-                pairs.append((least, x))
-        pairs.sort(key=lambda pair: -pair[0])
-        return [x for _, x in pairs[:_TRIED]]
+                for delta, beta, place in product(lags, orders, _PLACES)
+            ]
+        )
+        with np.errstate(all="ignore"):
+            coarse = problem.with_sheet(sheet.rows(ends))
+            merit = coarse.merits(lattice.T).reshape(shape)
+        return [lattice[k] for k in peaks(merit)[:_TRIED]]
 
     def reference(self) -> float:
         """ω_r [rad/s]: the crossover asked for, or just above the heaviest payload's
@@ -358,7 +362,14 @@ class Request:
         """
         if self.gain_crossover is not None:
             return self.gain_crossover
-        return 1.1 * float(self.loops[0].peak(self.natural_frequencies[0]))
+        return 1.1 * self.resonance
+
+    @cached_property
+    def resonance(self) -> float:
+        """The heaviest payload's [rad/s]: a loop that crosses below it leaves the
+        vibration as it is, and is no answer where no crossover is asked for.
+        """
+        return float(self.loops[0].peak(self.natural_frequencies[0]))
 
     @property
     def filter_orders(self) -> tuple[int, ...]:
@@ -410,23 +421,18 @@ class Request:
         return min(answers, key=lambda one: one.solution.slack)
 
     def _from_elsewhere(self, answer: Solved) -> Solved:
-        """The better of an answer and of those from other starts, as what is feasible
-        may be in parts: the first start with every arm that was taken in on the way,
-        and the best of a lattice.
+        """The better of an answer and of those from other starts, with every arm that
+        was taken in on the way, until two searches end with the same slack.
         """
-        problem, first, same = answer.problem, answer.solution.slack, 0
-        again = [problem.widened(self.start(problem.filter_order))]
-        for x in chain(
-            again if len(answer.active) > 1 else [], self.scanned(answer.problem)
-        ):
-            other = self._over_arms(problem, x, answer.active)
-            slack = other.solution.slack
-            same += slack == first or abs(slack - first) < _SAME
-            if slack < answer.solution.slack:
-                answer = other
-            if slack == 0.0 or same == _AGREED:
+        best, problem = answer, replace(answer.problem, patient=True)
+        for x in self.scanned(problem):
+            other = self._over_arms(problem, x, best.active)
+            slack, least = other.solution.slack, best.solution.slack
+            if slack < least:
+                best = other
+            if slack == 0.0 or abs(slack - least) < _SAME:
                 break
-        return answer
+        return best
 
     def _quiet_start(self, problem: Problem) -> tuple[Real, tuple[int, ...]]:
         """(parameters to begin from, the arms that are known to be worst).
@@ -499,12 +505,12 @@ class Request:
             problem = problem.with_sheet(stacked(parts))
         solution = problem.solve(start)
         for _ in range(_ROUNDS):
+            if solution.slack == math.inf:
+                break  # more arms do not help
             changed = False
-            if problem.wanted.damping is None and self._rings(problem, solution):
+            if not problem.wanted.damping and self._rings(problem, solution):
                 changed = True
-                problem = replace(
-                    problem, wanted=replace(problem.wanted, damping=DAMPING)
-                )
+                problem = replace(problem, wanted=replace(problem.wanted, damping=True))
             worse = self._worse(problem, solution, active)
             if worse:
                 changed, active = True, (*active, *worse)
@@ -518,8 +524,8 @@ class Request:
 
     def _rings(self, problem: Problem, solution: Solution) -> bool:
         controller = self.controller(problem, solution)
+        loop = self.arms[0].loop(controller, self.rig)
         for w0 in self.natural_frequencies:
-            loop = self.arms[0].loop(controller, self.rig)
             found = vibration(loop, w0)
             if found is not None and found.damping_ratio < DAMPING:
                 return True
@@ -533,7 +539,7 @@ class Request:
         self, problem: Problem, solution: Solution
     ) -> tuple[Rows, NDArray[np.int64]]:
         """(the rows at every arm of the box, the arm of each)."""
-        wanted = replace(problem.wanted, damping=None)
+        wanted = replace(problem.wanted, damping=False)
         with np.errstate(all="ignore"):
             rows = replace(problem, wanted=wanted).rows(
                 solution.x,

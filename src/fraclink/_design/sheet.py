@@ -40,19 +40,21 @@ class Outer:
     gradient.
 
     ``reference`` is ω_r [rad/s], ``filter_order`` n; parameters beyond the third are
-    ln ω_N, ln ζ_p and ln(ζ_z/ζ_p) of a notch.
+    ln ω_N, ln ζ_p and ln(ζ_z/ζ_p) of a notch. ``x`` (P,) is one Ĉ, (P, R) one for each
+    row of the frequencies (R, N) of `log` and `slope`.
     """
 
     x: Real
     reference: float
     filter_order: int
 
-    def log(self, w: Real) -> Complex:
+    def log(self, w: NDArray[Any]) -> Complex:
         """Return ln Ĉ(jω)."""
         s = 1j * w
-        value = self.x[0] + self.x[1] * (np.log(w / self.reference) + 0.5j * math.pi)
-        value = value - self.filter_order * np.log1p(math.exp(self.x[2]) * s)
-        if self.x.size > 3:
+        gain, order, lag, *notch = self._columns
+        value = gain + order * (np.log(w / self.reference) + 0.5j * math.pi)
+        value = value - self.filter_order * np.log1p(np.exp(lag) * s)
+        if notch:
             top, bottom, *_ = self._notch(s)
             value = value + np.log(top / bottom)
         return np.asarray(value)
@@ -60,16 +62,17 @@ class Outer:
     def slope(self, w: Real) -> Complex:
         """Return d ln Ĉ/d ln ω."""
         s = 1j * w
-        lagged = math.exp(self.x[2]) * s
-        value = self.x[1] - self.filter_order * lagged / (1.0 + lagged)
-        if self.x.size > 3:
+        _, order, lag, *notch = self._columns
+        lagged = np.exp(lag) * s
+        value = order - self.filter_order * lagged / (1.0 + lagged)
+        if notch:
             top, bottom, zero, pole, centre = self._notch(s)
             value = value + 2.0 * s * (
                 (s + zero * centre) / top - (s + pole * centre) / bottom
             )
         return np.asarray(value)
 
-    def gradient(self, w: Real) -> Complex:
+    def gradient(self, w: NDArray[Any]) -> Complex:
         """Return ∂ ln Ĉ/∂x at ω, the parameters along the first axis."""
         s = 1j * w
         lagged = math.exp(self.x[2]) * s
@@ -90,6 +93,10 @@ class Outer:
         return np.array(rows)
 
     @property
+    def _columns(self) -> Real:
+        return self.x if self.x.ndim == 1 else self.x[:, :, None]
+
+    @property
     def notch(self) -> Notch | None:
         """The notch of the parameters."""
         if self.x.size == 3:
@@ -97,9 +104,9 @@ class Outer:
         centre, poles = math.exp(self.x[3]), math.exp(self.x[4])
         return Notch(centre, min(poles * math.exp(self.x[5]), poles), poles)
 
-    def _notch(self, s: NDArray[Any]) -> tuple[Complex, Complex, float, float, float]:
-        centre, pole = math.exp(self.x[3]), math.exp(self.x[4])
-        zero = pole * math.exp(self.x[5])
+    def _notch(self, s: NDArray[Any]) -> tuple[Complex, Complex, Any, Any, Any]:
+        centre, pole, ratio = np.exp(self._columns[3:])
+        zero = pole * ratio
         rest = s * s + centre * centre
         return (
             rest + 2.0 * zero * centre * s,

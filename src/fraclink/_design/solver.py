@@ -9,6 +9,7 @@ and gradients come from `figures`, sequential quadratic programming does the res
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,8 +20,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from fraclink._arm.loop import Loop
+from fraclink._design.descent import Astray, Kept, Rows, descended
 from fraclink._design.figures import Trial
 from fraclink._design.sheet import Outer, Sheet
+from fraclink._law.rows import DAMPING
 
 __all__ = ["EMPTY", "LAW", "MODEL", "Goal", "Problem", "Rows", "Solution", "Wanted"]
 
@@ -36,12 +39,17 @@ MODEL, LAW, EMPTY = 0, 1, 2
 # must not cost a row that the engine measures afterwards.
 RESERVE = 2e-4
 _EMPTY_MARGIN = math.radians(2.0)  # aimed at where stability is all that is asked
-# of the slack, in the scale of the goal's logarithm: far above any multiplier of a
-# bound that can be met
-_PENALTY = 100.0
+# ln of the most that a slack may give, and how far beyond every row a search aims that
+# is content with keeping them
+_LARGEST, _BEYOND = 3.0, 0.02
 # A search that converges measures the rows twenty to sixty times; one that does not is
 # at a kink, where more trials of its line search help nothing.
 _STEPS, _RUNS, _TRIALS = 60, 2, 150
+# of the slack, in the scale of the goal's logarithm: far above any multiplier of a
+# bound that can be met
+_PENALTY = 100.0
+# Runs towards the rows alone, and a move of a parameter behind which no other begins.
+_PARTS, _STILL = 6, 0.02
 _MISSED = 1e-4  # of a row: half of what is kept in reserve
 # ln δ [s]: ten periods of the slowest arm, and below every control period
 _LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
@@ -55,19 +63,20 @@ class Wanted:
     for what is not asked.
 
     ``highest`` is where nothing may cross any more; ``allowance`` what the law may cost
-    of the margin; ``noise_voltage`` the share of the voltage limit; ``damping`` the
-    least damping ratio of the vibration.
+    of the margin and ``modulus`` its least |1 + L|; ``noise_voltage`` the share of the
+    voltage limit; ``damping`` whether the vibration must be damped.
     """
 
     gain_crossover: float | None
     phase_margin: float
     highest: float
     allowance: float
+    modulus: float
     max_sensitivity: float | None = None
     noise_gain: float | None = None
     mode_gain: float | None = None
     noise_voltage: float | None = None
-    damping: float | None = None
+    damping: bool = False
     filter_time: float | None = None
     link_order: float = 2.0
     # the user's own: what the slack may give
@@ -82,23 +91,6 @@ class Solution:
     filter_order: int
     slack: float
     goal: float
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Values that must not be negative (M,), their gradients over x, goal and slack
-    (P + 2, M), which of them the slack may give, and the link and the key of each.
-    """
-
-    value: Real
-    gradient: Real
-    soft: NDArray[np.bool_]
-    link: NDArray[np.int64]
-    key: list[str]
-
-
-class _Astray(Exception):
-    """A search measured the rows more often than one that converges."""
 
 
 class _Table:
@@ -163,6 +155,7 @@ class Problem:
     filter_order: int
     notch: tuple[float, float] | None = None  # interval of its frequency [rad/s]
     reserves: dict[str, float] = field(default_factory=dict)
+    patient: bool = False  # whether it meets the rows before it looks at the goal
 
     def outer(self, x: Real) -> Outer:
         """Return Ĉ of the parameters."""
@@ -183,9 +176,14 @@ class Problem:
         return 3 if self.notch is None else 6
 
     def rows(
-        self, x: Real, goal: float, slack: float = 0.0, *, sheet: Sheet | None = None
+        self,
+        x: Real,
+        goal: float | None,
+        slack: float = 0.0,
+        *,
+        sheet: Sheet | None = None,
     ) -> Rows:
-        """Return every row at a trial Ĉ.
+        """Return every row at a trial Ĉ, with those of a goal where one is given.
 
         The slack lowers what was asked for by e^−slack, or raises it by e^slack.
         """
@@ -200,7 +198,7 @@ class Problem:
         least = share * wanted.phase_margin
         kept = margin.value - least + less - RESERVE
         table.add("phase_margin", kept, margin.gradient, ~empty, slack=least)
-        if self.goal == "margin":
+        if self.goal == "margin" and goal is not None:
             kept = margin.value - goal + less - RESERVE
             table.add("goal", kept, margin.gradient, ~empty, goal=-1.0)
         kept = margin.value - _EMPTY_MARGIN
@@ -210,7 +208,7 @@ class Problem:
         if wanted.gain_crossover is not None:
             lower = math.exp(-slack) if "gain_crossover" in wanted.soft else 1.0
             places.append(("gain_crossover", lower * wanted.gain_crossover))
-        if self.goal == "settling":
+        if self.goal == "settling" and goal is not None:
             places.append(("goal", math.exp(goal)))
         for key, place in places:
             level, along = trial.loudest(place)
@@ -220,8 +218,11 @@ class Problem:
         kept = -level.value - RESERVE
         table.add("highest_crossover", kept, -level.gradient, ~empty)
         # ---- the distance from -1
+        distance = trial.distances()
+        if self.patient or "law_modulus" in self.reserves:
+            kept = distance.value - math.log(wanted.modulus) - RESERVE
+            table.add("law_modulus", kept, distance.gradient, ~empty)
         if wanted.max_sensitivity is not None:
-            distance = trial.distances()
             soft = slack if "max_sensitivity" in wanted.soft else 0.0
             kept = distance.value + math.log(wanted.max_sensitivity) + soft - RESERVE
             table.add("max_sensitivity", kept, distance.gradient, model, slack=1.0)
@@ -229,7 +230,7 @@ class Problem:
         if sheet.noise_w.shape[1]:
             gain, volts = trial.noise()
             noisy = model & (sheet.weight.sum(axis=1) > 0.0)
-            if self.goal == "noise":
+            if self.goal == "noise" and goal is not None:
                 table.add("goal", goal - gain.value, -gain.gradient, noisy, goal=1.0)
             for key, bound, figure in (
                 ("noise_gain", wanted.noise_gain, gain),
@@ -248,9 +249,9 @@ class Problem:
             first = model & (np.diff(sheet.arm, prepend=-1) != 0)
             table.add("mode_gain", kept, -loud.gradient, first, slack=1.0)
         # ---- ringing
-        if wanted.damping is not None:
+        if wanted.damping:
             value, gradient = self._damping(trial, sheet)
-            kept = value - wanted.damping * (1.0 + 20.0 * RESERVE)
+            kept = value - DAMPING * (1.0 + 20.0 * RESERVE)
             table.add("damping", kept, gradient, model)
         return table.rows()
 
@@ -262,51 +263,90 @@ class Problem:
         distance = np.abs(
             1.0 + np.exp(np.minimum(trial.log.real, 50.0) + 1j * trial.log.imag)
         )
-        for k in np.flatnonzero(sheet.kind == MODEL):
-            loop, w0 = self.loops[sheet.arm[k]], float(sheet.natural_frequency[k])
-            mode = float(loop.peak(w0))
-            d, w = distance[k], sheet.w[k]
-            dent = (
-                np.flatnonzero(
-                    (d[1:-1] <= d[:-2])
-                    & (d[1:-1] < d[2:])
-                    & (w[1:-1] > 0.3 * mode)
-                    & (w[1:-1] < 4.0 * mode)
-                )
-                + 1
+        model = sheet.kind == MODEL
+        for arm in np.unique(sheet.arm[model]):
+            # the damping is least at one end of the payloads
+            own = np.flatnonzero(model & (sheet.arm == arm))[[0, -1]]
+            loop, d, w = self.loops[arm], distance[own], sheet.w[own]
+            low, high = (
+                share * np.asarray(loop.peak(sheet.natural_frequency[own]))[:, None]
+                for share in (0.3, 4.0)
             )
-            if not dent.size:
-                continue
-            root = w[dent].astype(complex)
-            for _ in range(12):
+            dent = np.zeros(d.shape, dtype=bool)
+            dent[:, 1:-1] = (d[:, 1:-1] <= d[:, :-2]) & (d[:, 1:-1] < d[:, 2:])
+            dent &= (w > low) & (w < high)
+            # a weak loop hardly moves the link's own pole
+            dent[np.arange(own.size), np.argmin(np.abs(w - low / 0.3), axis=1)] = True
+            row, column = np.nonzero(dent)
+            # from the table: how far beside the axis the root of 1 + 1/L is, to first
+            # order
+            back = np.exp(-trial.log[own][row, column])
+            beside = (1.0 + back) / (back * trial.slope[own][row, column])
+            beside = beside * np.minimum(1.0, 0.2 / np.maximum(np.abs(beside), 1e-300))
+            root = w[row, column] * (1.0 + beside)
+            w0 = sheet.natural_frequency[own][row]
+            change, rate = np.full(root.size, np.inf), np.ones_like(root)
+            for _ in range(8 if root.size else 0):
                 step = 1e-6 * np.abs(root)
                 points = np.stack([root, root + step, root - step])
-                here, above, below = np.exp(trial.outer.log(points)) * loop(points, w0)
+                outer = np.exp(trial.outer.log(points))
+                here, above, below = 1.0 / (outer * loop(points, w0))
                 rate = (above - below) / (2.0 * step)
                 change = (1.0 + here) / rate
                 root = root - change * np.minimum(
                     1.0, 0.1 * np.abs(root) / np.maximum(np.abs(change), 1e-300)
                 )
-                if np.all(np.abs(change) < 1e-9 * np.abs(root)):
+                if np.all(np.abs(change) < 1e-7 * np.abs(root)):
                     break
-            ratio = root.imag / np.abs(root)
-            fine = (
-                (np.abs(change) < 1e-6 * np.abs(root))
-                & (np.abs(root) > 0.3 * mode)
-                & (np.abs(root) < 4.0 * mode)
-            )
-            if not fine.any():
-                continue
-            best = int(np.argmin(np.where(fine, ratio, 2.0)))
-            # 1 + L = 0: dω = -∂L/∂x / (dL/dω), and L = -1
-            at = root[best]
-            moved = trial.outer.gradient(np.atleast_1d(at))[:, 0] / rate[best]
-            value[k] = ratio[best]
-            size = abs(at)
-            gradient[:, k] = (
-                moved.imag / size - at.imag * (np.conj(at) * moved).real / size**3
-            )
+            size = np.abs(root)
+            ratio = root.imag / size
+            fine = (np.abs(change) < 1e-6 * size) & (size > low[row, 0])
+            fine &= size < high[row, 0]
+            # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
+            moved = -trial.outer.gradient(root) / rate
+            slope = moved.imag / size
+            slope -= root.imag * (np.conj(root) * moved).real / size**3
+            for k in np.flatnonzero(fine):
+                link = own[row[k]]
+                if ratio[k] < value[link]:
+                    value[link], gradient[:, link] = ratio[k], slope[:, k]
         return value, gradient
+
+    def merits(self, x: Real) -> Real:
+        """By how much each of many Ĉ (P, M) keeps the row that it misses most, negative
+        where it misses one; on the table's own points, by what matters far off.
+        """
+        wanted, count, ends = self.wanted, x.shape[1], len(self.sheet)
+        sheet = self.sheet.rows(np.tile(np.arange(ends), count))
+        trial = Trial(sheet, self.outer(np.repeat(x, ends, axis=1)))
+        margin, last, distance = trial.coarse()
+        least = np.where(sheet.kind == LAW, wanted.allowance, 0.0)
+        kept = np.where(
+            sheet.kind == EMPTY,
+            margin - _EMPTY_MARGIN,
+            (margin + least) / wanted.phase_margin - 1.0,
+        )
+        model = sheet.kind == MODEL
+
+        def also(value: Real, which: NDArray[np.bool_]) -> None:
+            np.minimum(kept, value, out=kept, where=which)
+
+        also(np.log(wanted.highest / np.maximum(last, 1e-3)), sheet.kind != EMPTY)
+        if wanted.gain_crossover is not None:
+            lowest = wanted.gain_crossover * math.exp(-_LARGEST)
+            also(np.log(np.maximum(last, lowest) / wanted.gain_crossover), model)
+        also(distance - math.log(wanted.modulus), sheet.kind != EMPTY)
+        if wanted.max_sensitivity is not None:
+            also(distance + math.log(wanted.max_sensitivity), model)
+        if wanted.noise_gain is not None:
+            noise = trial.noise_level()
+            also(math.log(wanted.noise_gain) - noise, model & (sheet.weight[:, 0] > 0))
+        if wanted.mode_gain is not None:
+            also(math.log(wanted.mode_gain) - trial.mode_level(), model)
+        # what is asked for may be given, stability may not
+        unstable = (margin <= 0.0) | (last > wanted.highest) & (sheet.kind != EMPTY)
+        kept = np.where(unstable, kept - _LARGEST, kept)
+        return np.min(kept.reshape(count, ends), axis=1, out=np.empty(count))
 
     # ---- the problem itself
 
@@ -333,7 +373,7 @@ class Problem:
             "settling": (math.log(1e-3), math.log(self.wanted.highest)),
             "margin": (0.0, math.pi),
         }[self.goal]
-        return [*found, goal, (0.0, 3.0)]
+        return [*found, goal, (0.0, _LARGEST)]
 
     def start_goal(self, x: Real) -> float:
         """The goal that parameters have."""
@@ -348,7 +388,21 @@ class Problem:
         return math.log(max(float(np.min(last[self.sheet.kind == MODEL])), 1e-2))
 
     def solve(self, x: Real) -> Solution:
-        """Return where sequential quadratic programming stops from `x`."""
+        """Return where sequential quadratic programming stops from `x`; a patient one
+        first goes towards the rows alone, and from there along them to the goal.
+        """
+        if not self.patient:
+            return self._penalised(x)
+        with np.errstate(all="ignore"):
+            x, slack = self._towards_rows(x)
+            goal = self.start_goal(x)
+        if slack > 0.0:
+            return Solution(x, self.filter_order, slack, goal)
+        best = self._penalised(x)
+        return best if best.slack == 0.0 else replace(best, x=x, slack=0.0, goal=goal)
+
+    def _penalised(self, x: Real) -> Solution:
+        """Where a search of goal and slack at once stops, the slack dear."""
         limits = self.bounds()
         low, high = np.array(limits).T
         x = np.clip(x, low[:-2], high[:-2])
@@ -369,7 +423,7 @@ class Problem:
             if key not in last:
                 trials += 1
                 if trials > _TRIALS:
-                    raise _Astray
+                    raise Astray
                 last.clear()
                 z = z0.copy()
                 z[free] = part
@@ -398,7 +452,7 @@ class Problem:
                         method="SLSQP",
                         options={"maxiter": _STEPS, "ftol": 1e-6},
                     )
-                except _Astray:
+                except Astray:
                     break
                 z[free] = found.x
                 z = np.clip(z, low, high)
@@ -411,6 +465,86 @@ class Problem:
         elif slack <= _MISSED:
             slack = 0.0
         return Solution(z[:-2], self.filter_order, slack, goal)
+
+    def _towards_rows(self, x: Real) -> tuple[Real, float]:
+        """(parameters, slack) that miss the rows least; the first that keep all of them
+        where some do.
+        """
+        limits = [*self.bounds()[:-2], (-_BEYOND, _LARGEST)]
+        low, high = np.array(limits).T
+        x = np.clip(x, low[:-1], high[:-1])
+        best, least = x, math.inf
+
+        def judge(x: Real, found: Rows, slack: float) -> None:
+            nonlocal best, least
+            need = self._needed(x, found, slack)
+            if need < least:
+                best, least = x.copy(), need
+                if least <= 0.0:
+                    raise Kept
+
+        def rows(z: Real) -> Rows:
+            found = self.rows(z[:-1], None, float(z[-1]))
+            judge(z[:-1], found, float(z[-1]))
+            return found
+
+        try:
+            first = self.rows(x, None)
+            judge(x, first, 0.0)
+            if np.min(first.value[~first.soft]) < -_MISSED:
+                x = self._towards_own_rows(x)
+                judge(x, self.rows(x, None), 0.0)
+            slack = min(least, 1.0)
+            for _ in range(_PARTS):
+                z = descended(np.array([*x, slack]), rows, limits, skipped=x.size)
+                now = (best, least) if least < math.inf else (z[:-1], float(z[-1]))
+                if np.max(np.abs(now[0] - x)) < _STILL:
+                    break
+                x, slack = now
+        except Kept:
+            return best, 0.0
+        return (best, least) if least < math.inf else (x, math.inf)
+
+    def _needed(self, x: Real, found: Rows, slack: float) -> float:
+        """The slack with which parameters keep every row, infinite where none is known:
+        to first order from the rows at some slack, and then measured.
+        """
+        rate = found.gradient[-1]
+        if np.min(found.value[rate == 0.0], initial=0.0) < -_MISSED:
+            return math.inf
+        given = rate > 0.0
+        need = slack - float(np.min(found.value[given] / rate[given], initial=math.inf))
+        if need <= 0.0 and slack <= 0.0:
+            return need
+        need = max(need, 0.0)
+        if need > _LARGEST:
+            return math.inf
+        kept = np.min(self.rows(x, None, need).value) >= -_MISSED
+        return need if kept else math.inf
+
+    def _towards_own_rows(self, x: Real) -> Real:
+        """Parameters that miss least of what any loop needs, whatever was asked for."""
+        limits = [*self.bounds()[:-2], (-_BEYOND, math.inf)]
+        best, least = x, math.inf
+
+        def rows(z: Real) -> Rows:
+            nonlocal best, least
+            found = self.rows(z[:-1], None)
+            own = ~found.soft
+            slope = found.gradient[:, own]
+            slope[-1] = 1.0
+            worst = -float(np.min(found.value[own]))
+            if worst < least:
+                best, least = z[:-1].copy(), worst
+                if least <= 0.0:
+                    raise Kept
+            kept = found.value[own] + z[-1]
+            return Rows(kept, slope, found.soft[own], found.link[own], [])
+
+        miss = -float(np.min(self.rows(x, None).value))
+        with contextlib.suppress(Kept):
+            descended(np.array([*x, miss]), rows, limits, skipped=x.size)
+        return best
 
     def with_sheet(self, sheet: Sheet) -> Problem:
         """Return the problem over other links."""

@@ -107,7 +107,10 @@ def vibration(loop: Loop, natural_frequency: float) -> Vibration | None:
         )
         + 1
     )
-    roots = _roots(loop, w[inner].astype(complex), natural_frequency)
+    # A weak loop about a sharp resonance moves the link's own pole by less than a dent
+    # shows.
+    starts = np.append(w[inner], mode)
+    roots = _roots(loop, starts.astype(complex), natural_frequency)
     # ω = s/j: the decay rate is Im ω.
     found = [
         Vibration(float(abs(root)), float(root.imag / abs(root))) for root in roots
@@ -118,15 +121,17 @@ def vibration(loop: Loop, natural_frequency: float) -> Vibration | None:
 
 
 def _roots(loop: Loop, w: Complex, natural_frequency: float) -> Complex:
-    """Roots of 1 + L at complex ω, by Newton's method with a central difference; those
-    that converged.
+    """Roots of 1 + L at complex ω, by Newton's method on 1 + 1/L with a central
+    difference; those that converged.
+
+    1/L is nearly a parabola about a resonance, where L has a pole beside the root.
     """
     for _ in range(_STEPS):
         step = 1e-6 * np.abs(w)
         # One call for all three: a drag in the studio waits for it, and most of a call
         # is its overhead.
         value, above, below = loop(np.stack([w, w + step, w - step]), natural_frequency)
-        change = (1.0 + value) * (2.0 * step) / (above - below)
+        change = (1.0 + 1.0 / value) * (2.0 * step) / (1.0 / above - 1.0 / below)
         # A step of at most a tenth keeps ω in the right half plane, where the principal
         # powers are L's own.
         w = w - change * np.minimum(

@@ -35,6 +35,7 @@ __all__ = [
     "kept_by_law",
     "law_findings",
     "law_margins",
+    "least_modulus",
     "margins_of",
     "no_law",
     "no_law_kept",
@@ -293,12 +294,19 @@ def kept_by_law(
         ),
         Requirement.at_least(
             LAW_MODULUS,
-            min(_MODULUS, math.sin(0.5 * design.phase_margin)),
+            least_modulus(design.phase_margin),
             distance,
             "",
             nearest.payload,
         ),
     )
+
+
+def least_modulus(phase_margin: float) -> float:
+    """Return the |1 + L| that the shipped law has to keep: half of what a margin
+    leaves at most, and no more than a proof asks for.
+    """
+    return min(_MODULUS, math.sin(0.5 * phase_margin))
 
 
 def no_law_kept(design: Design) -> Requirement:

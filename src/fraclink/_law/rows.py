@@ -28,7 +28,9 @@ __all__ = [
 # a phase margin of 29° follow from it. Asked for where no margin is.
 SENSITIVITY = 2.0
 # A vibration that takes longer than ten of its periods to fall to 2 % is seen as
-# ringing: ζ = ln 50/(2π·10), for small ζ.
+# ringing: ζ = ln 50/(2π·10), for small ζ. Not less for a link that has less of its own:
+# with a resonance of 1/(2ζ) any gain crosses beside it with a large margin, and such a
+# loop passes every other row without damping anything.
 _PERIODS = 10
 DAMPING = math.log(50.0) / math.hypot(2.0 * math.pi * _PERIODS, math.log(50.0))
 # Three standard deviations of the noise leave half of the voltage to the motion.
