@@ -28,7 +28,7 @@ from fraclink.trials._stages import designed, moved, subject
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view import _tables as tables
 from fraclink.view._arm_box import arm_box
-from fraclink.view._text import marked
+from fraclink.view._text import marked, sentence
 
 __all__ = ["Session", "SupersededError", "bare", "opened"]
 
@@ -237,7 +237,7 @@ class Session:
     def _proof_said(self) -> str:
         study = self.study
         if study.certificate is not None:
-            return study.certificate.verdict
+            return sentence(tables.proof_sentence(study.certificate))
         return f"Not proved: {study.uncertified}" if study.uncertified else ""
 
     def marks(self) -> dict[str, str]:

@@ -30,7 +30,7 @@ from fraclink.trials._campaign import Campaign, load_campaign
 from fraclink.trials._faults import FaultTable
 from fraclink.trials._study import Study, load_study, save_study
 from fraclink.view import _tables as tables
-from fraclink.view._text import grams
+from fraclink.view._text import grams, sentence
 from fracsys.checks import Between
 
 __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
@@ -295,7 +295,7 @@ def proof_of(study: Study) -> dict[str, Any]:
                 1e3 * statement.payload_high,
             ],  # [g], [ms]: its box on the map
             "delays": [1e3 * statement.delay_low, 1e3 * statement.delay_high],
-            "text": study.certificate.verdict,
+            "text": sentence(tables.proof_sentence(study.certificate)),
         }
     if study.arms is not None:
         spread = tables.spread_table(study.arms)

@@ -10,6 +10,7 @@ from importlib.resources import files
 
 from fraclink import __version__
 from fraclink.errors import MissingExtraError
+from fraclink.view._tables import proof_sentence, proof_table
 from fraclink.view._text import marked, sentence
 
 __all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
@@ -121,7 +122,12 @@ def rendered(template: str, **contents: object) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"sentence": sentence, "marked": marked}
+    environment.filters |= {
+        "sentence": sentence,
+        "marked": marked,
+        "proof_sentence": proof_sentence,
+        "proof_table": proof_table,
+    }
     return environment.get_template(template).render(version=__version__, **contents)
 
 

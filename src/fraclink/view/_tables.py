@@ -24,6 +24,7 @@ from fraclink.view._text import (
 if TYPE_CHECKING:
     from fraclink._arm.experiment import Experiment
     from fraclink._arm.rig import Rig
+    from fraclink._certify import Certificate
     from fraclink._design import Design, Requirement
     from fraclink._identify import Fit
     from fraclink._law import Law
@@ -286,6 +287,60 @@ def requirements_table(requirements: Iterable[Requirement]) -> Table:
         ("requirement", "required", "achieved", "worst at", "slack", "verdict"),
         rows,
         judged=True,
+    )
+
+
+def proof_sentence(certificate: Certificate) -> str:
+    """What a certificate claims, in units that a person reads; the exact statement is
+    its `verdict`.
+
+    |1 + L| > m leaves a phase margin above 2 asin(m/2) and a gain margin above
+    1/(1 − m), and the arms of the table `proof_table` lie inside the claim.
+    """
+    if not certificate.passed:
+        return certificate.verdict
+    claim = certificate.statement
+    low, high = number(1e3 * claim.payload_low), grams(claim.payload_high)
+    margin = degrees(2.0 * math.asin(min(1.0, 0.5 * claim.modulus)))
+    factor = (
+        f" and {number(1.0 / (1.0 - claim.modulus), 3)} times the gain"
+        if claim.modulus < 1.0
+        else ""
+    )
+    return (
+        f"proved stable for every payload from {low} to {high}, every computation delay "
+        f"up to {number(1e3 * claim.delay_high)} ms and every arm that fit and rig leave "
+        f"open; distance to −1 above {number(claim.modulus, 3)}, that is {margin} of "
+        f"phase margin{factor} at the worst of them"
+    )
+
+
+def proof_table(certificate: Certificate) -> Table:
+    """Quantity, least and largest value of the box that a certificate is about."""
+    claim = certificate.statement
+    named = (
+        ("payload [g]", "payload", 1e3),
+        ("computation delay [ms]", "delay", 1e3),
+        ("order λ", "order", 1.0),
+        ("1/ω₀² over the payload [1/(kg·s^−λ)]", "softness", 1.0),
+        ("damping μ", "damping", 1.0),
+        ("gain of the gauge", "gauge_gain", 1.0),
+        ("delay of the gauge [ms]", "gauge_delay", 1e3),
+        ("second mode [rad/s]", "mode_frequency", 1.0),
+        ("gain of the second mode", "mode_gain", 1.0),
+        ("pole of the motor loop [rad/s]", "pole", 1.0),
+        ("gain of the motor [rad/(V·s²)]", "gain", 1.0),
+    )
+    rows = [
+        (words, low * factor, high * factor)
+        for words, name, factor in named
+        for low, high in [
+            (getattr(claim, f"{name}_low"), getattr(claim, f"{name}_high"))
+        ]
+    ]
+    return Table(
+        ("inside the proof", "from", "to"),
+        tuple((words, number(a), number(b)) for words, a, b in rows if a or b),
     )
 
 

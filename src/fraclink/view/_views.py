@@ -34,6 +34,8 @@ from fraclink.view._tables import (
     held_out,
     log_table,
     moves_table,
+    proof_sentence,
+    proof_table,
     requirements_table,
     rig_table,
     source_name,
@@ -232,7 +234,9 @@ def _run_view(run: Run) -> View:
 def _certificate_view(certificate: Any) -> View:
     # The sign before the headline says "failed" already.
     return View(
-        certificate.verdict.removeprefix("Not certified: "), state=state_of(certificate)
+        proof_sentence(certificate).removeprefix("Not certified: "),
+        (proof_table(certificate),) if certificate.passed else (),
+        state=state_of(certificate),
     )
 
 
