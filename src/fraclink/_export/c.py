@@ -11,6 +11,7 @@ from pathlib import Path
 
 from fraclink import _kernels
 from fraclink._certify import Certificate
+from fraclink._design import Design
 from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_case
 from fraclink._export.data import (
     data_header,
@@ -35,7 +36,7 @@ __all__ = ["export_c", "readme"]
 
 @checked
 def export_c(
-    law: Law,
+    law: Law | Design,
     folder: Path | str,
     *,
     precision: Precision | None = None,
@@ -56,8 +57,8 @@ def export_c(
     Parameters
     ----------
     law
-        From `discretize`; with the motor loop of a rig (`equip`) it closes the motor
-        loop too.
+        From `discretize`; a design stands for its `law()`. With the motor loop of a
+        rig (`equip`) it closes the motor loop too.
     folder
         Made where it is missing; an existing one that is not empty needs `force`.
     precision
@@ -97,6 +98,7 @@ def export_c(
     >>> [path.name for path in export_c(law, folder, precision="single")]
     ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md', 'law.json']
     """
+    law = law.law() if isinstance(law, Design) else law
     identifier("name", name)
     title_text(title)
     place = Path(folder)
