@@ -76,7 +76,9 @@ def _same_at_heavy(published: Published) -> Evidence:
 
 def _offset_left(published: Published) -> Evidence:
     gain, order = designs.printed().fractional.gain, designs.printed().fractional.order
-    law = discretize(designs.printed().fractional, designs.rig().period)
+    law = discretize(
+        designs.printed().fractional, designs.rig().period, precision="double"
+    )
     exact = abs(complex(law.frequency_response(np.array([0.0]))[0]))
     rows = [
         Reading(

@@ -114,7 +114,7 @@ def test_the_page_says_what_is_promised_and_what_it_simulates(study, page):
     texts = " ".join(" ".join(parsed(page).texts).split())
     assert "designed for payloads from 20 to 40 g" in texts.replace("  ", " ")
     assert "Outside this range nothing is promised" in texts
-    assert "promise passed, model not run, reality not run" in texts
+    assert "promise passed, model not run, twin not run, arm not run" in texts
     assert "No certificate came with this design" in texts
     assert "The mass of the link" in texts
     refuted = render_arm_page(replace(study, uncertified="because of the moon"))
@@ -326,14 +326,14 @@ def test_the_python_of_the_page_names_the_law_that_it_runs(study):
         study.design.model,
         moves=fl.extend.Moves(velocity=2.0),
     )
-    loaded = 'fl.load("law.json")'
+    loaded, double = 'fl.load("law.json")', '.in_precision("double")'
     bare = replace(study.law, drive=None)
     for law, python in (
-        (None, "design.law()"),
-        (study.law, "design.law()"),
-        (other, loaded),
-        (study.law.in_precision("single"), f'{loaded}.in_precision("double")'),
-        (bare, f"fl.extend.equip({loaded}, design.rig, design.model)"),
+        (None, f"design.law(){double}"),
+        (study.law, f"design.law(){double}"),
+        (other, f"{loaded}{double}"),
+        (study.law.in_precision("double"), loaded),
+        (bare, f"fl.extend.equip({loaded}{double}, design.rig, design.model)"),
     ):
         data = numbers_of(render_arm_page(replace(study, law=law)))
         assert data["law"] == python

@@ -297,11 +297,11 @@ def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
         rig.period,
         order=4,
     )
-    campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=0)
-    assert _first_look(campaign, 912) > 0.3
-    part, run = simulate_part(campaign, 0), replay_run(campaign, 912)
-    assert part["growth"][912] == run.metrics.growth == 0.0
-    assert part["passed"][912] and run.verdict.passed
+    campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=1)
+    assert _first_look(campaign, 801) > 0.3
+    part, run = simulate_part(campaign, 0), replay_run(campaign, 801)
+    assert part["growth"][801] == run.metrics.growth == 0.0
+    assert part["passed"][801] and run.verdict.passed
     assert not (part["growth"] > 0.0).any()
 
 

@@ -54,7 +54,7 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
     command = [
         "run",
         "--rig",
-        "paper-2023",
+        "paper-2023-geared",
         "--log",
         "demo",
         "--out",
@@ -95,6 +95,9 @@ def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
         "run-30g.npz",
         "run-40g.npz",
         "study.json",
+        "twin-20g.npz",
+        "twin-30g.npz",
+        "twin-40g.npz",
     ]
 
 
@@ -118,7 +121,7 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
 @pytest.mark.slow
 def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
     assert told_run.out.startswith(
-        "– not run: promise passed, model passed, reality not run\n"
+        "– not run: promise passed, model passed, twin not run, arm not run\n"
     )
     assert "the log is simulated, not measured" in told_run.out
     assert told_run.err == (  # piped: no progress
@@ -147,8 +150,9 @@ def test_every_scope_of_the_demo_passes() -> None:
 def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    # The gearless motor of the paper's rig sticks in small moves: about a quarter of
-    # 1000 arms do not settle.
+    # The gearless motor of the paper's rig has less than a hundredth of the
+    # arm's inertia: with the coupling torque compensated when the gauge shows it, its
+    # loop is unstable.
     place = tmp_path / "out"
     command = [
         "run",
@@ -165,16 +169,15 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     ]
     assert main(command) == 1
     result = json.loads(capsys.readouterr().out)
-    assert (
-        result["verdict"]["state"] == result["verdict"]["reality"]["state"] == "failed"
-    )
+    assert result["verdict"]["state"] == result["verdict"]["twin"]["state"] == "failed"
     assert (
         result["verdict"]["promise"]["state"]
         == result["verdict"]["model"]["state"]
         == "passed"
     )
     assert result["arms"]["runs"] == 1000
-    assert f"{result['arms']['failures']} of 1000 arms fail" in result["reasons"][0]
+    fails = f"{result['arms']['failures']} of 1000 arms fail"
+    assert any(fails in reason for reason in result["reasons"])
     study = load_study(place)
     assert render_report(study) == (place / "report.html").read_text("utf-8")
     page = (place / "report.html").read_text("utf-8")
@@ -205,7 +208,7 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
     ]
     assert main([*command, "--gain-crossover", "60"]) == 1
     assert (
-        "✗ failed: promise failed, model not run, reality not run"
+        "✗ failed: promise failed, model not run, twin not run, arm not run"
         in capsys.readouterr().out
     )
     study = load_study(tmp_path / "out")
@@ -359,7 +362,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     command = [
         "run",
         "--rig",
-        "paper-2023",
+        "paper-2023-geared",
         "--log",
         "demo",
         "--out",
@@ -369,7 +372,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert main([*command, "--certify", "--arms", "0", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["promise"]["state"] == "passed"
-    assert result["verdict"]["reality"]["state"] == "not run"
+    assert result["verdict"]["twin"]["state"] == "not run"
     assert result["passed"] is False
     assert {fit["structure"] for fit in result["fits"]} == {
         "UD-IOM",
@@ -400,8 +403,8 @@ def test_the_stages_chain_through_files(
     log = str(bundled_log("prbs_30g"))
     commands = (
         f"identify {log} --rig rig.toml --out results/model.json",
-        "design --rig rig.toml --model results/model.json --payloads 0.020 0.040 --gain-crossover 11.5"
-        " --phase-margin-deg 50 --out results/design.json",
+        "design --rig rig.toml --model results/model.json --payloads 0.020 0.040 --gain-crossover 11"
+        " --phase-margin-deg 45 --out results/design.json",
         "simulate results/design.json --payload 0.020 --inner ideal --noise 0 --out results/run.npz",
         "report results --out report.html",
     )

@@ -161,7 +161,7 @@ def test_rivals_and_the_law_run_on_the_same_arm(setting):
     from fraclink.trials._rivals import Rival
 
     twin = Twin.from_rig(RIG, link_mass=0.00735)
-    whole = servo_law(setting.law)
+    whole = servo_law(setting.law.in_precision("double"))
     bare = replace(whole, correction=Modes(0.0), feedforward=Modes(0.0))
     correction = law_filter(setting.law)
     python = Rival(
@@ -192,7 +192,7 @@ def test_feed_forward_is_the_laws(setting):
 
     from fraclink._law import LawInputs, Modes
 
-    law = replace(servo_law(setting.law), correction=Modes(0.0))
+    law = replace(servo_law(setting.law), correction=Modes(0.0), precision="double")
     acceleration = MOVE.acceleration(RIG.period * np.arange(200))
     state, commands = law.initial_state(), []
     for k, value in enumerate(acceleration.tolist()):

@@ -210,7 +210,7 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
         wholes.append(whole)
         modes = made.order + len(made.feedforward.poles)
         assert 60 < outer <= 8 * modes + 16 <= 80
-    assert 300 < wholes[0] < wholes[1] <= 440
+    assert 300 < wholes[0] < wholes[1] <= 460
 
 
 @pytest.mark.slow
@@ -249,7 +249,7 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
         tool("arm-none-eabi-size", "binutils-arm-none-eabi"), tmp_path / "law.o"
     ).stdout.split()
     text, data, bss = map(int, size[6:9])
-    assert text <= 4096
+    assert text <= 4352
     assert data == bss == 0  # no statics
     assert struct.calcsize("<14I41f") <= 256
     assert exact_sizes(made)[1] == struct.calcsize(

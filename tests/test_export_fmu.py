@@ -58,7 +58,7 @@ def test_50_000_periods_are_those_of_the_simulation(
     # Missed and repeated periods (8, 16) need another timer. A residual (256) that
     # lasts needs an encoder that stands still; for a single period a motor that an
     # event has pushed is away from its model, too.
-    assert seen | 256 == 0x1FF - 8 - 16
+    assert seen | 256 == 0x5FF - 8 - 16
     assert ending == "held" or seen & 256
 
 

@@ -27,8 +27,8 @@ OF_ARM = (
     ("voltage", "output", "V", ()),
     ("tip_estimate", "output", "rad", (2, 3)),
     ("mode", "output", (0, 4), ()),
-    ("reason", "output", (0, 13), ()),
-    ("flags", "output", (0, 1023), ()),
+    ("reason", "output", (0, 15), ()),
+    ("flags", "output", (0, 2047), ()),
     ("time", "independent", "s", ()),
     ("payload", "input", "kg", ()),
 )

@@ -14,19 +14,18 @@ import pytest
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
+from fraclink import _kernels, extend
 from fraclink._arm.link import LinkModel
 from fraclink._law import (
     Law,
     LawInputs,
     Modes,
-    Moves,
-    derive_limits,
     discretize_controller,
 )
 from fraclink._law import block as layout
 from fraclink._law.discretization import _crossover, _is_met
 from fraclink.errors import FieldError, FileFormatError
+from fraclink.extend import Moves
 from law_bench import PERIOD, default_controller, law, run, signals
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -267,10 +266,16 @@ def test_a_value_beyond_single_precision_is_refused() -> None:
 def test_limits_follow_the_move() -> None:
     link = fl.Rig.named("paper-2023").model
     assert link is not None
-    slow, fast = (derive_limits(link, PERIOD, Moves(velocity=v)) for v in (3.0, 6.0))
+    made = law()
+    rig = fl.Rig.named("paper-2023")
+    slow, fast = (
+        extend.equip(made, replace(rig, moves=Moves(velocity=v)), link).limits
+        for v in (3.0, 6.0)
+    )
     assert fast.motor_step == pytest.approx(2 * slow.motor_step)
     assert fast.reference_step == pytest.approx(2 * slow.reference_step)
-    railed = derive_limits(link, PERIOD, Moves(), gauge_limit=4.0)
+    gauge = replace(rig.gauge, limit=4.0)
+    railed = extend.equip(made, replace(rig, gauge=gauge), link).limits
     assert railed.torque_limit < 4.0
 
 
@@ -371,9 +376,9 @@ def test_a_law_of_a_controller_alone_has_the_papers_motor_loop() -> None:
     assert (bare.inner_pole, bare.drive) == (80.0, None)
     other = discretize_controller(replace(own, inner=fl.MotorLoop(40.0, 3)), PERIOD)
     assert other.inner_pole == 40.0 and other.correction == bare.correction
-    assert other.tracking != bare.tracking
+    assert other.motor_model != bare.motor_model
     same = discretize_controller(replace(own, inner=fl.MotorLoop(80.0, 1)), PERIOD)
-    assert same.tracking == bare.tracking and same.limits == bare.limits
+    assert same.motor_model == bare.motor_model and same.limits == bare.limits
     nyquist = np.pi / PERIOD
     assert bare.band == pytest.approx((0.05, 300.0))
     filtered = replace(own, filter_time=0.01)

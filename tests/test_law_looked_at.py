@@ -14,7 +14,7 @@ import pytest
 import fraclink as fl
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorLoop
-from fraclink._law.block import Modes
+from fraclink._law.block import Modes, Tracking
 from fraclink._law.refit import refitted
 from fraclink._law.requirement import (
     LAW_MARGIN,
@@ -24,7 +24,7 @@ from fraclink._law.requirement import (
     law_findings,
     no_law,
 )
-from fraclink._law.tracking import forward_fit, masses_of, tracking_for
+from fraclink._law.tracking import following, forward_fit, masses_of, tracking_for
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
 from fracsys._margins import GainCrossing, Margins
@@ -245,18 +245,18 @@ def test_the_feed_forward_is_what_the_reference_lacks() -> None:
     assert np.abs(np.degrees(np.angle(ratio))).max() < 1.5
 
 
-def track(link: LinkModel, **changes: object):  # type: ignore[no-untyped-def]
+def track(link: LinkModel) -> Tracking | None:
     forward = Modes(1.0 / link.natural_frequency**2)  # exact for λ = 2
-    given: dict[str, object] = {"rig": None, "pid": None} | changes
-    return tracking_for(link, forward, 0.004, 80.0, 1, **given)  # type: ignore[arg-type]
+    return tracking_for(link, forward, 0.004, rig=None)
 
 
 def test_tracking_follows_the_motor_loop_and_scales_by_the_mass() -> None:
     link = LinkModel(1.56, 11.0, payload=0.03, gauge_delay=0.01, gauge_gain=1.1)
-    found = track(link)
-    assert found is not None
-    assert (found.nominal, found.link) == (pytest.approx(0.03), 0.0)
-    assert (found.gauge_delay, found.gauge_gain) == (0.01, 1.1)
+    scale = track(link)
+    assert scale is not None
+    assert (scale.nominal, scale.link) == (pytest.approx(0.03), 0.0)
+    assert (scale.gauge_delay, scale.gauge_gain) == (0.01, 1.1)
+    found = following(11.0, 0.004, 80.0, 1, None, None).model
     w = np.linspace(1.0, 22.0, 40)
     z = np.exp(1j * w * 0.004)
     h = found.now + found.next / (z - found.keep)
@@ -272,26 +272,26 @@ def test_tracking_follows_the_motor_loop_and_scales_by_the_mass() -> None:
     for value in (found.now, found.next, found.keep):
         assert value == float(np.float32(value))
     assert track(replace(link, payload=None)) is None
-    assert track(replace(link, gauge_delay=-0.01)).gauge_delay == 0.0
+    leading = track(replace(link, gauge_delay=-0.01))
+    assert leading is not None and leading.gauge_delay == 0.0
 
 
 def test_a_feed_forward_that_is_too_small_belongs_to_a_lighter_payload() -> None:
     link = LinkModel(1.56, 11.0, payload=0.03)
     small = Modes(0.98 / 121.0)
-    found = tracking_for(link, small, 0.004, 80.0, 1, rig=None, pid=None)
+    found = tracking_for(link, small, 0.004, rig=None)
     assert found is not None and found.nominal == pytest.approx(0.98 * 0.03)
     mode = Modes(
         0.0, (0.5,), (0.5 / 121.0,)
     )  # g/(z − p) is g/(1 − p) far below the sampling rate
-    slow = tracking_for(link, mode, 0.004, 80.0, 1, rig=None, pid=None)
+    slow = tracking_for(link, mode, 0.004, rig=None)
     assert slow is not None and slow.nominal == pytest.approx(0.03, rel=5e-3)
 
 
-def test_tracking_of_the_pid_that_runs_is_its_own_closed_loop() -> None:
-    link = replace(MODEL, payload=0.03)
+def test_the_motor_model_is_the_closed_loop_of_the_pid_that_runs() -> None:
     for placement in ("tustin", "direct"):
         loop = MotorLoop(80.0, 1, "sampled", placement).sampled(RIG.motor, 0.004)
-        found = track(link, rig=RIG, pid=loop.pid)
+        found = following(abs(MODEL.pole), 0.004, 80.0, 1, RIG.motor, loop.pid).model
         w = np.linspace(1.0, 20.0, 40)
         z = np.exp(1j * w * 0.004)
         h = found.now + found.next / (z - found.keep)

@@ -61,8 +61,11 @@ def expected(made: Law, reference: NDArray[np.float64]) -> NDArray[np.float64]:
     t = made.tracking
     assert t is not None
     top, below = (
-        [t.now, t.next - t.now * t.keep],
-        np.convolve([1.0, -1.0], [1.0, -t.keep]),
+        [
+            made.motor_model.now,
+            made.motor_model.next - made.motor_model.now * made.motor_model.keep,
+        ],
+        np.convolve([1.0, -1.0], [1.0, -made.motor_model.keep]),
     )
     below[1:] += top
     return reference[0] + lfilter([0.0, *top], below, reference - reference[0])
@@ -199,7 +202,7 @@ def test_the_reference_model_is_the_sampled_motor_loop(
     loop = MotorLoop(80.0, delay, "sampled", placement).sampled(rig.motor, rig.period)
     w = np.array([1.0, 5.0, 10.0, 20.0])
     z = np.exp(1j * w * rig.period)
-    h = made.tracking.now + made.tracking.next / (z - made.tracking.keep)
+    h = made.motor_model.now + made.motor_model.next / (z - made.motor_model.keep)
     found = h / (z - 1 + h)
     wanted = (
         loop.voltage(w) * loop.plant(1 / z) if made.drive.loop == loop.pid else None

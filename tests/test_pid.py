@@ -288,7 +288,7 @@ def own_filter(law: fl.Law, error: Real, limit: float = math.inf) -> Real:
 @pytest.mark.parametrize("limit", [1000.0, 1.0])
 def test_law_is_the_filter_that_it_states(limit: float) -> None:
     law = fl.extend.discretize_pid(
-        pid(), 0.004, output_limit=limit, measurement_limit=2.0
+        pid(), 0.004, output_limit=limit, measurement_limit=2.0, precision="double"
     )
     rng = np.random.default_rng(1)
     reference, measured = rng.uniform(-1, 1, (2, 1500))

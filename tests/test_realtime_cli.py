@@ -199,7 +199,7 @@ def test_a_board_is_run_and_left_with_its_drive_off(
     assert "samples); expected 1 %" in err
     assert not (tmp_path / "log.csv").exists()
     assert "passed" in out  # the run itself
-    assert fraclink(f"{line} --force --single --no-motor")[0] == 0
+    assert fraclink(f"{line} --force --no-motor")[0] == 0
     assert not fl.load("realtime.npz", RealtimeRun).voltage.any()
     assert fraclink(f"{line} --force --log log.csv")[0] == 0
     lines = (tmp_path / "log.csv").read_text("utf-8").splitlines()

@@ -241,7 +241,7 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults
-    assert back.verdict.reality == Scope(
+    assert back.verdict.twin == Scope(
         "failed", ("1 of 2 faults miss their requirement",)
     )
     assert back.verdict.promise == replace(saved, faults=None).verdict.promise
@@ -277,7 +277,8 @@ def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
     wrong = Finding("W399", "error", "the model predicts nothing", {}, "record again")
     made, _ = design_for(RIG)
     verdict = Study(rig=RIG, design=made, findings=(wrong,)).verdict
-    assert [scope.state for scope in verdict.scopes.values()] == ["not shown"] * 3
+    states = [scope.state for scope in verdict.scopes.values()]
+    assert states == ["not shown", "not shown", "not shown", "not run"]
     page = render_report(Study(rig=RIG, design=made, findings=(wrong,)))
     assert '<div class="verdict not-shown">' in page
 

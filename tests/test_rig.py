@@ -69,7 +69,7 @@ def test_the_geared_rig_differs_from_the_printed_one_by_gear_link_mass_and_reque
     printed, geared = Rig.named("paper-2023"), Rig.named("paper-2023-geared")
     assert geared.motor == dataclasses.replace(printed.motor, gear_ratio=50.0)
     assert geared.link == dataclasses.replace(printed.link, mass=0.00735)
-    assert geared.design == DesignDefaults(11.7, 45.0)
+    assert geared.design == DesignDefaults(11.4, 45.0)
     same = {
         "motor": printed.motor,
         "link": printed.link,

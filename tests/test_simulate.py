@@ -391,43 +391,6 @@ def test_sizes_and_periods_are_checked_first() -> None:
         )
 
 
-def test_a_measured_compensation_costs_damping() -> None:
-    """One delay late, the compensation feeds the vibration: less damping than ideal,
-    none at 8 g.
-    """
-    move = fl.smooth_step(1.0, 0.5)
-    late = {}
-    for kind in ("ideal", "measured"):
-        options: dict[str, Any] = {
-            "motor_loop": "sampled",
-            "compensation": kind,
-            "duration": 3.0,
-        }
-        run = simulate(law(), move, rig=EXACT, model=MODEL, payload=0.03, **options)
-        assert run.verdict.passed, run.verdict.reason
-        late[kind] = np.ptp(run.tip_angle[-250:])
-    assert late["measured"] > 2 * late["ideal"]
-    light = simulate(
-        law(),
-        move,
-        rig=EXACT,
-        model=MODEL,
-        payload=0.008,
-        motor_loop="sampled",
-        compensation="measured",
-    )
-    assert not light.verdict
-    with pytest.raises(FieldError, match="compensation"):
-        simulate(
-            law(),
-            move,
-            rig=EXACT,
-            model=MODEL,
-            motor_loop="ideal",
-            compensation="measured",
-        )
-
-
 def test_the_coupled_motor_converges_with_its_substeps() -> None:
     ends = [
         simulate(

@@ -296,9 +296,7 @@ def test_the_law_is_moved_with_another_payload_of_the_range(
     )
     assert [move.payload for move in again.moves] == [0.030, 0.030, 0.038, 0.038]
     assert (
-        again.has_law
-        and again.verdict.reality.state == "passed"
-        and again.payload == 0.030
+        again.has_law and again.verdict.arm.state == "passed" and again.payload == 0.030
     )
     assert again.link is not None and found.link is not None
     assert again.link.fit.model == found.link.fit.model
@@ -317,8 +315,8 @@ def test_a_law_that_the_arm_refuses_is_withheld_and_the_next_one_is_tried(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _, _, place = tuned
-    (tmp_path / "tuning.json").write_bytes((place / "tuning.json").read_bytes())
+    # As before any law was tried.
+    fl.save(replace(tuned[0], refused=0), tmp_path / "tuning.json")
     tried: list[str] = []
 
     def moved(
@@ -396,7 +394,7 @@ def test_only_a_law_whose_moves_were_as_promised_is_offered(tmp_path: Path) -> N
     # A slow move that never comes to rest hunts, however well the fast one settles.
     hunting = replace(kept, duration=1.6, promised_settling=1.4, measured_settling=4.1)
     hunted = replace(proved, moves=(hunting, kept))
-    assert not hunted.passed and "back and forth" in hunted.verdict.reality.reasons[0]
+    assert not hunted.passed and "back and forth" in hunted.verdict.arm.reasons[0]
     assert replace(proved, moves=(replace(hunting, measured_settling=1.9), kept)).passed
     slow = fl.lab.FirstMove(0.3, 0.5, 0.47, 2.0, *(0.001,) * 7)
     off = replace(proved, moves=(slow,))

@@ -95,7 +95,7 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
         assert (
             verdict.promise.state,
             verdict.model.state,
-            verdict.reality.state,
+            verdict.arm.state,
         ) == words, state
         assert state.passed is (words == ("passed",) * 3)
     assert replace(STATE, reasons=("why",), stopped="by hand").verdict.promise == Scope(
@@ -104,7 +104,7 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
     assert replace(STATE, stopped="by hand").verdict.promise == Scope(
         "not run", ("by hand",)
     )
-    jumped = replace(law, moves=(replace(MOVE, jump=0.021),)).verdict.reality
+    jumped = replace(law, moves=(replace(MOVE, jump=0.021),)).verdict.arm
     assert jumped.reasons == ("jump of 0.021 rad at the hand-over",)
     assert (
         not STATE.has_law

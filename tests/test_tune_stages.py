@@ -194,7 +194,7 @@ def test_the_motors_law_has_its_loop_and_nothing_else() -> None:
         law.drive.torque_voltage,
     ) == (10.0, 0.2, 0.0)
     assert law.drive.loop == MotorLoop(40.0, 1, "sampled", "direct").pid(MOTOR, PERIOD)
-    assert (law.period, law.precision, law.inner_pole) == (PERIOD, "double", 40.0)
+    assert (law.period, law.precision, law.inner_pole) == (PERIOD, "single", 40.0)
     # A gauge that shows anything at all changes nothing: the user's own limits are the
     # guard's.
     voltages = []
@@ -224,7 +224,7 @@ def test_an_encoder_that_jumps_ends_the_law_and_a_period_that_was_missed_does_no
         MOTOR, MotorLoop(40.0, 1, "sampled", "direct"), guarded(arm(seed=1).callback)
     )
     runs = Follower(law)
-    for periods in (1, 1, 3, 5, 1):
+    for periods in (1, 1, 3, 1, 1, 1, 1):
         assert abs(runs.step(0.0, 0.0, 0.0, 0.0, periods)) < 1e-9
     with pytest.raises(LawTripped, match="missed periods"):
         runs.step(0.0, 0.0, 0.0, 0.0, 7)
@@ -366,6 +366,9 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
         wiring = check_wiring(guard, None)
         first = tune_motor(guard, wiring)
         link, _ = tune_link(guard, wiring, first, 0.030)
+        if not link.fit.passed:  # then the next experiment is twice as long
+            link, _ = tune_link(guard, wiring, first, 0.030, longer=2.0)
+        assert link.fit.passed
         assert link.fit.model.gauge_delay == pytest.approx(delay, abs=0.001)
         motors.append(link.motor)
     prompt, late = motors

@@ -41,7 +41,9 @@ def law():
         phase_margin=fl.deg(50),
         filter_time=0.0,
     )
-    return discretize_controller(design.controller, RIG.period, rig=RIG)
+    return discretize_controller(
+        design.controller, RIG.period, precision="double", rig=RIG
+    )
 
 
 def quiet(payload=0.030, link_mass=LINK_MASS, **changes):

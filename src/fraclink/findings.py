@@ -127,12 +127,13 @@ class Scope:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What was shown, in three scopes; the whole is never better than its worst part.
+    """What was shown, in four scopes; the whole is never better than its worst part.
 
     promise: the requirements of the design, and their proof where one was asked for.
-    model: simulated moves of the identified model. reality: arms that differ from the
-    model, and faults if they were injected. remarks stand beside the verdict and do not
-    change it.
+    model: simulated moves of the identified model. twin: the arm with distributed mass
+    under the law as it ships, arms that differ from the model, and faults if they were
+    injected. arm: records of what the real one did; "not run" until there is one, which
+    leaves the rest as it is. remarks stand beside the verdict and do not change it.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'
@@ -140,23 +141,31 @@ class Verdict:
 
     promise: Scope
     model: Scope
-    reality: Scope
+    twin: Scope
+    arm: Scope = Scope("not run")
     remarks: tuple[str, ...] = ()
 
     @property
     def scopes(self) -> Mapping[str, Scope]:
-        """The three scopes by name."""
-        return {"promise": self.promise, "model": self.model, "reality": self.reality}
+        """The four scopes by name."""
+        names = ("promise", "model", "twin", "arm")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def state(self) -> State:
-        """The worst state of the three."""
-        states = {scope.state for scope in self.scopes.values()}
+        """The worst state of the scopes; no record of the arm itself is none of them, and
+        a record of the arm stands in for the twin where that was not run.
+        """
+        judged = [self.promise, self.model]
+        judged += [
+            scope for scope in (self.twin, self.arm) if scope.state != "not run"
+        ] or [self.twin]
+        states = {scope.state for scope in judged}
         return next(state for state in _WORST_FIRST if state in states)
 
     @property
     def passed(self) -> bool:
-        """Whether all three scopes passed."""
+        """Whether every scope passed that was run, and nothing was left out."""
         return self.state == "passed"
 
     @property

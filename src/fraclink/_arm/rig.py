@@ -19,6 +19,7 @@ from fraclink._arm.rig_parts import (
     Gauge,
     Link,
     Motor,
+    Moves,
     Name,
     Payloads,
     Sentence,
@@ -47,6 +48,7 @@ __all__ = [
     "Gauge",
     "Link",
     "Motor",
+    "Moves",
     "Payloads",
     "Rig",
     "StatedTolerances",
@@ -84,6 +86,8 @@ class Rig:
         what a design reaches where the call does not say, or None.
     tolerances
         how far the arm may differ from its model.
+    moves
+        the largest move that the arm is meant to make: the limits of its law.
     assumptions
         sentences on values that were not measured, shown in every report.
     source
@@ -123,6 +127,7 @@ class Rig:
     assumptions: tuple[Sentence, ...] = ()
     source: Source = ""
     tolerances: StatedTolerances = field(default_factory=StatedTolerances)
+    moves: Moves = field(default_factory=Moves)
 
     @staticmethod
     def named(name: str) -> Rig:
@@ -431,6 +436,7 @@ class _RigFile:
     model: _ModelTable | None = None
     design: DesignDefaults | None = None
     tolerances: StatedTolerances | None = None
+    moves: Moves | None = None
     log: _LogTable | None = None
 
     def __post_init__(self) -> None:
@@ -456,6 +462,7 @@ class _RigFile:
             model=self.model and self.model.build(self.link, self.payloads),
             log=self.log and self.log.build(),
             tolerances=self.tolerances or StatedTolerances(),
+            moves=self.moves or Moves(),
         )
 
     @staticmethod
@@ -468,6 +475,7 @@ class _RigFile:
             motor_loop=_like(_MotorLoopTable, rig.motor_loop),
             model=rig.model and _ModelTable.of(rig.model),
             tolerances=None if rig.tolerances == StatedTolerances() else rig.tolerances,
+            moves=None if rig.moves == Moves() else rig.moves,
             log=rig.log and _LogTable(**rig.log.channels()),
         )
 

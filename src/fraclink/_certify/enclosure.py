@@ -241,13 +241,17 @@ class BoxLoop:
         x, y = window.back, 1 - window.back
         n, n0, n2 = self.held_motor(late)
         e = math.exp(-self.statement.decay * self.period)
-        return y * y * slow + window.both * x * (1 - x * e).inverse() * (
-            x * n + y * (n0 - x * n2)
-        )
+        held = x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
+        for _ in range(self.statement.whole):
+            held = held * x
+        return y * y * slow + window.both * held
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
-        """(n, n0, n2) of the motor under a voltage that is held, and late."""
+        """(n, n0, n2) of the motor under a voltage that is held, and late by part of a
+        period besides whole ones.
+        """
         decay, period = self.statement.decay, self.period
+        late = late - self.statement.whole * period
         scales = (decay**-2, math.exp(-decay * period) * decay**-2)
 
         def of(delay: Disc) -> list[Disc]:
@@ -524,6 +528,7 @@ class BoxLoop:
         held = np.array([0.0, 0.0, n, 0.0])
         held += np.convolve(edge, [0.0, float(n0.c[0]), -float(n2.c[0])])
         total = np.convolve(both, held)
+        total = np.concatenate([np.zeros(self.statement.whole), total])
         total[:5] += (
             np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
         )

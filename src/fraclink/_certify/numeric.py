@@ -113,12 +113,13 @@ def _voltage(
     # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a
     # partial fraction each for the integrator and for the pole, with the rest of the
     # period `left` after the late edge.
-    decay, left = statement.decay, law.period - delay
+    decay, left = statement.decay, (1 + statement.whole) * law.period - delay
     held = (decay * left - 1.0) + decay * law.period * x / (1.0 - x)
     held = held + np.exp(-decay * left) * (1.0 - x) / (
         1.0 - np.exp(-decay * law.period) * x
     )
-    return np.asarray(first / (1.0 + both * x * gain / decay**2 * held))
+    late = x ** (1 + statement.whole)
+    return np.asarray(first / (1.0 + both * late * gain / decay**2 * held))
 
 
 def _grid(statement: Statement, law: Law, points: int) -> Real:

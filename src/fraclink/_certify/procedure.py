@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from scipy.optimize import brentq
 
@@ -17,6 +17,7 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._certify.enclosure import BoxLoop
+from fraclink._certify.guards import check_guards
 from fraclink._certify.numeric import loop_values, windings, worst_distance
 from fraclink._certify.search import MarginFailure, MarginProof, prove
 from fraclink._certify.statement import AXES, Certificate, Statement, state
@@ -30,7 +31,9 @@ __all__ = ["certify"]
 
 PayloadRange = Annotated[tuple[Payload, Payload], Ordered()]
 ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
-InnerKind = Literal["ideal", "sampled"]
+# Least |1 + L| of a loop that is passed: 14.4° of phase and a factor of 1.33 of gain
+# either way, whatever else differs from the box.
+LEAST_MODULUS = 0.25
 # Between what a search finds and what is claimed. Half of it costs 3 to 7 % more leaves
 # on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
@@ -49,7 +52,6 @@ def certify(
     delay: tuple[float, float] | None = None,
     modulus_margin: ModulusMargin | None = None,
     law: Law | None = None,
-    inner: InnerKind | None = None,
     box: ParameterBox | None = None,
     others: Iterable[LinkModel] = (),
 ) -> Certificate:
@@ -57,9 +59,10 @@ def certify(
     delay and arm of a box.
 
     The box holds the link's order, frequency and damping, the gauge's gain and delay,
-    the second mode and the motor loop. The proof covers the law's exact coefficients,
-    the zero-order hold and all aliases; tools/check_certificate.py checks it with other
-    arithmetic.
+    the second mode and the motor. The proof covers the law's exact coefficients, its
+    motor loop as it is sampled, the zero-order hold and all aliases, and that no guard
+    stands in the way of the moves it states; tools/check_certificate.py checks it with
+    other arithmetic against the files of `export_c`.
 
     The certificate says ``passed``, ``verdict``, and where it fails the payload, the
     frequency and what was found there.
@@ -73,15 +76,14 @@ def certify(
     payloads
         (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
-        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop;
-        (0, Ts) when left out.
+        (shortest, longest) computation delay [s], at most Ts apart where the law closes
+        the motor loop; the last of the motor loop's periods of delay when left out.
     modulus_margin
-        m, 0 < m < 1; a hundredth or two below what a search finds when left out.
+        m, 0 < m < 1; a hundredth or two below what a search finds when left out, and
+        then not below 0.25: a loop that comes closer does not pass.
     law
-        the law to prove, where the design's own is not meant (single precision, another
+        the law to prove, where the design's own is not meant (double precision, another
         order).
-    inner
-        "ideal" or "sampled" motor loop; the design's own when left out.
     box
         what the arm may be; when left out the box that the design was made for, else
         ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's
@@ -106,9 +108,8 @@ def certify(
     >>> certificate.passed
     True
     """
-    claim, proper = _statement(
-        subject, model, rig, payloads, delay, law, inner, box, others
-    )
+    claim, proper = _statement(subject, model, rig, payloads, delay, law, box, others)
+    check_guards(claim)
     if modulus_margin is not None:
         claim = replace(claim, modulus=modulus_margin)
     # In plain floating point first: a loop that is unstable, or too close already, is
@@ -118,7 +119,10 @@ def certify(
         return _unstable(claim, subject, model, unstable)
     distance, place = worst_distance(claim, proper)
     if modulus_margin is None:
-        return _largest_claim(claim, proper, distance, place)
+        found = _largest_claim(claim, proper, distance, place)
+        if found.passed and found.statement.modulus < LEAST_MODULUS:
+            return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
+        return found
     if distance <= claim.modulus:
         return _too_close(claim, distance, place)
     return _proved(claim, distance)
@@ -224,7 +228,6 @@ def _statement(
     payloads: tuple[float, float] | None,
     delay: tuple[float, float] | None,
     law: Law | None,
-    inner: str | None,
     box: ParameterBox | None,
     others: Iterable[LinkModel],
 ) -> tuple[Statement, Law]:
@@ -235,8 +238,6 @@ def _statement(
             law or subject.law(),
         )
         box = subject.box if box is None else box
-        settings = subject.controller.inner
-        inner = (settings.kind if settings else "ideal") if inner is None else inner
     if isinstance(subject, Law) and not subject.has_gauge:
         allowed = "a law of an arm: the proof knows its motor, link and gauge, and no other plant"
         remedy = (
@@ -259,14 +260,20 @@ def _statement(
     chosen = law if law is not None else subject
     # both branches above gave a law
     assert not isinstance(chosen, (Design, Controller))  # noqa: S101
-    kind, period = inner or "ideal", chosen.period
+    period = chosen.period
     # From none to a whole period is what a board may take to compute; the design
-    # counted on one of them.
-    first, last = (0.0, period) if delay is None else delay
+    # counted on one of them, and on whole periods of delay before it.
+    inner = subject.motor_loop if isinstance(subject, Design) else rig.motor_loop
+    whole = max(inner.delay_samples - 1, 0) * period
+    first, last = (whole, whole + period) if delay is None else delay
     first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
-    last = checked_between(
-        "delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s"
-    )
+    most = 8.0 * period
+    if chosen.drive is not None:
+        # within one period: between two the sampled motor loop has another order
+        most = (math.floor(first / period * (1 + 1e-9)) + 1) * period
+        if last == first:
+            most = max(most, last)
+    last = checked_between("delay[1]", last, first, most, "s")
     link = with_payload(model, rig)
     box = ParameterBox.of(link, rig) if box is None else box
     claim = state(
@@ -277,7 +284,6 @@ def _statement(
         payloads=payloads or (rig.payloads.low, rig.payloads.high),
         nominal_payload=0.0,
         delay=(first, last),
-        motor_loop=kind,
         # A placeholder: the caller puts what is to be claimed.
         modulus=0.5,
     )

@@ -163,7 +163,7 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
                 goal.plain(plain.c, alias), goal.inverse(inverse.c, alias), strict=True
             )
         )
-        point, loss, weight = _downhill(
+        point, loss, weight, moved = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
         # A sector bounds the angle alone: what is left to do is to show |L| < 1, and
@@ -172,6 +172,7 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             for name in loop.axes:
                 k = AXES.index(name)
                 weight[:, k] = (high[:, k] - low[:, k]) * plain.d[name].most()
+                moved[:, k] = weight[:, k]
         # With the aliases that the box holds: the point lies in it, but may lie on the
         # other side of where they begin.
         at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
@@ -184,6 +185,12 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             - loss
         )
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
+        # Where sharper slopes could not make up for what is missing, no half plane holds
+        # the whole box: it is cut where the value moves most.
+        missing = least + (_SLACK - 1.0) - reached
+        weight = np.where(
+            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], moved, weight
+        )
         quiet = goal.quiet(plain.most(), alias)
         proved, loud = (
             quiet | (front & (reached > least + (_SLACK - 1.0))),
@@ -204,12 +211,12 @@ def _downhill(
     normal: Complex,
     first: Real,
     second: Real,
-) -> tuple[Real, Real, Real]:
-    """(point to evaluate, what the other axes cost at most, weight of each axis for the
-    next cut).
+) -> tuple[Real, Real, Real, Real]:
+    """(point to evaluate, what the other axes cost at most, what a cut of each axis would
+    gain, and how far each moves the value).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
-    weight = np.full(first.shape, -1.0)
+    weight, moved = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
     for name in axes:
         k = AXES.index(name)
         a, b = plain.d[name], inverse.d[name]
@@ -236,7 +243,8 @@ def _downhill(
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
-    return point, loss, weight
+        moved[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
+    return point, loss, weight, moved
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:

@@ -51,6 +51,7 @@ from fraclink._law import Law, discretize
 from fraclink._reading.responses import read_recording
 from fraclink.errors import FieldError, LogError, MissingExtraError
 from fraclink.lab._machine import signals_held
+from fraclink.lab._rehearsal import rehearse
 from fraclink.lab._run import reserved, saved
 
 app = group()
@@ -144,7 +145,7 @@ def c(
         if prove:
             begin("certifying the loop")
             # A fractional PID has no arm over whose payloads a loop could be certified.
-            certificate = _certificate(made, shipped, motor=motor) if made else None
+            certificate = _certificate(made, shipped) if made else None
             begin("proving the files, half a minute")
         paths = export_c(
             shipped,
@@ -171,14 +172,12 @@ def c(
     )
 
 
-def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
+def _certificate(made: Design, law: Law) -> Certificate | None:
     """The certificate of the loop that `law` closes; None, which leaves the claim open,
     without the extra.
     """
     try:
-        # Without the motor loop the servo is the robot's: the proof is for one that
-        # follows at once.
-        return certify(made, law=law, inner=None if motor else "ideal")
+        return certify(made, law=law)
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
         return None
@@ -190,7 +189,7 @@ def fmu(
     out: Annotated[Path, "File to write, .fmu"] = Path("arm_law.fmu"),
     precision: Annotated[
         Literal["single", "double"], "Arithmetic of the law"
-    ] = "double",
+    ] = "single",
     compiler: Annotated[
         list[str] | None,
         typer.Option(metavar="CC"),
@@ -313,7 +312,6 @@ def run_realtime(
     ] = False,
     gear: Gear = None,
     motor: Motor = True,
-    single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
     estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
@@ -322,7 +320,8 @@ def run_realtime(
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a
     safe stop.
 
-    First it measures for half a second how late this machine wakes up, says so, and
+    The move is made on the model first: one that trips the law there is refused.
+    Then it measures for half a second how late this machine wakes up, says so, and
     refuses a period that is not kept: more than 1 % of the wake-ups later than a
     period.
 
@@ -346,6 +345,7 @@ def run_realtime(
     made = load_design(design_file, gear=gear)
     law = _law(made, motor=motor)
     estimator = made.estimator() if estimate else None
+    rehearse(made, law, wanted, payload=options["payload"])
     # Measured before anything is opened: an arm whose controller misses its periods
     # trips in the middle of a move.
     awake = lab.measure_wake_ups(
@@ -357,9 +357,7 @@ def run_realtime(
     # found as early.
     with nullcontext() if log is None else reserved(log, field="log"):
         run = lab.run_realtime(
-            # The loop on this machine is double by default; single shows what a
-            # microcontroller's rounding does to the arm.
-            law.in_precision("single") if single else law,
+            law,
             wanted,
             connection,
             relative=not absolute,

@@ -148,7 +148,7 @@ def tune(
 
 
 def _following(found: Tuning, io: str, out: Path) -> str:
-    if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
+    if found.passed or (found.has_law and found.verdict.arm.state == "not run"):
         following = f"fraclink run-realtime {out / 'design.json'} --io {io}"
         if found.next_move is None:
             return following

@@ -195,7 +195,7 @@ class PidTuning:
         output_limit: float | None = None,
         measurement_limit: float | None = None,
         order: int | None = None,
-        precision: Literal["single", "double"] = "double",
+        precision: Literal["single", "double"] = "single",
     ) -> Law:
         """Return the law that runs the controller, by `fraclink.extend.discretize_pid`.
 

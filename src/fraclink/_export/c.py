@@ -233,8 +233,15 @@ _LIMITS = {
         "rad²",
         "sum of squared motor steps from which the wiring test decides",
     ),
+    "swing_angle": (
+        "rad",
+        "a tip error that goes beyond it on both sides, and does not decay, is a vibration",
+    ),
     "bad_limit": ("periods", "rejected samples in a row before the reaction"),
-    "missed_limit": ("periods", "missed periods in a row that are ridden through"),
+    "missed_limit": (
+        "periods",
+        "missed periods, less the good ones since, that are ridden through",
+    ),
     "residual_limit": (
         "periods",
         "periods in a row away from the motor model before switching off",
@@ -288,6 +295,7 @@ def _limit_rows(law: Law) -> list[str]:
         return [
             f"| `{key}` | {value:.6g} | {' | '.join(_LIMITS[key])} |"
             for key, value in limits.items()
+            if key in _LIMITS
         ]
     units = {
         key: "periods" if _LIMITS[key][0] == "periods" else "of the measurement"

@@ -89,12 +89,12 @@ VARIABLES: tuple[Variable, ...] = (
         "why a mode above run was entered, LAW_... in law.h",
         largest=len(REASONS) - 1,
     ),
-    # 1023: all ten bits of law.h.
+    # 2047: all eleven bits of law.h.
     Variable(
         "flags",
         "output",
         "bits of the last period, LAW_FLAG_... in law.h",
-        largest=1023,
+        largest=2047,
     ),
     # The time and the payload, an input, stand behind the outputs, as they came later: a value reference
     # that somebody's importer has stored must stay.

@@ -12,7 +12,7 @@ from fraclink._law.discretization import (
     equip,
 )
 from fraclink._law.law import MODES, REASONS, Law, LawInputs, LawOutputs
-from fraclink._law.limits import Limits, Moves, derive_limits
+from fraclink._law.limits import Limits, derive_limits
 
 __all__ = [
     "MODES",
@@ -23,7 +23,6 @@ __all__ = [
     "LawOutputs",
     "Limits",
     "Modes",
-    "Moves",
     "Tracking",
     "derive_limits",
     "discretize",

@@ -25,6 +25,7 @@ __all__ = [
     "REALS",
     "Drive",
     "Modes",
+    "MotorModel",
     "Precision",
     "Tracking",
     "block_values",
@@ -39,9 +40,9 @@ __all__ = [
 
 Precision = Literal["single", "double"]
 
-VERSION = 3
+VERSION = 4
 REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
-WITH_INNER, LATE_GAUGE = 1, 2
+WITH_INNER, LATE_GAUGE, STOP_RINGING = 1, 2, 4
 
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = (
@@ -55,20 +56,6 @@ COUNTS = (
     "stuck_limit",
     "frozen_limit",
     "block_limit",
-)
-# What a law needs for a payload that it is given. A block of version 2, which old files
-# and certificates hold, ends before these, so that everything in front lies where it
-# did.
-_PAYLOAD: tuple[tuple[str, int], ...] = (
-    ("link_scale", 1),
-    ("payload_scale", 1),
-    ("track_now", 1),
-    ("track_next", 1),
-    ("track_keep", 1),
-    ("gauge_now", 1),
-    ("gauge_keep", 1),
-    ("payload_limit", 1),
-    ("scale_step", 1),
 )
 # Name and length of every real field, in the order of law.h; a test reads law.h and
 # compares. Modes lie as (pole, gain), pairs as (pole, turn, gain, cross).
@@ -96,7 +83,10 @@ REALS: tuple[tuple[str, int], ...] = (
     ("motor_step", 1),
     ("fade_step", 1),
     ("residual_angle", 1),
-    ("residual_rate", 1),
+    ("motor_now", 1),
+    ("motor_next", 1),
+    ("motor_keep", 1),
+    ("swing_angle", 1),
     ("frozen_angle", 1),
     ("stuck_torque", 1),
     ("stiffness", 1),
@@ -115,7 +105,12 @@ REALS: tuple[tuple[str, int], ...] = (
     ("torque_voltage", 1),
     ("coulomb_voltage", 1),
     ("coulomb_slope", 1),
-    *_PAYLOAD,
+    ("link_scale", 1),
+    ("payload_scale", 1),
+    ("gauge_now", 1),
+    ("gauge_keep", 1),
+    ("payload_limit", 1),
+    ("scale_step", 1),
 )
 _NAMES = [name for name, _ in REALS]
 # What the motor loop reads; the first nine make the PID.
@@ -130,30 +125,19 @@ def real_type(precision: Precision) -> Literal["f", "d"]:
     return "f" if precision == "single" else "d"
 
 
-def _fields(version: int) -> tuple[tuple[str, int], ...]:
-    return REALS if version == VERSION else REALS[: -len(_PAYLOAD)]
-
-
-def _format(precision: Precision, fields: tuple[tuple[str, int], ...] = REALS) -> str:
-    reals = sum(length for _, length in fields)
+def _format(precision: Precision) -> str:
+    reals = sum(length for _, length in REALS)
     body = len(COUNTS) * 4 + reals * struct.calcsize("<" + real_type(precision))
     # The struct ends on the alignment of its largest member.
     return f"<{len(COUNTS)}I{reals}{real_type(precision)}{-body % struct.calcsize(real_type(precision))}x"
 
 
-def pack(
-    values: Mapping[str, float | Sequence[float]],
-    precision: Precision,
-    *,
-    version: int = VERSION,
-) -> bytes:
+def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) -> bytes:
     """Return the block as bytes, with size and CRC-32 filled in; lists shorter than
-    their field end in zeros. `version` 2 is the block of release 0.2, which knew no
-    payload.
+    their field end in zeros.
     """
     flat: list[float] = []
-    fields = _fields(version)
-    for name, length in fields:
+    for name, length in REALS:
         given = values[name]
         items = list(given) if isinstance(given, Sequence) else [given]
         if len(items) > length:
@@ -169,7 +153,7 @@ def pack(
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
-        body = struct.pack(_format(precision, fields), *counts, *flat)
+        body = struct.pack(_format(precision), *counts, *flat)
     except (OverflowError, struct.error) as error:
         raise FieldError(
             "law",
@@ -187,21 +171,20 @@ def pack(
             allowed="any other",
             remedy="change a limit slightly",
         )
-    return struct.pack("<IIII", version, 16 + len(body), width, crc) + body
+    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
     """Return what `pack` was given, as the law really has it: reals rounded to its
     precision, lists in full.
     """
-    fields = _fields(struct.unpack("<I", block[:4])[0])
-    items = list(struct.unpack(_format(precision, fields), block[16:]))
+    items = list(struct.unpack(_format(precision), block[16:]))
     result: dict[str, float | list[float]] = dict(
         zip(HEADER, map(float, struct.unpack("<IIII", block[:16])), strict=True)
     )
     for name in COUNTS:
         result[name] = items.pop(0)
-    for name, length in fields:
+    for name, length in REALS:
         taken, items = items[:length], items[length:]
         result[name] = taken if length > 1 else taken[0]
     return result
@@ -261,25 +244,33 @@ class Tracking:
     feed-forward, and its tip.
 
     The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
-    The tip then follows the reference through H/(z − 1 + H), H = now + next/(z − keep):
-    the motor loop with its delay.
+    The tip then follows the reference as the motor follows its own (`MotorModel`).
     """
 
     # mass that the feed-forward was made for, with the link's own where its model has
     # it [kg]
     nominal: float
     link: float  # what the link itself weighs, taken to the tip [kg]
+    gauge_delay: float = 0.0  # [s]
+    gauge_gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class MotorModel:
+    """The motor loop as it was placed, with its delay: θm follows θm* through H/(z − 1
+    + H), H = now + next/(z − keep).
+    """
+
     now: float
     next: float
     keep: float
-    gauge_delay: float = 0.0  # [s]
-    gauge_gain: float = 1.0
 
 
 def block_values(
     period: float,
     stiffness: float,
     inner_pole: float,
+    motor: MotorModel,
     correction: Modes,
     feedforward: Modes,
     limits: Limits,
@@ -298,13 +289,16 @@ def block_values(
         | _inner(drive, limits, inner_pole)
         | {
             "options": (WITH_INNER if drive is not None else 0)
-            | (LATE_GAUGE if late else 0),
+            | (LATE_GAUGE if late else 0)
+            | (STOP_RINGING if limits.stop_ringing else 0),
             "period": period,
             "compliance": 1 / stiffness,
             # Infinite where there is no gauge: a block holds finite numbers, and no
             # torque is looked at then.
             "stiffness": stiffness if math.isfinite(stiffness) else 0.0,
-            "residual_rate": -math.expm1(-inner_pole * period),
+            "motor_now": motor.now,
+            "motor_next": motor.next,
+            "motor_keep": motor.keep,
         }
     )
 
@@ -337,14 +331,11 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
 
 def _tracking(tracking: Tracking | None, period: float) -> dict[str, float]:
     """Without tracking the payload's limit is 0, and none of these is read."""
-    t = tracking or Tracking(nominal=1.0, link=0.0, now=1.0, next=0.0, keep=0.0)
+    t = tracking or Tracking(nominal=1.0, link=0.0)
     keep = math.exp(-period / t.gauge_delay) if t.gauge_delay > 0 else 0.0
     return {
         "link_scale": t.link / t.nominal,
         "payload_scale": 1 / t.nominal,
-        "track_now": t.now,
-        "track_next": t.next,
-        "track_keep": t.keep,
         "gauge_now": t.gauge_gain * (1 - keep),
         "gauge_keep": keep,
     }

@@ -348,7 +348,7 @@ class Design:
         )
         return margins_of(response, plant)
 
-    def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
+    def law(self, *, order: int | None = None, precision: Precision = "single") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
         return discretize(self, order=order, precision=precision)
 

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import DiscretePid, place_pid
+from fraclink._arm.motor import DiscretePid
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
+from fraclink._arm.rig_parts import Moves
 from fraclink._law.block import (
     FORWARD_MODES,
     PAIR_MODES,
@@ -23,11 +24,10 @@ from fraclink._law.block import (
     Drive,
     Modes,
     Precision,
-    Tracking,
 )
 from fraclink._law.law import Law
-from fraclink._law.limits import Moves, derive_limits
-from fraclink._law.tracking import forward_fit, tracking_for
+from fraclink._law.limits import derive_limits
+from fraclink._law.tracking import following, forward_fit, tracking_for
 from fraclink.errors import FieldError
 from fracsys._discrete import (
     DiscreteRational,
@@ -80,7 +80,7 @@ def discretize_controller(
     period: float,
     *,
     order: Order | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
     link: LinkModel | None = None,
     rig: Rig | None = None,
     moves: Moves | None = None,
@@ -103,7 +103,7 @@ def discretize_controller(
         states of Ĉ, 0 to 8; without it the fewest that meet 0.1 dB and 0.5°, else the
         best of 8.
     precision
-        "double" or "single".
+        "single" or "double".
     link
         nominal model; the controller's own where it is left out.
     rig
@@ -136,6 +136,9 @@ def discretize_controller(
     # Without one of its own: the paper's motor loop and its one period of computation.
     inner = controller.inner or MotorLoop()
     modes = modes_from("link.order", forward, FORWARD_MODES, 0)
+    loop = following(
+        abs(model.pole), period, inner.pole, inner.delay_samples, None, None
+    )
     law = Law(
         period=period,
         precision=precision,
@@ -143,19 +146,18 @@ def discretize_controller(
         correction=modes_from("order", correction, REAL_MODES, PAIR_MODES),
         feedforward=modes,
         inner_pole=inner.pole,
+        motor_model=loop.model,
         limits=derive_limits(
             model,
             period,
             moves or Moves(),
-            pole=inner.pole,
+            loop=loop,
             kick=abs(correction.feedthrough),
         ),
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
-        tracking=tracking_for(
-            model, modes, period, inner.pole, inner.delay_samples, rig=None, pid=None
-        ),
+        tracking=tracking_for(model, modes, period, rig=None),
     )
     return law if rig is None else equip(law, rig, model, moves=moves)
 
@@ -178,7 +180,7 @@ def discretize(
     period: float | None = None,
     *,
     order: int | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
 ) -> Law:
     """Return the law that runs a design: the same coefficients are simulated and
     exported.
@@ -196,7 +198,7 @@ def discretize(
     order
         states of Ĉ, 0 to 8; chosen to meet 0.1 dB and 0.5° when it is left out.
     precision
-        "double" or "single".
+        "single" or "double".
 
     Raises
     ------
@@ -233,37 +235,46 @@ def discretize(
     law = discretize_controller(controller, chosen, order=order, precision=precision)
     if isinstance(design, Controller):
         return law
-    law, motor_loop = equip(law, design.rig, design.model), design.motor_loop
-    # Only the placement in z knows the delay, and its PID is another: drive and
-    # tracking follow it. Ĉ and the guards do not change.
-    if motor_loop.placement != "direct" or law.drive is None:
-        return law
-    pid = motor_loop.pid(design.rig.motor, design.rig.period)
-    return replace(
-        law,
-        drive=replace(law.drive, loop=pid),
-        tracking=_tracking(law, design.rig, design.model, pid),
-    )
+    return equip(law, design.rig, design.model, motor_loop=design.motor_loop)
 
 
 @checked
-def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
+def equip(
+    law: Law,
+    rig: Rig,
+    link: LinkModel,
+    *,
+    moves: Moves | None = None,
+    motor_loop: MotorLoop | None = None,
+) -> Law:
     """Return the law with the rig's inner loop, compensations and sensor limits.
 
-    The inner loop has the pole the law was made for; its guards are derived again from
-    the gauge's range, noise and quantum and the encoder's resolution. Raises FieldError
-    where the periods differ.
+    The motor loop is the rig's with the pole the law was made for where it is left out;
+    the guards are derived again from it, from the gauge's range, noise and quantum, the
+    encoder's resolution, and `moves`, which are the rig's where they are left out.
+    Raises FieldError where the periods differ.
     """
     check_rigs_period(law, rig)
-    drive = drive_for(rig, law.inner_pole)
+    inner = motor_loop or replace(rig.motor_loop, pole=law.inner_pole)
+    pid = inner.pid(rig.motor, rig.period)
+    drive = drive_for(rig, pid, link)
+    loop = following(
+        abs(link.pole),
+        law.period,
+        inner.pole,
+        inner.delay_samples,
+        rig.motor,
+        pid,
+    )
     return replace(
         law,
         drive=drive,
+        motor_model=loop.model,
         limits=derive_limits(
             link,
             law.period,
-            moves or Moves(),
-            pole=law.inner_pole,
+            moves or rig.moves,
+            loop=loop,
             gauge_limit=rig.gauge.limit,
             gauge_noise=rig.gauge.noise,
             gauge_quantum=rig.gauge.quantum,
@@ -271,14 +282,7 @@ def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) ->
             sticking=STICTION * drive.coulomb_voltage / drive.loop.stiffness,
             kick=abs(law.correction.direct),
         ),
-        tracking=_tracking(law, rig, link, drive.loop),
-    )
-
-
-def _tracking(law: Law, rig: Rig, link: LinkModel, pid: DiscretePid) -> Tracking | None:
-    delay = rig.motor_loop.delay_samples
-    return tracking_for(
-        link, law.feedforward, law.period, law.inner_pole, delay, rig=rig, pid=pid
+        tracking=tracking_for(link, law.feedforward, law.period, rig=rig),
     )
 
 
@@ -294,17 +298,25 @@ def check_rigs_period(law: Law, rig: Rig) -> None:
         )
 
 
-def drive_for(rig: Rig, pole: float) -> Drive:
-    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its
-    motor needs.
+def drive_for(rig: Rig, pid: DiscretePid, link: LinkModel) -> Drive:
+    """Return the inner loop of `rig` with this PID, and the compensations its motor
+    needs.
+
+    The coupling torque is compensated by what the gauge of `link` says of it, its gain
+    undone; not at all where that comes so late, with hold and computation, that what is
+    left of the torque, ``|1 − e^(−jφ)|``, exceeds it at the resonance (φ > 60°).
     """
     motor = rig.motor
+    late = max(link.gauge_delay, 0.0) + 1.5 * rig.period
+    helps = link.gauge_gain > 0 and abs(link.pole) * late < math.pi / 3
     return Drive(
-        loop=place_pid(motor, pole).discretize(rig.period),
+        loop=pid,
         voltage_limit=min(
             motor.voltage_limit, 1e4
         ),  # a block holds finite numbers; 10 kV is no limit
-        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
+        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio * link.gauge_gain)
+        if helps
+        else 0.0,
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,
     )

@@ -24,6 +24,7 @@ from fraclink._law.block import (
     REAL_MODES,
     Drive,
     Modes,
+    MotorModel,
     Precision,
     modes_of,
 )
@@ -56,7 +57,7 @@ def discretize_pid(
     output_limit: Range,
     measurement_limit: Range,
     order: Order | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
     band: Band | None = None,
 ) -> Law:
     """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in
@@ -83,7 +84,7 @@ def discretize_pid(
         states of 1 + Ĉ, 0 to 8; without it the fewest that meet the tolerance, else the
         best of 8.
     precision
-        "double" or "single".
+        "single" or "double".
     band
         [rad/s]; four decades up to half of the Nyquist frequency when it is left out.
 
@@ -123,6 +124,7 @@ def discretize_pid(
         correction=correction,
         feedforward=Modes(0.0),
         inner_pole=0.0,
+        motor_model=MotorModel(0.0, 0.0, 0.0),  # nobody's motor: it stands still
         limits=_limits(correction, measurement_limit),
         drive=drive,
         correction_error=errors,
@@ -274,6 +276,7 @@ def _limits(correction: Modes, reach: float) -> Limits:
         fade_step=0.0,
         residual_angle=2.0 * motor,
         frozen_angle=2.0 * motor,
+        swing_angle=2.0 * motor,
         stuck_torque=1.0,
         wiring_energy=1.0,
     )

@@ -21,7 +21,7 @@ from fraclink._display import displayed
 from fraclink._files import document
 from fraclink._files import load as load_document
 from fraclink._files import save as save_document
-from fraclink._law.block import Drive, Modes, Tracking, block_values
+from fraclink._law.block import Drive, Modes, MotorModel, Tracking, block_values
 from fraclink._law.limits import Limits
 from fraclink.errors import FieldError, MissingExtraError
 
@@ -48,6 +48,8 @@ REASONS = (
     "gauge reversed",
     "gauge dead",
     "not moved enough",
+    "tip vibrates",
+    "voltage from limit to limit",
 )
 
 
@@ -90,7 +92,7 @@ def _of_pair(gain: complex) -> list[float]:
 @displayed
 @document(
     "law",
-    version=3,
+    version=4,
     hex_floats=True,
     period=lambda law: float(law.period),
     summary=lambda law: {"block": law.digest},
@@ -121,6 +123,8 @@ class Law:
         the same of F, from a fifth of the resonance on.
     inner_pole
         p of M(s) [rad/s]; 0 for a law that closes no motor loop.
+    motor_model
+        how the motor follows, as the guards and a given payload count on it.
     drive
         None for a robot that has its own position servo.
     limits
@@ -146,6 +150,7 @@ class Law:
     correction: Modes
     feedforward: Modes
     inner_pole: float
+    motor_model: MotorModel
     limits: Limits
     drive: Drive | None = None
     correction_error: tuple[float, float] = (math.nan, math.nan)
@@ -174,6 +179,7 @@ class Law:
             self.period,
             self.stiffness,
             self.inner_pole,
+            self.motor_model,
             self.correction,
             self.feedforward,
             self.limits,

@@ -15,6 +15,7 @@ from fraclink._arm.rig_parts import Encoder as Encoder
 from fraclink._arm.rig_parts import Gauge as Gauge
 from fraclink._arm.rig_parts import Link as Link
 from fraclink._arm.rig_parts import Motor as Motor
+from fraclink._arm.rig_parts import Moves as Moves
 from fraclink._arm.rig_parts import Payloads as Payloads
 from fraclink._certify.search import Enclosure as Enclosure
 from fraclink._certify.search import enclose_phase_margin as enclose_phase_margin
@@ -59,7 +60,6 @@ from fraclink._law.fractional_pid import pid_response as pid_response
 from fraclink._law.law import LawInputs as LawInputs
 from fraclink._law.law import LawOutputs as LawOutputs
 from fraclink._law.limits import Limits as Limits
-from fraclink._law.limits import Moves as Moves
 from fraclink._law.limits import derive_limits as derive_limits
 from fraclink._reading.reading import LogListing as LogListing
 from fraclink._reading.reading import bundled_logs as bundled_logs

@@ -270,5 +270,6 @@ def _gathered(
         # must not pass for a result.
         first_difference=first_difference(law, columns),
         allowed_overruns=allowed_overruns,
+        planned=len(record),
         estimator=estimator,
     )

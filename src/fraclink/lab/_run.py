@@ -22,6 +22,7 @@ from fraclink._arm.experiment import Experiment
 from fraclink._files import check_ending, document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
+from fraclink._law.limits import Limits
 from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
@@ -56,7 +57,7 @@ _LOST_SHARE = 0.01  # what a reader may fill in too
 
 @document(
     "realtime-run",
-    version=3,
+    version=4,
     container="npz",
     period=lambda run: run.period,
     sources=lambda run: {"law": run.law_sha256},
@@ -105,6 +106,8 @@ class RealtimeRun:
         all agree bit for bit.
     allowed_overruns
         up to which the run passes.
+    planned
+        periods that the run was to have.
     estimator
         that gave the law its payload; None where there was none.
     saved
@@ -138,6 +141,7 @@ class RealtimeRun:
     origin: float
     first_difference: int | None
     allowed_overruns: int
+    planned: int
     estimator: PayloadEstimator | None = None
     saved: str = field(default="", metadata={"stored": False})
 
@@ -174,8 +178,17 @@ class RealtimeRun:
 
     @property
     def missed(self) -> int:
-        """Periods up to the last one that ran in which the law did not run."""
-        return int(self.tick[-1]) - len(self.tick) if len(self.tick) else 0
+        """Periods in which the law did not run: of the planned ones where the run went to
+        its end, else up to the last one that ran.
+        """
+        last = int(self.tick[-1]) if len(self.tick) else 0
+        return (self.planned if self.stopped == "finished" else last) - len(self.tick)
+
+    @property
+    def unfinished(self) -> int:
+        """Planned periods behind the last one that ran, of a run that went to its end."""
+        last = int(self.tick[-1]) if len(self.tick) else 0
+        return self.planned - last if self.stopped == "finished" else 0
 
     @property
     def overruns(self) -> int:
@@ -217,6 +230,9 @@ class RealtimeRun:
             return f"safe stop: the law switched off ({reason})"
         if self.stopped != "finished":
             return f"safe stop: {self.stopped}"
+        # what the law itself trips on where it is called again: here it never was
+        if self.unfinished > Limits.missed_limit:
+            return f"the last {self.unfinished} of {self.planned} periods did not run"
         if mode != "run":
             return f"the law ended in mode {mode} ({reason})"
         if self.overruns > self.allowed_overruns:

@@ -310,7 +310,7 @@ class _Session:
             move for move in self.state.moves if move.payload != self.plan.payload
         )
         self._write(guard, moves=others + found)
-        return "; ".join(self.state.verdict.reality.reasons)
+        return "; ".join(self.state.verdict.arm.reasons)
 
     def _withhold(self, guard: Guard, why: str) -> None:
         """Take back the law that the arm refused: its files, and that it passed."""

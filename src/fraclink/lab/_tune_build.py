@@ -20,6 +20,7 @@ from fraclink._arm.rig import (
     Gauge,
     Link,
     Motor,
+    Moves,
     Payloads,
     Rig,
     StatedTolerances,
@@ -149,6 +150,14 @@ def measured_rig(
         encoder=Encoder(counts_per_revolution=counts),
         gauge=Gauge(noise=wiring.gauge_noise),
         motor_loop=link.motor.loop,
+        # The limits of the tuning are those of the law: its moves are as fast for their
+        # speed as the default ones.
+        moves=Moves(
+            angle=limits.angle,
+            velocity=limits.speed,
+            acceleration=Moves.acceleration / Moves.velocity * limits.speed,
+            torque=limits.torque,
+        ),
         tolerances=_DRIFT,
         assumptions=(
             "measured by fraclink tune; torques and inertia are in the gauge's units",

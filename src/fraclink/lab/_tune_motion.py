@@ -14,10 +14,12 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._arm.reference import hold, prbs, smooth_step
+from fraclink._arm.rig_parts import Moves
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.block import Drive, Modes
 from fraclink._law.discretization import COULOMB_SPEED
-from fraclink._law.limits import Moves, derive_limits
+from fraclink._law.limits import derive_limits
+from fraclink._law.tracking import following
 from fraclink.errors import FieldError, FraclinkError
 from fraclink.lab._tune_guard import Guard, Record
 
@@ -123,7 +125,9 @@ def motor_law(
     # acceleration of a reference that the loop's own pole could follow four times over.
     moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
     # Any link will do: its thresholds are lifted, as the guard has the user's own.
-    derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
+    link, pid = LinkModel(1.0, 10.0, 1.9), loop.pid(motor, period)
+    follows = following(abs(link.pole), period, pole, loop.delay_samples, motor, pid)
+    derived = derive_limits(link, period, moves, loop=follows)
     # A threshold that a link of an unknown stiffness trips would end the experiment
     # that is to measure it.
     free = replace(
@@ -135,10 +139,11 @@ def motor_law(
         stuck_torque=_FREE,
         residual_angle=_FREE,
         frozen_angle=_FREE,
+        swing_angle=_FREE,
     )
     return Law(
         period=period,
-        precision="double",
+        precision="single",
         stiffness=1.0,
         # Without a correction law.c is the motor loop alone: the controller that moves
         # the arm for its identification is the one that is shipped, with its guards on
@@ -146,9 +151,10 @@ def motor_law(
         correction=Modes(0.0),
         feedforward=Modes(0.0),
         inner_pole=pole,
+        motor_model=follows.model,
         limits=free,
         drive=Drive(
-            loop=loop.pid(motor, period),
+            loop=pid,
             voltage_limit=limits.voltage,
             torque_voltage=0.0,
             coulomb_voltage=friction,

@@ -204,7 +204,7 @@ class Tuning:
 
     @property
     def verdict(self) -> Verdict:
-        """The three scopes: the proof, the model's moves, the arm's own."""
+        """The scopes: the proof, the model's moves, the arm's own."""
         if self.certified and self.design_passed:
             promise = Scope("passed")
         elif self.reasons or self.stopped:
@@ -219,6 +219,7 @@ class Tuning:
             return Verdict(
                 promise,
                 Scope("not run"),
+                Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # By the promise and not by the arm: this scope is the model's.
@@ -230,7 +231,7 @@ class Tuning:
             if settles
             else Scope("failed", ("the model's move does not settle",))
         )
-        return Verdict(promise, model, self._reality())
+        return Verdict(promise, model, Scope("not run"), self._arm())
 
     @property
     def next_move(self) -> tuple[float, float, float] | None:
@@ -250,7 +251,7 @@ class Tuning:
         """
         return tuple({move.payload: move for move in self.moves}.values())
 
-    def _reality(self) -> Scope:
+    def _arm(self) -> Scope:
         off = [str(move) for move in self._fast if not move.kept]
         off += [
             f"{move}: the arm does not come to rest; friction that sticks, or play in the gear, keeps the motor "

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.rig import Rig
+from fraclink._design import Specification
 from fraclink._reading.reading import bundled_log
-from fraclink.studio._messages import USUAL
 from fraclink.trials._study import Study
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["as_command", "as_python", "copies"]
 
 Copies = Mapping[str, Mapping[str, str]]
+
+_DEFAULT = Specification()  # what a command leaves out
 
 
 def copies(session: Session) -> Copies:
@@ -222,7 +224,7 @@ def as_command(
     if model is not None:
         words += ["--model", str(model)]
     for name, value in request.items():
-        if value is None or value == USUAL.get(name):
+        if value is None or value is False or value == getattr(_DEFAULT, name, None):
             continue
         words.append(f"--{name.replace('_', '-')}")
         # A flag has no word behind it.
@@ -245,7 +247,7 @@ def as_python(request: Mapping[str, Any], rig: str, model: Path | None) -> str:
         lines.append(f"fit = fl.load({str(model)!r})")
     lines += ["design = fl.design(", f"    {link}, rig,"]
     for name, value in request.items():
-        if value is None or value == USUAL.get(name):
+        if value is None or value is False or value == getattr(_DEFAULT, name, None):
             continue
         if name == "phase_margin_deg":
             lines.append(f"    phase_margin=fl.deg({_plain(value)}),")

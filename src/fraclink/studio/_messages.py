@@ -26,7 +26,6 @@ from fracsys.checks.rules import rule
 
 __all__ = [
     "NAMES",
-    "USUAL",
     "Message",
     "Reply",
     "checked_request",
@@ -149,7 +148,12 @@ _HINTS: dict[str, Any] = {
     if name not in ("phase_margin", "natural_frequencies")
 } | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool}
 NAMES = tuple(_HINTS)
-USUAL = {"margins": "loop", "inner": "ideal", "placement": "tustin", "box": False}
+_USUAL = {
+    "margins": "loop",
+    "inner": "sampled",
+    "placement": "direct",
+    "box": False,
+}
 
 
 def checked_request(given: object) -> dict[str, Any]:
@@ -185,7 +189,7 @@ def checked_request(given: object) -> dict[str, Any]:
         if isinstance(value, list):
             value = tuple(value)
         found[name] = (
-            USUAL.get(name) if value is None else rule(hint).check(name, value)
+            _USUAL.get(name) if value is None else rule(hint).check(name, value)
         )
     return found
 

@@ -33,7 +33,7 @@ from fraclink.view._text import marked
 __all__ = ["Session", "SupersededError", "bare", "opened"]
 
 # Files of a study that no longer belong to it once the design is another one.
-_OUTDATED = ("run-*g.npz", "certificate.json", "faults.json", "model-*.json")
+_OUTDATED = ("run-*g.npz", "twin-*g.npz", "certificate.json", "faults.json", "model-*.json")
 _BARE: dict[str, Any] = {
     "design": None,
     "law": None,
@@ -262,7 +262,7 @@ class Session:
             "model": "not run" if study.fit is None else tables.state_of(study.fit),
             "design": verdict.promise.state,
             "move": verdict.model.state,
-            "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
+            "proof": "failed" if "failed" in (proof, verdict.twin.state) else proof,
             "board": "not run"
             if not self.written
             else "passed"

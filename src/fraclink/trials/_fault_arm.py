@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fraclink._arm.motor import place_pid
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._law import Modes
-from fraclink._law.discretization import drive_for
 from fraclink._simulate import sensors as columns
 from fraclink._simulate.kernel import ArmState
 from fraclink.trials._fault_checks import (
@@ -324,7 +324,10 @@ def slow_motor(trial: Trial) -> None:
     pole = trial.law.inner_pole * trial.pick(0.8, 0.65, 0.5)
     # The law's own motor loop is made slower, not the motor: the correction then counts
     # on a pole that is not there, as with a motor that was identified wrongly.
-    trial.use(replace(trial.law, drive=drive_for(trial.bench.rig, pole)))
+    rig = trial.bench.rig
+    pid = place_pid(rig.motor, pole).discretize(trial.law.period)
+    assert trial.law.drive is not None  # noqa: S101
+    trial.use(replace(trial.law, drive=replace(trial.law.drive, loop=pid)))
 
 
 def nothing(trial: Trial) -> None:

@@ -80,7 +80,7 @@ def run_rival(
     inputs[round(offset_time / law.period) :, GAUGE_ERROR] += offset
     state = ArmState(twin, law.period, law.initial_state())
     if rival.correction is None:
-        record = state.run(law.block, inputs)
+        record = state.run(law.block, inputs, single=law.precision == "single")
     else:
         record = _tick_by_tick(
             state,
@@ -124,7 +124,9 @@ def _tick_by_tick(
         inputs[k, REFERENCE] = min(max(command, -1e3), 1e3)
         # The feed-forward is in the command already: the law must not add its own.
         inputs[k, ACCELERATION] = 0.0
-        record[k] = state.run(law.block, inputs[k : k + 1])[0]
+        record[k] = state.run(
+            law.block, inputs[k : k + 1], single=law.precision == "single"
+        )[0]
         # A motor at 100 rad has turned sixteen times: it diverges, and each further
         # tick costs as much as a good one.
         if abs(record[k, 1]) > 1e2:

@@ -21,6 +21,7 @@ from fraclink._design.completed import design_for
 from fraclink._identify import compare_structures
 from fraclink._identify.fitting import HeldOut
 from fraclink._law import Law
+from fraclink._simulate.arm import Twin
 from fraclink._simulate.run import Run
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
@@ -46,6 +47,7 @@ __all__ += ["subject", "tried"]
 # offset and noise anew: half a second of work, and a share of failures of 0.3 % is seen
 # with 95 % certainty.
 _ARMS = 1000
+_MOVE, _WATCHED = smooth_step(1.0, duration=0.5), 4.0  # as `simulate_move`
 
 
 @checked
@@ -213,7 +215,11 @@ def designed(study: Study, **wanted: Any) -> Study:
     design.
     """
     rig, model, assumed = subject(study)
-    made, more = design_for(rig, model, **wanted)
+    # The motor loop that runs, its delay in the placement: of a PID that was placed
+    # without it nothing is left to prove where the link has a second mode.
+    made, more = design_for(
+        rig, model, **({"inner": "sampled", "placement": "direct"} | wanted)
+    )
     made = made.doubted(study.fit.findings if study.fit else ()).with_law()
     assumptions = (*study.assumptions, *assumed, *more)
     return replace(
@@ -225,8 +231,8 @@ def designed(study: Study, **wanted: Any) -> Study:
 
 
 def moved(study: Study) -> Study:
-    """Return the study with moves of the model: both ends of the payload range, the
-    nominal one within.
+    """Return the study with moves of the model and of the twin: both ends of the payload
+    range, the nominal one within.
     """
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads
@@ -234,9 +240,15 @@ def moved(study: Study) -> Study:
     # The margin is least at one of the ends, and the nominal payload is the one that
     # people look at.
     payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
+    made, law = study.design, study.law or study.design.law()
+    twin = Twin.from_rig(made.rig, model=made.model)
     return replace(
         study,
-        runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads),
+        runs=tuple(simulate_move(made, m, law=law) for m in payloads),
+        twins=tuple(
+            simulate(law, _MOVE, arm=twin, payload=m, duration=_WATCHED)
+            for m in payloads
+        ),
     )
 
 

@@ -64,7 +64,8 @@ class Study:
     fit that the design used; design, law and certificate; stopped, uncertified and
     untried: why there is none of them, no proof and no arms that differ; refused: the
     request and the nearest that can be met, where it was the request that stopped it;
-    runs: simulated moves, one for each payload;
+    runs: simulated moves, one for each payload; twins: the same moves of the twin, under
+    the law's own compensation;
     arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
@@ -85,6 +86,7 @@ class Study:
     uncertified: str | None = None
     untried: str | None = None
     runs: tuple[Run, ...] = ()
+    twins: tuple[Run, ...] = ()
     arms: Summary | None = None
     faults: FaultTable | None = None
     assumptions: tuple[str, ...] = ()
@@ -98,7 +100,7 @@ class Study:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict in three scopes."""
+        """The verdict in four scopes."""
         # A design may be good and the log behind it wrong: a reversed gauge fits as
         # well as a right one.
         wrong = [("the log", finding) for finding in self.findings]
@@ -126,8 +128,8 @@ class Study:
                 doubts,
                 bool(self.runs),
             ),
-            self._reality(doubts),
-            ("the log is simulated, not measured",) if self.simulated else (),
+            self._twin(doubts),
+            remarks=("the log is simulated, not measured",) if self.simulated else (),
         )
 
     @property
@@ -148,9 +150,13 @@ class Study:
         )
         return ([] if self.stopped is None else [self.stopped]) + missed + unproved
 
-    def _reality(self, doubts: list[str]) -> Scope:
+    def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
-        scope = _scope(self._failures(), doubts, ran)
+        # The twin alone shows no arm that differs: it can refute, and no more.
+        off = [
+            f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed
+        ]
+        scope = _scope(off + self._failures(), doubts, ran)
         return (
             scope
             if self.untried is None
@@ -228,6 +234,7 @@ def save_study(study: Study, folder: Path | str) -> None:
         chosen = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if chosen else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
+    parts |= {f"twin-{1e3 * move.payload:.6g}g.npz": move for move in study.twins}
     for name, part in parts.items():
         # What a study has not got leaves no empty file: a folder tells by its files
         # what was done.
@@ -328,6 +335,7 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
 
     about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
+    moves = sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
     made, proof = first("design", Design.load), first("certificate", Certificate.load)
     # A certificate that says no is kept as the file that it is, and is a reason in the
     # verdict, not a proof.
@@ -346,9 +354,8 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
         certificate=None if refuted else proof,
         uncertified=proof.verdict if refuted else about.uncertified,
         untried=about.untried,
-        runs=tuple(
-            sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
-        ),
+        runs=tuple(move for move in moves if move.about.get("arm") != "twin"),
+        twins=tuple(move for move in moves if move.about.get("arm") == "twin"),
         arms=None if campaign is None else summarise(campaign, place / "arms"),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
         assumptions=about.assumptions,

@@ -109,8 +109,8 @@ def _law(study: Study, design: Design) -> tuple[Law, str]:
         law, python = study.law or design.law(), "design.law()"
     else:
         law, python = study.law, 'fl.load("law.json")'
-    # The page's engine compares itself with `simulate`, which runs in double precision
-    # unless told otherwise.
+    # The page's engine is compiled for one precision, the wider: its law is the shipped
+    # one, but for rounding.
     if law.precision != "double":
         law, python = law.in_precision("double"), f'{python}.in_precision("double")'
     if law.drive is None:  # without it `simulate` would run an ideal motor

@@ -452,11 +452,11 @@ def faults_sentence(table: FaultTable) -> str:
 
 
 def verdict_sentence(verdict: Verdict) -> str:
-    """The three states in one line, as a headline carries them.
+    """The states in one line, as a headline carries them.
 
     >>> from fraclink.findings import Scope, Verdict
     >>> verdict_sentence(Verdict(Scope("passed"), Scope("passed"), Scope("not run")))
-    'promise passed, model passed, reality not run'
+    'promise passed, model passed, twin not run, arm not run'
     """
     return ", ".join(f"{name} {scope.state}" for name, scope in verdict.scopes.items())
 
@@ -464,12 +464,13 @@ def verdict_sentence(verdict: Verdict) -> str:
 _SCOPES = {
     "promise": "requirements and proof",
     "model": "simulated moves of the model",
-    "reality": "arms that differ, on the twin",
+    "twin": "arm with distributed mass, arms that differ, faults",
+    "arm": "records of the real arm",
 }
 
 
 def verdict_table(verdict: Verdict) -> Table:
-    """The three scopes, each with its reasons."""
+    """The four scopes, each with its reasons."""
     rows = tuple(
         (name, _SCOPES[name], "; ".join(scope.reasons) or "–", scope.state)
         for name, scope in verdict.scopes.items()
