@@ -33,7 +33,13 @@ from fraclink.view._text import marked
 __all__ = ["Session", "SupersededError", "bare", "opened"]
 
 # Files of a study that no longer belong to it once the design is another one.
-_OUTDATED = ("run-*g.npz", "twin-*g.npz", "certificate.json", "faults.json", "model-*.json")
+_OUTDATED = (
+    "run-*g.npz",
+    "twin-*g.npz",
+    "certificate.json",
+    "faults.json",
+    "model-*.json",
+)
 _BARE: dict[str, Any] = {
     "design": None,
     "law": None,
