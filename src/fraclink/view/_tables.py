@@ -301,17 +301,14 @@ def proof_sentence(certificate: Certificate) -> str:
         return certificate.verdict
     claim = certificate.statement
     low, high = number(1e3 * claim.payload_low), grams(claim.payload_high)
+    delays = f"{number(1e3 * claim.delay_low)} to {number(1e3 * claim.delay_high)} ms"
+    modulus = number(claim.modulus, 3)
     margin = degrees(2.0 * math.asin(min(1.0, 0.5 * claim.modulus)))
-    factor = (
-        f" and {number(1.0 / (1.0 - claim.modulus), 3)} times the gain"
-        if claim.modulus < 1.0
-        else ""
-    )
+    factor = number(1.0 / (1.0 - claim.modulus), 3) if claim.modulus < 1.0 else "∞"
     return (
         f"proved stable for every payload from {low} to {high}, every computation delay "
-        f"up to {number(1e3 * claim.delay_high)} ms and every arm that fit and rig leave "
-        f"open; distance to −1 above {number(claim.modulus, 3)}, that is {margin} of "
-        f"phase margin{factor} at the worst of them"
+        f"from {delays} and every arm of the stated box; distance to −1 above {modulus}, "
+        f"which is at least {margin} of phase margin and a gain margin of {factor}"
     )
 
 
