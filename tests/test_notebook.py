@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import sys
 from dataclasses import replace
 from typing import Any
@@ -89,3 +91,22 @@ def test_a_drawing_brings_the_colours_of_both_themes(results: dict[str, Any]) ->
     light, dark = style.split("@media (prefers-color-scheme: dark)")
     assert colours(LIGHT)["line-1"] in light and colours(LIGHT)["line-1"] not in dark
     assert colours(DARK)["line-1"] in dark and "var(" not in style
+
+
+def test_what_a_certificate_says_is_never_more_than_it_proves(
+    results: dict[str, Any],
+) -> None:
+    certificate = fl.certify(results["Design"], modulus_margin=0.3)
+    for proved in (0.35, 0.33399, 0.29999):
+        claim = replace(certificate.statement, modulus=proved)
+        shown = " ".join(str(view(replace(certificate, statement=claim))).split())
+        said = re.search(
+            r"above ([\d.]+), which is at least ([\d.]+)° .* gain margin of ([\d.]+)",
+            shown,
+        )
+        assert said is not None
+        modulus, margin, gain = map(float, said.groups())
+        exact = math.degrees(2.0 * math.asin(0.5 * proved))
+        assert proved - 1e-3 < modulus <= proved
+        assert exact - 0.2 < margin <= exact
+        assert 1.0 / (1.0 - proved) - 0.02 < gain <= 1.0 / (1.0 - proved)

@@ -302,13 +302,16 @@ def proof_sentence(certificate: Certificate) -> str:
     claim = certificate.statement
     low, high = number(1e3 * claim.payload_low), grams(claim.payload_high)
     delays = f"{number(1e3 * claim.delay_low)} to {number(1e3 * claim.delay_high)} ms"
-    modulus = number(claim.modulus, 3)
-    margin = degrees(2.0 * math.asin(min(1.0, 0.5 * claim.modulus)))
-    factor = number(1.0 / (1.0 - claim.modulus), 3) if claim.modulus < 1.0 else "∞"
+    # Downwards: a digit that is rounded up would claim what is not proved.
+    modulus = math.floor(1e3 * claim.modulus + 1e-9) / 1e3
+    angle = math.degrees(2.0 * math.asin(min(1.0, 0.5 * modulus)))
+    margin = degrees(math.radians(math.floor(10.0 * angle) / 10.0))
+    factor = math.floor(100.0 / (1.0 - modulus)) / 100.0 if modulus < 1.0 else math.inf
     return (
         f"proved stable for every payload from {low} to {high}, every computation delay "
-        f"from {delays} and every arm of the stated box; distance to −1 above {modulus}, "
-        f"which is at least {margin} of phase margin and a gain margin of {factor}"
+        f"from {delays} and every arm of the stated box; distance to −1 above "
+        f"{number(modulus)}, which is at least {margin} of phase margin and a gain margin "
+        f"of {number(factor)}"
     )
 
 
