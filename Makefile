@@ -11,6 +11,9 @@ STAMP := $(VENV)/.installed
 MODULES := $(VENV)/.modules-$(shell find src prove/src -name '*.py' | LC_ALL=C sort | cksum | cut -d' ' -f1)
 CSRC := $(wildcard csrc/*.[ch] csrc/kernels/*.[ch] csrc/bindings/*.cpp csrc/bindings/*.h)
 
+# Matrices of a few rows gain nothing by threads, and with them last bits depend on the machine.
+export OPENBLAS_NUM_THREADS ?= 1
+
 .PHONY: setup demo test quick core interpreters coverage lint bench bench-short build docs \
   fuzz reproduce clean lock dist-check
 
@@ -107,7 +110,7 @@ reproduce: setup
 
 # `make lock` needs uv on the path; everybody else installs from the files it wrote. The demo's is a part of the whole.
 LOCK := uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
-  --no-emit-index-url --no-emit-find-links
+  --no-emit-index-url --no-emit-find-links --no-strip-extras
 lock:
 	$(LOCK) requirements.in -o requirements.lock
 	$(LOCK) --constraint requirements.lock requirements-demo.in -o requirements-demo.lock

@@ -1,4 +1,6 @@
-"""Give memory back: `make test` fits into a gigabyte.
+"""Give memory back: `make test` fits into a gigabyte. One thread of linear algebra a
+worker: two workers share two cores, and with more threads last bits depend on the
+machine.
 
 What a file of tests leaves in its caches is needed by no other, and free memory goes
 back to the system only where the C library is told to: without either, a worker grows
@@ -10,12 +12,16 @@ from __future__ import annotations
 import ctypes
 import gc
 import linecache
+import os
 import sys
 from types import ModuleType
 
 import pytest
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
+
+# Read when numpy is loaded, which no plugin does before this file.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # One worker runs all tests that start pools of processes, so that no two pools live at
 # once.

@@ -1,4 +1,6 @@
-"""Figures of campaigns: speed of the loop with its law, set-up, scaling, memory."""
+"""Figures of campaigns: speed of the loop with its law, set-up, scaling, memory; faults
+of the catalogue, and every bit of the law's memory.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,21 @@ from pathlib import Path
 import numpy as np
 
 import fraclink as fl
+from fraclink._law import MODES
+from fraclink._simulate.kernel import ArmState
+from fraclink.trials import (
+    Bench,
+    Campaign,
+    Case,
+    cases,
+    fault_named,
+    run_campaign,
+    run_faults,
+    simulate_part,
+)
 from fraclink.trials import _arms as part_module
-from fraclink.trials._arms import simulate_part
-from fraclink.trials._campaign import Campaign, save_campaign
-from fraclink.trials._run import run_campaign
+from fraclink.trials._campaign import save_campaign
+from fraclink.trials._fault_trial import execute
 from harness import line, sizes
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -31,7 +44,9 @@ def campaign(runs: int, *, ticks: int = 1001) -> Campaign:
     """
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        fl.Controller(
+            derivative_gain=0.069876, derivative_order=0.612197, link=rig.model
+        ),
         rig.period,
         order=4,
     )
@@ -165,11 +180,76 @@ def memory(parts: int) -> None:
     )
 
 
+def bench() -> Bench:
+    """The geared arm, its link with mass, under the design of the documentation."""
+    rig = fl.Rig.named("paper-2023-geared")
+    request = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
+    design = fl.design(rig.model, rig, payloads=(0.020, 0.040), **request)
+    return Bench.of(design, link_mass=0.00735)
+
+
+def faults(tested: Bench, seeds: int) -> None:
+    """The whole catalogue, at every severity, payload and phase."""
+    planned = cases(tested, seeds=tuple(range(1, seeds + 1)) or (1,))
+    planned = planned if seeds else planned[:3]
+    began = time.thread_time()
+    table = run_faults(tested, planned)
+    spent = time.thread_time() - began
+    rows = table.rows()
+    for row in (row for row in rows if not row.passed):
+        print(f"  {row.number}: {row.failed} of {row.runs}, {row.group}: {row.worst}")
+    unsafe = sum(outcome.group == "unsafe" for outcome in table.outcomes)
+    line(
+        f"faults met in every one of {len(planned)} runs",
+        f"{sum(row.passed for row in rows)} of {len(rows)}",
+        "-",
+        note=f"{1e3 * spent / len(planned):.1f} ms a run",
+    )
+    line("runs that are unsafe", str(unsafe), "0", unsafe == 0)
+
+
+def upsets(tested: Bench, bits: int) -> None:
+    """Flip each bit of the law's memory in a run of its own, in the middle of the move:
+    the tip stays within 0.3 rad, or the drive is off within ten periods.
+    """
+    fault, case = fault_named("F29"), Case("F29", 1, 0.02, "mid", 1)
+    size = 8 * len(tested.law.initial_state())
+    harmful = []
+    tried = range(0, size, max(1, size // bits))
+    for bit in tried:
+        trial = fault.trial(tested, case, tested.law)
+
+        def flip(arm: ArmState, bit: int = bit) -> None:
+            arm.law[bit // 8] ^= np.uint8(1 << bit % 8)
+
+        trial.at(trial.row, flip)
+        run, _ = execute(trial)
+        off = np.flatnonzero(run.mode[trial.row :] == MODES.index("off"))
+        peak = float(np.abs(run.error[trial.row :]).max()) if run.finished else np.inf
+        if peak > 0.3 and not (off.size and off[0] < 10):
+            harmful.append(bit)
+    line(
+        f"bits of the law's memory that do harm, of {len(tried)}",
+        str(len(harmful)),
+        "0",
+        not harmful,
+    )
+
+
 def main() -> None:
     """Print all figures."""
     given = sizes(
-        __doc__, runs=(1000, 16), rounds=(5, 1), parts=(20, 1), shared=(8000, 0)
+        __doc__,
+        runs=(1000, 16),
+        rounds=(5, 1),
+        parts=(20, 1),
+        shared=(8000, 0),
+        seeds=(10, 0),
+        bits=(10**5, 4),
     )
+    tested = bench()
+    faults(tested, given.seeds)
+    upsets(tested, given.bits)
     speed(given.runs, given.rounds)
     memory(given.parts)
     if given.shared:

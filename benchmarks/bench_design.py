@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import math
 import tempfile
-from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
 
 import fraclink as fl
 from bench_box import load_checker
-from fraclink._certify import certify, enclose_phase_margin
+from fraclink import certify
 from fraclink.errors import InfeasibleError
 from harness import line, sizes, timed
 
@@ -39,8 +38,8 @@ def independent_margin(design: fl.Design, payload: float, aliases: int) -> float
             total += spring / (s**order + spring) / (1 + s / pole) ** 2 / s
         x = mp.expj(-w * period)
         outer = (
-            c.gain
-            * mp.mpc(0, w) ** c.order
+            c.derivative_gain
+            * mp.mpc(0, w) ** c.derivative_order
             / (1 + c.filter_time * mp.mpc(0, w)) ** c.filter_order
         )
         return outer * (1 - x) / period * x * total
@@ -50,9 +49,12 @@ def independent_margin(design: fl.Design, payload: float, aliases: int) -> float
     return float(mp.degrees(mp.arg(-loop(w))))
 
 
-def margins(aliases: int) -> fl.Design:
+def margins(aliases: int) -> None:
     """The margins that a design states, against an own computation."""
-    design = fl.design(RIG.model, RIG, gain_crossover=12.0, filter_time=0.0, **WANTED)
+    # Behind M(s), which the own computation has: the loop with the PID that runs is
+    # computed once more in bench_box.
+    options = {"gain_crossover": 12.0, "filter_time": 0.0, "motor_loop": "ideal"}
+    design = fl.design(RIG.model, RIG, **WANTED, **options)
     for payload in WANTED["payloads"]:
         exact = independent_margin(design, payload, aliases)
         error = abs(math.degrees(design.at(payload).phase_margin) - exact)
@@ -62,7 +64,6 @@ def margins(aliases: int) -> fl.Design:
             "<= 0.01°",
             error <= 0.01,
         )
-    return design
 
 
 def speed(rounds: int) -> None:
@@ -82,8 +83,9 @@ def speed(rounds: int) -> None:
     timed("a refusal with its offer", refused, rounds, 0.3)
 
 
-def certificates(design: fl.Design, rounds: int) -> None:
-    """The proof, its check by the tool of one file, and the worst margin enclosed."""
+def certificates(rounds: int) -> None:
+    """The proof, and its check by the tool of one file."""
+    design = fl.design(RIG.model, RIG, gain_crossover=12.0, **WANTED)
     law = design.law()
     prove = partial(certify, design, law=law, modulus_margin=0.35)
     timed("certificate |1+L| > 0.35: make", prove, rounds, 5.0)
@@ -94,19 +96,13 @@ def certificates(design: fl.Design, rounds: int) -> None:
         made.save(place)
         check = partial(load_checker().check, place, law.digest)
         timed("certificate: check", check, rounds, 5.0)
-    exact = replace(made.statement, delay_low=0.004)
-    enclose = partial(enclose_phase_margin, exact, law)
-    timed("worst margin enclosed", enclose, rounds, 0.05)
-    enclosed = enclose()
-    width = math.degrees(enclosed.high - enclosed.low)
-    line("its width", f"{width:.4f}°", "<= 0.01°", width <= 0.0100001)
 
 
 def main() -> None:
     given = sizes(__doc__, rounds=(21, 1), proofs=(5, 1), aliases=(400, 50))
-    design = margins(given.aliases)
+    margins(given.aliases)
     speed(given.rounds)
-    certificates(design, given.proofs)
+    certificates(given.proofs)
 
 
 if __name__ == "__main__":

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._design import Design
-from fraclink._law.estimator import PayloadEstimator
-from fraclink._simulate import Obstacle, PayloadChange, Run, Twin
+from fraclink import Design, Run, Twin, _kernels
+from fraclink.extend import Obstacle, PayloadChange, PayloadEstimator, payload_estimator
 from harness import line, sizes
 
 PAYLOADS: Final = (0.008, 0.012, 0.016, 0.020, 0.030, 0.040, 0.060, 0.080)
@@ -90,6 +88,36 @@ def covers(run: Run, payload: float) -> NDArray[np.bool_]:
     return np.asarray((x["payload_low"] <= payload) & (payload <= x["payload_high"]))[
         shown
     ]
+
+
+def intervals(design: Design, payloads: tuple[float, ...], seeds: int) -> None:
+    """How often the 95 % interval holds the payload at three instants of a first move,
+    with gains of the gauge that are off by 3 % (one standard deviation).
+    """
+    assert RIG.model is not None
+    bank = payload_estimator(
+        RIG.model, RIG, design.law(), design.payloads, gain_doubt=0.03
+    )
+    random = np.random.default_rng(39)
+    runs = []
+    for payload in payloads:
+        for seed in range(seeds):
+            gain = float(random.normal(1.0, 0.03))
+            run = on_twin(design, payload, bank, seed, gauge_gain=gain)
+            runs.append((run, payload))
+    for instant in (0.3, 0.6, 1.5):
+        row = round(instant / RIG.period)
+        held = [
+            run.extras["payload_low"][row] <= payload <= run.extras["payload_high"][row]
+            for run, payload in runs
+        ]
+        share = 100.0 * float(np.mean(held))
+        line(
+            f"95 % interval at {instant:g} s, gauge gain known to 3 %",
+            f"{sum(held)} of {len(held)}",
+            "93 to 97 %",
+            93.0 <= share <= 97.0,
+        )
 
 
 def settling(run: Run, start: float, target: float) -> float:
@@ -199,6 +227,7 @@ def main() -> None:
     given = sizes(__doc__, seeds=(20, 1), payloads=(len(PAYLOADS), 2))
     design, payloads = designed(), PAYLOADS[: given.payloads]
     bank = design.estimator()
+    intervals(design, payloads, given.seeds)
     for figures in (first_moves, contacts, changes):
         figures(design, bank, payloads, given.seeds)
 

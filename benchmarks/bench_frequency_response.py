@@ -65,7 +65,7 @@ def main() -> None:
     dips = max(abs(fit.anti_resonance / dip - 1) for fit in fits)
     peaks = max(abs((fit.peak or np.nan) / peak - 1) for fit in fits)
     orders = [abs(fit.order - ORDER) for fit in fits]
-    inside = sum(fit.fit.intervals["l"].contains(ORDER) for fit in fits)
+    inside = sum(fit.intervals["l"].contains(ORDER) for fit in fits)
     line(
         f"anti-resonance {dip:.4g} rad/s, worst of {seeds}",
         f"{100 * dips:.2f} %",

@@ -10,10 +10,8 @@ from collections import Counter
 
 import numpy as np
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.reference import prbs
-from fraclink._identify import identify
-from fraclink._simulate import Beam, KelvinVoigt, PowerLaw, simulate_log
+from fraclink import Experiment, identify, prbs
+from fraclink.extend import Beam, KelvinVoigt, PowerLaw, simulate_log
 from harness import line, sizes
 from identify_logs import TRUTH, clean_log
 from identify_random import COLOURS, PERIOD, coloured, random_log
@@ -163,7 +161,9 @@ def second_mode(masses: int) -> None:
                         KelvinVoigt.from_ratio(0.02, frequency=float(modes[0])),
                     ):
                         clean = [
-                            simulate_log(beam, damping, bits, servo_pole=pole, modes=n)
+                            simulate_log(
+                                beam, damping, bits, motor_loop_pole=pole, modes=n
+                            )
                             for n in (1, 2)
                         ]
                         torque = clean[1].torque

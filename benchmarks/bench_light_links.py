@@ -2,7 +2,8 @@
 and a move of the law that ships on the twin.
 
 A draw has a link of 10 to 65 g, payloads within 20 to 40 g and one damping ratio of 0.1
-to 1 % for every mode; the model is the beam's first two modes as a log would show them.
+to 1 % for every mode; the model is the beam's first two modes as a log at the middle
+payload would show them. The law runs on the twin with that payload and with both ends.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from dataclasses import replace
 import numpy as np
 
 import fraclink as fl
-from fraclink._arm.beam import Beam, modal_shares
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._simulate.damping import PowerLaw
+from fraclink import LinkModel, SecondMode
+from fraclink._arm.beam import modal_shares
 from fraclink.errors import InfeasibleError
+from fraclink.extend import Beam, PowerLaw
 from harness import line, sizes
 
-RIG = fl.Rig.named("paper-2023")
+# the motor of "paper-2023" has half a per cent of the inertia of these arms: what the
+# gauge tells it of the torque comes too late for a vibration at 90 rad/s
+RIG = fl.Rig.named("paper-2023-geared")
 
 
 def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float]]:
@@ -31,7 +34,10 @@ def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float
     ratio = float(10.0 ** draw.uniform(-3.0, -2.0))
     rig = replace(RIG, link=replace(RIG.link, mass=mass))
     assert rig.model is not None
-    frequencies, sizes_ = modal_shares(Beam.from_rig(rig, payload=payload))
+    # a power law s^λ = -ω² damps every mode alike, and moves each to ω^(2/λ)
+    law = PowerLaw(math.pi / math.acos(-ratio))
+    undamped, sizes_ = modal_shares(Beam.from_rig(rig, payload=payload))
+    frequencies = undamped ** (2.0 / law.order)
     shares = sizes_ / rig.model.stiffness
     model = replace(
         rig.model,
@@ -45,9 +51,7 @@ def light_arm(seed: int) -> tuple[fl.Rig, LinkModel, fl.Twin, tuple[float, float
             float(frequencies[1]), float(shares[1] / shares[0]), ratio
         ),
     )
-    # a power law damps every mode alike
-    damping = PowerLaw(math.pi / math.acos(-ratio))
-    twin = fl.Twin.from_rig(rig, payload=payload, damping=damping, gauge_gain=1.0)
+    twin = fl.Twin.from_rig(rig, payload=payload, damping=law, gauge_gain=1.0)
     return rig, model, twin, (max(0.02, 0.75 * payload), min(0.04, 1.333 * payload))
 
 
@@ -62,10 +66,14 @@ def judged(seed: int) -> tuple[str, float]:
     spent = time.process_time() - begin
     swing = 1.2 * 2.0 * math.pi / model.natural_frequency
     reference = fl.smooth_step(0.3, duration=swing)
-    run = fl.simulate(made.law(), reference, arm=twin, payload=model.payload, told=True)
-    if run.verdict.passed:
-        return "passed", spent
-    return f"fails on the twin: {run.verdict.reasons[0][:60]}", spent
+    law = made.law()
+    for payload in (*payloads, model.payload):
+        arm = replace(twin, beam=replace(twin.beam, payload=payload))
+        run = fl.simulate(law, reference, arm=arm, payload=payload, told=True)
+        if not run.verdict.passed:
+            grams = f"{1e3 * payload:.0f} g"
+            return f"fails on the twin at {grams}: {run.verdict.reason[:60]}", spent
+    return "passed", spent
 
 
 def main() -> None:
@@ -75,7 +83,7 @@ def main() -> None:
     times = []
     for seed in range(count):
         word, spent = judged(seed)
-        words[word] += 1
+        words[word.partition(" at ")[0].partition(":")[0]] += 1
         times.append(spent)
         print(f"     arm {seed}: {word} ({spent:.2f} s)", flush=True)
     for word, number in words.most_common():

@@ -17,12 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 import fraclink as fl
-from fraclink import _kernels
-from fraclink._law import Law, equip
-from fraclink._simulate import geared
-from fraclink.lab._connections import Callback
-from fraclink.lab._loop import run_realtime
-from fraclink.lab._machine import measure_wake_ups
+from fraclink import Callback, Law, _kernels
+from fraclink.extend import equip, geared
+from fraclink.lab import measure_wake_ups, run_realtime
 from harness import line, sizes
 
 RIG = geared(fl.Rig.named("paper-2023"))
@@ -32,7 +29,9 @@ PRIORITY = 80
 def law_at(period: float) -> Law:
     """The paper's design on the geared arm, with its motor loop."""
     assert RIG.model is not None
-    controller = fl.Controller(gain=0.069876, order=0.612197, link=RIG.model)
+    controller = fl.Controller(
+        derivative_gain=0.069876, derivative_order=0.612197, link=RIG.model
+    )
     law = fl.discretize(controller, period, order=5)
     return equip(law, replace(RIG, period=period), RIG.model)
 

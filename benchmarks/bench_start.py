@@ -32,8 +32,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is loaded
 import numpy as np
 
 import fraclink as fl
-from fraclink._cli import main as command
-from fraclink.logs._guess import Question
+from fraclink import main as command
+from fraclink.logs import Question
 from harness import line, sizes
 from start_shapes import DELAY, FREQUENCY, ORDER, PERIOD, Shape, forms, motion, signals
 
@@ -109,17 +109,13 @@ def gone_on(said: str, answer: str, path: Path) -> list[str]:
         code = command(
             [
                 *words[1:],
-                *(
-                    ()
-                    if words[1] != "identify-structure"
-                    else ("--out", str(path) + ".json")
-                ),
+                *(() if "--structure" not in words else ("--out", str(path) + ".json")),
             ]
         )
     text = output.getvalue()
     if code:
         return [f"{named[0]}: exit code {code}: {text[-300:]}"]
-    if "identify-structure" in named[0]:
+    if "k*s" in named[0] or "k/(s" in named[0]:
         found = fl.extend.StructureFit.load(str(path) + ".json").parameters
         if (
             abs(found["a"] - ORDER) > 0.03

@@ -3,8 +3,9 @@ the issue's table.
 
 Arms are twins around four rig shapes: payload ±30 %, gear ±20 %, Coulomb friction a
 half to twice, gauge gain ±30 %, gauge delay 0 to 20 ms, voltage delay of 1 or 2
-periods, link mass 0 to 30 g, gauge noise a half to one and a half times, λ from 1.88 to
-1.97. Seed of arm k: k. Everything runs in this process, each exchange of voltage and
+periods, link mass 0 to 65 g, gauge noise a half to one and a half times, and a damping
+ratio of its own for the first mode and for those beyond, 0.1 to 10 %, log-uniform. Seed
+of arm k: k. Everything runs in this process, each exchange of voltage and
 reading is one period of the arm, so that no clock is waited for.
 """
 
@@ -24,11 +25,10 @@ from typing import Any
 import numpy as np
 
 import fraclink as fl
+from fraclink import Callback, SecondMode
 from fraclink._arm.box import Arm
-from fraclink._arm.link import SecondMode
-from fraclink._simulate import PowerLaw
 from fraclink.errors import FraclinkError
-from fraclink.lab._connections import Callback, Command
+from fraclink.lab._connections import Command
 from fraclink.lab._line import open_line
 from fraclink.lab._tune_guard import Guard
 from fraclink.lab._tune_wiring import WiringFault, check_wiring
@@ -101,7 +101,7 @@ class Drawn:
     shape: Shape
     twin: fl.Twin
     payload: float
-    order: float
+    ratios: tuple[float, float]
     gauge_gain: float
     gauge_delay: float
     seed: int
@@ -118,24 +118,23 @@ def draw(seed: int) -> Drawn:
         gear_ratio=rig.motor.gear_ratio * random.uniform(0.8, 1.2),
         coulomb_torque=rig.motor.coulomb_torque * 2.0 ** random.uniform(-1.0, 1.0),
     )
-    gain, delay, order = (
-        random.uniform(0.7, 1.3),
-        random.uniform(0.0, 0.020),
-        random.uniform(1.88, 1.97),
-    )
-    link = replace(rig.link, mass=random.uniform(0.0, 0.030))
+    gain, delay = random.uniform(0.7, 1.3), random.uniform(0.0, 0.020)
+    first, second = np.exp(random.uniform(math.log(1e-3), math.log(0.1), 2)).tolist()
+    link = replace(rig.link, mass=random.uniform(0.0, 0.065))
     noise = rig.gauge.noise * random.uniform(0.5, 1.5)
     arm = replace(rig, motor=motor, link=link, gauge=replace(rig.gauge, noise=noise))
+    # η of a mode that is damped by ζ is 2ζ/ω.
+    modes = fl.extend.Beam.from_rig(arm, payload=payload).modes(2).frequencies
+    times = 2.0 * np.array([first, second]) / modes
     twin = fl.Twin.from_rig(
         arm,
         payload=payload,
-        link_mass=link.mass,
-        damping=PowerLaw(order),
+        damping=fl.extend.KelvinVoigt(*times.tolist()),
         gauge_delay=delay,
         gauge_gain=gain,
     )
     twin = replace(twin, voltage_delay=int(random.integers(1, 3)))
-    return Drawn(shape, twin, payload, order, gain, delay, seed)
+    return Drawn(shape, twin, payload, (first, second), gain, delay, seed)
 
 
 def plan_of(drawn: Drawn) -> fl.TuningPlan:
@@ -178,19 +177,15 @@ def truth(
         modes.participation * modes.curvature
     )  # Γ/θm of each mode far above it [N·m/rad]
     second = float(modes.frequencies[-1])
-    law = (1j * second) ** (2.0 - drawn.order)  # what a power law makes of ω²
+    damped, other = drawn.ratios
     real = fl.LinkModel(
         stiffness=model.stiffness,
         natural_frequency=float(modes.frequencies[0]),
-        order=drawn.order,
+        damping=2.0 * damped * float(modes.frequencies[0]),
         payload=drawn.payload,
         gauge_delay=drawn.gauge_delay,
         gauge_gain=drawn.gauge_gain * float(sizes[0]) / model.stiffness,
-        second_mode=SecondMode(
-            second * math.sqrt(law.real),
-            float(sizes[1] / sizes[0]),
-            0.5 * law.imag / law.real,
-        ),
+        second_mode=SecondMode(second, float(sizes[1] / sizes[0]), other),
     )
     ratio = drawn.twin.motor.gain / design.rig.motor.gain
     margins = []
@@ -231,6 +226,7 @@ def one_arm(seed: int, out: Path) -> dict[str, Any]:
         "broken": broken(arm.record, drawn.shape.limits),
         "delay_ms": 1e3 * drawn.gauge_delay,
         "link_g": 1e3 * drawn.twin.beam.link_mass,
+        "ratios": drawn.ratios,
         "payload_g": 1e3 * drawn.payload,
         "rounds": []
         if found.link is None
@@ -283,8 +279,8 @@ def report(results: list[dict[str, Any]]) -> None:
         "arms with a law whose proof passed and whose moves pass on the truth",
         f"{len(good)} of {len(results)}; unsafe {len(bad)}; crashes {len(results) - len(whole)}; "
         f"refused {dict(refused)}",
-        ">= 95 of 100, 0 unsafe",
-        len(good) >= 0.95 * len(results) and not bad,
+        ">= 90 of 100, 0 unsafe",
+        len(good) >= 0.9 * len(results) and not bad,
     )
     left = [found["seed"] for found in whole if found["broken"]]
     line(
@@ -300,16 +296,21 @@ def report(results: list[dict[str, Any]]) -> None:
         "arm time; computing [s]",
         f"median {np.median(times):.0f}, {sum(times > 60)} over 60, most {times.max():.0f}; "
         f"{np.median(computing):.1f}, {sum(computing > 10)} over 10, most {computing.max():.1f}",
-        "<= 60; <= 10",
-        bool(times.max() <= 60 and computing.max() <= 10),
+        "<= 45 / 60; <= 5 / 10",
+        bool(
+            np.median(times) <= 45
+            and times.max() <= 60
+            and np.median(computing) <= 5
+            and computing.max() <= 10
+        ),
     )
     moved = [found["moves"][-1] for found in whole if found["moves"]]
-    near = sum(abs(m - p) <= max(0.1 * p, 0.0) for p, m in moved)
+    near = sum(abs(m - p) <= max(0.1 * p, 0.05) for p, m in moved)
     line(
-        "promised against measured settling within 10 %",
+        "promised against measured settling within 10 % or 50 ms",
         f"{near} of {len(moved)}",
-        "95 %",
-        near >= 0.95 * len(moved),
+        "98 %",
+        near >= 0.98 * len(moved),
     )
     margins = [
         found["margin_true"] - found["margin_promised"]

@@ -12,27 +12,30 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.reference import prbs, smooth_step
-from fraclink._arm.rig import Rig
-from fraclink._design import design
-from fraclink._identify import compare_structures
+from fraclink import (
+    Experiment,
+    Rig,
+    compare_structures,
+    design,
+    discretize,
+    prbs,
+    smooth_step,
+)
 from fraclink._kernels import twin_march
-from fraclink._law import discretize
-from fraclink._simulate import (
+from fraclink._simulate import assemble
+from fraclink.extend import (
     Beam,
     FractionalKelvinVoigt,
     KelvinVoigt,
     PowerLaw,
-    assemble,
     geared,
     simulate_log,
 )
-from fraclink.trials._setting import NominalLoop, law_filter, sampled
 from harness import line, sizes
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from exact_frequencies import exact_frequencies
+from state_space import of_law, of_plant, spectral_radius
 
 STIFFNESS, LENGTH, LINK_MASS, PERIOD = 1.56, 0.65, 0.00735, 0.004
 RIGIDITY = STIFFNESS * LENGTH / 3
@@ -147,7 +150,7 @@ def spillover(filter_time: float | None) -> None:
         filter_time=filter_time,
     )
     filtered = f"{1e3 * result.controller.filter_time:.2g} ms"
-    correction = law_filter(discretize(result.controller, rig.period))
+    correction = of_law(discretize(result.controller, rig.period))
     for mass in (LINK_MASS, 0.0141):
         beam = Beam(LENGTH, RIGIDITY, mass, 0.030)
         omega = float(beam.modes(1).frequencies[0])
@@ -159,11 +162,11 @@ def spillover(filter_time: float | None) -> None:
             KelvinVoigt.from_ratio(0.001, frequency=omega),
         )
         for damping in cases:
-            plant = assemble(beam, damping, drive="servo", servo_pole=80.0)
-            seen = sampled(
+            plant = assemble(beam, damping, drive="servo", motor_loop_pole=80.0)
+            seen = of_plant(
                 plant, plant.outputs[0] - plant.outputs[3] / STIFFNESS, rig.period, 1
             )
-            radius = NominalLoop(seen, rig.period, STIFFNESS).radius(correction)
+            radius = spectral_radius(seen, correction)
             second = float(plant.modes.frequencies[1])
             z = np.exp(1j * np.linspace(0.7 * second, 1.6 * second, 3000) * rig.period)
             gain = float(np.abs(seen.response(z) * correction.response(z)).max())
@@ -190,7 +193,7 @@ def chosen(
     """Count what BIC and AIC prefer over noise seeds, noise 1 % of the torque's power."""
     bits = prbs(0.1, 0.24, bits=int(samples * PERIOD / 0.24) + 1, register=9, start=0.5)
     reference = bits.angle(PERIOD * np.arange(samples))
-    clean = simulate_log(beam, damping, reference, servo_pole=pole)  # type: ignore[arg-type]
+    clean = simulate_log(beam, damping, reference, motor_loop_pole=pole)  # type: ignore[arg-type]
     by_bic: dict[str, int] = {}
     by_aic: dict[str, int] = {}
     for seed in range(seeds):

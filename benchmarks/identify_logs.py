@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._identify import simulated_torque
+from fraclink import Experiment, LinkModel
+from fraclink.extend import simulated_torque
 
 PERIOD = 0.004
 SAMPLES = 5000

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import LinkModel
-from fraclink._arm.reference import prbs
-from fraclink._identify import simulated_torque
+from fraclink import Experiment, LinkModel, prbs
+from fraclink.extend import simulated_torque
 from identify_logs import smooth_pulse
 
 PERIOD = 0.004
@@ -98,3 +96,30 @@ def random_log(
     output = torque + share * torque.std() * coloured(random, correlation, samples)
     log = Experiment(period=PERIOD, motor_angle=fine[::FINE], output=output)
     return RandomLog(log, model, delay, correlation, share)
+
+
+def cut_log(seed: int) -> RandomLog:
+    """The last 0.8 to 2 s of 16 to 40 s of moves: a lightly damped link still swings by
+    what was long before, and the log holds some four vibrations. Ratios from 0.3 to 5 %,
+    noise from 1 to 5 %.
+    """
+    random = np.random.default_rng([seed, 37])
+    frequency, ratio = random.uniform(6.0, 22.0), 0.003 * 17.0 ** random.uniform()
+    if seed % 2:
+        model = LinkModel(1.56, frequency, damping=2 * ratio * frequency)
+    else:
+        order = np.pi / np.arccos(-ratio)
+        model = LinkModel(1.56, frequency ** (order / 2), order)
+    samples = round(random.uniform(16.0, 40.0) / PERIOD)
+    late = samples - round(random.uniform(0.8, 2.0) / PERIOD)
+    levels = np.repeat(random.uniform(-0.5, 0.5, samples // 100 + 1), 100)[:samples]
+    levels[:100] = 0.0
+    fade = np.exp(-PERIOD / 0.012)  # the double pole of a servo, 12 ms
+    angle = np.asarray(lfilter([(1 - fade) ** 2], [1, -2 * fade, fade**2], levels))
+    delay, share = random.uniform(0.0, 0.012), 0.01 * 5.0 ** random.uniform()
+    torque = simulated_torque(model, angle, PERIOD, delay=delay, hold="first")
+    output = torque + share * torque[late:].std() * random.normal(size=samples)
+    log = Experiment(
+        PERIOD, angle[late:], output[late:], earlier_angle=np.asarray(angle[:late])
+    )
+    return RandomLog(log, model, delay, 0.0, share)

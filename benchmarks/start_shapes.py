@@ -504,11 +504,11 @@ def signals() -> dict[str, Shape]:
         ),
         "an accelerometer at the tip": Shape(
             written(table({**both, "acc_ms2": acceleration})),
-            (("fraclink identify-structure", "fraclink "),),
+            (("--structure", "fraclink "),),
         ),
         "angle and voltage only": Shape(
             written(table({"t_s": t, "u_V": drive, "enc_deg": DEG * turned.output})),
-            (("fraclink identify-motor", "fraclink "),),
+            (("--structure motor", "fraclink "),),
         ),
         "a ring-down with the motor locked": Shape(
             written(table({"t_s": t, "strain_V": 0.3 + 2 * held})),
@@ -530,7 +530,7 @@ def signals() -> dict[str, Shape]:
             written(
                 table({"freq_rad_s": w, "gain": np.abs(h), "phase_rad": np.angle(h)})
             ),
-            (("fraclink identify-spectrum", "fraclink identify-spectrum"),),
+            (("--structure driven", "fraclink identify"),),
         ),
         "a motor alone": Shape(
             written(table({"t_s": t, "theta_deg": DEG * a})),

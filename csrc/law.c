@@ -119,7 +119,7 @@ static void latch(law_state *s, uint32_t reason)
     uint32_t mode = LAW_OFF;
     if ((reason == LAW_BAD_GAUGE) || (reason == LAW_GAUGE_STUCK)) {
         mode = LAW_DEGRADED;
-    } else if (reason == LAW_OVERLOAD) {
+    } else if ((reason == LAW_OVERLOAD) || (reason == LAW_RINGING)) {
         mode = LAW_HOLD;
     } else {
         /* encoder, motor or clock */
@@ -128,6 +128,8 @@ static void latch(law_state *s, uint32_t reason)
     if (s->mode < mode) {
         s->mode = mode;
         s->reason = reason;
+        s->ringing = 0U; /* counts something else from now on */
+        s->swing = (law_real)0;
     }
 }
 
@@ -174,8 +176,8 @@ static void clear(law_state *s)
     s->stuck = 0U;
     s->overload = 0U;
     s->frozen = 0U;
-    s->repeated = 0U;
-    s->repeated_at = 0U;
+    s->missed = 0U;
+    s->ringing = 0U;
     s->tracking = 0U;
     s->given = 0U;
     empty_modes(s);
@@ -184,8 +186,8 @@ static void clear(law_state *s)
     s->motor_reference = zero;
     s->motor_angle = zero;
     s->torque = zero;
-    s->model_near = zero;
     s->model_angle = zero;
+    s->model_push = zero;
     s->stuck_torque = zero;
     s->encoder = zero;
     s->encoder_model = zero;
@@ -196,6 +198,7 @@ static void clear(law_state *s)
     s->track_push = zero;
     s->late = zero;
     s->fade = (law_real)1;
+    s->swing = zero;
     s->integral = zero;
     s->filter = zero;
     s->voltage = zero;
@@ -241,6 +244,9 @@ static void sweep(law_state *s)
             }
         }
 #endif
+        if (i == 30U) {
+            s->model_push = alive(s->model_push);
+        }
         if (i == 31U) {
             s->payload = LAW_NO_PAYLOAD; /* a scale that a flipped bit has changed is found in the next look */
         }
@@ -259,24 +265,37 @@ static void rest_motor(law_state *s, const law_params *p, law_real angle)
  * contradict it, or a good gauge be given up. */
 static law_real kept(const law_state *s)
 {
-    return s->motor_reference + (s->integral + s->torque);
+    return ((s->motor_reference + s->motor_angle) + (s->integral + s->torque)) +
+           ((s->error + s->scale) + s->track_push);
+}
+
+/* Let the reference model rest where the reference is. */
+static void rest_track(law_state *s)
+{
+    s->track = s->reference;
+    s->track_push = (law_real)0;
+    s->late = (law_real)0;
 }
 
 /* Go on from what the sensors say, as an arm that stands there: nothing of a move is known any more. */
 static void rest_arm(law_state *s, const law_params *p, const law_input *in)
 {
+    if (credible(in->motor_angle, p->angle_limit) != 0U) {
+        s->motor_angle = in->motor_angle; /* not what a damaged one made of it */
+    }
     s->torque = (credible(in->torque, p->torque_limit) != 0U) ? in->torque : (law_real)0;
     empty_modes(s);
     s->reference = s->motor_angle;
     s->motor_reference = clamped(s->motor_angle, p->motor_limit);
-    s->model_near = s->motor_reference;
     s->model_angle = s->motor_reference;
+    s->model_push = (law_real)0;
     s->encoder_model = s->motor_reference;
     s->error = s->torque * p->compliance;
     s->scale = (law_real)2 * LAW_SCALES; /* the first payload counts at once */
     s->payload = LAW_NO_PAYLOAD;
     s->given = 0U;
     s->tracking = 0U;
+    rest_track(s);
     rest_motor(s, p, s->motor_angle);
     s->sum = s->reference + kept(s);
 }
@@ -345,6 +364,12 @@ static law_real watch_encoder(law_state *s, const law_params *p, law_real readin
     return angle;
 }
 
+/* How far the motor model moves in the next period. */
+static law_real model_move(const law_state *s, const law_params *p)
+{
+    return (p->motor_now * (s->motor_reference - s->model_angle)) + s->model_push;
+}
+
 /* Take the encoder's angle if it is credible, else go on from the last one as the motor's model does. */
 static uint32_t read_encoder(law_state *s, const law_params *p, const law_input *in, uint32_t periods)
 {
@@ -352,14 +377,13 @@ static uint32_t read_encoder(law_state *s, const law_params *p, const law_input 
     const law_real angle = watch_encoder(s, p, in->motor_angle, &flags);
     if ((credible(angle, p->angle_limit) != 0U) &&
         ((credible(angle - s->motor_angle, p->angle_step) != 0U) ||
-         (credible(angle - s->motor_angle, stretched(p->angle_step, periods + s->bad_encoder)) != 0U) ||
+         (credible(angle - s->motor_angle, stretched(p->angle_step, periods + s->bad_encoder + s->frozen)) != 0U) ||
          (credible(s->motor_angle, p->angle_limit) == 0U))) {
         s->motor_angle = angle;
         s->bad_encoder = 0U;
     } else {
-        const law_real moved = p->residual_rate * (s->model_near - s->model_angle); /* as the motor's model will now */
         flags |= LAW_FLAG_ENCODER;
-        s->motor_angle = clamped(s->motor_angle + moved, p->angle_limit);
+        s->motor_angle = clamped(s->motor_angle + model_move(s, p), p->angle_limit);
         s->bad_encoder = counted(s->bad_encoder);
         if (s->bad_encoder >= p->bad_limit) {
             latch(s, LAW_BAD_ENCODER);
@@ -389,13 +413,16 @@ static uint32_t read_gauge(law_state *s, const law_params *p, const law_input *i
     return flags;
 }
 
-/* Give up a gauge that stands still while the torque of the move, `model`, does not. Called before read_gauge. */
-static void watch_gauge(law_state *s, const law_params *p, const law_input *in, law_real model)
+/* Give up a gauge that stands still while the torque of the move, `model`, does not, in periods in which the motor
+ * has turned from `stood`: friction holds a motor, and with it the torque, long after a slow move has begun. Called
+ * before read_gauge. */
+static void watch_gauge(law_state *s, const law_params *p, const law_input *in, law_real model, law_real stood)
 {
     if (credible(in->torque - s->torque, (law_real)0) == 0U) {
         s->stuck = 0U;
         s->stuck_torque = model;
-    } else if (credible(model - s->stuck_torque, p->stuck_torque) == 0U) {
+    } else if ((credible(model - s->stuck_torque, p->stuck_torque) == 0U) &&
+               (credible(in->motor_angle - stood, (law_real)0) == 0U)) {
         s->stuck = counted(s->stuck);
         if (s->stuck >= p->stuck_limit) {
             latch(s, LAW_GAUGE_STUCK);
@@ -409,15 +436,16 @@ static void watch_gauge(law_state *s, const law_params *p, const law_input *in, 
 static uint32_t watch(law_state *s, const law_params *p)
 {
     uint32_t flags = 0U;
-    s->model_angle += p->residual_rate * (s->model_near - s->model_angle);
-    s->model_near += p->residual_rate * (s->motor_reference - s->model_near);
+    const law_real push = s->motor_reference - s->model_angle;
+    s->model_angle += (p->motor_now * push) + s->model_push;
+    s->model_push = (p->motor_next * push) + (p->motor_keep * s->model_push);
     if (credible(s->motor_angle - s->model_angle, p->residual_angle) != 0U) {
         s->residual = 0U;
     } else {
         flags = LAW_FLAG_RESIDUAL;
-        if ((credible(s->model_near, p->motor_limit) == 0U) || (credible(s->model_angle, p->motor_limit) == 0U)) {
-            s->model_near = clamped(s->motor_angle, p->motor_limit); /* damaged memory: begin where the motor is */
-            s->model_angle = s->model_near;
+        if ((credible(s->model_push, p->motor_limit) == 0U) || (credible(s->model_angle, p->motor_limit) == 0U)) {
+            s->model_angle = clamped(s->motor_angle, p->motor_limit); /* damaged memory: begin where the motor is */
+            s->model_push = (law_real)0;
         }
         s->residual = counted(s->residual);
         if (s->residual >= p->residual_limit) {
@@ -526,12 +554,14 @@ static law_real healed_correction(law_state *s, const law_params *p, law_real su
 }
 
 /* The motor loop: two-degree-of-freedom PID by Tustin, with compensations, limit and anti-windup. Friction is
- * compensated by the direction in which the motor model moves (`change`, in a period): it is ahead of the motor by
- * the very delay that the voltage will have, and has none of the noise of a differentiated encoder. */
+ * compensated by the direction in which the motor model moves in the period after this one (`change`), when the
+ * voltage acts; it has none of the noise of a differentiated encoder. In hold a voltage that goes from one limit to
+ * the other and back is a motor loop that is not stable: off. */
 static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
 {
     uint32_t flags = 0U;
-    const law_real change = p->residual_rate * (s->model_near - s->model_angle);
+    const law_real push = s->motor_reference - s->model_angle;
+    const law_real change = (p->motor_next * push) + (p->motor_keep * s->model_push);
     const law_real compensation = p->torque_voltage * s->torque;
     const law_real angle = s->motor_angle;
     const law_real eps = s->motor_reference - angle;
@@ -554,6 +584,17 @@ static uint32_t close_motor(law_state *s, const law_params *p, law_output *out)
         flags = LAW_FLAG_SATURATED;
         if (credible(wanted, p->wanted_limit) == 0U) {
             rest_motor(s, p, angle); /* damaged memory, or wound up beyond all errors: begin anew */
+        }
+        if (s->mode == copied(LAW_HOLD)) {
+            if ((voltage * s->swing) < (law_real)0) {
+                s->ringing = counted(s->ringing);
+            }
+            s->swing = voltage;
+            if (s->ringing >= p->bad_limit) {
+                latch(s, LAW_RAILED);
+                s->voltage = (law_real)0;
+                out->compensation = (law_real)0;
+            }
         }
     }
     return flags;
@@ -661,14 +702,6 @@ static uint32_t weigh(law_state *s, const law_params *p, law_real payload)
     return flags;
 }
 
-/* Let the reference model rest where the reference is. */
-static void rest_track(law_state *s)
-{
-    s->track = s->reference;
-    s->track_push = (law_real)0;
-    s->late = (law_real)0;
-}
-
 /* What the tip estimate shall be now. Without a payload it is the reference itself. With one, the feed-forward is
  * right, and the tip follows the reference as the motor follows its own, late: the error is formed with just that
  * lateness, and the correction does not fight it. A gauge that is late or has a gain of its own shows another flexion
@@ -699,8 +732,8 @@ static law_real expected(law_state *s, const law_params *p, law_real forward)
             s->late = (p->gauge_now * forward) + (p->gauge_keep * s->late);
             push += forward - s->late;
         }
-        s->track = track + ((p->track_now * push) + s->track_push);
-        s->track_push = (p->track_next * push) + (p->track_keep * s->track_push);
+        s->track = track + ((p->motor_now * push) + s->track_push);
+        s->track_push = (p->motor_next * push) + (p->motor_keep * s->track_push);
         angle = track;
     }
     return angle;
@@ -713,11 +746,40 @@ static uint32_t damaged(const law_state *s, law_real sum)
     return (credible(sum - s->sum, LAW_TINY) != 0U) ? 0U : 1U;
 }
 
+/* Flag a vibration that does not decay, and trip on it where a limit was given. Each change of the error from beyond
+ * the limit on one side to beyond it on the other counts for three half periods of the link, and each period takes one
+ * off: what swings on for nine half periods is seen, and one that decays, or a row of moves, is not. */
+static uint32_t watch_ringing(law_state *s, const law_params *p, law_real error)
+{
+    uint32_t flags = 0U;
+    if (s->ringing != 0U) {
+        s->ringing -= 1U;
+        if (s->ringing > (12U * p->block_limit)) {
+            flags = LAW_FLAG_RINGING;
+            if ((p->options & LAW_STOP_RINGING) != 0U) {
+                latch(s, LAW_RINGING);
+            } else if (s->ringing > (16U * p->block_limit)) {
+                s->ringing = 16U * p->block_limit; /* one that ends is over within sixteen half periods */
+            } else {
+                /* flagged */
+            }
+        }
+    }
+    if (credible(error, p->swing_angle) == 0U) {
+        if ((error * s->swing) < (law_real)0) {
+            s->ringing += 2U * p->block_limit;
+        }
+        s->swing = error;
+    }
+    return flags;
+}
+
 /* Everything between the clock and the outputs, for a law that is started. */
 static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_output *out, uint32_t periods)
 {
     uint32_t flags = 0U;
     const law_real before = kept(s);
+    const law_real stood = s->encoder;
     law_real found = s->reference;
     const law_real acceleration = follow(s, p, in, periods, &flags);
     law_real left = s->reference;
@@ -737,7 +799,7 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
         forward = clamped(forward, p->sum_limit);
         s->payload = LAW_NO_PAYLOAD;
     }
-    watch_gauge(s, p, in, p->stiffness * forward);
+    watch_gauge(s, p, in, p->stiffness * forward, stood);
     flags |= read_gauge(s, p, in, periods);
     flags |= watch(s, p);
     tip = s->motor_angle - (s->torque * p->compliance);
@@ -759,6 +821,9 @@ static uint32_t run(law_state *s, const law_params *p, const law_input *in, law_
     s->error = error;
     out->tip_estimate = tip;
     out->error = error;
+    if (s->mode == copied(LAW_RUN)) {
+        flags |= watch_ringing(s, p, error);
+    }
     if (s->mode <= copied(LAW_DEGRADED)) {
         flags |= command(s, p, forward + faded(s, p, correction));
     } else {
@@ -827,13 +892,9 @@ static void say_nothing(law_output *out)
  * clock that was set back goes on from where it is: to wait for it keeps the last voltage on for longer. */
 static void repeat(law_state *s, const law_params *p, law_output *out, uint32_t tick)
 {
-    if (s->repeated_at != s->tick) { /* the calls before belong to another period: a good one lies in between */
-        s->repeated = 0U;
-    }
     s->tick = tick;
-    s->repeated_at = tick;
-    s->repeated = counted(s->repeated);
-    if (s->repeated > p->missed_limit) {
+    s->missed = counted(s->missed);
+    if (s->missed > p->missed_limit) {
         latch(s, LAW_MISSED);
     }
     if (s->mode > copied(LAW_HOLD)) {
@@ -882,9 +943,14 @@ void law_step(law_state *state, const law_params *params, const law_input *input
         state->tick = input->tick;
         if (periods > 1U) {
             flags |= LAW_FLAG_MISSED;
-            if ((periods - 1U) > params->missed_limit) {
+            state->missed += periods - 1U;
+            if (state->missed > params->missed_limit) {
                 latch(state, LAW_MISSED);
             }
+        } else if (state->missed != 0U) {
+            state->missed -= 1U; /* not in a row: every third period called is as bad as a row that never ends */
+        } else {
+            /* on time */
         }
         flags |= run(state, params, input, output, periods);
     }

@@ -24,14 +24,14 @@
 #error "law.c needs FLT_EVAL_METHOD 0 (on 32-bit x86: -msse2 -mfpmath=sse)"
 #endif
 
-/* Single precision is for microcontrollers with a single-precision FPU; double is the simulation's default. */
+/* Single precision is the default of simulation, proof and export alike; double is for boards that have it. */
 #ifdef LAW_SINGLE
 typedef float law_real;
 #else
 typedef double law_real;
 #endif
 
-#define LAW_VERSION 3U
+#define LAW_VERSION 4U
 /* The package compiles law.c with room for every design. A board may compile it for one design alone: the README of
  * an export gives the flags. Loops then have fixed lengths and the arrays no spare places; the
  * arithmetic, and so every bit of the outputs, stays the same. A block made for other lengths is refused by its size. */
@@ -53,6 +53,7 @@ typedef double law_real;
 /* Options of the parameter block. */
 #define LAW_WITH_INNER 1U /* the law closes the motor loop and gives a voltage */
 #define LAW_LATE_GAUGE 2U /* the gauge has a delay or a gain that the reference model counts on */
+#define LAW_STOP_RINGING 4U /* a vibration that does not decay trips, and is not only flagged */
 
 /* Modes, in the order of severity. */
 #define LAW_IDLE 0U     /* not started: no valid encoder sample yet, or the parameters are refused */
@@ -71,12 +72,15 @@ typedef double law_real;
 #define LAW_BAD_GAUGE 6U   /* not a number, out of range or jumping, too long */
 #define LAW_GAUGE_STUCK 7U /* gauge does not move where the model says it must */
 #define LAW_RESIDUAL 8U    /* motor angle far from the motor model: encoder stuck or wrong, or drive failed */
-#define LAW_MISSED 9U      /* too many periods missed, or too many calls without a new one: the clock stands */
+#define LAW_MISSED 9U      /* more periods missed, or calls without a new one, than good periods make up for */
 #define LAW_OVERLOAD 10U   /* coupling torque above its limit: link blocked */
 
 #define LAW_GAUGE_REVERSED 11U /* wiring test: torque falls where it must rise */
 #define LAW_GAUGE_DEAD 12U     /* wiring test: torque does not answer the motor */
 #define LAW_NOT_MOVED 13U      /* wiring test: too little motion to tell */
+
+#define LAW_RINGING 14U /* the tip vibrates, and the vibration does not decay */
+#define LAW_RAILED 15U  /* held, and the voltage goes from one limit to the other: the motor loop is not stable */
 
 /* Flags of one period; they do not latch. */
 #define LAW_FLAG_ENCODER 1U    /* encoder sample rejected */
@@ -89,6 +93,7 @@ typedef double law_real;
 #define LAW_FLAG_STARTED 128U  /* started in this period, without a bump */
 #define LAW_FLAG_RESIDUAL 256U /* motor angle away from the motor model in this period */
 #define LAW_FLAG_PAYLOAD 512U  /* payload rejected: the law runs as if none were given */
+#define LAW_FLAG_RINGING 1024U /* the tip vibrates, and the vibration does not decay */
 
 /* A real mode gain/(z - pole). The exporter's poles are numbers of single precision, so that both precisions
  * run the same filter. */
@@ -118,7 +123,7 @@ typedef struct {
     uint32_t pair_modes;
     uint32_t forward_modes;
     uint32_t bad_limit;      /* rejected samples in a row before the reaction */
-    uint32_t missed_limit;   /* missed periods in a row that are ridden through */
+    uint32_t missed_limit;   /* missed periods, less the good ones since, that are ridden through */
     uint32_t residual_limit; /* periods in a row with a residual above `residual_angle` */
     uint32_t stuck_limit;    /* periods in a row with an unchanged gauge while the model moves */
     uint32_t frozen_limit;   /* periods in a row with an unchanged encoder while the model moves */
@@ -135,7 +140,7 @@ typedef struct {
     law_real forward_direct;
     law_mode forward[LAW_FORWARD_MODES];
     /* limits; the exporter derives and prints them */
-    law_real sum_limit;        /* largest credible correction and feed-forward [rad] */
+    law_real sum_limit;        /* largest credible output of a filter: beyond, its states are healed [rad] */
     law_real correction_limit; /* largest state of the correction */
     law_real forward_limit;    /* largest state of the feed-forward */
     law_real angle_limit;      /* largest encoder and reference angle [rad] */
@@ -146,12 +151,15 @@ typedef struct {
     law_real torque_block;     /* the same where it does not swing back in `block_limit` periods [N m] */
     law_real reference_step;   /* largest change of the reference in one period [rad] */
     law_real reference_rate;   /* part of a jump of the reference that is followed in one period */
-    law_real acceleration_limit;
+    law_real acceleration_limit; /* largest acceleration that is fed forward [rad/s^2] */
     law_real motor_limit;    /* range of the motor reference [rad] */
     law_real motor_step;     /* largest change of the motor reference in one period [rad] */
     law_real fade_step;      /* fade of the correction in one period after the gauge is given up */
     law_real residual_angle; /* largest credible distance from the motor model [rad] */
-    law_real residual_rate;  /* motor model: 1 - exp(-pole period) */
+    law_real motor_now; /* the motor loop as it was placed, with its delay: H/(z - 1 + H) of the motor reference with */
+    law_real motor_next; /* H = motor_now + motor_next/(z - motor_keep) */
+    law_real motor_keep;
+    law_real swing_angle; /* tip error that, from one side to the other, is a vibration [rad] */
     law_real frozen_angle;   /* move of the motor model at which an unchanged encoder is frozen [rad] */
     law_real stuck_torque;   /* change of the model's torque at which an unchanged gauge is stuck [N m] */
     law_real stiffness;      /* c [N m/rad], for the model's torque */
@@ -171,13 +179,10 @@ typedef struct {
     law_real torque_voltage;  /* compensation of the coupling torque [V/(N m)] */
     law_real coulomb_voltage; /* compensation of Coulomb friction [V] */
     law_real coulomb_slope;   /* 1/(change of the motor reference in a period below which it fades) [1/rad] */
-    /* a payload that is given: the feed-forward times link_scale + payload_scale payload, and what the tip estimate
-     * shall be by now, H/(z - 1 + H) of the reference with H = track_now + track_next/(z - track_keep) */
+    /* a payload that is given: the feed-forward times link_scale + payload_scale payload; the tip estimate then follows
+     * the reference as the motor follows its own */
     law_real link_scale;
     law_real payload_scale; /* [1/kg] */
-    law_real track_now;
-    law_real track_next;
-    law_real track_keep;
     law_real gauge_now; /* the gauge's gain and delay, as a lag, on the flexion of the feed-forward; 1 and 0 for none */
     law_real gauge_keep;
     law_real payload_limit;  /* largest credible payload [kg]; 0: the law knows no payload */
@@ -196,8 +201,8 @@ typedef struct {
     uint32_t stuck;
     uint32_t overload;
     uint32_t frozen;
-    uint32_t repeated;    /* calls in a row that were not a new period, counted at the tick below */
-    uint32_t repeated_at;
+    uint32_t missed;      /* periods missed and calls that were no new period, less the good periods since */
+    uint32_t ringing;     /* a vibration's changes of side, less the periods since; in hold the voltage's */
     uint32_t tracking;    /* a payload is given, or the reference model has not come to rest since */
     uint32_t given;       /* whether a payload is; fourteenth word: an even number of them keeps the reals aligned */
     law_real real[LAW_REAL_MODES]; /* states of the modes */
@@ -210,8 +215,8 @@ typedef struct {
     law_real motor_reference;
     law_real motor_angle;
     law_real torque;
-    law_real model_near; /* motor model: two equal lags behind the motor reference */
-    law_real model_angle;
+    law_real model_angle; /* motor model: its angle, and what pushes it on in the next period */
+    law_real model_push;
     law_real stuck_torque; /* model torque when the gauge last moved */
     law_real encoder;      /* last reading, and motor model when it last changed */
     law_real encoder_model;
@@ -222,10 +227,11 @@ typedef struct {
     law_real track_push;
     law_real late;       /* flexion of the feed-forward as the gauge will show it */
     law_real fade;
+    law_real swing;      /* last error beyond `swing_angle`; in hold the last voltage at its limit */
     law_real integral;
     law_real filter;
     law_real voltage;
-    law_real sum; /* of the modes, both references, the integral and the torque: any other one is damage */
+    law_real sum; /* of the modes, references, motor angle, integral, torque, error and scale: any other one is damage */
 } law_state;
 
 typedef struct {

@@ -65,7 +65,7 @@ nitpicky = True
 # need.
 nitpick_ignore_regex = [
     (r"py:.*", r"(numpy|np|control|matplotlib|pathlib|fractions|collections\.abc)\..+"),
-    (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path"),
+    (r"py:.*", r"ArrayLike|NDArray|TypeAliasForwardRef|Axes|Path|(typing\.)?Self"),
     (
         r"py:.*",
         r".*typing\.(Annotated|Literal)\[.*",
@@ -75,10 +75,15 @@ nitpick_ignore_regex = [
     # text.
     (
         r"py:class",
-        r"fraclink\._law\.discretization\._Designed|fraclink\.trials\._fault_rules\.FaultRule",
+        r"fraclink\._law\.discretization\._Designed|fraclink\.trials\._fault_trial\.Trial",
     ),
-    (r"py:class", r"fraclink\._files\.[TU]|Goal"),
+    (
+        r"py:class",
+        r"fraclink\._files\.[TU]|Goal|Following|Specification|fraclink\._display\.Kind|fraclink\._arm\.log_columns\..+",
+    ),
     (r"py:class", r"fraclink\._identify\.validation\.Value"),
+    (r"py:class", r"fraclink\._arm\.log_columns\.(ColumnStatement|LogColumns \|.*)"),
+    (r"py:class", r"fraclink\.trials\._fault_trial\.Trial"),
     (r"py:class", r"fraclink\.view\._text\.View"),
 ]
 suppress_warnings = ["myst.strikethrough"]

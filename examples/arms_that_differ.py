@@ -23,7 +23,7 @@ def main(folder: Path) -> None:
         rig, rig.model, fl.discretize(design), runs=2000, seed=1
     )
     fl.trials.run_campaign(campaign, folder / "arms")  # resumes where it was stopped
-    summary = fl.trials.summarise(campaign, folder / "arms")
+    summary = fl.trials.summarise(folder / "arms")
     print(summary.failure.sentence)
     settling = next(
         metric for metric in summary.metrics if metric.name == "settling_time"

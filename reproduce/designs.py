@@ -9,22 +9,28 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import Loop
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._design import Design, design
-from fraclink._design.assess import PRINTED
+from fracsys import poles, s
 
 __all__ = [
     "CROSSOVER",
     "MARGIN_DEG",
     "ORDER",
+    "PRINTED",
     "SMALL",
     "Pair",
     "carried_out",
+    "closed_loop_poles",
     "corrected",
+    "designed_in_loop",
     "in_loop",
     "matched_integer",
     "measured",
@@ -41,6 +47,16 @@ ORDER = 1.92  # λ of Tables 2 and 3
 CROSSOVER, MARGIN_DEG = 16.0, 70.0  # rad/s and °, asked for in section 7.1
 SMALL = (0.016, 0.008)  # kg, section 7.2
 _PRINTED = (9.42, 11.54, 14.14)  # ϖ of Table 1: minimal, nominal, maximal
+# (58) from the fractional model and (59) from the integer one, as section 7.1 prints
+# them.
+PRINTED: dict[str, Controller] = {
+    "(58)": Controller(
+        derivative_gain=0.148, derivative_order=0.65, filter_time=0.16, filter_order=2
+    ),
+    "(59)": Controller(
+        derivative_gain=0.241, derivative_order=0.65, filter_time=0.16, filter_order=2
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -89,7 +105,6 @@ def carried_out(
         natural_frequencies=(low, high),
         gain_crossover=crossover,
         phase_margin=margin,
-        margins="ideal",
         procedure="published",
         law=False,
         **options,  # type: ignore[arg-type]
@@ -202,7 +217,11 @@ def procedure() -> Pair:
     designed, delta = printed_design(), rule_filter("printed", 2)
     gain, order = matched_integer(designed, _PRINTED[1])
     base = _controller(
-        designed.controller.gain, designed.controller.order, delta, 2, ORDER
+        designed.controller.derivative_gain,
+        designed.controller.derivative_order,
+        delta,
+        2,
+        ORDER,
     )
     return Pair("procedure from Table 1", base, _controller(gain, order, delta, 2, 2.0))
 
@@ -216,7 +235,11 @@ def corrected() -> Pair:
     delta = rule_filter("measured", 2)
     gain, order = matched_integer(designed, nominal)
     base = _controller(
-        designed.controller.gain, designed.controller.order, delta, 2, ORDER
+        designed.controller.derivative_gain,
+        designed.controller.derivative_order,
+        delta,
+        2,
+        ORDER,
     )
     return Pair("corrected", base, _controller(gain, order, delta, 2, 2.0))
 
@@ -226,15 +249,52 @@ def in_loop() -> Pair:
     """Designed on the loop that runs (12 rad/s, 50°, 10 % rule), and λ = 2 matched at
     30 g in that loop.
     """
+    base = designed_in_loop(ruled=True)
+    return Pair("in the loop", base.controller, _matched_in_loop(base))
+
+
+@cache
+def designed_in_loop(*, ruled: bool) -> Design:
+    """Section 6 for 12 rad/s and 50° over 20 to 40 g with motor loop, hold and delay
+    inside (55), without a filter or with one that lags by 5° at ω̄_c.
+    """
+    crossover, margin, arm = 12.0, math.radians(50.0), rig()
+    asked = {"gain_crossover": crossover, "phase_margin": margin}
     base = design(
         link(0.030),
-        rig(),
+        arm,
         payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=math.radians(50.0),
+        filter_time=0.0,
         procedure="published",
+        law=False,
+        **asked,  # type: ignore[arg-type]
     )
-    return Pair("in the loop", base.controller, _matched_in_loop(base))
+    low, high = base.natural_frequencies
+    bare = Loop.around(base.model, base.motor_loop, arm.motor, arm.period)
+
+    def terms(upper: float) -> tuple[float, float, float, float]:
+        """(residual of the magnitude of (55), β, ln χ, δ) at a trial ω̄_c."""
+        time = math.tan(0.1 * margin) / upper if ruled else 0.0
+        at_low = complex(bare.log(crossover, low)) - np.log(1 + 1j * time * crossover)
+        at_high = complex(bare.log(upper, high)) - np.log(1 + 1j * time * upper)
+        beta = 2.0 / math.pi * (margin - math.pi - at_high.imag)
+        residual = -at_low.real + beta * math.log(upper / crossover) + at_high.real
+        return residual, beta, -at_low.real, time
+
+    grid = np.geomspace(0.9 * crossover, 4.0 * crossover, 100)
+    above = np.array([terms(float(w))[0] > 0.0 for w in grid])
+    first = int(np.argmax(above[:-1] & ~above[1:]))
+    upper = brentq(
+        lambda w: terms(w)[0], grid[first], grid[first + 1], xtol=1e-13, rtol=1e-14
+    )
+    _, beta, chi, time = terms(upper)
+    controller = replace(
+        base.controller,
+        derivative_gain=math.exp(chi) / crossover**beta,
+        derivative_order=beta,
+        filter_time=time,
+    )
+    return replace(base, controller=controller, margins_kind="loop")
 
 
 def _matched_in_loop(designed: Design) -> Controller:
@@ -249,16 +309,19 @@ def _matched_in_loop(designed: Design) -> Controller:
     # (jω)^β carries both: its phase takes up the difference of the links' phases.
     shift = np.angle(fractional / integer)
     order = (
-        designed.controller.order
+        designed.controller.derivative_order
         + 2.0 * float(np.mod(shift + math.pi, 2 * math.pi) - math.pi) / math.pi
     )
     gain = (
-        designed.controller.gain
+        designed.controller.derivative_gain
         * abs(fractional / integer)
-        * crossing.frequency ** (designed.controller.order - order)
+        * crossing.frequency ** (designed.controller.derivative_order - order)
     )
     return replace(
-        designed.controller, gain=float(gain), order=order, link=link(0.030, 2.0)
+        designed.controller,
+        derivative_gain=float(gain),
+        derivative_order=order,
+        link=link(0.030, 2.0),
     )
 
 
@@ -266,7 +329,12 @@ def _controller(
     gain: float, order: float, delta: float, n: int, link_order: float
 ) -> Controller:
     return _on_link(
-        Controller(gain=gain, order=order, filter_time=delta, filter_order=n),
+        Controller(
+            derivative_gain=gain,
+            derivative_order=order,
+            filter_time=delta,
+            filter_order=n,
+        ),
         link_order,
     )
 
@@ -275,5 +343,18 @@ def _on_link(controller: Controller, link_order: float) -> Controller:
     """`controller` with the link, the motor loop and the period of the paper's rig."""
     inner = MotorLoop(pole=80.0, delay_samples=1)
     return replace(
-        controller, link=link(0.030, link_order), inner=inner, period=rig().period
+        controller, link=link(0.030, link_order), motor_loop=inner, period=rig().period
     )
+
+
+def closed_loop_poles(
+    controller: Controller, link: LinkModel, *, motor_loop_pole: float | None = None
+) -> NDArray[np.complex128]:
+    """Return the poles of T = L/(1 + L), L = Ĉ M G, rightmost first [rad/s]; M = 1
+    without `motor_loop_pole` [rad/s], and neither hold nor delay.
+    """
+    loop = controller.correction() * link.tip()
+    if motor_loop_pole is not None:
+        loop = loop / (1.0 + s / motor_loop_pole) ** 2
+    found = poles(loop.feedback())
+    return np.asarray(found[np.argsort(-found.real)], dtype=np.complex128)

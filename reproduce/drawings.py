@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from fraclink.view._axes import BLUE, GREY, INK, figure, svg
 from reproduce.figures import WIDTH, Picture
+from reproduce.matplotlib_svg import BLUE, GREY, INK, figure, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

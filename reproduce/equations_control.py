@@ -153,8 +153,8 @@ class _Outer:
         """Ĉ(s), in polar form."""
         k = self.controller
         return (
-            k.gain
-            * power(self.s, k.order)
+            k.derivative_gain
+            * power(self.s, k.derivative_order)
             / (1.0 + k.filter_time * self.s) ** k.filter_order
         )
 
@@ -206,8 +206,8 @@ class _Outer:
 def _outer(draw: Draw, *, axis: bool = False) -> _Outer:
     link = mass(draw)
     controller = Controller(
-        gain=float(draw.uniform(0.05, 1.0)),
-        order=float(draw.uniform(0.2, 1.5)),
+        derivative_gain=float(draw.uniform(0.05, 1.0)),
+        derivative_order=float(draw.uniform(0.2, 1.5)),
         filter_time=float(draw.uniform(1e-3, 0.05)),
         filter_order=int(draw.integers(1, 3)),
     )
@@ -270,8 +270,8 @@ def _loop(code: Any, at: _Outer) -> complex:
     k = at.controller
     loop = code(
         link_order=at.link.order,
-        gain=k.gain,
-        order=k.order,
+        gain=k.derivative_gain,
+        order=k.derivative_order,
         filter_time=k.filter_time,
         filter_order=k.filter_order,
         lag=at.lag,
@@ -300,7 +300,10 @@ def _with_one(code: Any, draw: Draw) -> Sides:
     at = _outer(draw)
     k, own = at.controller, code(at.controller)
     printed = (
-        1.0 + k.gain * at.s**k.order / (1.0 + k.filter_time * at.s) ** k.filter_order
+        1.0
+        + k.derivative_gain
+        * at.s**k.derivative_order
+        / (1.0 + k.filter_time * at.s) ** k.filter_order
     )
     return [printed, 1.0], [own(at.s), own(0j)], [1.0 + at.correction, 1.0]
 
@@ -310,9 +313,9 @@ def _without_filter(code: Any, draw: Draw) -> Sides:
     at = _outer(draw)
     k = at.controller.without_filter()
     return (
-        1.0 + k.gain * at.s**k.order,
+        1.0 + k.derivative_gain * at.s**k.derivative_order,
         code(k)(at.s),
-        1.0 + k.gain * power(at.s, k.order),
+        1.0 + k.derivative_gain * power(at.s, k.derivative_order),
     )
 
 
@@ -363,7 +366,11 @@ def _derivative(code: Any, draw: Draw) -> Sides:
     """(33)."""
     at = _outer(draw)
     k = at.controller.without_filter()
-    return k.gain * at.s**k.order, code(k)(at.s), k.gain * power(at.s, k.order)
+    return (
+        k.derivative_gain * at.s**k.derivative_order,
+        code(k)(at.s),
+        k.derivative_gain * power(at.s, k.derivative_order),
+    )
 
 
 CONTROL: Mapping[str, Check] = {

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from fraclink._arm.loop import Loop
-from fraclink._design.assess import PRINTED
 from reproduce import designs, forms
 from reproduce.points import (
     Check,
@@ -378,7 +377,7 @@ def _gain(code: Any, draw: Draw) -> Sides:
     own = code(low, high, math.sqrt(low * high), crossover=crossover, margin=margin)
     return (
         [printed, printed / crossover**beta],
-        [own.chi, own.controller.gain],
+        [own.chi, own.controller.derivative_gain],
         [chi, gain],
     )
 
@@ -394,7 +393,7 @@ def _upper(code: Any, draw: Draw) -> Sides:
         )
 
     own = code(low, high, math.sqrt(low * high), crossover=crossover, margin=margin)
-    found = own.controller.order, own.gain_crossover_upper
+    found = own.controller.derivative_order, own.gain_crossover_upper
     true = [beta, upper, -cmath.exp(1j * margin)]
     return [beta, upper, left(beta, upper)], [*found, left(*found)], true
 
@@ -436,7 +435,7 @@ def _controller(number: str, integer: bool) -> Check:
         true = gain * power(1j * w, beta) / (1.0 + 1j * w * delta) ** 2
         pair = code()
         own = pair.integer if integer else pair.fractional
-        return PRINTED[number].response(w), own.response(w), true
+        return designs.PRINTED[number].response(w), own.response(w), true
 
     return Check(sides, 3)
 
@@ -447,15 +446,17 @@ def _four_loops(code: Any, draw: Draw) -> Sides:
     arm, s = designs.rig(), 1j * w
     tip = Mass(arm.link.stiffness, payload, arm.link.length, designs.ORDER).solved(s)[0]
     hats = [
-        item.gain * power(s, item.order) / (1.0 + item.filter_time * s) ** 2
-        for item in PRINTED.values()
+        item.derivative_gain
+        * power(s, item.derivative_order)
+        / (1.0 + item.filter_time * s) ** 2
+        for item in designs.PRINTED.values()
     ]
     servo = 80.0**2 / (s + 80.0) ** 2
     true = [hat * tip * motor for motor in (1.0, servo) for hat in hats]
     own = [
         code(item, payload, motor=motor)(np.array([s]))[0]
         for motor in (False, True)
-        for item in PRINTED.values()
+        for item in designs.PRINTED.values()
     ]
     return [true[0] + tip, *true[1:]], own, true
 

@@ -11,7 +11,6 @@ from functools import cache
 
 import numpy as np
 
-from fraclink._arm.controller import closed_loop_poles
 from fraclink._arm.loop import Loop
 from reproduce import designs
 from reproduce.judged import HOLDS, NOT, PART, Evidence, Reading, judged, together
@@ -177,7 +176,7 @@ def _rules_of_thumb() -> Iterator[tuple[str, float, float, float]]:
     controller = designs.unfiltered(designs.corrected(), "").fractional
     for payload in (0.020, 0.030, 0.040):
         crossing = last_crossing(controller, payload)
-        pole = closed_loop_poles(controller, designs.link(payload))[0]
+        pole = designs.closed_loop_poles(controller, designs.link(payload))[0]
         settling = math.log(50.0) / -pole.real  # an envelope within 2 %
         yield (
             f"{1e3 * payload:.0f} g",

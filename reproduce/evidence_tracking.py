@@ -75,8 +75,13 @@ def _same_at_heavy(published: Published) -> Evidence:
 
 
 def _offset_left(published: Published) -> Evidence:
-    gain, order = designs.printed().fractional.gain, designs.printed().fractional.order
-    law = discretize(designs.printed().fractional, designs.rig().period)
+    gain, order = (
+        designs.printed().fractional.derivative_gain,
+        designs.printed().fractional.derivative_order,
+    )
+    law = discretize(
+        designs.printed().fractional, designs.rig().period, precision="double"
+    )
     exact = abs(complex(law.frequency_response(np.array([0.0]))[0]))
     rows = [
         Reading(
@@ -173,7 +178,7 @@ def _better_than_integer(published: Published) -> Evidence:
             )
         )
     own = designs.corrected()
-    ratio = own.integer.gain / own.fractional.gain
+    ratio = own.integer.derivative_gain / own.fractional.derivative_gain
     text = (
         f"k_d'/k_d is {0.241 / 0.148:.2f} as printed and {ratio:.2f} by the procedure; the controller of "
         "[31] itself is not printed, C' stands for it"

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fraclink.view._axes import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
 from reproduce import designs
 from reproduce.logs import twin_fits
 from reproduce.loops import LOOP_DELAY, SWEEP, last_crossing, sampled
+from reproduce.matplotlib_svg import BLUE, FAINT, GREY, INK, LEVELS, ORANGE, figure, svg
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fraclink._simulate import Run
-from fraclink.view._axes import BLUE, GREY, ORANGE, figure, svg
 from reproduce import designs
 from reproduce.figures import WIDTH, Picture
 from reproduce.loops import sampled
+from reproduce.matplotlib_svg import BLUE, GREY, ORANGE, figure, svg
 from reproduce.runs import OFFSET, move, tracking_pairs
 
 if TYPE_CHECKING:

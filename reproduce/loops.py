@@ -123,7 +123,7 @@ def sampled(controller: Controller, payload: float) -> Crossing:
     exactly sampled.
     """
     arm = designs.rig()
-    law = discretize(controller, arm.period)
+    law = discretize(controller, arm.period, precision="double")
     plant = sampled_plant(
         designs.link(payload),
         MotorLoop(pole=80.0, delay_samples=1),

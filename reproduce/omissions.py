@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._arm.controller import Controller, closed_loop_poles
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import Method, place_pid
-from fraclink._design import Design, design
-from fraclink._design.assess import PRINTED
+from fraclink._arm.motor import closed_poles, place_pid
+from fraclink._design import Design
 from fracsys._margins import margins
 from reproduce import designs
 
@@ -90,7 +89,7 @@ def _loop(
             value = (
                 value
                 * ((1.0 - np.exp(-s * parts.sums)) / (s * parts.sums))
-                ** controller.order
+                ** controller.derivative_order
             )
         motor = (1.0 + s / designs.rig().motor_loop.pole) ** -2 if parts.motor else 1.0
         return np.asarray(value * motor, dtype=np.complex128)
@@ -105,16 +104,7 @@ def sampled_margins() -> tuple[tuple[float, ...], ...]:
     With Ĉ(jω) itself, with the law that is shipped, and with the paper's sums in place
     of s^β.
     """
-    designed = design(
-        designs.link(0.030),
-        designs.rig(),
-        payloads=(0.020, 0.040),
-        gain_crossover=12.0,
-        phase_margin=math.radians(50.0),
-        filter_time=0.0,
-        procedure="published",
-        law=False,
-    )
+    designed = designs.designed_in_loop(ruled=False)
     return tuple(
         (
             payload,
@@ -163,22 +153,40 @@ def facts() -> tuple[tuple[str, str], ...]:
 def _printed_poles() -> list[tuple[str, str]]:
     link = LinkModel(designs.rig().link.stiffness, _NOMINAL, order=designs.ORDER)
     found = []
-    for number, controller in PRINTED.items():
-        pole = closed_loop_poles(
-            controller, link, inner_pole=designs.rig().motor_loop.pole
+    for number, controller in designs.PRINTED.items():
+        pole = designs.closed_loop_poles(
+            controller, link, motor_loop_pole=designs.rig().motor_loop.pole
         )[0]
         found.append((number, f"{pole.real:+.3f} ± {abs(pole.imag):.2f}j rad/s"))
     return found
 
 
 def _inner_radii() -> str:
-    loop = place_pid(designs.rig().motor, designs.rig().motor_loop.pole)
-    methods: tuple[Method, ...] = ("tustin", "backward", "zero-order-hold")
-    radii = [
-        f"{method} {loop.sampled_radius(designs.rig().period, method=method):.3f}"
-        for method in methods
-    ]
-    return ", ".join(radii)
+    """The spectral radius with 1/s and 1/(s + c) by three rules; Tustin's is the law's."""
+    rig = designs.rig()
+    placed, period = place_pid(rig.motor, rig.motor_loop.pole), rig.period
+    c, tustin = placed.filter_pole, placed.discretize(period)
+    backward = replace(
+        tustin,
+        integral_now=period,
+        integral_before=0.0,
+        filter_now=period / (1 + c * period),
+        filter_before=0.0,
+        filter_decay=1 / (1 + c * period),
+    )
+    held = replace(
+        tustin,
+        integral_now=0.0,
+        integral_before=period,
+        filter_now=0.0,
+        filter_before=-math.expm1(-c * period) / c,
+        filter_decay=math.exp(-c * period),
+    )
+    rules = {"tustin": tustin, "backward": backward, "zero-order-hold": held}
+    return ", ".join(
+        f"{name} {abs(closed_poles(rig.motor, pid, 1)[0]):.3f}"
+        for name, pid in rules.items()
+    )
 
 
 def _damping(period: float) -> float:

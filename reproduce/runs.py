@@ -24,7 +24,7 @@ def move(controller: Controller, payload: float) -> Run:
     sample of delay.
     """
     return simulate(
-        discretize(controller, designs.rig().period),
+        discretize(controller, designs.rig().period, precision="double"),
         smooth_step(1.0, duration=1.0),
         rig=designs.rig(),
         model=designs.link(0.030),

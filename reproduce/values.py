@@ -112,8 +112,8 @@ def _designs() -> dict[str, float]:
         gain, order = designs.matched_integer(designed, nominal)
         named = {
             "chi": designed.chi,
-            "beta": designed.controller.order,
-            "gain": designed.controller.gain,
+            "beta": designed.controller.derivative_order,
+            "gain": designed.controller.derivative_gain,
             "crossover_upper": designed.gain_crossover_upper,
             "nominal_crossover": found.frequency,
             "nominal_margin": math.degrees(found.phase_margin),

@@ -19,7 +19,9 @@ def small(runs: int = 2500, seed: int = 7) -> Campaign:
     """The paper's arm under our own order-4 law: three parts, the last one half full."""
     rig = fl.Rig.named("paper-2023")
     law = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        fl.Controller(
+            derivative_gain=0.069876, derivative_order=0.612197, link=rig.model
+        ),
         rig.period,
         order=4,
     )
@@ -40,31 +42,6 @@ def fault_bench() -> Bench:
         phase_margin=fl.deg(50),
     )
     return Bench.of(design, link_mass=0.00735)
-
-
-def started(
-    out: Path, *, runs: int, workers: int = 2, seed: int = 7
-) -> subprocess.Popen[str]:
-    """The command `campaign montecarlo` in a session of its own, so that its workers
-    die with it.
-    """
-    line = [
-        "campaign",
-        "montecarlo",
-        "--out",
-        str(out),
-        "--runs",
-        str(runs),
-        "--seed",
-        str(seed),
-    ]
-    return subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "fraclink", *line, "--workers", str(workers)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
 
 
 def computed(campaign: Campaign, folder: Path) -> Path:

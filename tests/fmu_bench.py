@@ -19,7 +19,8 @@ import fraclink as fl
 from fraclink import Law, Run, Twin
 from fraclink._arm.reference import Path as Trajectory
 from fraclink._law import discretize_controller
-from fraclink.extend import LawOutputs, PayloadChange, SensorFault, TipPulse, geared
+from fraclink._law.law import LawOutputs
+from fraclink.extend import PayloadChange, SensorFault, TipPulse, geared
 from law_bench import default_controller
 from needed_tools import missing
 

@@ -76,6 +76,39 @@ def _inside_functions(tree: ast.Module) -> set[int]:
 
 
 @cache
+def public_names() -> frozenset[str]:
+    """Every name in the stub of a package: what it promises."""
+    stubs = (
+        ast.parse(path.read_text("utf-8"))
+        for package in PACKAGES
+        for path in package.rglob("__init__.pyi")
+    )
+    return frozenset(
+        alias.name
+        for stub in stubs
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    )
+
+
+def statements(package: str) -> int:
+    """Statements of a package; docstrings and imports do not count."""
+    return sum(
+        isinstance(node, ast.stmt)
+        and not isinstance(node, ast.Import | ast.ImportFrom)
+        and not (
+            isinstance(node, ast.Expr)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.value.value, str)
+        )
+        for source in sources()
+        if source.component == package
+        for node in ast.walk(source.tree)
+    )
+
+
+@cache
 def imported_modules(source: Source, *, at_once: bool = False) -> tuple[str, ...]:
     """Modules of the packages that a module imports.
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import Law
 from fraclink._law import discretize_controller
-from fraclink.extend import LawInputs, LawOutputs
+from fraclink._law.law import LawOutputs
+from fraclink.extend import LawInputs
 
 PERIOD = 0.004
 DESIGN = (
@@ -23,7 +24,11 @@ DESIGN = (
 
 def default_controller() -> fl.Controller:
     gain, order = DESIGN
-    return fl.Controller(gain=gain, order=order, link=fl.Rig.named("paper-2023").model)
+    return fl.Controller(
+        derivative_gain=gain,
+        derivative_order=order,
+        link=fl.Rig.named("paper-2023").model,
+    )
 
 
 @functools.cache

@@ -161,7 +161,9 @@ print(*fl.compare_structures(log).fits)
 def test_a_rival_is_one_row(grown: Path) -> None:
     code = """
 import fraclink as fl
-found = fl.trials.compare(fl.Rig.named("paper-2023-geared"), payloads=(0.03,), names=["half the gain"])
+rig = fl.Rig.named("paper-2023-geared")
+design = fl.design(rig.model, rig, payloads=(0.02, 0.04), gain_crossover=12.0, phase_margin=fl.deg(50))
+found = fl.trials.compare(design, payloads=(0.03,), names=["half the gain"])
 print(*(standing.name for standing in found.standings), sep="|")
 """
     assert run(grown, code) == ["fraclink|half the gain"]
@@ -189,7 +191,7 @@ def test_a_reader_is_a_magic_word_and_a_parser(grown: Path) -> None:
     code = """
 import fraclink as fl
 t, theta, gamma = fl.Channel("t", "s"), fl.Channel("theta", "rad"), fl.Channel("gamma", "Nm")
-log = fl.read_log("log.lab", columns=fl.LogColumns(t, theta, gamma, "torque"))
+log = fl.read_log("log.lab", columns=fl.LogColumns(t, theta, torque=gamma))
 print(log.period, log.motor_angle[100], log.output[100])
 """
     (line,) = run(grown, code)

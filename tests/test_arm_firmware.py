@@ -23,8 +23,8 @@ import pytest
 
 import fraclink as fl
 from fraclink import _kernels
+from fraclink._export.board import export_arm_firmware
 from fraclink.errors import FieldError
-from fraclink.extend import export_arm_firmware
 from fraclink.lab import Serial, parse_connection, run_realtime, serve_arm
 from needed_tools import tool
 from test_export import run
@@ -235,7 +235,11 @@ def board(library: Any, period: float, sent: set[float]) -> Iterator[str]:
 def test_a_law_runs_on_the_firmware_over_a_pseudo_terminal(library: Any) -> None:
     rig, sent = fl.Rig.named("paper-2023"), set[float]()
     law = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=rig.model), 0.004, order=4
+        fl.Controller(
+            derivative_gain=0.069876, derivative_order=0.612197, link=rig.model
+        ),
+        0.004,
+        order=4,
     )
     with board(library, 0.004, sent) as port:
         seen = run_realtime(
@@ -302,7 +306,9 @@ def test_addresses_of_serial_lines() -> None:
         run_realtime(
             fl.discretize(
                 fl.Controller(
-                    gain=0.07, order=0.6, link=fl.Rig.named("paper-2023").model
+                    derivative_gain=0.07,
+                    derivative_order=0.6,
+                    link=fl.Rig.named("paper-2023").model,
                 ),
                 0.004,
             ),

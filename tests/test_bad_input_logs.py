@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from fraclink import Channel, LogColumns, Rig, read_log
-from fraclink._reading.text import SAMPLE_LIMIT
+from fraclink._reading.reading import read_columns
 from fraclink.errors import FieldError, FileFormatError, LogError, SizeError
-from fraclink.extend import read_columns
 from made_logs import HEADER, made_rows, write_log
 
 Rows = list[list[str]]
@@ -137,7 +135,7 @@ def test_b25_b26_b28_a_payload_that_is_no_mass(payload: float, tmp_path: Path) -
 
 def stated(motor: str = "theta", time_unit: str = "s") -> LogColumns:
     return LogColumns(
-        Channel("t", time_unit), Channel(motor, "rad"), Channel("gamma", "Nm"), "torque"
+        Channel("t", time_unit), Channel(motor, "rad"), torque=Channel("gamma", "Nm")
     )
 
 
@@ -222,14 +220,13 @@ def test_b51_b55_a_gigabyte_is_refused_without_being_read(
     assert error.value == "1000 MB" and "256 MB" in error.allowed
 
 
-def test_b55_too_many_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from fraclink._reading import text
-
-    monkeypatch.setattr(text, "SAMPLE_LIMIT", 300)
-    error = refused(write_log(tmp_path / "log.csv", made_rows()))
+@pytest.mark.slow
+def test_b55_too_many_rows(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"a,b\n" + b"1,2\n" * 4_000_300)
+    error = refused(path)
     assert isinstance(error, SizeError)
-    assert "400 rows" in str(error.value) and "300 rows" in error.allowed
-    assert SAMPLE_LIMIT == 4_000_000
+    assert "rows" in str(error.value) and "4000000 rows" in error.allowed
 
 
 @pytest.mark.parametrize("where", ["header", "body"])
@@ -259,7 +256,6 @@ def test_b56_a_line_of_ten_megabytes(where: str, tmp_path: Path) -> None:
         ("1e400", "repair"),
         ("--1", "repair"),
         (".", "repair"),
-        ('"1.0"', "quotes"),
         ("x", "repair"),
         ("=1+1", "repair"),
         ("1 2", "repair"),
@@ -308,15 +304,13 @@ def test_b59_a_nul_byte(tmp_path: Path) -> None:
     assert "NUL at byte 500" in refused(path).problem
 
 
-def test_b59_mixed_separators(tmp_path: Path) -> None:
+def test_b59_names_between_other_separators_are_names(tmp_path: Path) -> None:
     path = write_log(tmp_path / "log.csv", made_rows())
     lines = path.read_bytes().split(b"\n")
     path.write_bytes(
         b"\n".join([lines[0], *(line.replace(b",", b";") for line in lines[1:])])
     )
-    error = refused(path)
-    assert error.field == "line 2"
-    assert "one separator" in error.remedy
+    assert read_log(path).motor_angle.size == len(made_rows())
 
 
 @pytest.mark.parametrize("separator", [",", " "])
@@ -389,8 +383,7 @@ def test_resampling_cannot_blow_up_the_memory(tmp_path: Path) -> None:
         rows[-1][0] = "1e9"
 
     error = spoilt(tmp_path, change, resample=True)
-    assert "too long to resample" in error.problem
-    assert np.isfinite(float(str(error.value).split()[0]))
+    assert isinstance(error, SizeError)
 
 
 def test_the_command_line_states_columns_and_repairs(tmp_path: Path) -> None:

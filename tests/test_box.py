@@ -55,7 +55,7 @@ def test_the_models_of_other_logs_widen_the_box(
     """
     rig = fl.Rig.named("paper-2023")
     assert rig.model is not None
-    design, _ = design_for(rig, filter_time=0.0)
+    design, _ = design_for(rig)
     order, gain = rig.model.order - 0.05, 1.08
     # The other log is of 20 g: its ω₀ at the first one's payload is the first one's but
     # for a tenth.

@@ -11,12 +11,13 @@ import pytest
 
 import fraclink as fl
 from campaigns import small
-from fraclink._arm.link import LinkModel, SecondMode
+from fraclink import LinkModel, SecondMode
 from fraclink._simulate.links import POWERS, batch_links, link_weights
 from fraclink._simulate.metrics import Signals, judge_many, measure, measure_many
 from fraclink.errors import FieldError, SizeError
-from fraclink.trials._arms import arm_of, replay_run, simulate_part
-from fraclink.trials._campaign import SHAPES, Campaign, Distribution, draw
+from fraclink.trials import Campaign, Distribution, replay_run, simulate_part
+from fraclink.trials._arms import arm_of
+from fraclink.trials._campaign import SHAPES, draw
 
 METRICS = (
     *(
@@ -249,7 +250,9 @@ def test_many_runs_are_measured_as_one_is():
 def test_the_law_that_does_not_hold_is_counted():
     rig = fl.Rig.named("paper-2023")
     wild = fl.discretize(
-        fl.Controller(gain=3.0, order=0.9, link=rig.model), rig.period, order=4
+        fl.Controller(derivative_gain=3.0, derivative_order=0.9, link=rig.model),
+        rig.period,
+        order=4,
     )
     part = simulate_part(Campaign.of(rig, rig.model, wild, runs=64), 0)
     assert not part["passed"].any() and (part["mode"] != 1).any()
@@ -293,15 +296,17 @@ def test_a_run_that_noise_rings_is_forgiven_by_campaign_and_replay_alike():
     """Of a thousand good arms one seems to grow for four seconds; in eight it does not."""
     rig = fl.Rig.named("paper-2023-geared")
     law = fl.discretize(
-        fl.Controller(gain=0.069876, order=0.612197, link=rig.model),
+        fl.Controller(
+            derivative_gain=0.069876, derivative_order=0.612197, link=rig.model
+        ),
         rig.period,
         order=4,
     )
-    campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=0)
-    assert _first_look(campaign, 912) > 0.3
-    part, run = simulate_part(campaign, 0), replay_run(campaign, 912)
-    assert part["growth"][912] == run.metrics.growth == 0.0
-    assert part["passed"][912] and run.verdict.passed
+    campaign = Campaign.of(rig, rig.model, law, runs=1000, seed=1)
+    assert _first_look(campaign, 801) > 0.3
+    part, run = simulate_part(campaign, 0), replay_run(campaign, 801)
+    assert part["growth"][801] == run.metrics.growth == 0.0
+    assert part["passed"][801] and run.verdict.passed
     assert not (part["growth"] > 0.0).any()
 
 
@@ -309,7 +314,11 @@ def test_an_unstable_law_fails_by_growth_at_the_second_look_too():
     """Controller (58) at 30 g grows by 0.14 a second, from a size that would pass."""
     rig = fl.Rig.named("paper-2023-geared")
     printed = fl.Controller(
-        gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=rig.model
+        derivative_gain=0.148,
+        derivative_order=0.65,
+        filter_time=0.16,
+        filter_order=2,
+        link=rig.model,
     )
     made = Campaign.of(
         rig, rig.model, fl.discretize(printed, rig.period), runs=48, motor_loop="ideal"

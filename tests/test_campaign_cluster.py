@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 
 from campaigns import computed, parts_of, small
-from fraclink import main
-from fraclink.errors import MissingExtraError
+from fraclink.errors import FieldError, MissingExtraError
 from fraclink.trials import run_campaign
 from needed_tools import missing
 
@@ -91,16 +90,15 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_dies(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
+def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
     try:
         import distributed  # noqa: F401
     except ImportError:
         missing("distributed is not installed (extra cluster)")
     module = sys.modules["fraclink.trials._run"]
     monkeypatch.setattr(module, "CONNECT", 1)
-    line = ["campaign", "montecarlo", "--runs", "10", "--out", str(tmp_path / "parts")]
-    assert main([*line, "--scheduler", "tcp://127.0.0.1:9"]) == 2
-    assert "scheduler" in capsys.readouterr().err
+    with pytest.raises(FieldError, match="scheduler"):
+        run_campaign(small(10), tmp_path, scheduler="tcp://127.0.0.1:9")
 
 
 def test_without_the_extra_the_remedy_is_named(tmp_path, monkeypatch):

@@ -5,7 +5,6 @@ done twice.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import random
 import resource
@@ -23,10 +22,10 @@ import pytest
 
 from campaigns import computed, continued, parts_of, small
 from fraclink import main
-from fraclink.errors import FieldError, FileFormatError, NotConvergedError
+from fraclink.errors import FieldError, FileFormatError
 from fraclink.trials import _run as part_module
-from fraclink.trials import run_campaign, summarise
-from fraclink.trials._campaign import load_campaign, save_campaign
+from fraclink.trials import load_campaign, run_campaign, summarise
+from fraclink.trials._campaign import save_campaign
 from fraclink.trials._run import read_part
 
 
@@ -139,7 +138,7 @@ def test_two_workers_write_the_bytes_of_one(whole, tmp_path):
     done = run_campaign(small(), tmp_path / "two", workers=2, watch=seen.append)
     assert parts_of(tmp_path / "two") == parts_of(whole) and len(parts_of(whole)) == 3
     assert (done.before, done.done, done.runs) == (0, 2500, 2500) and len(seen) == 3
-    assert seen[-1].failed == summarise(small(), tmp_path / "two").failure.count > 0
+    assert seen[-1].failed == summarise(tmp_path / "two").failure.count > 0
 
 
 @pytest.mark.slow
@@ -157,38 +156,23 @@ def test_a_longer_campaign_goes_on(copy, whole, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_is_replaced(tmp_path, whole):
+def test_a_worker_that_is_killed_costs_its_part_alone(tmp_path, whole):
     folder, children = (
         tmp_path / "parts",
         Path(f"/proc/self/task/{os.getpid()}/children"),
     )
     if not children.exists():
         pytest.skip("/proc does not list children on this system")
-    killed = []
 
-    def kill_one(_: object) -> None:
+    def kill_all(_: object) -> None:
         for child in map(int, children.read_text().split()):
-            command = Path(f"/proc/{child}/cmdline").read_bytes()
-            if not killed and b"spawn_main" in command:
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
                 os.kill(child, signal.SIGKILL)
-                killed.append(child)
 
-    run_campaign(small(), folder, workers=2, watch=kill_one)
-    assert killed and parts_of(folder) == parts_of(whole)
-
-
-def test_workers_that_always_die_end_the_campaign(tmp_path, monkeypatch):
-    from concurrent.futures.process import BrokenProcessPool
-
-    module = sys.modules["fraclink.trials._run"]
-
-    def broken(*_: object):
-        raise BrokenProcessPool("died")
-        yield
-
-    monkeypatch.setattr(module, "_one_pool", broken)
-    with pytest.raises(NotConvergedError, match="workers"):
-        run_campaign(small(), tmp_path / "parts", workers=2)
+    with pytest.raises(FieldError, match="workers: ended by the system"):
+        run_campaign(small(), folder, workers=2, watch=kill_all)
+    assert run_campaign(small(), folder).before >= 1000
+    assert parts_of(folder) == parts_of(whole)
 
 
 def truncate(path: Path) -> None:
@@ -230,20 +214,15 @@ def rewrite(path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", [truncate, rewrite])
 def test_a_report_says_which_runs_a_damaged_part_leaves_out(copy, damage, capsys):
-    whole_parts = summarise(small(), copy)
-    assert (whole_parts.damaged, whole_parts.left_out) == ((), "")
+    complete = summarise(copy)
+    assert (complete.missing, complete.left_out) == (0, "")
     damage(copy / "part-0000001.parquet")
     (copy / "part-0000002.parquet").unlink()
-    found = summarise(small(), copy)
-    assert found.damaged == (1,) and not found.passed
-    runs = f"{small().runs - small().part_runs(0)} of {small().runs} runs"
-    assert found.left_out.startswith(
-        f"{runs} are left out: part-0000001.parquet damaged or edited"
-    )
-    assert "1 part not computed yet" in found.left_out
-    assert (
-        main(["campaign", "report", str(copy), "--out", str(copy / "report.html")]) == 1
-    )
+    found = summarise(copy)
+    assert found.missing == small().runs - small().part_runs(0) and not found.passed
+    runs = f"{found.missing} of {small().runs} runs are left out"
+    assert found.left_out.startswith(runs)
+    assert main(["report", str(copy), "--out", str(copy / "report.html")]) == 1
     assert found.left_out[:60] in " ".join(capsys.readouterr().out.split())
     assert found.left_out in (copy / "report.html").read_text("utf-8")
 
@@ -307,35 +286,28 @@ def test_every_flipped_byte_is_noticed(copy, whole):
         assert found is None or same, at
 
 
-def edit(folder: Path, **changes: object) -> None:
-    path = folder / "campaign.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("changes", "field"),
+    ("old", "new", "field"),
     [
-        ({"format": 0}, "format"),
-        ({"format": 99}, "format"),
-        ({"seed": 8}, "fingerprint"),
-        ({"duration": 5.0}, "fingerprint"),
-        ({"runs": "many"}, "runs"),
-        ({"draws": {}}, "campaign"),
-        ({"draws": 1.5}, "campaign"),
-        ({"draws": {"payload": "wide"}}, "campaign"),
-        ({"model": {"stiffness": 1.0, "colour": "red"}}, r"model\.colour"),
-        ({"fraclink": "plan"}, "file"),
+        ('"format": 2', '"format": 1', "format"),
+        ('"format": 2', '"format": 99', "format"),
+        ('"seed": 7', '"seed": 8', "sha256"),
+        ('"runs": 2500', '"runs": "many"', "sha256"),
+        ('"fraclink": "campaign"', '"fraclink": "plan"', "file"),
     ],
 )
-def test_other_formats_and_edited_campaigns_are_refused(copy, changes, field, capsys):
-    edit(copy, **changes)
+def test_other_formats_and_edited_campaigns_are_refused(copy, old, new, field, capsys):
+    path = copy / "campaign.json"
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), "utf-8")
     kept = identities(copy)
     with pytest.raises(FieldError, match=field):
         load_campaign(copy)
     with pytest.raises(FieldError, match=field):
         run_campaign(small(), copy)
-    assert main(["campaign", "report", str(copy)]) == 2
+    assert main(["report", str(copy)]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
     assert identities(copy) == kept
 
@@ -414,17 +386,7 @@ def test_a_full_disk_is_told(tmp_path, copy):
 
 
 @pytest.mark.slow
-def test_an_unwritable_folder_is_told(tmp_path, capsys):
+def test_an_unwritable_folder_is_told(tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(FieldError, match="not writable"):
         run_campaign(small(), tmp_path / "file")
-    line = [
-        "campaign",
-        "montecarlo",
-        "--out",
-        str(tmp_path / "file" / "parts"),
-        "--runs",
-        "10",
-    ]
-    assert main(line) == 2
-    assert "not writable" in capsys.readouterr().err

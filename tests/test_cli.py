@@ -163,7 +163,7 @@ def test_json_is_the_only_thing_on_standard_output(fraclink: Command) -> None:
     result = json.loads(answer.out)
     assert answer.out.count("\n") == 1
     assert result["passed"] is True
-    assert result["controller"]["gain"] > 0
+    assert result["controller"]["derivative_gain"] > 0
     assert {item["name"] for item in result["requirements"]} >= {
         "gain crossover",
         "phase margin",
@@ -211,7 +211,7 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
     nearest = answer.err.partition("nearest feasible: ")[2].split()
     assert {"--phase-margin-deg", "--gain-crossover"} <= set(nearest)
     again = fraclink("design", "--rig", "paper-2023", *nearest)  # to be pasted as it is
-    assert "controller k_d = " in again.out.splitlines()[0]
+    assert again.out.startswith("✓ passed: ")
     (tmp_path / "design.json").unlink()
     told = json.loads(fraclink(*arguments, "--json").out)
     assert told["exit"] == 1
@@ -249,10 +249,6 @@ def test_an_infeasible_request_is_exit_code_1_and_writes_nothing(
         (
             ("design", "--rig", "paper-2023", "--gain-crossover", "1e300"),
             ("gain_crossover", "expected"),
-        ),
-        (
-            ("design", "--rig", "paper-2023", "--margins", "best"),
-            ("margins", "loop or ideal"),
         ),
         (
             ("design", "--rig", "paper-2023", "--filter-order", "3"),
@@ -394,10 +390,6 @@ def test_a_rig_without_a_model_says_what_to_do(
     ("line", "said"),
     [
         (
-            "shape design.json --on model --link-mass 0.05",
-            "link_mass: given beside --on model (got 0.05)",
-        ),
-        (
             "shape design.json --amplitude 2 --follow p.csv",
             "amplitude: given beside --follow (got 2.0)",
         ),
@@ -406,8 +398,12 @@ def test_a_rig_without_a_model_says_what_to_do(
             "amplitude: given beside --reference (got 0.0)",
         ),
         (
-            "twin design.json --reference p.csv --move-time 1",
+            "simulate design.json --on twin --reference p.csv --move-time 1",
             "move_time: given beside --reference (got 1.0)",
+        ),
+        (
+            "simulate design.json --on model --link-mass 0.05",
+            "link_mass: given beside --on model (got 0.05)",
         ),
         (
             "run-realtime design.json --io udp:127.0.0.1:9 --reference p.csv --amplitude 1",

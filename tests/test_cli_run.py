@@ -16,16 +16,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fraclink._arm.rig import Rig
-from fraclink._cli import main
+import fraclink as fl
+from fraclink import Fit, Rig, Run, bundled_log, main, read_log
 from fraclink._design.completed import design_for
-from fraclink._identify import Fit
-from fraclink._reading.reading import bundled_log, read_log
-from fraclink._simulate import Run
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Scope
-from fraclink.trials._stages import run, simulate_move
-from fraclink.trials._study import load_study
+from fraclink.trials import load_study, run
 from fraclink.view._report import render_report
 from shared_data import shared_data
 
@@ -54,7 +50,7 @@ def told_run(tmp_path_factory: pytest.TempPathFactory) -> Told:
     command = [
         "run",
         "--rig",
-        "paper-2023",
+        "paper-2023-geared",
         "--log",
         "demo",
         "--out",
@@ -95,6 +91,9 @@ def test_run_writes_every_noun_and_nothing_else(results: Path) -> None:
         "run-30g.npz",
         "run-40g.npz",
         "study.json",
+        "twin-20g.npz",
+        "twin-30g.npz",
+        "twin-40g.npz",
     ]
 
 
@@ -118,7 +117,7 @@ def test_a_folder_reads_back_as_the_study_that_wrote_it(results: Path) -> None:
 @pytest.mark.slow
 def test_the_summary_ends_with_the_reports_path(told_run: Told) -> None:
     assert told_run.out.startswith(
-        "– not run: promise passed, model passed, reality not run\n"
+        "– not run: carries 20 to 40 g at 11 rad/s with a phase margin of 45.0°"
     )
     assert "the log is simulated, not measured" in told_run.out
     assert told_run.err == (  # piped: no progress
@@ -147,8 +146,9 @@ def test_every_scope_of_the_demo_passes() -> None:
 def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    # The gearless motor of the paper's rig sticks in small moves: about a quarter of
-    # 1000 arms do not settle.
+    # The gearless motor of the paper's rig has less than a hundredth of the
+    # arm's inertia: with the coupling torque compensated when the gauge shows it, its
+    # loop is unstable.
     place = tmp_path / "out"
     command = [
         "run",
@@ -165,23 +165,21 @@ def test_arms_that_fail_are_in_the_headline_and_in_the_exit_code(
     ]
     assert main(command) == 1
     result = json.loads(capsys.readouterr().out)
-    assert (
-        result["verdict"]["state"] == result["verdict"]["reality"]["state"] == "failed"
-    )
+    assert result["verdict"]["state"] == result["verdict"]["twin"]["state"] == "failed"
     assert (
         result["verdict"]["promise"]["state"]
         == result["verdict"]["model"]["state"]
         == "passed"
     )
     assert result["arms"]["runs"] == 1000
-    assert f"{result['arms']['failures']} of 1000 arms fail" in result["reasons"][0]
+    fails = f"{result['arms']['failures']} of 1000 arms fail"
+    assert any(fails in reason for reason in result["reasons"])
     study = load_study(place)
     assert render_report(study) == (place / "report.html").read_text("utf-8")
     page = (place / "report.html").read_text("utf-8")
     assert '<div class="verdict failed">' in page
     assert study.arms is not None
     replay = [
-        "campaign",
         "replay",
         str(place / "arms"),
         "--run",
@@ -204,10 +202,8 @@ def test_a_step_that_fails_keeps_what_was_computed_before(
         str(tmp_path / "out"),
     ]
     assert main([*command, "--gain-crossover", "60"]) == 1
-    assert (
-        "✗ failed: promise failed, model not run, reality not run"
-        in capsys.readouterr().out
-    )
+    # what stopped it stands first
+    assert "✗ failed: gain crossover: at 40 g at most" in capsys.readouterr().out
     study = load_study(tmp_path / "out")
     assert study.fit is not None and study.comparison is not None
     assert study.design is None and study.stopped
@@ -227,7 +223,7 @@ def test_a_controller_that_no_law_follows_ends_the_run_with_its_design(
             remedy="lower it",
         )
 
-    for name in ("law_margins", "discretize", "discretize_controller"):
+    for name in ("law_rows", "discretize", "discretize_controller"):
         monkeypatch.setattr(f"fraclink._law.design.{name}", none)
     place = tmp_path / "out"
     assert (
@@ -286,16 +282,19 @@ def test_a_folder_that_is_there_is_kept(
     ("line", "told"),
     [
         (
-            "twin D --move-time 0",
+            "simulate D --on twin --move-time 0",
             "move_time: out of range (got 0.0); expected 1e-9 to 1e9 s.",
         ),
         (
             "simulate D --payload 0.03 --move-time nan",
             "move_time: not finite (got nan); expected 1e-9 to 1e9 s.",
         ),
-        ("twin D --gear -7", "gear: out of range (got -7.0); expected > 0."),
         (
-            "compare --rig paper-2023 --phase-margin-deg -7",
+            "simulate D --on twin --gear -7",
+            "gear: out of range (got -7.0); expected > 0.",
+        ),
+        (
+            "design --rig paper-2023 --phase-margin-deg -7",
             "phase_margin_deg: out of range (got -7.0); expected > 0 and <= 179 °.",
         ),
     ],
@@ -324,14 +323,10 @@ def test_an_error_about_an_option_has_its_name_and_its_unit(
             ("rig.toml", "law.json", "log.npz", "certificate.json"),
         ),
         (
-            "campaign montecarlo --runs 10 --rig paper-2023 --out F",
-            ("rig.toml", "law.json"),
-        ),
-        (
             "campaign faults --rig paper-2023 --only F01 --out F",
-            ("run.npz", "faults.md"),
+            ("run.npz", "faults.txt"),
         ),
-        ("compare --rig paper-2023 --out F", ("comparison.json", "comparison.svg")),
+        ("compare {design} --out F", ("comparison.json", "comparison.svg")),
     ],
 )
 def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
@@ -340,11 +335,15 @@ def test_no_command_replaces_a_file_that_a_person_put_into_its_folder(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    design_for(Rig.named("paper-2023"), filter_time=0.0)[0].save(
+        tmp_path / "design.json"
+    )
     for name in files:
         folder = tmp_path / name.replace(".", "-")
         folder.mkdir()
         (folder / name).write_text("# mine", "utf-8")
-        assert main([*line.split()[:-1], str(folder)]) == 2
+        words = line.format(design=tmp_path / "design.json").split()
+        assert main([*words[:-1], str(folder)]) == 2
         told = capsys.readouterr().err
         assert told.startswith("error: out: ") and "hoose another" in told
         assert [(f.name, f.read_text("utf-8")) for f in folder.iterdir()] == [
@@ -359,7 +358,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     command = [
         "run",
         "--rig",
-        "paper-2023",
+        "paper-2023-geared",
         "--log",
         "demo",
         "--out",
@@ -369,7 +368,7 @@ def test_a_proof_may_be_asked_for_and_machines_are_told_the_same(
     assert main([*command, "--certify", "--arms", "0", "--json"]) == 1
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"]["promise"]["state"] == "passed"
-    assert result["verdict"]["reality"]["state"] == "not run"
+    assert result["verdict"]["twin"]["state"] == "not run"
     assert result["passed"] is False
     assert {fit["structure"] for fit in result["fits"]} == {
         "UD-IOM",
@@ -400,9 +399,9 @@ def test_the_stages_chain_through_files(
     log = str(bundled_log("prbs_30g"))
     commands = (
         f"identify {log} --rig rig.toml --out results/model.json",
-        "design --rig rig.toml --model results/model.json --payloads 0.020 0.040 --gain-crossover 11.5"
-        " --phase-margin-deg 50 --out results/design.json",
-        "simulate results/design.json --payload 0.020 --inner ideal --noise 0 --out results/run.npz",
+        "design --rig rig.toml --model results/model.json --payloads 0.020 0.040 --gain-crossover 11"
+        " --phase-margin-deg 45 --out results/design.json",
+        "simulate results/design.json --payload 0.020 --out results/run.npz",
         "report results --out report.html",
     )
     for command in commands:
@@ -423,13 +422,11 @@ def test_a_move_that_does_not_hold_is_exit_code_1_and_is_kept(
         "simulate",
         str(tmp_path / "design.json"),
         "--payload",
-        "0.020",
-        "--duration",
-        "0.4",
+        "0.2",
     ]
     assert main([*arguments, "--out", str(tmp_path / "run.npz")]) == 1
     told = capsys.readouterr()
-    assert "✗ failed: not settled" in told.out
+    assert "✗ failed: move with 200 g: not settled" in told.out
     assert (tmp_path / "run.npz").exists()
 
 
@@ -439,8 +436,14 @@ def test_an_offset_of_the_gauge_does_not_move_the_tip() -> None:
     rig = Rig.named("paper-2023")
     design, _ = design_for(rig, filter_time=0.0)
     offset = 0.05 * rig.link.stiffness
-    run = simulate_move(
-        design, 0.030, gauge_offset=offset, noise=0.0, inner="ideal", duration=8.0
+    run = fl.simulate(
+        design,
+        fl.smooth_step(1.0, duration=0.5),
+        payload=0.030,
+        gauge_offset=offset,
+        noise=0.0,
+        motor_loop="ideal",
+        duration=8.0,
     )
     error = np.abs(run.tip_angle - run.reference)
     after = run.time > 4.0
@@ -489,12 +492,9 @@ def test_real_logs_run_end_to_end(
     assert study.fit.heldout_nmse <= limit
     if doubt is not None:
         assert any(doubt in reason for reason in study.verdict.reasons)
-    # A second mode of 40 to 65 g of link, hardly damped: what is in the way is named
-    # with its figure, or there is a design that passed.
-    if study.design is None:
-        assert any("is asked for" in reason for reason in study.verdict.promise.reasons)
-    else:
-        assert study.design.passed
+    # A second mode of 40 to 65 g of link, hardly damped, is in no law's way.
+    assert study.design is not None
+    assert all(item.passed for item in study.design.requirements)
 
 
 @pytest.mark.slow

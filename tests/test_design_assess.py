@@ -5,22 +5,18 @@ another computation.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import Controller, Design, MotorLoop, ParameterBox, Rig, certify
+from fraclink import Controller, Design, MotorLoop, Rig
 from fraclink._arm.motor_loop import direct_placement
 from fraclink.errors import FieldError
 from fraclink.extend import (
-    VibrationMode,
-    enclose_phase_margin,
     equip,
     feasibility_map,
     phase_budget,
-    spillover,
 )
 
 RIG = Rig.named("paper-2023")
@@ -31,11 +27,12 @@ WANTED = {
 }
 
 
+IDEAL = {"motor_loop": "ideal", "placement": "tustin"}
+
+
 @pytest.fixture(scope="module")
 def design() -> Design:
-    return fl.design(
-        RIG.model, RIG, **WANTED, filter_time=0.0, procedure="published", law=False
-    )
+    return fl.design(RIG.model, RIG, **WANTED, filter_time=0.0, **IDEAL, law=False)
 
 
 def test_settling_time_sets_the_crossover():
@@ -49,9 +46,7 @@ def test_settling_time_sets_the_crossover():
     )
     assert found.gain_crossover == pytest.approx(2 * math.pi / 0.5)
     names = {r.name for r in found.requirements}
-    assert (
-        names >= {"phase margin", "settling time"} and "sensitivity peak" not in names
-    )
+    assert names >= {"phase margin", "settling time"} and "gain crossover" not in names
 
 
 @pytest.mark.slow
@@ -69,37 +64,30 @@ def test_noise_gain_and_peak_against_a_fine_grid(design: Design):
         )
 
 
-@pytest.mark.parametrize("inner", ["ideal", "sampled"])
-def test_phase_budget_adds_up_to_the_margin(inner: str):
+@pytest.mark.parametrize("motor_loop", ["ideal", "sampled"])
+def test_phase_budget_adds_up_to_the_margin(motor_loop: str):
     made = fl.design(
-        RIG.model, RIG, **WANTED, inner=inner, procedure="published", law=False
+        RIG.model,
+        RIG,
+        **WANTED,
+        motor_loop=motor_loop,
+        law=False,
     )
     for payload in (0.020, 0.033):
         total = sum(share.phase for share in phase_budget(made, payload)) + math.pi
         assert total == pytest.approx(made.at(payload).phase_margin, abs=1e-9)
 
 
-def test_spillover_is_the_peak_of_a_mode_times_the_controller(design: Design):
-    mode = VibrationMode(frequency=177.5, damping_ratio=0.02, share=0.05)
-    (found,) = spillover(design, [mode], limit=0.5)
-    outer = abs(design.controller.response(177.5)) / abs(1 + 177.5j / 80) ** 2
-    assert found.achieved == pytest.approx(outer * 0.05 / 0.04, rel=1e-9)
-    assert found.passed
-    assert not spillover(design, [replace(mode, share=1.0)])[0].passed
-    with pytest.raises(FieldError):
-        spillover(design, [replace(mode, damping_ratio=0.0)])
-
-
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize("pole", [40.0, 60.0])
 def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int):
     try:
-        inner = MotorLoop(pole, delay, "sampled", "direct").sampled(
+        motor_loop = MotorLoop(pole, delay, "sampled", "direct").sampled(
             RIG.motor, RIG.period
         )
     except FieldError:
         pytest.fail("40 and 60 rad/s can be placed with up to two samples")
-    poles, wanted = inner.poles(), math.exp(-pole * RIG.period)
+    poles, wanted = motor_loop.poles(), math.exp(-pole * RIG.period)
     assert np.all(np.abs(poles) < 1.0)
     assert (
         np.sort(np.abs(poles - wanted))[2] < 2e-4
@@ -110,7 +98,12 @@ def test_direct_placement_puts_three_poles_where_it_says(pole: float, delay: int
 def test_design_on_the_sampled_motor_loop_keeps_its_margin_exactly():
     for placement in ("tustin", "direct"):
         made = fl.design(
-            RIG.model, RIG, **WANTED, inner="sampled", placement=placement, law=False
+            RIG.model,
+            RIG,
+            **WANTED,
+            motor_loop="sampled",
+            placement=placement,
+            law=False,
         )
         for payload in (0.020, 0.040):
             gap = (
@@ -123,12 +116,12 @@ def test_design_on_the_sampled_motor_loop_keeps_its_margin_exactly():
 
 def test_law_of_a_direct_plan_carries_the_placed_motor_loop():
     made = fl.design(
-        RIG.model, RIG, **WANTED, inner="sampled", placement="direct", law=False
+        RIG.model, RIG, **WANTED, motor_loop="sampled", placement="direct", law=False
     )
-    drive = made.law().drive
-    assert drive is not None
+    motor_loop = made.law().motor_loop
+    assert motor_loop is not None
     placed = direct_placement(RIG.motor, 80.0, RIG.period, 1)
-    assert drive.loop.filter_decay == placed.filter_decay
+    assert motor_loop.pid.filter_decay == placed.filter_decay
 
 
 def test_plan_certifies_the_very_law_that_is_exported(design: Design):
@@ -138,100 +131,50 @@ def test_plan_certifies_the_very_law_that_is_exported(design: Design):
     assert design.law().digest == exported.digest
 
 
-@pytest.mark.slow
-def test_phase_margin_is_enclosed_to_a_hundredth_of_a_degree(design: Design):
-    proper = design.law()
-    point = ParameterBox.at(design.model)
-    claim = certify(
-        design, law=proper, delay=(0.004, 0.004), modulus_margin=0.999, box=point
-    ).statement
-    found = enclose_phase_margin(claim, proper)
-    true = design.sampled_at(0.020).phase_margin
-    assert found.low <= true <= found.high + 1e-6
-    assert math.degrees(found.high - found.low) <= 0.01 + 1e-9
-    assert found.payload == pytest.approx(0.020)
-
-
 @pytest.mark.parametrize(
     ("values", "field"),
     [
-        ({"gain": 0.0}, "gain"),
-        ({"gain": math.nan}, "gain"),
-        ({"gain": True}, "gain"),
-        ({"gain": "0.1"}, "gain"),
-        ({"order": 0.0}, "order"),
-        ({"order": 2.0}, "order"),
+        ({"derivative_gain": 0.0}, "derivative_gain"),
+        ({"derivative_gain": math.nan}, "derivative_gain"),
+        ({"derivative_gain": True}, "derivative_gain"),
+        ({"derivative_gain": "0.1"}, "derivative_gain"),
+        ({"derivative_order": 0.0}, "derivative_order"),
+        ({"derivative_order": 2.0}, "derivative_order"),
         ({"filter_time": -1e-3}, "filter_time"),
         ({"filter_order": 3}, "filter_order"),
         ({"period": 0.0}, "period"),
-        ({"gain": 10**400}, "gain"),
+        ({"derivative_gain": 10**400}, "derivative_gain"),
     ],
 )
 def test_controllers_out_of_range_are_refused(values: dict[str, object], field: str):
     with pytest.raises(FieldError) as caught:
-        Controller(**({"gain": 0.1, "order": 0.6} | values))
+        Controller(**({"derivative_gain": 0.1, "derivative_order": 0.6} | values))
     assert caught.value.field == field
 
 
-# --- what a design says of itself, number by number ---------------------------------------------------------
+# --- what else could be asked for ---------------------------------------------------------------------------
 
 
-def test_a_small_map_agrees_with_single_designs() -> None:
-    axes = {"gain_crossovers": [8.0, 12.0, 14.0], "phase_margins": fl.deg(50)}
-    for filter_time, kind in ((None, "loop"), (0.002, "loop"), (0.0, "ideal")):
-        options = {
-            "payloads": (0.02, 0.04),
-            "filter_time": filter_time,
-            "margins": kind,
-            "filter_order": 1,
-        }
-        found = feasibility_map(RIG.model, RIG, **axes, **options)
-        assert found.order.shape == (1, 3)
-        assert found.feasible[0].tolist() == [False, True, True]
-        assert all(
-            math.isnan(column[0, 0])
-            for column in (found.gain, found.upper, found.noise_gain)
-        )
-        for column in (1, 2):
-            crossover = float(found.gain_crossover[column])
+@pytest.mark.slow
+def test_a_map_is_what_design_answers_cell_by_cell() -> None:
+    axes = {"gain_crossovers": [8.0, 12.0, 15.0, 30.0], "phase_margins": [0.6, 1.2]}
+    found = feasibility_map(RIG.model, RIG, **axes, payloads=(0.02, 0.04))
+    assert found.feasible.tolist() == [[True, True, True, False]] * 2
+    for row, margin in enumerate(axes["phase_margins"]):
+        for column, crossover in enumerate(axes["gain_crossovers"][:3]):
             single = fl.design(
                 RIG.model,
                 RIG,
+                payloads=(0.02, 0.04),
                 gain_crossover=crossover,
-                phase_margin=fl.deg(50),
-                **options,
-                procedure="published",
+                phase_margin=margin,
                 law=False,
             )
-            c = single.controller
-            got = [
-                x[0, column]
-                for x in (found.gain, found.order, found.upper, found.settling_time)
-            ]
-            wanted = [
-                c.gain,
-                c.order,
-                single.gain_crossover_upper,
-                2 * math.pi / crossover,
-            ]
-            assert got == pytest.approx(wanted, rel=1e-8)
-            if kind == "loop":
-                light = single.loop.noise_gain(
-                    single.natural_frequencies[1], RIG.period
-                )[0]
-                assert found.noise_gain[0, column] == pytest.approx(light, rel=1e-6)
-                assert found.filter_time[0, column] == pytest.approx(
-                    c.filter_time, abs=1e-12
-                )
-    wide = feasibility_map(
-        RIG.model,
-        RIG,
-        natural_frequencies=(9.6, 13.6),
-        gain_crossovers=12.0,
-        phase_margins=[2.9],
-        filter_order=2,
-    )
-    assert not wide.feasible.any()
+            ends = single.natural_frequencies
+            noise = single.full_loop.noise_gain(ends, RIG.period).max()
+            assert found.noise_gain[row, column] == pytest.approx(noise, rel=0.1)
+    least = feasibility_map(RIG.model, RIG, **axes, noise_gain=1.0)
+    assert not least.feasible[:, 2].any() and least.feasible[0, 1]
 
 
 @pytest.mark.parametrize(

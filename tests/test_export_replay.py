@@ -8,25 +8,27 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import Law, export_c
-from fraclink._export import replay
+from fraclink import export_c
+from fraclink._export.replay import Replay
 from fraclink.errors import FieldError
-from fraclink.extend import Replay, replay_log
+from fraclink.extend import replay_log
 from law_bench import law, signals
 from needed_tools import tool
 
 ROWS = signals(2000)
 
 
+def _log(rows: np.ndarray = ROWS) -> fl.Experiment:
+    return fl.Experiment(
+        period=0.004, motor_angle=rows[2], output=rows[3], output_kind="torque"
+    )
+
+
 def _replay(
-    folder: Path, made: Law, compiler: str = "gcc", *, allow_changed: bool = False
+    folder: Path, compiler: str = "gcc", *, allow_changed: bool = False
 ) -> Replay:
     tool(compiler)
-    names = ("reference", "reference_acceleration", "motor_angle", "torque")
-    signals = dict(zip(names, ROWS, strict=True))
-    return replay(
-        folder, made, compiler=compiler, allow_changed=allow_changed, **signals
-    )
+    return replay_log(folder, _log(), compiler=compiler, allow_changed=allow_changed)
 
 
 @pytest.mark.slow
@@ -37,7 +39,7 @@ def test_the_export_repeats_the_package_to_the_bit(
 ) -> None:
     made = law(precision)
     export_c(made, tmp_path / "firmware")
-    result = _replay(tmp_path / "firmware", made, compiler)
+    result = _replay(tmp_path / "firmware", compiler)
     assert result.passed
     assert result.first_difference is None
     assert result.largest_difference == 0.0
@@ -47,30 +49,17 @@ def test_the_export_repeats_the_package_to_the_bit(
 
 @pytest.mark.slow
 def test_a_replay_holds_what_the_c_gave(tmp_path: Path) -> None:
-    """Each signal beside the package's; the same ones as the law's own run where a
-    payload is given.
+    """Each signal beside the package's: those of the law's own run on the motor's
+    path.
     """
     made = law("single")
     export_c(made, tmp_path, name="arm_2")
-    names = ("reference", "reference_acceleration", "motor_angle", "torque")
-    given = dict(zip(names, ROWS[:, :400], strict=True))
-    result = replay(tmp_path, made, **given, payload=0.05, name="arm_2")
-    _, own = made.run(made.initial_state(), *ROWS[:, :400], np.full(400, 0.05))
-    _, without = made.run(made.initial_state(), *ROWS[:, :400])
+    result = _replay(tmp_path)
+    rest = np.zeros_like(ROWS[2])
+    _, own = made.run(made.initial_state(), ROWS[2], rest, ROWS[2], ROWS[3])
     assert result.passed and result.largest_difference == 0.0
     for name in ("motor_reference", "voltage", "tip_estimate", "mode", "flags"):
         np.testing.assert_array_equal(getattr(result, name), getattr(own, name))
-    assert np.any(own.motor_reference != without.motor_reference)
-    with pytest.raises(FieldError, match="not an export"):
-        replay(tmp_path, made, **given)  # its block has another name
-    for field, values in (("torque", ROWS[3, :399]), ("motor_angle", ROWS[2, :401])):
-        with pytest.raises(
-            FieldError,
-            match=f"{field}: of another length .got {values.size}.*400 samples",
-        ):
-            replay(tmp_path, made, **(given | {field: values}), name="arm_2")
-    with pytest.raises(FieldError, match="payload"):
-        replay(tmp_path, made, **given, payload=-0.01, name="arm_2")
 
 
 @pytest.mark.slow
@@ -83,7 +72,7 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
         text.replace("sum += modes[i].gain * value;", "sum -= modes[i].gain * value;"),
         encoding="utf-8",
     )
-    result = _replay(tmp_path / "firmware", made, allow_changed=True)
+    result = _replay(tmp_path / "firmware", allow_changed=True)
     assert not result.passed
     assert result.first_difference in (1, 2)
     assert result.largest_difference > 1e-6
@@ -92,10 +81,12 @@ def test_a_changed_law_is_found_in_its_period(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FieldError, match="not an export"):
-        _replay(tmp_path, law("double"))
+        _replay(tmp_path)
     export_c(law("double"), tmp_path / "firmware")
+    law("single").save(tmp_path / "firmware" / "law.json")
     with pytest.raises(FieldError, match="another law"):
-        _replay(tmp_path / "firmware", law("single"))
+        _replay(tmp_path / "firmware")
+    law("double").save(tmp_path / "firmware" / "law.json")
     source = tmp_path / "firmware" / "law.c"
     wrong = "int one(void)\n{\n    return nothing;\n}\n"
     source.write_text(source.read_text(encoding="utf-8") + wrong, encoding="utf-8")
@@ -104,16 +95,11 @@ def test_what_is_no_export_of_this_law_is_refused(tmp_path: Path) -> None:
         FieldError,
         match=r"refused by the compiler .got law\.c:\d+:\d+: error: .*nothing",
     ):
-        _replay(tmp_path / "firmware", law("double"), allow_changed=True)
-    rest = np.zeros(3)
+        _replay(tmp_path / "firmware", allow_changed=True)
     with pytest.raises(FieldError, match="not installed"):
-        replay(
+        replay_log(
             tmp_path / "firmware",
-            law("double"),
-            reference=rest,
-            reference_acceleration=rest,
-            motor_angle=rest,
-            torque=rest,
+            _log(),
             compiler="no-such-compiler",
             allow_changed=True,
         )
@@ -150,11 +136,11 @@ def test_code_that_is_not_ours_is_not_run_unless_it_is_allowed(
     with pytest.raises(
         FieldError, match="compiles and runs it on this computer"
     ) as refused:
-        _replay(tmp_path / "firmware", made)
+        _replay(tmp_path / "firmware")
     assert refused.value.value == file
     assert not mark.exists()
     if file != "law.h":  # it is included twice, and the mark would be defined twice
-        _replay(tmp_path / "firmware", made, allow_changed=True)
+        _replay(tmp_path / "firmware", allow_changed=True)
         assert mark.exists()
 
 
@@ -165,7 +151,7 @@ def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) ->
         (tmp_path / "firmware" / header).write_text(
             "#error not the header of C\n", encoding="utf-8"
         )
-    assert _replay(tmp_path / "firmware", law("double")).passed
+    assert _replay(tmp_path / "firmware").passed
 
 
 @pytest.mark.slow
@@ -173,7 +159,7 @@ def test_a_header_of_c_beside_the_law_is_not_taken_for_cs_own(tmp_path: Path) ->
 def test_the_verb_replays_a_log(
     precision: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from fraclink._cli.app import run as fraclink
+    from fraclink import main as fraclink
 
     tool("cc", "gcc")
     made = law(precision)

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 import fraclink as fl
-from fraclink._cli.app import run
-from fraclink._files.containers import read_archive
+from fraclink import main as run
 from fraclink.trials import Case, FaultTable, Outcome
 
 ARM = [
@@ -34,10 +33,8 @@ def test_a_fault_that_is_met_exits_with_0(
     assert "1 of 1 faults" in capsys.readouterr().out
     assert fl.load(out / "faults.json", FaultTable).passed
     assert not (out / "figures").exists()
-    about, signals = read_archive(out / "run.npz", "a replayed run")
-    assert (
-        json.loads(about)["case"] == "F02-2-30g-mid-1" and len(signals["tip"]) == 1751
-    )
+    kept = fl.load(out / "run.npz")
+    assert kept.about["case"] == "F02-2-30g-mid-1" and len(kept.tip_angle) == 1751
     # A result is not overwritten unless asked to.
     assert run([*ARM, *ONE, "--only", "F02", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -83,7 +80,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
     ).read_bytes() == first
     # By its name, too, and not over files that are there.
     capsys.readouterr()
-    named = ["campaign", "replay", "first", "--case", "F07-3-30g-mid-3"]
+    named = ["replay", "first", "--run", "F07-3-30g-mid-3"]
     assert run(named) == 1
     said = capsys.readouterr()
     assert (
@@ -91,8 +88,7 @@ def test_an_open_fault_exits_with_1_and_its_command_repeats_it(
         and said.err == "written: run.npz\nwritten: run.svg\n"
     )
     assert (tmp_path / "run.svg").read_bytes() == first
-    about, _ = read_archive(tmp_path / "run.npz", "a replayed run")
-    assert json.loads(about)["case"] == "F07-3-30g-mid-3"
+    assert fl.load(tmp_path / "run.npz").about["case"] == "F07-3-30g-mid-3"
     (tmp_path / "run.npz").unlink()
     assert run(named) == 2 and "run.svg" in capsys.readouterr().err
 
@@ -127,31 +123,26 @@ def test_a_replay_names_what_it_misses(
         {},
     )
     fl.save(table, tmp_path / "faults.json")
-    words = ["campaign", "replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
-    assert (
-        run(words) == 2
-        and "--run of arms, or --case of faults" in capsys.readouterr().err
-    )
-    assert run([*words, "--run", "1", "--case", "F02-2-30g-mid-1"]) == 2
-    assert "given beside --case" in capsys.readouterr().err
-    assert run([*words, "--case", "F03-2-30g-mid-1"]) == 2
+    words = ["replay", str(tmp_path), "--out", str(tmp_path / "run.npz")]
+    assert run(words) == 2 and "--run of a campaign" in capsys.readouterr().err
+    assert run([*words, "demo", "--run", "F02-2-30g-mid-1"]) == 2
+    assert "given beside --run" in capsys.readouterr().err
+    assert run([*words, "--run", "F03-2-30g-mid-1"]) == 2
     assert "such as F02-2-30g-mid-1" in capsys.readouterr().err
     # The studio's table has no command: the design of its folder was tested, and here
     # there is none.
-    assert run([*words, "--case", "F02-2-30g-mid-1"]) == 2
+    assert run([*words, "--run", "F02-2-30g-mid-1"]) == 2
     assert "design.json" in capsys.readouterr().err
 
 
 def test_a_replay_refuses_another_law(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = (
-        "fraclink campaign faults --rig paper-2023 --gear 50.0 --link-mass 0.00735"
-    )
+    about = {"rig": "paper-2023", "gear": "50.0", "link_mass": "0.00735"}
     case = Outcome(Case("F02", 2, 0.03, "mid", 1), (), 0.0, 0.0, 0.0, "run", "none", -1)
-    table = FaultTable((case,), {"command": command, "law_sha256": "0" * 64})
+    table = FaultTable((case,), about | {"law_sha256": "0" * 64})
     fl.save(table, tmp_path / "faults.json")
-    words = ["campaign", "replay", str(tmp_path), "--case", "F02-2-30g-mid-1"]
+    words = ["replay", str(tmp_path), "--run", "F02-2-30g-mid-1"]
     assert run([*words, "--out", str(tmp_path / "run.npz")]) == 2
     assert "not the law that was tested" in capsys.readouterr().err
     assert not (tmp_path / "run.npz").exists()

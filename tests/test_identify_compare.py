@@ -33,8 +33,6 @@ def test_all_four_in_the_papers_order() -> None:
     assert list(comparison.fits) == list(STRUCTURES)
     assert comparison.preferred == "UD-FOM"
     assert comparison.best is comparison.fits["UD-FOM"]
-    assert comparison.contest.preferred == "UD-FOM"
-    assert comparison.contest.advantage < -4
     assert "UD-FOM is preferred" in comparison.verdict
     assert comparison.fits["UD-IOM"].mse > 5 * comparison.best.mse
 
@@ -57,7 +55,6 @@ def test_40_ms_of_delay_fake_a_fractional_order_and_the_verdict_says_so() -> Non
 def test_a_noisy_log_cannot_tell_them_apart() -> None:
     log = made_log(LinkModel(1.56, 10.0, order=1.99), noise=0.4, seed=2)
     comparison = compare_structures(log)
-    assert comparison.contest.preferred is None
     assert set(comparison.undecided) | {comparison.preferred} >= {"UD-FOM", "D-IOM"}
     assert comparison.verdict.startswith("This log cannot tell ")
     assert "preferred" not in comparison.verdict

@@ -126,7 +126,7 @@ BAD: dict[str, tuple[Callable[[], Experiment], str, str]] = {
     "channels half a second apart": (
         lambda: log(output=rolled(0.5)),
         "W316",
-        "or about 52",
+        "half a vibration more",
     ),
     # --- no signal
     "noise alone": (
@@ -390,3 +390,21 @@ def test_a_delay_of_the_logger_stays_out_of_the_loop() -> None:
     assert model.gauge_delay == 0.0
     assert model.interval("gauge_delay") is None
     assert model.interval("order") == fit.model.interval("order")
+
+
+@pytest.mark.slow
+def test_a_ring_down_is_judged_until_it_sinks_into_the_noise() -> None:
+    """What trembles behind the last vibration, be it larger than the noise, speaks
+    neither for the model nor against it.
+    """
+    swing = simulated_torque(replace(TRUTH, order=1.9), RING, PERIOD)
+    quiet = identify(log(RING, swing + 0.01 * swing.std() * WHITE), "UD-FOM")
+    tremble = np.where(TIME > 12.0, 0.03 * swing.std() * np.sin(2 * np.pi * TIME), 0.0)
+    shaken = identify(log(RING, swing + 0.01 * swing.std() * WHITE + tremble), "UD-FOM")
+    assert quiet.passed and shaken.passed
+    assert quiet.heldout_nmse == shaken.heldout_nmse
+
+    false = swing + 0.01 * swing.std() * WHITE
+    late = int(np.searchsorted(TIME, 1.5))
+    false[late:] *= -1
+    assert not identify(log(RING, false), "UD-FOM").passed

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fraclink import LinkModel
-from fraclink._identify.shape import Window, chosen_hold, shape_of, undamped_as_damped
+from fraclink import Experiment, LinkModel, identify
+from fraclink._identify.shape import Window, shape_of, undamped_as_damped
 from fraclink.extend import simulated_torque
 from fracsys import time_response
 from identify_cases import PERIOD, TRUTH, smooth_pulse
@@ -109,9 +109,15 @@ def test_a_negative_delay_looks_ahead() -> None:
 
 def test_hold_is_seen_in_the_angle() -> None:
     time = PERIOD * np.arange(2000)
-    assert chosen_hold(smooth_pulse(time), "auto") == "first"
-    assert chosen_hold(np.where((time > 1) & (time < 5), 1.0, 0.0), "auto") == "zero"
-    assert chosen_hold(np.round(smooth_pulse(time) * 300) / 300, "auto") == "first"
+    angles = {
+        "first": (smooth_pulse(time), np.round(smooth_pulse(time) * 300) / 300),
+        "zero": (np.where((time > 1) & (time < 5), 1.0, 0.0),),
+    }
+    for hold, shapes in angles.items():
+        for angle in shapes:
+            torque = simulated_torque(TRUTH, angle, PERIOD)
+            log = Experiment(PERIOD, angle, torque)
+            assert identify(log, "UD-FOM", details=False).hold == hold
 
 
 @pytest.mark.parametrize("hold", ["zero", "first"])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 from fraclink import Experiment, LinkModel, identify, identify_payloads
-from fraclink._identify.joint import Coordinates
-from fraclink._identify.shape import damping_and_square
+from fraclink._identify import JointFit
 from fraclink.errors import FieldError, LogError
-from fraclink.extend import JointFit
 from identify_cases import made_log
 
 LINK = LinkModel(1.56, 11.0, order=1.92, payload=0.03)
@@ -120,21 +116,3 @@ def test_bad_joint_requests() -> None:
     with pytest.raises(FieldError) as caught:
         identify_payloads(logs, "UD-FOM", common=("damping",))
     assert caught.value.field == "common"
-
-
-@pytest.mark.parametrize("order", [1.8, 1.95])
-def test_eq_5_ties_the_resonance_to_the_payload(order: float) -> None:
-    """Ω^λ = κ/m + μ Ω^α cos(απ/2), for links of fractional order and damping."""
-    names = ("frequency", "order", "damping", "damping_order", "delay")
-    coordinates = Coordinates(
-        names, ("frequency", "order", "damping", "damping_order"), 2, None, (0.02, 0.05)
-    )
-    theta = np.array([math.log(3.6), order, math.log(2.0), 0.7, 0.01, 0.02])
-    for log, mass in enumerate((0.02, 0.05)):
-        shape, _ = coordinates.shape(theta, log)
-        resonance = math.exp(shape[1])
-        right = 3.6 / mass + 2.0 * resonance**0.7 * math.cos(0.35 * math.pi)
-        assert resonance**order == pytest.approx(right, rel=1e-12)
-        damping, square = damping_and_square(shape)
-        assert (damping, square) == (pytest.approx(2.0), pytest.approx(3.6 / mass))
-        assert shape[4] == theta[4 + log]

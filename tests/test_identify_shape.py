@@ -11,26 +11,11 @@ import numpy as np
 import pytest
 
 from fraclink import Experiment, identify, identify_structure
-from fraclink._identify.fitting import (
-    make_search,
-)
-from fraclink._identify.search import Search
 from fraclink.errors import LogError
 from fraclink.extend import simulated_torque
 from identify_cases import PERIOD, TRUTH, late_cut, made_log
 
 # --- starts and limits --------------------------------------------------------------------------------------
-
-
-def searched(log: Experiment, **options: object) -> Search:
-    usual = {
-        "heldout": 0.0,
-        "stiffness": None,
-        "fixed": None,
-        "guess": None,
-        "hold": "auto",
-    }
-    return make_search(log, **(usual | options))  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +27,8 @@ def log() -> Experiment:
 def test_a_link_of_order_two_keeps_it_wherever_its_fit_is_begun(
     log: Experiment, name: str
 ) -> None:
-    search = searched(log)  # of a link of order 1.92, which is what a scan begins with
-    found = search.solve(name)
-    assert found.shape[0] == 2.0
-    assert search._from_other_valleys(found).shape[0] == 2.0
+    # Of a link of order 1.92, which is what a scan begins with.
+    assert identify(log, name, heldout=0.0, details=False).model.order == 2.0
 
 
 @pytest.mark.slow
@@ -98,24 +81,26 @@ def test_too_short_and_still_logs_are_refused_with_what_is_wanted() -> None:
         period=PERIOD, motor_angle=log.motor_angle[250:299], output=log.output[250:299]
     )
     with pytest.raises(LogError) as caught:
-        searched(short)
+        identify(short, heldout=0.0)
     assert (caught.value.field, caught.value.value, caught.value.allowed) == (
         "output",
         49,
         ">= 50",
     )
-    searched(
+    identify(
         Experiment(
             period=PERIOD,
             motor_angle=log.motor_angle[250:300],
             output=log.output[250:300],
-        )
+        ),
+        heldout=0.0,
+        details=False,
     )
     still = Experiment(
         period=PERIOD, motor_angle=np.full(100, 0.3), output=log.output[250:350]
     )
     with pytest.raises(LogError) as caught:
-        searched(still)
+        identify(still, heldout=0.0)
     assert (caught.value.field, caught.value.value, caught.value.allowed) == (
         "motor_angle",
         0.3,

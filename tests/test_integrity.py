@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import export_c, load
-from fraclink._cli.app import run as main
+from fraclink import export_c, load, main
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
-from fraclink.trials import Study, load_study
-from fraclink.trials._study import save_study
+from fraclink.trials import Study, load_study, save_study
 
 Edit = Callable[[dict[str, Any]], object]
 RIG = fl.Rig.named("paper-2023")
@@ -50,13 +48,13 @@ def _edited(source: Path, out: Path, edit: Edit) -> Path:
 
 
 def _eight_times(data: dict[str, Any]) -> None:
-    data["content"]["controller"]["gain"] *= 8
+    data["content"]["controller"]["derivative_gain"] *= 8
 
 
 COMMANDS = (
     "assess FILE",
     "simulate FILE --payload 0.03 --out run.npz",
-    "twin FILE",
+    "simulate FILE --on twin",
     "certify FILE --out c.json",
     "export c FILE --out firmware",
     "export fmu FILE --out law.fmu",
@@ -65,9 +63,7 @@ COMMANDS = (
     "campaign montecarlo --design FILE --out mc",
     "campaign faults --design FILE --out faults",
     "design --rig paper-2023 --model FILE --out d.json",
-    "compare --rig paper-2023 --model FILE --out comparison",
-    "plan-experiment --rig paper-2023 --model FILE --standard-error 1e-3 --noise 0.04",
-    "record --rig paper-2023 --model FILE --out log.csv",
+    "compare FILE --out comparison",
 )
 
 
@@ -90,12 +86,19 @@ def test_a_design_with_eight_times_the_gain_is_refused_by_every_command(
     ]  # nothing was made from it
 
 
+DOUBT = {
+    "code": "W106",
+    "severity": "warning",
+    "message": "another arm",
+    "evidence": {},
+    "remedy": "",
+}
 EDITS: dict[str, Edit] = {
     "a limit": lambda d: d["content"]["requirements"][0].update(wanted=1.0),
     "a value achieved": lambda d: d["content"]["requirements"][0].update(achieved=99.0),
     "the payload range": lambda d: d["content"].update(payloads=[0.001, 0.5]),
     "the rig": lambda d: d["content"]["rig"]["link"].update(stiffness_Nm_per_rad=2.0),
-    "a finding": lambda d: d["content"].update(findings=[]),
+    "a finding": lambda d: d["content"].update(findings=[DOUBT]),
     "the text": lambda d: d["summary"].update(controller="C(s) = 1"),
     "the verdict": lambda d: d["summary"].update(passed=not d["summary"]["passed"]),
     "the units": lambda d: d.update(units="deg"),

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 import fraclink as fl
 from fraclink._law import MODES, REASONS
-from fraclink.extend import LawOutputs
-from fraclink.trials._fault_trial import REALS, WORDS, members
+from fraclink._law.law import LawOutputs
 from law_bench import closed_loop, law, run, signals
 
 PRECISIONS = ("double", "single")
@@ -22,6 +21,10 @@ ENCODER, GAUGE, REFERENCE, MISSED, REPEATED = 1, 2, 4, 8, 16
 LIMITED, SATURATED, STARTED, RESIDUAL = 32, 64, 128, 256
 ALL = 2**32 - 1
 COUNT = 400
+# law_state of law.h: fourteen words, then reals, of which the first twenty are modes and
+# the last of these three the motor reference.
+WORDS, MODES_HELD = 14, 20
+MOTOR_REFERENCE = MODES_HELD + len(("error", "reference", "motor_reference")) - 1
 
 
 def quiet(count: int = COUNT) -> NDArray[np.float64]:
@@ -373,7 +376,7 @@ def test_memory_that_the_last_period_did_not_leave_begins_anew_in_its_mode(
     state, _ = made.run(made.initial_state(), *rows[:, :130])
     damaged = bytearray(state[:4] + bytes([mode]) * 4 + state[8:])
     width = 4 if precision == "single" else 8
-    place = 4 * len(WORDS) + width * REALS.index("motor_reference")
+    place = 4 * WORDS + width * MOTOR_REFERENCE
     damaged[place + width - 2] ^= 1 << 6
     _, outputs = made.run(bytes(damaged), *rows[:, 130:], first_tick=131)
     assert outputs.flags[0] & STARTED and not np.any(outputs.flags[1:] & STARTED)
@@ -403,12 +406,11 @@ def test_nothing_that_has_died_away_is_left_as_a_denormal_number(
     made = replace(made, correction=turning)
     rows[3, :50] += 0.05
     state, outputs = made.run(made.initial_state(), *rows)
-    reals = members(
-        np.frombuffer(state, dtype=np.uint8), 4 if precision == "single" else 8
-    )
+    real = np.float32 if precision == "single" else np.float64
+    reals = np.frombuffer(state, dtype=np.uint8)[4 * WORDS :].view(real)
     assert np.all(outputs.mode == 1)
     assert not np.any((reals != 0) & (np.abs(reals) < np.finfo(reals.dtype).tiny))
-    assert not np.any(reals[:20])
+    assert not np.any(reals[:MODES_HELD])
 
 
 def test_the_period_counter_may_wrap_around() -> None:

@@ -10,8 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fraclink import LinkModel
+from fraclink._arm.link import structure
 from fraclink.errors import FieldError
-from fraclink.extend import STRUCTURES, structure
+from fraclink.extend import STRUCTURES
 
 
 def denominator(link: LinkModel, s: complex) -> complex:

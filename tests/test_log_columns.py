@@ -85,9 +85,8 @@ def test_columns_are_stated_once_each() -> None:
     assert parse_columns(good) == LogColumns(
         Channel("t", "ms"),
         Channel("m", "deg", scale=2.0),
-        Channel("d", "mrad", sign=-1),
-        "deflection",
-        Channel("u", "V"),
+        deflection=Channel("d", "mrad", sign=-1),
+        voltage=Channel("u", "V"),
     )
     for texts, words in (
         (good[:2], "not one time, one motor_angle and one output"),

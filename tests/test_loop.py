@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import Controller, LinkModel, MotorLoop, ParameterBox, SecondMode
 from fraclink._arm.box import Arm
-from fraclink._arm.controller import closed_loop
 from fraclink._arm.loop import with_payload, worst_margins
 from fraclink._arm.sampled import sampled_plant, tail_sum
 from fraclink.errors import FieldError
@@ -29,7 +28,9 @@ LINKS = {
     "damped and late": replace(PLAIN, damping=0.8, gauge_delay=0.01),
     "second mode": replace(PLAIN, gauge_delay=0.005, gauge_gain=0.95, second_mode=MODE),
 }
-CONTROLLER = Controller(gain=0.07, order=0.61, filter_time=0.004, filter_order=2)
+CONTROLLER = Controller(
+    derivative_gain=0.07, derivative_order=0.61, filter_time=0.004, filter_order=2
+)
 
 
 def link_response(link: LinkModel, s: complex) -> complex:
@@ -48,7 +49,9 @@ def link_response(link: LinkModel, s: complex) -> complex:
 
 def written_out(link: LinkModel, s: complex) -> complex:
     outer = (
-        CONTROLLER.gain * s**CONTROLLER.order / (1 + CONTROLLER.filter_time * s) ** 2
+        CONTROLLER.derivative_gain
+        * s**CONTROLLER.derivative_order
+        / (1 + CONTROLLER.filter_time * s) ** 2
     )
     return (
         outer
@@ -76,21 +79,6 @@ def test_the_loop_is_its_formula_on_the_axis_and_beside_it(name: str) -> None:
         )
 
 
-@pytest.mark.parametrize("name", LINKS)
-@pytest.mark.parametrize("kind", ["ideal", "sampled"])
-def test_the_slope_is_that_of_the_logarithm(name: str, kind: str) -> None:
-    settings = MotorLoop(80.0, 1, kind)
-    loop = Loop.around(LINKS[name], settings, RIG.motor, 0.004).with_controller(
-        CONTROLLER
-    )
-    w = np.array([0.7, 9.0, 12.5, 60.0, 150.0, 420.0])
-    h = 1e-5
-    difference = (
-        loop.log(w * math.exp(h), 11.0) - loop.log(w * math.exp(-h), 11.0)
-    ) / (2 * h)
-    assert loop.slope(w, 11.0) == pytest.approx(difference, rel=2e-5, abs=1e-6)
-
-
 @pytest.mark.slow
 def test_the_phase_is_unwrapped_from_low_frequencies_on() -> None:
     for link in LINKS.values():
@@ -104,7 +92,7 @@ def test_the_phase_is_unwrapped_from_low_frequencies_on() -> None:
 
 
 def test_a_loop_is_made_of_the_controllers_own_motor_loop_and_period() -> None:
-    own = replace(CONTROLLER, inner=MotorLoop(50.0, 3), period=0.002)
+    own = replace(CONTROLLER, motor_loop=MotorLoop(50.0, 3), period=0.002)
     loop = Loop.of(own, PLAIN, RIG)
     assert (loop.lag, loop.delay, loop.highest) == (
         1 / 50.0,
@@ -196,7 +184,6 @@ def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
     critical = 1 / max(-value.real[k] for k in at if value.real[k] < 0)
     for factor, stable in ((0.999, True), (1.001, False)):
         changed = replace(loop, gain=loop.gain * critical * factor)
-        assert (changed.encirclements(11.0) == 0) is stable
         assert bool(changed.margins(11.0)[1][0] > 0) is stable
         achieved = changed.achieved(11.0, 0.004)
         assert math.isfinite(achieved.sensitivity_peak[0]) is stable
@@ -207,43 +194,31 @@ def test_the_sign_of_the_margin_is_that_of_the_encirclements() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("link", "margin", "error"),
+    ("link", "error"),
     [
-        (PLAIN, 50.0, 1e-4),
-        (replace(PLAIN, gauge_delay=0.005), 50.0, 1e-4),
-        (
-            replace(PLAIN, gauge_delay=0.02),
-            30.0,
-            1e-2,
-        ),  # Ms is 6 there, and the peak a per cent wide
+        (PLAIN, 1e-4),
+        (replace(PLAIN, gauge_delay=0.005), 1e-4),
+        (replace(PLAIN, gauge_delay=0.02), 1e-2),
         (
             replace(PLAIN, gauge_delay=0.01, second_mode=SecondMode(180.0, 0.05, 0.02)),
-            40.0,
             1e-4,
         ),
     ],
 )
 def test_peak_and_noise_are_those_of_a_dense_grid(
-    link: LinkModel, margin: float, error: float
+    link: LinkModel, error: float
 ) -> None:
-    made = fl.design(
-        link,
-        RIG,
-        gain_crossover=12.0,
-        phase_margin=fl.deg(margin),
-        law=False,
-        procedure="published",
-    )
-    loop, w = made.full_loop, np.linspace(0.002, math.pi / 0.004, 400_001)
-    for w0 in made.natural_frequencies:
+    loop = Loop.of(CONTROLLER, link, RIG)
+    w = np.linspace(0.002, math.pi / 0.004, 400_001)
+    for w0 in (9.6, 13.6):
         distance = np.abs(1 + dense(loop, w, w0))
         assert loop.sensitivity_peak(w0)[0] == pytest.approx(
             1 / distance.min(), rel=1e-5
         )
-        c = made.controller
+        c = CONTROLLER
         outer = (
-            c.gain
-            * w**c.order
+            c.derivative_gain
+            * w**c.derivative_order
             / (1 + (c.filter_time * w) ** 2) ** (0.5 * c.filter_order)
         )
         noise = math.sqrt(np.mean((outer / distance) ** 2))
@@ -252,7 +227,7 @@ def test_peak_and_noise_are_those_of_a_dense_grid(
 
 def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
     loop = Loop.of(
-        replace(CONTROLLER, gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG
+        replace(CONTROLLER, derivative_gain=0.02), replace(PLAIN, gauge_delay=0.03), RIG
     )
     low, high = 8.0, 30.0
     w0 = np.geomspace(low, high, 4000)
@@ -263,20 +238,6 @@ def test_the_worst_margin_inside_a_range_is_closed_in_on() -> None:
     assert loop.margins(at_least)[1][0] == pytest.approx(least, abs=1e-9)
     assert slow == pytest.approx(crossover[np.argmin(np.abs(w0 - at_slow))], rel=1e-2)
     assert slow <= crossover.min() * 1.02
-
-
-def test_closed_loop_of_the_paper() -> None:
-    s = 0.3 + 9j
-    made = closed_loop(CONTROLLER, PLAIN, inner_pole=80.0)
-    tip = 121.0 / (s**1.92 + 121.0)
-    open_loop = (
-        CONTROLLER.gain * s**0.61 / (1 + 0.004 * s) ** 2 / (1 + s / 80) ** 2 * tip
-    )
-    assert complex(made(s)) == pytest.approx(open_loop / (1 + open_loop), rel=1e-12)
-    without = open_loop * (1 + s / 80) ** 2
-    assert complex(closed_loop(CONTROLLER, PLAIN)(s)) == pytest.approx(
-        without / (1 + without), rel=1e-12
-    )
 
 
 # --- sampled ------------------------------------------------------------------------------------------------
@@ -346,7 +307,7 @@ def test_an_arms_motor_is_faster_or_slower_than_its_loop_assumes() -> None:
     pid = settings.pid(RIG.motor, 0.004)
     inner = replace(settings.sampled(RIG.motor, 0.004), motor=true)
     assert inner.pid == pid and true.gain == pytest.approx(1.25 * RIG.motor.gain)
-    own = replace(CONTROLLER, inner=settings)
+    own = replace(CONTROLLER, motor_loop=settings)
     ratio = np.exp(
         fast.loop(own, RIG).motor_log(w) - Arm(PLAIN).loop(own, RIG).motor_log(w)
     )
@@ -361,7 +322,7 @@ def test_an_arms_motor_is_faster_or_slower_than_its_loop_assumes() -> None:
     ]
     slower = (1 + 5j / 80.0) ** 2 / (1 + 5j / 100.0) ** 2
     assert complex((ideal[1] / ideal[0])[0]) == pytest.approx(slower, rel=1e-3)
-    other = replace(CONTROLLER, inner=settings, period=0.002)
+    other = replace(CONTROLLER, motor_loop=settings, period=0.002)
     assert Arm(PLAIN).loop(other, RIG).highest == pytest.approx(math.pi / 0.002)
 
 

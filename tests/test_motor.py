@@ -1,4 +1,4 @@
-"""The motor's inner loop against pole placement itself, and its discretisations against
+"""The motor's motor loop against pole placement itself, and its discretisations against
 each other.
 """
 
@@ -48,23 +48,17 @@ def test_the_loop_is_m_of_s(pole: float) -> None:
     np.testing.assert_allclose(loop.closed()(s), closed, rtol=1e-12)
 
 
-def test_only_tustin_is_stable_at_4_ms_with_one_sample_of_delay() -> None:
-    loop = _loop()
-    assert loop.sampled_radius(0.004) == pytest.approx(0.951, abs=5e-4)
-    assert loop.sampled_radius(0.004, method="backward") == pytest.approx(
-        1.004, abs=5e-4
-    )
-    assert loop.sampled_radius(0.004, method="zero-order-hold") == pytest.approx(
-        1.006, abs=5e-4
-    )
+def test_the_loop_is_stable_at_4_ms_with_one_sample_of_delay() -> None:
+    sampled = fl.MotorLoop(80.0, 1).sampled(fl.Rig.named("paper-2023").motor, 0.004)
+    assert abs(sampled.poles()[0]) == pytest.approx(0.951, abs=5e-4)
 
 
-def test_every_method_approaches_the_double_pole_at_a_short_period() -> None:
+def test_it_approaches_the_double_pole_at_a_short_period() -> None:
     period = 1e-6
-    for method in ("tustin", "backward", "zero-order-hold"):
-        radius = _loop().sampled_radius(period, delay_samples=0, method=method)
-        # four poles at one place: a perturbation of size T spreads them by T^(1/4)
-        assert -math.log(radius) / period == pytest.approx(80.0, rel=0.25)
+    sampled = fl.MotorLoop(80.0, 0).sampled(fl.Rig.named("paper-2023").motor, period)
+    # four poles at one place: a perturbation of size T spreads them by T^(1/4)
+    slowest = -math.log(abs(sampled.poles()[0])) / period
+    assert slowest == pytest.approx(80.0, rel=0.25)
 
 
 def test_discrete_filters_have_the_response_of_the_continuous_ones() -> None:
@@ -88,7 +82,7 @@ def test_discrete_filters_have_the_response_of_the_continuous_ones() -> None:
 
 @pytest.mark.parametrize("pole", [0.0, -80.0, math.nan, math.inf, B / 4])
 def test_a_pole_without_a_stable_filter_is_refused(pole: float) -> None:
-    with pytest.raises(FieldError, match=r"inner\.pole"):
+    with pytest.raises(FieldError, match=r"motor_loop\.pole"):
         _loop(pole)
 
 
@@ -96,11 +90,6 @@ def test_a_pole_without_a_stable_filter_is_refused(pole: float) -> None:
 def test_a_period_must_be_positive(period: float) -> None:
     with pytest.raises(FieldError, match="period"):
         _loop().discretize(period)
-
-
-def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(FieldError, match="euler"):
-        _loop().discretize(0.004, method="euler")  # type: ignore[arg-type]
 
 
 # --- what the loop around the motor costs, and its limits ---------------------------------------------------

@@ -12,23 +12,10 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._design.pid_search import Candidates
 from fraclink.errors import FieldError, InfeasibleError
 from fracsys import s
 
 LAG = (1 / (0.4 * s**1.5 + 1)).delayed(0.05)
-
-
-def one(kp: float, ki: float = 0.0, kd: float = 0.0, **changes: float) -> Candidates:
-    given = {
-        "lam": 1.0,
-        "mu": 1.0,
-        "slope": 0.0,
-        "crossover": 1.0,
-        "lag": 0.0,
-    } | changes
-    columns = [np.array([value]) for value in given.values()]
-    return Candidates(np.array([[kp, ki, kd]]), *columns)
 
 
 # --- what is refused, in words ------------------------------------------------------------------------------

@@ -12,11 +12,12 @@ from mutants import KINDS, run
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_mutants_are_read_or_refused(kind: str, tmp_path: Path) -> None:
-    count = {"text": 160, "rig": 160}.get(kind, 50)
-    outcome = run(kind, count, tmp_path, seed=7, cpu_seconds=1)
+    # A process for each binary one.
+    count = {"text": 160, "rig": 160}.get(kind, 12)
+    outcome = run(kind, count, tmp_path, seed=7)
     assert outcome.surprises == []
     assert sum(outcome.counts.values()) == count
-    assert outcome.counts["refused"] + outcome.counts["child died"] > count // 20
+    assert outcome.counts["refused"] + outcome.counts["child died"] > 0
     assert (
         outcome.slowest < 2
     )  # s of processor time here; the child has a limit of its own

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import doctest
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -52,6 +53,18 @@ def test_every_command_exists_with_its_options(
     told = capsys.readouterr().out
     for option in (word for word in words if word.startswith("--")):
         assert option in told
+
+
+@pytest.mark.slow
+def test_the_comparison_is_what_its_script_prints() -> None:
+    script = runpy.run_path(str(ROOT / "tools" / "make_comparison.py"))
+    assert "\n".join(script["table"]()) in README
+
+
+@pytest.mark.parametrize("language", ["python", "console"])
+def test_code_fits_a_narrow_window(language: str) -> None:
+    lines = "".join(blocks(language)).splitlines()
+    assert lines and max(map(len, lines)) <= 88
 
 
 def test_the_make_targets_exist() -> None:

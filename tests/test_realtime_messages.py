@@ -48,7 +48,10 @@ def rig() -> fl.Rig:
 def law(rig: fl.Rig) -> Law:
     slow_motor = MotorLoop(pole=20.0)  # what a period of 20 ms can close
     controller = fl.Controller(
-        gain=0.069876, order=0.612197, link=rig.model, inner=slow_motor
+        derivative_gain=0.069876,
+        derivative_order=0.612197,
+        link=rig.model,
+        motor_loop=slow_motor,
     )
     assert rig.model is not None
     return equip(fl.discretize(controller, PERIOD, order=4), rig, rig.model)

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 import fraclink as fl
 from fraclink import Reference
-from fraclink._arm.reference import Path, checked_reference, sampled
+from fraclink._arm.reference import Path, sampled
 from fraclink.errors import FieldError, SizeError
+from fracsys.checks import rule
 
 SMOOTH: dict[str, Reference] = {
     "step": fl.smooth_step(1.0, 0.5, 0.3),
@@ -135,11 +136,11 @@ def test_a_pulse_with_soft_edges_rests_between_them() -> None:
 def test_two_arrays_are_a_path() -> None:
     time, angle = np.linspace(0.0, 0.5, 40), 0.2 * np.sin(np.linspace(0.0, 0.5, 40))
     given: Any = (time, angle)
-    taken = checked_reference(given)
+    taken = rule(Reference).check("reference", given)
     np.testing.assert_array_equal(taken.angle(time), fl.spline(time, angle).angle(time))
     bad: Any
     for bad in ((time, angle, angle), (time, 3.0), np.sin, [1.0, 2.0]):
         with pytest.raises(FieldError, match="spline"):
-            checked_reference(bad)
+            rule(Reference).check("reference", bad)
     with pytest.raises(FieldError):
-        checked_reference((time[::-1], angle))  # type: ignore[arg-type]
+        rule(Reference).check("reference", (time[::-1], angle))

@@ -19,17 +19,21 @@ import numpy as np
 import pytest
 
 from browser import command_line
-from fraclink._arm.experiment import Experiment
-from fraclink._arm.rig import Rig
-from fraclink._design import design
+from fraclink import Experiment, Rig, bundled_log, compare_structures, design, read_log
 from fraclink._design.completed import design_for
-from fraclink._identify import compare_structures
-from fraclink._reading.reading import bundled_log, read_log
+from fraclink.extend import number
 from fraclink.findings import Finding, Scope, Verdict
-from fraclink.trials._faults import Case, Check, FaultTable, Outcome
-from fraclink.trials._study import Study, load_study, save_study
-from fraclink.view._report import render_report, write_report
-from fraclink.view._text import number
+from fraclink.trials import (
+    Case,
+    Check,
+    FaultTable,
+    Outcome,
+    Study,
+    load_study,
+    save_study,
+)
+from fraclink.view import write_report
+from fraclink.view._report import render_report
 
 HOSTILE = [
     "<img src=x onerror=alert(1)>",
@@ -241,7 +245,7 @@ def test_faults_have_a_section_and_a_verdict_of_their_own(tmp_path: Path) -> Non
     save_study(saved, tmp_path)
     back = load_study(tmp_path)
     assert back.faults == saved.faults
-    assert back.verdict.reality == Scope(
+    assert back.verdict.twin == Scope(
         "failed", ("1 of 2 faults miss their requirement",)
     )
     assert back.verdict.promise == replace(saved, faults=None).verdict.promise
@@ -277,7 +281,8 @@ def test_an_error_of_log_or_model_leaves_nothing_shown() -> None:
     wrong = Finding("W399", "error", "the model predicts nothing", {}, "record again")
     made, _ = design_for(RIG)
     verdict = Study(rig=RIG, design=made, findings=(wrong,)).verdict
-    assert [scope.state for scope in verdict.scopes.values()] == ["not shown"] * 3
+    states = [scope.state for scope in verdict.scopes.values()]
+    assert states == ["not shown", "not shown", "not shown", "not run"]
     page = render_report(Study(rig=RIG, design=made, findings=(wrong,)))
     assert '<div class="verdict not-shown">' in page
 
@@ -288,7 +293,7 @@ def test_the_design_shows_every_requirement_with_its_payload() -> None:
     texts = " ".join(parsed(render_report(Study(rig=RIG, design=made))).texts)
     for requirement in made.requirements:
         assert requirement.name in texts
-    assert number(made.controller.gain, 5) in texts
+    assert number(made.controller.derivative_gain, 5) in texts
     assert (
         "48.8°" in texts or "50.0°" in texts
     )  # the sampled margin at 20 g stands beside the one asked for

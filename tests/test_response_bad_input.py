@@ -14,13 +14,11 @@ from fraclink.errors import FieldError, SizeError
 from fracsys import (
     approximate,
     discrete_modes,
-    grunwald_letnikov,
     impulse_response,
     s,
     step_response,
     time_response,
 )
-from processor_limit import processor_limit
 
 LINK = 100 / (s**1.92 + 100)
 RECYCLED = (1 / s).feedback((1 + 0 * s).delayed(1.0))
@@ -63,9 +61,6 @@ RECYCLED = (1 / s).feedback((1 + 0 * s).delayed(1.0))
         (lambda: time_response(1 / (s**3.002 - 596 * s**3), [1.0], 1.0), "denominator"),
         (lambda: discrete_modes(RECYCLED, 0.1, span=1.0), "delay"),
         (lambda: time_response(1 / (s.delayed(1.0) + 1), [1.0], 0.1), "delay"),
-        (lambda: grunwald_letnikov(LINK.delayed(0.1), [1.0], 0.1), "delay"),
-        (lambda: grunwald_letnikov(LINK, [1.0, math.nan], 0.1), "u"),
-        (lambda: grunwald_letnikov(LINK, [1.0], -0.1), "period"),
     ],
 )
 def test_refused(call, field: str) -> None:  # type: ignore[no-untyped-def]
@@ -87,18 +82,6 @@ def test_b51_beyond_memory_is_refused_before_anything_is_allocated(
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1e6
-
-
-def test_b53_full_memory_is_refused_with_the_way_that_is_linear() -> None:
-    u = np.ones(1_000_000)
-    # It is refused, not begun: begun, it takes minutes.
-    with (
-        processor_limit(1.0),
-        pytest.raises(SizeError, match="1e\\+12 products") as caught,
-    ):
-        grunwald_letnikov(LINK, u, 0.004)
-    assert caught.value.field == "u"
-    assert "time_response" in caught.value.remedy
 
 
 def test_b51_beyond_memory_of_the_inversion(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,30 +80,6 @@ def test_arrays_of_different_length_are_refused() -> None:
             _kernels.modes_response(
                 np.ones(3), 0.0, 0.0, **{**modes, name: modes[name][:-1]}
             )
-    with pytest.raises(ValueError, match="fewer weights"):
-        _kernels.memory_sum(np.ones(2), np.ones(3))
-    with pytest.raises(ValueError, match="zero first weight"):
-        _kernels.memory_solve(np.zeros(3), np.ones(3))
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 7, 64, 101])
-def test_full_memory(count: int) -> None:
-    generator = np.random.default_rng(count)
-    weights, u = generator.normal(size=count), generator.normal(size=count)
-    if count:
-        weights[0] = 3.0
-        y = _kernels.memory_sum(weights, u)
-        np.testing.assert_allclose(y, np.convolve(weights, u)[:count], atol=1e-12)
-        decaying = weights * 0.5 ** np.arange(count)
-        np.testing.assert_allclose(
-            _kernels.memory_solve(decaying, np.convolve(decaying, u)[:count]),
-            u,
-            rtol=1e-9,
-            atol=1e-9,
-        )
-    else:
-        assert _kernels.memory_sum(weights, u).shape == (0,)
-        assert _kernels.memory_solve(weights, u).shape == (0,)
 
 
 def test_threads_do_not_share_state() -> None:

@@ -14,20 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fraclink as fl
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.log_columns import Channel, LogColumns
-from fraclink._arm.motor_loop import MotorLoop
-from fraclink._arm.rig import (
-    DesignDefaults,
-    Encoder,
-    Gauge,
-    Link,
-    Motor,
-    Payloads,
-    Rig,
-    StatedTolerances,
-)
+from fraclink import Channel, LinkModel, LogColumns, MotorLoop, Rig, SecondMode
+from fraclink._arm.rig import DesignDefaults, StatedTolerances
 from fraclink.errors import FieldError
+from fraclink.extend import Encoder, Gauge, Link, Motor, Payloads
 from junk import CHARACTERS
 
 ROOT = Path(__file__).parents[1]
@@ -69,7 +59,7 @@ def test_the_geared_rig_differs_from_the_printed_one_by_gear_link_mass_and_reque
     printed, geared = Rig.named("paper-2023"), Rig.named("paper-2023-geared")
     assert geared.motor == dataclasses.replace(printed.motor, gear_ratio=50.0)
     assert geared.link == dataclasses.replace(printed.link, mass=0.00735)
-    assert geared.design == DesignDefaults(11.7, 45.0)
+    assert geared.design == DesignDefaults(11.4, 45.0)
     same = {
         "motor": printed.motor,
         "link": printed.link,
@@ -210,9 +200,8 @@ rigs = st.builds(
             lambda t, a, o, v, kind: LogColumns(
                 t,
                 _with_unit(a, "deg"),
-                _with_unit(o, "Nm" if kind == "torque" else "mrad"),
-                kind,
-                v and _with_unit(v, "mV"),
+                **{kind: _with_unit(o, "Nm" if kind == "torque" else "mrad")},
+                voltage=v and _with_unit(v, "mV"),
             ),
             channels,
             channels,

@@ -14,15 +14,11 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink._arm.reference import Path as Polynomial
-from fraclink._files.kinds import _NO_VALUES
 from fraclink.errors import FieldError
 from fracsys.checks.equality import _same
 
 S = fracsys.s
 LOOP = 2.0 / (S**1.5 + S)
-# Public classes without a file of their own: open connections, and a study, which is a
-# folder of files.
-WITHOUT_FILE = {*_NO_VALUES, "Study"}
 
 
 @cache
@@ -82,7 +78,6 @@ HELD: dict[str, Any] = {
         "W210", "warning", "an offset", {"offset": 0.1}, "subtract it"
     ),
     "Rig": lambda: fl.Rig.named("paper-2023"),
-    "Specification": lambda: fl.Specification(gain_crossover=12.0, phase_margin=1.0),
     "SecondMode": lambda: fl.SecondMode(60.0, 0.1, 0.02),
     "Path": lambda: fl.smooth_step(1.0, duration=0.5),
 }
@@ -126,23 +121,6 @@ def test_a_process_that_has_loaded_nothing_reads_every_public_result(
         [sys.executable, "-c", command], capture_output=True, text=True, check=False
     )
     assert done.stdout.strip() == "TimeResponse", done.stderr
-
-
-def test_every_public_class_is_a_value_or_named_as_none() -> None:
-    from fraclink._files.kinds import document_of
-
-    for name in fl.__all__:
-        kind = getattr(fl, name)
-        if isinstance(kind, type) and (
-            hasattr(kind, "__dataclass_fields__") or hasattr(kind, "_fields")
-        ):
-            if name in WITHOUT_FILE:
-                continue
-            document_of(
-                object.__new__(kind)
-                if not issubclass(kind, tuple)
-                else tuple.__new__(kind, ())
-            )
 
 
 @pytest.mark.parametrize("value", [(), print, 3.0, fl.Callback, object()])

@@ -1,5 +1,5 @@
-"""Shaped moves: what the linear loop promises is what the arm does, and every limit is
-kept.
+"""Shaped moves: every arm of the set does what the linear loops promise, and every
+limit is kept.
 """
 
 from __future__ import annotations
@@ -13,31 +13,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.optimize import linprog
 
 import fraclink as fl
 from fraclink import Callback, Twin, main
-from fraclink._arm.reference import sampled
-from fraclink._simulate import shaped_move as move
-from fraclink._simulate.shape_programme import (
-    SIGNALS,
-    MoveBounds,
-    Programme,
-    ShapedArm,
-    responses_of,
-    without_friction,
-)
+from fraclink._simulate.arm_set import WorstCase
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.extend import LawInputs, ShapedMove
-from fraclink.lab._machine import VirtualClock
 from fraclink.trials import Campaign
-from fraclink.trials._campaign import load_campaign, save_campaign
-from fraclink.view._runs import shaped_figure
-from fraclink.view._tunings import shaped_view
 from needed_tools import tool
 
-RIG = fl.Rig.named("paper-2023-geared")
+PLAIN = fl.Rig.named("paper-2023-geared")
+# the gauge's offset of the paper's figures, of which the law must see nothing
+RIG = replace(PLAIN, gauge=replace(PLAIN.gauge, offset=0.05))
 KNOWN = (0.030, 0.030)
+BAND = 0.02
 
 
 @pytest.fixture(scope="module")
@@ -54,88 +43,104 @@ def design() -> fl.Design:
 
 @pytest.fixture(scope="module")
 def unknown(design: fl.Design) -> ShapedMove:
-    return fl.shape(design, 1.0, voltage=8.0, gauge_offset=0.05, seeds=1)
+    return fl.shape(design, 1.0, voltage=8.0, over="model")
 
 
 @pytest.fixture(scope="module")
 def known(design: fl.Design) -> ShapedMove:
-    return fl.shape(design, 1.0, payloads=KNOWN, told=True, gauge_offset=0.05, seeds=2)
+    return fl.shape(design, 1.0, payloads=KNOWN, told=True, over="model", seeds=2)
 
 
+def other_arms(payload: float) -> list[Twin]:
+    """Arms at a payload that differ in λ by 0.03, and a viscous one as well damped."""
+    viscous = replace(
+        RIG.model,
+        order=2.0,
+        damping=2 * RIG.model.damping_ratio * RIG.model.natural_frequency,
+    )
+    links = [RIG.model, viscous, *(replace(RIG.model, order=o) for o in (1.89, 1.95))]
+    return [Twin.from_rig(RIG, model=link, payload=payload) for link in links]
+
+
+# ── arms that are not the model
+# ─────────────────────────────────────────────────────────────────────────────
+
+
+def test_the_worst_arm_of_the_box_is_told_beside_the_model(design: fl.Design) -> None:
+    case = fl.worst_case(
+        design, fl.smooth_step(1.0, 0.5), payloads=(0.08, 0.08), told=True
+    )
+    assert case.nominal.arm == "model" and case.nominal.settling_time < 0.5
+    assert "viscous" in case.worst.arm and case.settling_time > 1.5
+    assert isinstance(case, WorstCase) and f"{case.settling_time:.3g} s" in str(case)
+    (alone,) = fl.worst_case(
+        design,
+        fl.smooth_step(1.0, 0.5),
+        payloads=(0.08, 0.08),
+        told=True,
+        over="model",
+    ).arms
+    assert alone == case.nominal
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("payload", [0.008, 0.030, 0.080])
+def test_a_move_for_the_box_settles_on_every_arm_of_it(
+    design: fl.Design, payload: float
+) -> None:
+    move = fl.shape(design, 1.0, payloads=(payload, payload), told=True)
+    assert move.passed and move.settling_time <= 0.70
+    assert move.settling_time <= move.promised + 1.5 * move.period
+    for arm in other_arms(payload):
+        run = fl.simulate(design, move.reference, arm=arm, told=payload, seed=3)
+        assert run.metrics.settling_time <= move.promised + 0.01
+        assert run.metrics.peak_voltage <= RIG.motor.voltage_limit
+
+
+@pytest.mark.slow
+def test_more_time_than_the_shortest_makes_a_gentler_move(design: fl.Design) -> None:
+    options = {"payloads": KNOWN, "told": True, "seeds": 1}
+    fast = fl.shape(design, 1.0, **options)
+    gentle = fl.shape(design, 1.0, settle=0.7, **options)
+    assert gentle.passed and fast.settling_time < gentle.settling_time <= 0.7
+    push = [
+        float(np.abs(move.reference.acceleration(np.linspace(0, 1, 400))).max())
+        for move in (gentle, fast)
+    ]
+    assert push[0] < 0.6 * push[1]
+    with pytest.raises(FieldError, match=r"does not settle within 0\.2 s"):
+        fl.shape(design, 1.0, settle=0.2, **options)
+
+
+@pytest.mark.slow
+def test_of_all_moves_that_settle_as_soon_none_is_gentler(design: fl.Design) -> None:
+    """Scaled down, a smooth step of the same settling time accelerates harder."""
+    move = fl.shape(
+        design, 1.0, payloads=KNOWN, told=True, settle=0.6, over="model"
+    ).reference
+    time = np.linspace(0.0, 1.0, 4001)
+    smooth = fl.smooth_step(1.0, 0.6)
+    varied = [np.abs(np.diff(each.acceleration(time))).sum() for each in (move, smooth)]
+    assert varied[0] < varied[1]
+
+
+# ── the model's own arms
 # ─────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [False, True])
-@pytest.mark.parametrize("on", ["twin", "model"])
-def test_the_responses_predict_every_signal_of_a_run(
-    design: fl.Design, told: bool, on: str
-) -> None:
-    arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG) if on == "twin" else None)
-    free, plain = without_friction(design.law(), arm.with_exact_sensors())
-    move = fl.smooth_step(0.4, 0.3, 0.05)
-    run = plain.run(free, move, 0.033, 1.0, told=told)
-    loops = responses_of(design.law(), arm, (0.033,), 1.2, told=told)
-    (found,) = loops.to(move)
-    rows = dict(zip(SIGNALS, found[:, : len(run.time)], strict=True))
-    np.testing.assert_allclose(rows["tip"], run.tip_angle, atol=1e-8)
-    np.testing.assert_allclose(rows["voltage"], run.voltage, atol=1e-5)
-    np.testing.assert_allclose(rows["torque"], run.torque, atol=1e-7)
-    speed = run.extras.get(
-        "motor_velocity", np.diff(run.motor_angle, prepend=0.0) / run.period
-    )
-    np.testing.assert_allclose(rows["motor_speed"], speed, atol=1e-5)
-    np.testing.assert_allclose(
-        np.cumsum(rows["motor_step"]), run.motor_reference, atol=1e-8
-    )
-
-
-@pytest.mark.slow
-def test_the_programme_of_some_rows_has_the_optimum_of_all(design: fl.Design) -> None:
-    arm = ShapedArm(RIG, design.model, Twin.from_rig(RIG))
-    loops = responses_of(design.law(), arm, (0.020, 0.040), 2.5, told=False)
-    bounds = MoveBounds(
-        {"voltage": 5.0, "torque": 1.0}, velocity=6.0, acceleration=60.0
-    )
-    programme = Programme(loops, 6, bounds)
-    target, count = np.ones(programme.length), programme.count_for(0.5)
-    found = programme.solve(count, target, 125, 400)
-    rows, sides = programme._kept(count, target, 125, 400)
-    ends = np.append(np.ones(count), 0.0)[None, :]
-    free = [(None, None)] * count + [(0.0, None)]
-    every = linprog(np.append(np.zeros(count), 1.0), rows, sides, ends, [1.0], free)
-    assert found is not None and found.distance == pytest.approx(every.fun, abs=2e-4)
-    # of all that are as near, the gentlest: no farther, and its acceleration varies
-    # less
-    gentle = programme.solve(count, target, 125, 400, within=1.2 * found.distance)
-    assert gentle is not None and gentle.distance <= 1.2 * found.distance + 1e-4
-    varied = [
-        np.abs(programme._jerk(count)[:, :-1] @ s.coefficients).sum()
-        for s in (gentle, found)
-    ]
-    assert varied[0] < 0.8 * varied[1]
-    assert (
-        programme.solve(3, target, 125, 400) is None
-    )  # three knots for 1 rad: beyond every limit
-
-
-# ────────────────────────────────────────────────────────────────────────────────
-
-
-@pytest.mark.slow
 def test_one_reference_moves_every_payload_as_promised(unknown: ShapedMove) -> None:
-    (ours,) = unknown.measured
+    (arm,) = unknown.worst_case.arms
     assert unknown.passed and unknown.findings == ()
-    assert ours.settling_time <= 0.62 and ours.settling_time <= ours.predicted + 0.004
-    assert ours.peak_voltage <= 8.0 and ours.limited == 0.0
+    assert arm.settling_time <= 0.62 and arm.settling_time <= unknown.promised + 0.006
+    assert arm.peak_voltage <= 8.0 and arm.guarded == 0.0
     assert unknown.amplitude == pytest.approx(1.0, abs=1e-9)
-    assert unknown.shown.tolist() == pytest.approx([0.020, math.sqrt(0.0008), 0.040])
+    assert unknown.worst_case.payloads == (0.020, pytest.approx(0.040))
 
 
 @pytest.mark.slow
 def test_a_known_payload_moves_twice_as_fast(known: ShapedMove) -> None:
     assert known.passed and known.settling_time <= 0.35
-    assert [each.name for each in known.measured] == ["shaped"]
 
 
 @pytest.mark.slow
@@ -148,17 +153,19 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
         natural_frequency=0.85 * design.model.natural_frequency,
         second_mode=fl.SecondMode(frequency=180.0, damping_ratio=0.02, gain=0.1),
     )
+    # without the offset: the model's appears as the move begins, and disturbs it
     made = fl.design(
         slow,
-        RIG,
+        PLAIN,
         payloads=(0.020, 0.040),
         gain_crossover=10.0,
         phase_margin=fl.deg(45),
         filter_time=0.02,
     )
-    fitting = fl.shape(made, 1.0, payloads=KNOWN, told=True, on="model", seeds=2)
+    options = {"payloads": KNOWN, "told": True, "over": "model"}
+    fitting = fl.shape(made, 1.0, on="model", seeds=2, **options)
     assert fitting.passed and fitting.settling_time < 0.45
-    of_twin = fl.shape(made, 1.0, payloads=KNOWN, told=True, seeds=1)
+    of_twin = fl.shape(made, 1.0, **options)
     run = fl.simulate(made, of_twin.reference, payload=0.030, told=True)
     assert run.metrics.settling_time > fitting.settling_time + 0.1
 
@@ -167,102 +174,82 @@ def test_a_move_for_the_identified_model_suits_that_model(design: fl.Design) -> 
 def test_moves_to_the_other_side_are_the_same(
     design: fl.Design, known: ShapedMove
 ) -> None:
-    back = fl.shape(design, -1.0, payloads=KNOWN, told=True, seeds=1)
+    back = fl.shape(design, -1.0, payloads=KNOWN, told=True, over="model")
     assert back.amplitude == pytest.approx(-1.0) and back.passed
     assert back.settling_time == pytest.approx(known.settling_time, abs=0.009)
 
 
 @pytest.mark.slow
-def test_limits_of_speed_and_torque_cost_time(
+def test_a_limit_of_the_voltage_costs_time(
     design: fl.Design, known: ShapedMove
 ) -> None:
-    slow = fl.shape(design, 1.0, payloads=KNOWN, told=True, speed=3.0, seeds=1)
-    run = fl.simulate(
-        design, slow.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True
-    )
-    assert np.abs(run.extras["motor_velocity"]).max() <= 3.0
-    assert slow.settling_time > known.settling_time + 0.05
-    soft = fl.shape(design, 1.0, payloads=KNOWN, told=True, torque=0.3, seeds=1)
-    run = fl.simulate(
-        design, soft.reference, arm=Twin.from_rig(RIG, payload=0.030), told=True
-    )
-    assert np.abs(run.torque).max() <= 0.3
-    assert soft.settling_time > known.settling_time + 0.05
+    options = {"payloads": KNOWN, "told": True, "over": "model"}
+    weak = fl.shape(design, 1.0, voltage=4.0, **options)
+    assert weak.worst_case.worst.peak_voltage <= 4.0
+    assert weak.settling_time > known.settling_time + 0.02
+    with pytest.raises(FieldError, match="Allow more time or voltage"):
+        fl.shape(design, 1.0, voltage=0.02, **options)
 
 
 @pytest.mark.slow
-def test_a_promise_that_noise_breaks_is_a_finding(
-    design: fl.Design, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    small = fl.shape(design, 0.01, payloads=KNOWN, told=True, seeds=1)
-    assert [finding.code for finding in small.findings] == ["W501"] and not small.passed
-    monkeypatch.setattr(move, "_NOISES", 0.0)  # nothing is left to noise
-    tight = fl.shape(design, 1.0, payloads=KNOWN, told=True, voltage=6.0, seeds=2)
-    assert [finding.code for finding in tight.findings] == ["W501"]
-
-
-@pytest.mark.slow
-def test_a_motor_that_sticks_where_the_rig_says_it_does_not(design: fl.Design) -> None:
-    arm = Twin.from_rig(RIG)
-    sticks = replace(arm, motor=replace(arm.motor, coulomb_torque=0.4))
-    found = fl.shape(design, 1.0, payloads=KNOWN, told=True, arm=sticks, seeds=1)
-    assert "W501" in {finding.code for finding in found.findings}
-    assert not found.passed
+def test_a_promise_that_noise_breaks_is_a_finding(design: fl.Design) -> None:
+    options = {"payloads": KNOWN, "told": True, "over": "model"}
+    small = fl.shape(design, 0.01, **options)
+    assert {finding.code for finding in small.findings} == {"W501"} and not small.passed
+    tight = fl.shape(design, 1.0, voltage=6.0, reserve=0.0, seeds=2, **options)
+    assert any("voltage" in finding.message for finding in tight.findings)
 
 
 @pytest.mark.slow
 def test_what_cannot_be_shaped_is_refused(design: fl.Design) -> None:
-    def refused(field: str, *move: object, **options: object) -> FieldError:
+    def refused(field: str, *move: object, **options: object) -> None:
         with pytest.raises(FieldError) as caught:
             fl.shape(design, *move, **options)
         assert caught.value.field == field
-        return caught.value
 
     refused("move", 0.0)
     refused("move", 20.0)
     refused("move", math.nan)
     refused("payloads", 1.0, payloads=(0.04, 0.02))
     refused("payloads", 1.0, payloads=(0.0, 0.02))
-    refused("arm", 1.0, on="model", arm=Twin.from_rig(RIG))
-    assert "V" in str(refused("voltage", 1.0, voltage=1.0, payloads=KNOWN))
-    refused("move", fl.spline([0.0, 1.0], [0.1, 1.0]), payloads=KNOWN)
-    refused("move", fl.smooth_step(1.0, 30.0), payloads=KNOWN)
+    refused("move", fl.spline([0.0, 1.0], [0.1, 1.0]), payloads=KNOWN, over="model")
+    refused("move", fl.smooth_step(1.0, 30.0), payloads=KNOWN, over="model")
     refused("reserve", 1.0, reserve=1.0)
     light = replace(design, rig=fl.Rig.named("paper-2023"))
     with pytest.raises(FieldError, match="not stable"):
         fl.shape(light, 1.0)
 
 
+# ── along a path
 # ────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @pytest.mark.slow
 def test_the_tip_follows_a_path_much_nearer(design: fl.Design) -> None:
-    wanted = fl.extend.SampledReference(
-        0.004, sampled(fl.smooth_step(0.5, 0.5, 0.2), 0.004, 176)
+    step = fl.smooth_step(0.5, 0.5, 0.2)
+    time = 0.004 * np.arange(176)
+    rows = [step.angle(time), step.velocity(time), step.acceleration(time)]
+    wanted = fl.extend.SampledReference(0.004, np.array(rows))
+    move = fl.shape(design, wanted, payloads=KNOWN, told=True, over="model")
+    assert move.passed and move.farthest < 0.005
+    assert move.target is not None
+    assert float(move.target.angle(0.45)) == pytest.approx(0.25, abs=1e-4)
+    plain = fl.simulate(
+        design, wanted, arm=Twin.from_rig(RIG, payload=0.030), told=True
     )
-    found = fl.shape(design, wanted, payloads=KNOWN, told=True, seeds=1)
-    ours, given = found.measured
-    assert found.passed and ours.largest_error < 0.005
-    assert given.largest_error > 0.04 and given.name == "as given"
-    assert found.target is not None and float(
-        found.target.angle(0.45)
-    ) == pytest.approx(0.25, abs=1e-4)
-    assert "mrad of the path" in shaped_view(found).headline
-    assert shaped_figure(found).alone().startswith("<svg")
+    assert plain.metrics.peak_tip_error > 0.04
+    assert "mrad of the path" in " ".join(str(move).split())
+    assert "<svg" in move._repr_html_()  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
 def test_a_path_that_no_limit_allows_fails(design: fl.Design) -> None:
-    found = fl.shape(
-        design,
-        fl.spline([0.0, 0.1, 0.3], [0.0, 1.0, 0.0]),
-        payloads=KNOWN,
-        seeds=1,
-    )
-    assert "W504" in [finding.code for finding in found.findings] and not found.passed
+    path = fl.spline([0.0, 0.15, 0.45], [0.0, 1.0, 0.0])
+    move = fl.shape(design, path, payloads=KNOWN, over="model")
+    assert "W504" in [finding.code for finding in move.findings] and not move.passed
 
 
+# ── tables, files, boards
 # ──────────────────────────────────────────────────────────────────────────────────
 
 
@@ -291,7 +278,7 @@ def test_a_saved_move_comes_back_and_moves_the_same(
     place = tmp_path / "move.json"
     unknown.save(place)
     again = fl.load(place)
-    assert isinstance(again, ShapedMove) and again.measured == unknown.measured
+    assert isinstance(again, ShapedMove) and again.worst_case == unknown.worst_case
     assert np.array_equal(again.tip_angle, unknown.tip_angle) and again.target is None
     table = fl.extend.read_reference(
         fl.extend.export_reference(
@@ -308,47 +295,41 @@ def test_a_saved_move_comes_back_and_moves_the_same(
         for each in (unknown.reference, table)
     ]
     assert np.array_equal(runs[0].tip_angle, runs[1].tip_angle)
-    assert "settles in" in str(shaped_view(again)) and shaped_figure(
-        again
-    ).alone().startswith("<svg")
-    assert repr(again).startswith("ShapedMove(") and "<svg" in again._repr_html_()  # type: ignore[attr-defined]
+    assert "settles within" in str(again) and "<svg" in again._repr_html_()  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
 def test_the_loop_in_real_time_takes_a_table(
     design: fl.Design, known: ShapedMove
 ) -> None:
-    law = design.law()
-    table = fl.extend.SampledReference(0.004, sampled(known.reference, 0.004, 100))
+    law, time = design.law(), 0.004 * np.arange(100)
+    move = known.reference
+    rows = [move.angle(time), move.velocity(time), move.acceleration(time)]
     board = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     run = fl.lab.run_realtime(
         law,
-        table,
+        fl.extend.SampledReference(0.004, np.array(rows)),
         board,
         duration=0.3,
         priority=0,
         lock_memory=False,
-        clock=VirtualClock(1),
     )
-    expected = sampled(known.reference, 0.004, len(run.tick))
-    assert np.array_equal(run.reference, expected[0])
-    assert np.array_equal(run.reference_acceleration, expected[2])
+    row = np.rint(run.time / 0.004).astype(int)  # a period that came late is left out
+    assert np.array_equal(run.reference, rows[0][row])
+    assert np.array_equal(run.reference_acceleration, rows[2][row])
 
 
 @pytest.mark.slow
 def test_a_campaign_follows_it_and_comes_back(
-    design: fl.Design, unknown: ShapedMove, tmp_path: Path
+    design: fl.Design, unknown: ShapedMove
 ) -> None:
     law = design.law()
     asked = Campaign.of(RIG, design.model, law, runs=60, reference=unknown.reference)
     found = fl.trials.simulate_part(asked, 0)
     assert found["passed"].all() and found["settling_time"].max() < 0.65
     assert np.all(found["amplitude"] == 1.0)
-    save_campaign(asked, tmp_path)
-    again = load_campaign(tmp_path)
-    assert again.fingerprint == asked.fingerprint
-    assert again.fingerprint != Campaign.of(RIG, design.model, law, runs=60).fingerprint
-    run = fl.trials.replay_run(again, 17)
+    assert asked.fingerprint != Campaign.of(RIG, design.model, law, runs=60).fingerprint
+    run = fl.trials.replay_run(asked, 17)
     assert run.metrics.settling_time == found["settling_time"][17]
     assert np.array_equal(
         run.reference[:160], unknown.reference.angle(0.004 * np.arange(160))
@@ -407,7 +388,8 @@ def test_the_board_takes_it_as_an_array(
 
 def _stepped(law: fl.Law, reference: fl.Reference, count: int) -> NDArray[np.float64]:
     state, rows, at = law.initial_state(), [], 0.0
-    angle, _, acceleration = sampled(reference, law.period, count).tolist()
+    time = law.period * np.arange(count)
+    angle, acceleration = reference.angle(time), reference.acceleration(time)
     for k in range(count):
         state, out = law.step(
             state, LawInputs(angle[k], acceleration[k], at, 0.0, 0.0), tick=k + 1
@@ -434,23 +416,9 @@ def test_the_command_line_shapes_and_moves(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     design.save("design.json")
-    assert (
-        main(
-            [
-                "shape",
-                "design.json",
-                "--payload",
-                "0.03",
-                "--told",
-                "--seeds",
-                "1",
-                "--table",
-                "move.h",
-            ]
-        )
-        == 0
-    )
-    assert "settles in 0.2" in capsys.readouterr().out
+    shaping = ["shape", "design.json", "--payload", "0.03", "--told"]
+    assert main([*shaping, "--over", "model", "--table", "move.h"]) == 0
+    assert "settles within 0.2" in capsys.readouterr().out
     move = ["--reference", "move.json", "--json"]
     assert (
         main(["simulate", "design.json", "--payload", "0.03", "--told", "0.03", *move])
@@ -460,51 +428,20 @@ def test_the_command_line_shapes_and_moves(
         json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.5
     )  # the model has no link mass
     assert (
-        main(["twin", "design.json", "--payload", "0.03", "--told", "0.03", *move]) == 0
+        main(
+            [
+                *("simulate", "design.json", "--on", "twin"),
+                *("--payload", "0.03", "--told", "0.03", *move),
+            ]
+        )
+        == 0
     )
     assert json.loads(capsys.readouterr().out)["metrics"]["settling_time"] < 0.35
     Path("path.csv").write_text("time_s,angle_rad\n0,0\n0.7,1\n")
-    known = ["--payload", "0.03", "--told", "--seeds", "1"]
-    assert main(
-        [
-            "shape",
-            "design.json",
-            "--follow",
-            "path.csv",
-            *known,
-            "--out",
-            "along.json",
-            "--json",
-        ]
-    ) in (0, 1)
-    assert json.loads(capsys.readouterr().out)["measured"][1]["name"] == "as given"
-    assert (
-        main(
-            [
-                "shape",
-                "design.json",
-                "--on",
-                "model",
-                "--model",
-                "design.json",
-                "--force",
-            ]
-        )
-        == 2
-    )
-    assert (
-        main(
-            [
-                "shape",
-                "design.json",
-                "--payload",
-                "0.03",
-                "--payloads",
-                "0.02",
-                "0.04",
-                "--force",
-            ]
-        )
-        == 2
-    )
+    along = ["--follow", "path.csv", "--out", "along.json", "--json"]
+    assert main([*shaping, *along]) in (0, 1)
+    assert json.loads(capsys.readouterr().out)["farthest"] < 0.1
+    assert main([*shaping, "--settle", "0.1", "--force"]) == 2
+    assert "does not settle within 0.1 s" in capsys.readouterr().err
+    assert main([*shaping, "--payloads", "0.02", "0.04", "--force"]) == 2
     assert "payload" in capsys.readouterr().err

@@ -198,7 +198,7 @@ def test_a_column_of_that_name_comes_first(motion: Signals, tmp_path: Path) -> N
         ("deflection", "mm", "a length over the link's length"),
         ("deflection", "V", "not calibrated"),
         ("torque", "counts", "not calibrated"),
-        ("deflection", "m/s2", "identify-structure"),
+        ("deflection", "m/s2", "identify --structure"),
         ("torque", "m", "another quantity"),
         ("torque", "rad", "another quantity"),
         ("deflection", "Nm", "another quantity"),
@@ -211,6 +211,8 @@ def test_no_suggestion_crosses_quantities(kind: str, unit: str, words: str) -> N
     link's length.
     """
     with pytest.raises(FieldError) as caught:
-        LogColumns(Channel("t", "s"), Channel("enc", "deg"), Channel("x", unit), kind)  # type: ignore[arg-type]
+        LogColumns(
+            Channel("t", "s"), Channel("enc", "deg"), **{kind: Channel("x", unit)}
+        )
     assert words in caught.value.remedy
     assert ("did you mean" in caught.value.remedy) is ("did you mean" in words)

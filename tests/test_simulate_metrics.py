@@ -8,8 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fraclink._simulate.metrics import MoveVerdict, Signals, _driven, judge, measure
-from fraclink.extend import Metrics
+from fraclink._simulate.metrics import (
+    Metrics,
+    MoveVerdict,
+    Signals,
+    _driven,
+    judge,
+    measure,
+)
 
 PERIOD, ENDED, VIBRATION = 0.01, 1.0, 0.5
 TIME = PERIOD * np.arange(601)

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink import SecondMode, Specification
+from fraclink import SecondMode
 from fraclink._design.procedure import request_of
-from fraclink._design.solver import Problem
+from fraclink._design.search import Search
+from fraclink._design.table import Figure
 from fraclink.errors import FieldError, InfeasibleError
+from fraclink.extend import Beam, PowerLaw
 
 RIG = fl.Rig.named("paper-2023")
 MODEL = RIG.model
@@ -26,7 +28,11 @@ def written_out(made: fl.Design, payload: float, w: np.ndarray) -> np.ndarray:
     """L once more: Ĉ, motor loop, one and a half periods, and the link."""
     c, s, order = made.controller, 1j * w, MODEL.order
     stiff = made.natural_frequency(payload) ** 2
-    value = c.gain * s**c.order / (1 + c.filter_time * s) ** c.filter_order
+    value = (
+        c.derivative_gain
+        * s**c.derivative_order
+        / (1 + c.filter_time * s) ** c.filter_order
+    )
     value = value * np.exp(-1.5 * RIG.period * s) / (1 + s / 80) ** 2
     return np.asarray(value * stiff / (s**order + stiff))
 
@@ -54,51 +60,48 @@ def test_every_row_is_kept_by_the_loop_written_out(asked: dict[str, float]) -> N
         assert 1.0 / np.abs(1.0 + loop).min() < bound + 1e-3
 
 
-def test_it_is_quieter_than_the_closed_form_for_the_same_request() -> None:
+def test_it_is_quieter_than_without_a_filter_for_the_same_request() -> None:
     asked = {"payloads": RANGE, "gain_crossover": 12.0, "phase_margin": fl.deg(50)}
-    made = fl.design(MODEL, RIG, **asked, law=False)
-    paper = fl.design(MODEL, RIG, **asked, law=False, procedure="published")
+    same = {"motor_loop": "ideal", "placement": "tustin"}
+    made = fl.design(MODEL, RIG, **asked, **same, law=False)
+    paper = fl.design(
+        MODEL, RIG, **asked, **same, filter_time=0.0, law=False, nearest=False
+    )
     ends = made.natural_frequencies
     noise, published = (
         one.full_loop.noise_gain(ends, RIG.period).max() for one in (made, paper)
     )
-    assert noise < 0.36 and published > 1.0
+    assert noise < 0.4 and published > 2.5
 
 
-@pytest.mark.parametrize("goal", ["noise", "settling", "margin"])
 @pytest.mark.parametrize("notch", [None, (150.0, 200.0)])
-def test_gradients_are_those_of_differences(
-    goal: str, notch: tuple[float, float] | None
-) -> None:
+def test_gradients_are_those_of_differences(notch: tuple[float, float] | None) -> None:
     model = replace(
         MODEL,
         gauge_delay=0.004,
         second_mode=SecondMode(frequency=177.5, gain=0.05, damping_ratio=0.02),
     )
     bounds = {"max_sensitivity": 1.6, "noise_gain": 1.0, "phase_margin": fl.deg(40)}
-    spec = Specification(payloads=RANGE, gain_crossover=12.0, **bounds)
-    request = request_of(model, RIG, spec, None, goal)  # type: ignore[arg-type]
-    wanted = replace(request.wanted(request.soft), damping=True)
-    problem = Problem(
-        request.sheets[0],
-        request.loops,
-        wanted,
-        goal,
-        12.0,
-        2,
-        notch,  # type: ignore[arg-type]
-    )
-    x = np.array([-0.9, 1.3, -3.2, math.log(177.0), -1.2, -1.0][: problem.size])
-    z = np.array([*x, 0.8, 0.1])
-    rows = problem.rows(z[:-2], z[-2], z[-1])
-    for k in range(z.size):
-        step = 1e-6 * np.eye(z.size)[k]
-        above, below = (
-            problem.rows(y[:-2], y[-2], y[-1]).value for y in (z + step, z - step)
-        )
-        slope = (above - below) / 2e-6
-        near = np.abs(rows.value) < 0.7  # the others bind nothing
-        assert slope[near] == pytest.approx(rows.gradient[k][near], abs=1e-2)
+    spec = {"payloads": RANGE, "gain_crossover": 12.0, **bounds}
+    request = request_of(model, RIG, spec, None)
+    search = Search(request, request.first_links, 2, notch, ringing=True)
+    x = np.array([-0.9, 1.3, -3.2, math.log(177.0), -1.2, -1.0][: 6 if notch else 3])
+
+    def kept(x: np.ndarray) -> dict[str, Figure]:
+        return search.kept(search.trial(x[:, None]))
+
+    rows, checked = kept(x), 0
+    for k in range(x.size):
+        step = 1e-6 * np.eye(x.size)[k]
+        above, below = kept(x + step), kept(x - step)
+        for key, figure in rows.items():
+            slope = (above[key].value - below[key].value) / 2e-6
+            near = np.abs(figure.value) < 2.0  # the others bind nothing
+            assert slope[near] == pytest.approx(
+                figure.gradient[k][near], rel=1e-2, abs=1e-2
+            ), key
+            checked += int(near.sum())
+    assert checked > 20 * x.size
 
 
 @pytest.mark.slow
@@ -128,8 +131,9 @@ def test_figures_of_a_refusal_are_the_best_together() -> None:
         fl.design(MODEL, RIG, payloads=RANGE, **asked, law=False)
     offer = refused.value.nearest
     assert set(offer) == set(asked)
+    # the crossover is offered 0.5 % below its edge, where that much buys 4° of margin
     for name in offer:
-        more = offer | {name: 1.04 * offer[name]}
+        more = offer | {name: 1.1 * offer[name]}
         with pytest.raises(InfeasibleError):
             fl.design(MODEL, RIG, payloads=RANGE, **more, law=False, nearest=False)
 
@@ -145,7 +149,7 @@ def test_a_loop_that_controls_nothing_is_no_answer_where_nothing_is_asked() -> N
 
 def test_a_refusal_says_which_row_of_which_arm_and_by_how_much() -> None:
     late = replace(MODEL, gauge_delay=0.03)
-    with pytest.raises(InfeasibleError, match=r"at .* g at most .* is asked for") as e:
+    with pytest.raises(InfeasibleError, match=r"at .* g .* is asked for") as e:
         fl.design(
             late, RIG, gain_crossover=25.0, phase_margin=fl.deg(60), nearest=False
         )
@@ -219,9 +223,60 @@ def test_a_lightly_damped_second_mode_is_notched_and_the_law_follows() -> None:
     made = fl.design(link, rig, **asked)
     notch = made.controller.notch
     assert made.passed and notch is not None
-    assert notch.frequency == pytest.approx(second, rel=0.05)
-    # what the law computes at the mode is what the notch leaves, not what C's
-    # tolerance of 0.1 dB would
-    at = np.array([second])
+    # what the law computes there is what the notch leaves, not what C's tolerance of
+    # 0.1 dB would
+    at = np.array([notch.frequency])
     plain = replace(made.controller, notch=None).response(at)
     assert abs(made.law().frequency_response(at)[0]) < 0.2 * abs(plain[0])
+
+
+@pytest.mark.slow
+def test_a_second_mode_that_no_notch_quiets_over_the_payload_is_kept_from_minus_one_by_its_phase() -> (
+    None
+):
+    # steel, a link of 45 g: ζ = 0.11 % in both modes, and the second moves by 3 %
+    rig = fl.Rig.named("paper-2023-geared")
+    rig = replace(rig, link=replace(rig.link, mass=0.045))
+    masses, order = (0.020, 0.025, 0.034), 2.0 - 0.0014
+    beams = [Beam.from_rig(rig, payload=mass).modes(2) for mass in masses]
+    first, second = beams[1].frequencies ** (2.0 / order)
+    shares = beams[1].participation * beams[1].curvature / MODEL.stiffness
+    link = replace(
+        MODEL,
+        order=2.0,
+        damping=2.0 * 0.0011 * first,
+        damping_order=1.0,
+        natural_frequency=float(first),
+        gauge_gain=float(shares[0]),
+        payload=masses[1],
+        second_mode=SecondMode(
+            frequency=float(second),
+            gain=float(shares[1] / shares[0]),
+            damping_ratio=0.0011,
+        ),
+    )
+    ends = masses[0], masses[-1]
+    motor_loop = {"motor_loop": "sampled", "placement": "direct"}
+    made = fl.design(link, rig, payloads=ends, box=False, **motor_loop)
+    assert made.passed
+    peak = abs(made.full_loop(np.array([second]), float(first)))
+    assert peak > 1.0
+    assert made.gain_crossover_upper < 0.3 * second
+    law, reference = made.law(), fl.smooth_step(0.3, duration=0.7)
+    for mass in masses:
+        twin = fl.Twin.from_rig(
+            rig, payload=mass, damping=PowerLaw(order), gauge_gain=1.0
+        )
+        run = fl.simulate(law, reference, arm=twin, payload=mass, told=True)
+        assert run.verdict.passed, (mass, run.verdict)
+
+
+@pytest.mark.slow
+def test_the_last_crossing_is_that_of_the_payload_that_crosses_last() -> None:
+    log = fl.read_log(fl.bundled_log("prbs_30g"), rig=RIG)
+    made = fl.design(fl.identify(log), RIG, payloads=RANGE)
+    (row,) = (one for one in made.requirements if one.name == "last gain crossing")
+    crossings = {m: made.at(m).gain_crossover for m in (0.020, 0.030, 0.040)}
+    assert row.at_payload == pytest.approx(0.020)
+    # of the fit's box, so that it is a little later than the model's own
+    assert max(crossings.values()) <= row.achieved < 1.1 * max(crossings.values())

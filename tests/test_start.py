@@ -5,6 +5,7 @@ refuses.
 from __future__ import annotations
 
 import dataclasses
+import io
 import math
 import re
 import tomllib
@@ -18,12 +19,9 @@ from numpy.typing import NDArray
 import fraclink as fl
 from fraclink import main
 from fraclink._arm.draft import RigDraft, load_rig_or_draft
-from fraclink._arm.log_columns import ROW_NUMBER
-from fraclink._cli import starting
-from fraclink._reading.formats import read_table
+from fraclink._reading.reading import read_columns
 from fraclink.errors import FieldError, LogError
-from fraclink.logs._guess import GuessedColumns, Question, guess_columns
-from fraclink.logs._weighing import statements
+from fraclink.logs import Match, Question, match
 from made_logs import made_motion, made_output
 from shared_data import shared_data
 
@@ -289,10 +287,6 @@ REFUSED: dict[str, tuple[Shape, str]] = {
         Shape({"t_s": TIME[:2], "theta_rad": MOTOR[:2]}),
         "too short",
     ),
-    "a tip that moves otherwise": (
-        Shape({"t": TIME, "theta_rad": MOTOR, "tip_rad": np.roll(MOTOR, 400)}),
-        '--column "deflection=theta_rad - tip_rad [deg]"',
-    ),
     "an acceleration": (
         Shape(
             {
@@ -301,15 +295,15 @@ REFUSED: dict[str, tuple[Shape, str]] = {
                 "acc": np.gradient(np.gradient(MOTOR - DEFLECTION)),
             }
         ),
-        'log.csv "k*s**2/(s**a + w)/(0.001*s + 1)*exp(-L*s)" --input theta_rad --output acc --period-ms 4',
+        'log.csv --structure "k*s**2/(s**a + w)/(0.001*s + 1)*exp(-L*s)" --input theta_rad --output acc --period-ms 4',
     ),
     "a ring-down": (
         Shape({"t": TIME, "theta_rad": np.full(COUNT, 0.1), "strain_V": DEFLECTION}),
-        'log.csv "k/(s**a + w)*exp(-L*s)" --ring-down --output strain_V --period-ms 4',
+        'log.csv --structure "k/(s**a + w)*exp(-L*s)" --ring-down --output strain_V --period-ms 4',
     ),
     "a frequency response": (
         Shape({"f_Hz": 1 + TIME, "gain": 1 / (1 + TIME), "phase_deg": -TIME}),
-        "fraclink identify-spectrum",
+        '--structure "k*s**a/(s**a + w)"',
     ),
     "a camera that sees the tip in space": (
         Shape({"t": TIME, "theta_rad": MOTOR, "camera_m": 0.32 * (MOTOR - DEFLECTION)}),
@@ -318,15 +312,9 @@ REFUSED: dict[str, tuple[Shape, str]] = {
 }
 
 
-def guessed(
-    shape: Shape, path: Path, column: tuple[str, ...] = (), *, assume: bool = True
-) -> GuessedColumns:
+def guessed(shape: Shape, path: Path, column: tuple[str, ...] = ()) -> Match:
     """What is guessed of a shape."""
-    return guess_columns(
-        read_table(shape.write(path), numbered=True),
-        statements(column, None),
-        assume=assume,
-    )
+    return match(shape.write(path), column=column)
 
 
 @pytest.mark.slow
@@ -362,13 +350,13 @@ def test_a_log_that_is_not_clear_is_refused_with_what_mends_it(
 # --- certainty: what data cannot decide is said to be assumed, or asked -------------------------------------
 
 
-def certainty(found: GuessedColumns, part: str) -> str:
+def certainty(found: Match, part: str) -> str:
     """How certain the guess of that part is."""
     return next(guess.certainty for guess in found.guesses if guess.part == part)
 
 
 def test_an_assumption_is_called_one_and_not_asked(tmp_path: Path) -> None:
-    found = guessed(THROUGH["strain in volts"][0], tmp_path / "log.csv", assume=False)
+    found = guessed(THROUGH["strain in volts"][0], tmp_path / "log.csv")
     assert certainty(found, "output measures") == "assumed"
     assert certainty(found, "sign of the output") == "certain"
 
@@ -395,7 +383,7 @@ def test_a_deflection_whose_unit_contradicts_the_angle_is_a_question(
 ) -> None:
     # Both columns say rad, but one of them is in degrees: the gain is 57.
     shape = Shape({"t_s": TIME, "theta_rad": MOTOR, "alpha_rad": DEG * DEFLECTION})
-    found = guessed(shape, tmp_path / "log.csv", assume=False)
+    found = guessed(shape, tmp_path / "log.csv")
     assert [(question.role, question.part) for question in found.questions] == [
         ("output", "unit")
     ]
@@ -583,6 +571,12 @@ def test_an_answer_may_be_a_sum_of_columns(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_tip_that_moves_otherwise_does_not_pass(tmp_path: Path) -> None:
+    shape = Shape({"t": TIME, "theta_rad": MOTOR, "tip_rad": np.roll(MOTOR, 400)})
+    assert not fl.logs.start(shape.write(tmp_path / "log.csv")).passed
+
+
+@pytest.mark.slow
 def test_a_speed_that_is_stated_to_be_the_deflection_does_not_pass(
     tmp_path: Path,
 ) -> None:
@@ -593,27 +587,26 @@ def test_a_speed_that_is_stated_to_be_the_deflection_does_not_pass(
     assert not found.passed
 
 
+@pytest.mark.slow
 def test_the_terminal_asks_again_until_it_understands(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    import io
+    path = Shape({"t": TIME, "a": DEG * MOTOR, "b": TORQUE}).write(tmp_path / "log.csv")
 
-    question = Question(
-        "output", "unit", "What does bridge measure?", ("Nm", "deg"), "", "--column …"
-    )
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n4 furlong x [\n1\nNm\n"))
-    assert starting._ask(question) == "Nm"
-    assert "1  Nm" not in capsys.readouterr().err  # examples are no choices
-    column = Question(
-        "motor_angle", "column", "Which column?", ("a", "b"), "", "--column …"
-    )
-    monkeypatch.setattr("sys.stdin", io.StringIO("c\nb\nb [deg]\n"))
-    assert starting._ask(column) == "b [deg]"
-    shown = capsys.readouterr().err
+    def start_with(lines: str) -> tuple[int, str]:
+        terminal = io.StringIO(lines)
+        monkeypatch.setattr(terminal, "isatty", lambda: True)
+        monkeypatch.setattr("sys.stdin", terminal)
+        monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+        code = main(["start", str(path), "--out", str(tmp_path), "--force"])
+        return code, capsys.readouterr().err
+
+    code, shown = start_with("c\n\na\na [deg]\nb [Nm]\n")
+    assert code == 0
     assert "none of these columns" in shown and "without a unit" in shown
-    monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    with pytest.raises(FieldError, match="--column"):
-        starting._ask(column)
+    assert "1  a" not in shown  # examples are no choices
+    code, shown = start_with("a [deg]\n")
+    assert code == 2 and "--column" in shown
 
 
 def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
@@ -621,7 +614,7 @@ def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
         tmp_path / "log.csv"
     )
     found = fl.logs.start(path, period=0.004)
-    assert found.columns.time.column == ROW_NUMBER
+    assert found.columns.time.column == "#row"
     assert found.experiment.period == 0.004
     again = fl.read_log(path, columns=found.columns)
     assert np.array_equal(again.output, found.experiment.output)
@@ -634,7 +627,7 @@ def test_a_period_stands_for_stamps(tmp_path: Path) -> None:
 
 def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
     place = shared_data("quanser_rfl_merced", "merced_rfl.csv")
-    found = guess_columns(read_table(place), {}, assume=True)
+    found = match(place)
     assert found.columns is not None and found.columns.voltage is not None
     assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
         "theta_deg",
@@ -645,10 +638,10 @@ def test_a_recorded_log_with_a_turned_gauge_is_found_out() -> None:
 
 
 def test_recorded_names_serve_though_they_do_not_fit_the_columns() -> None:
-    table = read_table(shared_data("rig_a_late_gauge", "unit7.csv"), numbered=True)
-    (question,) = guess_columns(table, {}).questions
+    place = shared_data("rig_a_late_gauge", "unit7.csv")
+    (question,) = match(place).questions
     assert (question.role, question.part) == ("time", "unit")  # "s", in steps of 1
-    found = guess_columns(table, statements(["time=[ms]"], None))
+    found = match(place, column=["time=[ms]"])
     assert found.columns is not None
     assert (found.columns.motor_angle.column, found.columns.motor_angle.unit) == (
         "#2",
@@ -658,23 +651,20 @@ def test_recorded_names_serve_though_they_do_not_fit_the_columns() -> None:
 
 
 def test_recorded_structures_offer_no_reference_and_no_column_twice() -> None:
-    table = read_table(shared_data("rig_b_two_stage", "lqg30.mat"))
-    angle, output = guess_columns(table, {}).questions
+    place = shared_data("rig_b_two_stage", "lqg30.mat")
+    columns, (angle, output) = read_columns(place), match(place).questions
     names = set(angle.choices) | set(output.choices)
     assert {"theta11", "theta12"} <= names
     assert not any(word in name for name in names for word in ("ref", "sim", "dot"))
-    values = [table.values[table.names.index(name)].tobytes() for name in names]
+    values = [columns[name].tobytes() for name in names]
     assert len(set(values)) == len(values)
 
 
 @pytest.mark.parametrize("name", ["2_lab_a05_f04", "2_lab_a10_f04", "2_lab_a15_f10"])
 def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
     place = shared_data("ist_flexbar", f"{name}.csv")
-    assert [
-        q.role for q in guess_columns(read_table(place), {}, assume=True).questions
-    ] == ["motor_angle"]
-    stated = statements(["motor_angle=* 36.79 [deg]"], None)
-    found = guess_columns(read_table(place), stated, assume=True)
+    assert [q.role for q in match(place).questions] == ["motor_angle"]
+    found = match(place, column=["motor_angle=* 36.79 [deg]"])
     assert found.columns is not None and found.columns.voltage is not None
     assert found.columns.motor_angle.column == "pot_V"
     assert (found.columns.output_kind, found.columns.output.column) == (
@@ -695,7 +685,7 @@ def test_a_recorded_log_in_volts_takes_one_decision(name: str) -> None:
         (
             "ist_flexbar/1_test_deflection_model_2_final.mat",
             {"motor_angle": "none"},
-            "identify-structure",
+            "--structure",
         ),
         (
             "quanser_rfl_merced/data_theta.mat",
@@ -720,5 +710,5 @@ def test_a_recorded_log_without_a_signal_ends_in_what_goes_on(
 
 def test_no_column_is_suggested_for_two_roles(tmp_path: Path) -> None:
     path = Shape({"t": TIME, "a": MOTOR, "b": TORQUE}).write(tmp_path / "log.csv")
-    angle, output = guess_columns(read_table(path), {}).questions
+    angle, output = match(path).questions
     assert angle.choices[0] != output.choices[0]

@@ -12,7 +12,6 @@ import pytest
 import fraclink as fl
 import fracsys
 from fraclink._identify.expression import parse_expression
-from fraclink._identify.structure_problem import StructureCoordinates
 from fraclink.errors import FieldError, LogError, NotConvergedError
 
 LAG = "k/(s**a + w)"
@@ -147,14 +146,6 @@ def test_the_link_structure_is_that_of_identify() -> None:
     assert fit.nmse == pytest.approx(link.nmse, rel=1e-6)
     assert fit.standard_errors["a"] == pytest.approx(
         link.standard_errors["order"], rel=0.05
-    )
-
-
-def coordinates_of(expression: str) -> StructureCoordinates:
-    structure = parse_expression(expression)
-    limits = {"order": (0.02, 4.0), "delay": (0.0, 10.0), "coefficient": (1e-12, 1e12)}
-    return StructureCoordinates(
-        structure, {n: limits[r] for n, r in structure.roles.items()}, {}
     )
 
 
@@ -401,7 +392,7 @@ def test_a_fit_is_saved_shown_and_drawn(tmp_path: Path) -> None:
             == fl.extend.StructureFit.load(tmp_path / "fit.json")
         )
         assert hash(fit) == hash(fl.load(tmp_path / "fit.json"))
-        assert repr(fit).startswith("StructureFit(k/(s**a + w): k = ")
+        assert repr(fit).startswith("StructureFit(✓ passed: k/(s**a + w): k = ")
         page = fit._repr_html_()  # type: ignore[attr-defined]
         assert "95 % interval" in page
         assert "<svg" in page

@@ -26,8 +26,7 @@ from fraclink.studio import _server as server
 from fraclink.studio import _serving as serving
 from fraclink.studio import _work as work
 from fraclink.studio._session import Session, opened
-from fraclink.trials import Case, FaultTable, Outcome
-from fraclink.trials._faults import Check
+from fraclink.trials import Case, Check, FaultTable, Outcome
 
 ASKED = {"gain_crossover": 12.0, "phase_margin_deg": 50.0, "payloads": [0.02, 0.04]}
 RIG = fl.Rig.named("paper-2023")
@@ -205,30 +204,15 @@ def test_another_rig_begins_anew(fitted: Session, tmp_path: Path) -> None:
 # --- server ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("host", "own"),
-    [
-        ("localhost", True),
-        ("127.0.0.1", True),
-        ("127.8.0.1", True),
-        ("::1", True),
-        ("192.168.0.2", False),
-        ("here", False),
-    ],
-)
-def test_an_address_is_of_this_machine_or_of_others(host: str, own: bool) -> None:
-    assert serving._is_loopback(host) is own
-
-
 def test_a_port_that_is_taken_is_named() -> None:
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
         port = other.getsockname()[1]
         with pytest.raises(FieldError, match=f"port: .*127.0.0.1:{port}") as why:
-            serving._listening("127.0.0.1", port, False)
+            serving._listening(port)
         assert why.value.allowed == "a free port of this machine"
-    listener = serving._listening("127.0.0.1", 0, False)
+    listener = serving._listening(0)
     assert listener.getsockname()[1] > 0
     with socket.create_connection(
         listener.getsockname(), timeout=5

@@ -11,17 +11,26 @@ import numpy as np
 import pytest
 
 import fraclink as fl
-from fraclink._arm.experiment import Experiment
+from fraclink import Experiment
 from fraclink._simulate import MoveVerdict
 from fraclink.errors import (
     FileFormatError,
 )
 from fraclink.findings import Finding, Scope
+from fraclink.trials import (
+    Case,
+    Check,
+    FaultTable,
+    Outcome,
+    Study,
+    Summary,
+    load_campaign,
+    load_study,
+    save_study,
+)
 from fraclink.trials import _stages as stages
-from fraclink.trials._campaign import load_campaign
-from fraclink.trials._faults import Case, Check, FaultTable, Outcome
-from fraclink.trials._study import Refusal, Study, load_study, save_study
-from fraclink.trials._summary import Failure, MetricSummary, Summary
+from fraclink.trials._study import Refusal
+from fraclink.trials._summary import Failure, MetricSummary
 from identify_cases import made_log
 
 RIG = fl.Rig.named("paper-2023")
@@ -64,15 +73,15 @@ def run(payload: float, *, passed: bool) -> Any:
 
 
 def test_arms_that_fail_are_counted_with_what_they_depend_on() -> None:
-    assert Study(arms=summary(0)).verdict.reality == Scope("passed")
-    found = Study(arms=summary(15)).verdict.reality
+    assert Study(arms=summary(0)).verdict.twin == Scope("passed")
+    found = Study(arms=summary(15)).verdict.twin
     assert found == Scope(
         "failed",
         ("15 of 1000 arms fail (1.5 %); most depends on payload and motor gain",),
     )
-    both = Study(arms=summary(15), faults=faults(2, 3)).verdict.reality
+    both = Study(arms=summary(15), faults=faults(2, 3)).verdict.twin
     assert both.reasons[1] == "2 of 5 faults miss their requirement"
-    assert Study(faults=faults(0, 3)).verdict.reality == Scope("passed")
+    assert Study(faults=faults(0, 3)).verdict.twin == Scope("passed")
 
 
 def test_a_simulated_log_is_remarked() -> None:
@@ -136,51 +145,6 @@ def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
 
 # ── the steps
 # ───────────────────────────────────────────────────────────────────────────────────────────────
-
-
-@pytest.mark.slow
-def test_a_move_is_what_it_is_asked_to_be() -> None:
-    made = fl.design(
-        RIG.model,
-        RIG,
-        payloads=(0.02, 0.04),
-        gain_crossover=12.0,
-        phase_margin=fl.deg(50),
-    )
-    law = made.law()
-    plain = stages.simulate_move(made, 0.02, law=law)
-    assert (
-        plain.time[-1] == pytest.approx(4.0) and plain.about["motor_loop"] == "sampled"
-    )
-    assert plain.reference == pytest.approx(
-        fl.smooth_step(1.0, duration=0.5).angle(plain.time)
-    )
-    quick = stages.simulate_move(
-        made,
-        0.03,
-        law=law,
-        amplitude=0.3,
-        move_time=0.2,
-        duration=1.0,
-        inner="ideal",
-        gauge_offset=0.05,
-    )
-    assert quick.about["motor_loop"] == "ideal" and quick.about["gauge_offset"] == 0.05
-    assert quick.reference == pytest.approx(
-        fl.smooth_step(0.3, duration=0.2).angle(quick.time)
-    )
-    assert (quick.payload, quick.time[-1]) == (0.03, pytest.approx(1.0))
-    held = stages.simulate_move(
-        made, 0.03, law=law, reference=fl.extend.hold(0.2), duration=0.1
-    )
-    assert np.all(held.reference == 0.2)
-    bare = replace(law, limits=replace(law.limits, motor_limit=0.1))
-    assert (
-        np.abs(
-            stages.simulate_move(made, 0.03, law=bare, duration=0.5).motor_reference
-        ).max()
-        <= 0.1
-    )
 
 
 @pytest.mark.slow

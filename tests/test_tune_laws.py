@@ -27,7 +27,7 @@ def stages() -> Stages:
 
 def rig_of(stages: Stages, **changes: Any) -> fl.Rig:
     _, _, wiring, _, link = stages
-    given = {"stated": None, "name": "mine"} | changes
+    given = {"centre": 0.0, "stated": None, "name": "mine"} | changes
     wiring = given.pop("wiring", wiring)
     return measured_rig(wiring, link, LIMITS, (0.02, 0.04), 0.030, PERIOD, **given)
 
@@ -37,9 +37,10 @@ def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     _, _, wiring, _, link = stages
     rig = rig_of(stages)
     model, fit = link.fit.model, link.motor.fit
-    # ω₀² = c/(mL²), c = 3EI/L: equations (5) and (4)
+    # ω₀² = c/(mL²), c = 3EI/L: equations (5) and (4), m with the link's share
+    mass = 0.030 + rig.link.tip_mass
     assert model.natural_frequency**2 == pytest.approx(
-        rig.link.stiffness / (0.030 * rig.link.length**2)
+        rig.link.stiffness / (mass * rig.link.length**2)
     )
     assert (
         rig.link.stiffness
@@ -51,7 +52,8 @@ def test_the_rig_is_what_was_measured(stages: Stages) -> None:
     ) and rig.motor.decay == pytest.approx(fit.decay)
     assert rig.motor.inertia == fit.inertia and rig.motor.voltage_limit == 10.0
     friction = (fit.coulomb_voltage + fit.dead_zone) * fit.gain * fit.inertia
-    assert rig.motor.coulomb_torque == pytest.approx(friction)
+    # A law that compensates more than there is anywhere would drive the motor.
+    assert 0.7 * friction < rig.motor.coulomb_torque < 0.9 * friction
     assert (rig.payloads.low, rig.payloads.high, rig.payloads.nominal) == (
         0.02,
         0.04,

@@ -14,15 +14,16 @@ import pytest
 import fraclink as fl
 from fraclink import _kernels
 from fraclink.findings import Scope
+from fraclink.lab import Change, FirstMove, Watch
 from fraclink.lab._tune_link import LinkResult
-from fraclink.lab._tune_moves import FirstMove
-from fraclink.lab._watch import Change, Watch
 from tuned_arms import LIMITS, RIG
 
 if not _kernels.REALTIME:
     pytest.skip("the real-time loop is Linux's", allow_module_level=True)
 
-MOVE = FirstMove(0.3, 0.5, 0.6, 0.62, *(0.001,) * 7, payload=0.030)
+MOVE = FirstMove(
+    0.3, 0.5, 0.6, 0.62, *(0.001,) * 5, 0.006, *(0.001,) * 4, payload=0.030
+)
 STATE = fl.lab.Tuning(LIMITS, 0.030, (0.0225, 0.04), 0.004)
 
 
@@ -66,7 +67,7 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
         ),
         (
             replace(law, moves=(replace(MOVE, measured_settling=2.0), MOVE)),
-            ("passed", "passed", "passed"),
+            ("passed", "passed", "failed"),
         ),
         (
             replace(law, moves=(MOVE, replace(MOVE, measured_settling=2.0))),
@@ -95,7 +96,7 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
         assert (
             verdict.promise.state,
             verdict.model.state,
-            verdict.reality.state,
+            verdict.arm.state,
         ) == words, state
         assert state.passed is (words == ("passed",) * 3)
     assert replace(STATE, reasons=("why",), stopped="by hand").verdict.promise == Scope(
@@ -104,7 +105,7 @@ def test_a_verdict_has_its_three_scopes_and_the_reasons_of_each() -> None:
     assert replace(STATE, stopped="by hand").verdict.promise == Scope(
         "not run", ("by hand",)
     )
-    jumped = replace(law, moves=(replace(MOVE, jump=0.021),)).verdict.reality
+    jumped = replace(law, moves=(replace(MOVE, jump=0.021),)).verdict.arm
     assert jumped.reasons == ("jump of 0.021 rad at the hand-over",)
     assert (
         not STATE.has_law

@@ -65,7 +65,6 @@ def test_other_excitations(tmp_path, excitation):
         ("--payload", "-0.03", "payload"),
         ("--link-mass", "-1", "link_mass"),
         ("--duration", "1e9", "duration"),
-        ("--gauge-delay", "-0.0005", "gauge_delay"),
         ("--excitation", "square", "excitation"),
     ],
 )

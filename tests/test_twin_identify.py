@@ -35,7 +35,7 @@ def _chosen(
     damping = _material(material, float(beam.modes(1).frequencies[0]))
     bits = prbs(0.1, 0.24, bits=int(samples * PERIOD / 0.24) + 1, register=9, start=0.5)
     clean = simulate_log(
-        beam, damping, bits.angle(PERIOD * np.arange(samples)), servo_pole=pole
+        beam, damping, bits.angle(PERIOD * np.arange(samples)), motor_loop_pole=pole
     )
     counts: dict[str, int] = {}
     for seed in range(SEEDS):

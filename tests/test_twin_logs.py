@@ -117,12 +117,6 @@ def test_servo_is_equation_21():
     )
 
 
-def test_prescribed_hub_passes_through_the_samples():
-    reference = 0.1 * np.sin(2.0 * 0.004 * np.arange(400))
-    log = simulate_log(ROD, KelvinVoigt(0.01), reference, drive="prescribed")
-    assert log.motor_angle == pytest.approx(reference, abs=1e-12)
-
-
 def test_a_start_away_from_zero_is_at_rest():
     log = simulate_log(ROD, PowerLaw(1.92), np.full(100, 0.3))
     assert np.all(log.torque == 0.0) and np.all(log.tip_angle == 0.3)
@@ -131,7 +125,6 @@ def test_a_start_away_from_zero_is_at_rest():
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"drive": "motor"}, "drive"),
         ({"period": 0.0}, "period"),
         ({"period": float("nan")}, "period"),
         ({"modes": 9}, "modes"),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fraclink.errors import FieldError
 from fracsys.checks import (
@@ -24,15 +24,17 @@ from fracsys.checks import (
     FilePath,
     Payload,
     Period,
-    Series,
-    SeriesLike,
     checked,
+    rule,
 )
 from fracsys.checks.equality import compared
-from fracsys.checks.rules import rule
 
 if TYPE_CHECKING:
     pass  # a name that does not exist when this file runs
+
+
+Series = Annotated[NDArray[np.float64], Array(1)]
+SeriesLike = Annotated[ArrayLike, Array(1)]
 
 
 def refusal(annotation: Any, value: object) -> FieldError:
@@ -183,13 +185,13 @@ def test_arrays_keep_the_shape_and_kind_of_their_annotation() -> None:
 def test_arguments_are_not_copied_and_fields_are_read_only_copies() -> None:
     values = np.arange(3.0)
     assert rule(Series).check("x", values) is values
-    kept = rule(Series, own=True).check("x", values)
+    kept = Channel(0.5, values).values
     values[0] = 9.0
     assert kept[0] == 0.0 and not kept.flags.writeable
-    assert rule(Series, own=True).check("x", kept) is kept
+    assert Channel(0.5, kept).values is kept
     view = values.view()
     view.flags.writeable = False  # but its base can be written to
-    assert rule(Series, own=True).check("x", view) is not view
+    assert Channel(0.5, view).values is not view
 
 
 # --- results that are compared ------------------------------------------------------------------------------
@@ -270,7 +272,7 @@ def test_arguments_are_normalised_by_position_and_by_name() -> None:
         (("1",), {}, "amplitude"),
         ((1.0, 11.0), {}, "duration"),
         ((1.0,), {"duration": 0.0}, "duration"),
-        ((1.0, 1.0, 0), {}, ""),
+        ((1.0, 1.0, 0), {}, "rest"),
         ((1.0,), {"kind": "sine"}, "kind"),
         ((1.0,), {"more": "x"}, "more"),
     ],

@@ -10,9 +10,9 @@ import pytest
 
 import fraclink as fl
 from fraclink import Rig
+from fraclink._arm.rig_parts import DesignDefaults
 from fraclink._design.completed import design_for
 from fraclink.errors import FieldError, InfeasibleError
-from fraclink.extend import DesignDefaults
 
 SILENT = replace(Rig.named("paper-2023"), design=None)
 MODEL = SILENT.model

@@ -38,7 +38,9 @@ def run(
 def build(folder: Path, *, precision: str, exact: bool) -> Path:
     """Return the fuzzer of the paper's default law, exported to `folder`."""
     rig = fl.Rig.named("paper-2023")
-    controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+    controller = fl.Controller(
+        derivative_gain=0.069876, derivative_order=0.612197, link=rig.model
+    )
     law = discretize_controller(controller, rig.period, rig=rig).in_precision(precision)
     fl.export_c(law, folder, force=True)
     defines = ["-DLAW_SINGLE"] if precision == "single" else []

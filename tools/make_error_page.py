@@ -101,11 +101,17 @@ EXAMPLES: tuple[tuple[errors.FraclinkError, str], ...] = (
         "install the extra that the message names",
     ),
 )
-# One call makes both and takes their words from a loop.
+# One call makes several and takes their words from a loop or a caller.
 NAMED = {
     "W202": {
         "message": "the motor angle, or the torque or deflection, is constant or zero throughout",
         "remedy": "excite the arm: a pulse, a PRBS or a square wave / check the gauge and its amplifier",
+    },
+    "W501": {
+        "message": "the arm settles later, or the tip is farther from the path, than the "
+        "linear loop promises; noise and friction take the voltage beyond its limit; a "
+        "guard of the law acts during the move",
+        "remedy": "keep a larger reserve, allow less voltage, make the path larger or slower, or filter more",
     },
 }
 NONE: Mapping[str, ast.expr] = {}

@@ -1,139 +1,124 @@
-// The law from Python: parameters and state are bytes (they are the C structs), signals are arrays.
+// The law and its payload estimator from Python: parameters and state are bytes, signals are arrays.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
-#include <nanobind/stl/string.h>
-#include <nanobind/stl/vector.h>
 
-#include <stdint.h>
+#include "words.h"
 
-#include <cstring>
-#include <stdexcept>
-#include <string>
-
-namespace law_double {
 extern "C" {
 #include "law.h"
+#include "payload_estimator.h"
 }
-}  // namespace law_double
-#undef FRACLINK_LAW_H
-namespace law_float {
-#include "law_single.h"
-extern "C" {
-#include "law.h"
-}
-}  // namespace law_float
-#undef law_check
-#undef law_init
-#undef law_step
-#undef law_check_wiring
 
 namespace nb = nanobind;
 
 namespace {
 
-using In = nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Ticks = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Out = nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Marks = nb::ndarray<uint32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+template <typename T, int N>
+using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+using Signal = Array<const double, 1>;
+using Ticks = Array<const std::uint32_t, 1>;
+using Signals = Array<double, 2>;
 
-struct Double {
-    using params = law_double::law_params;
-    using state = law_double::law_state;
-    using input = law_double::law_input;
-    using output = law_double::law_output;
-    using real = law_double::law_real;
-    static void step(state *s, const params *p, const input *i, output *o) { law_double::law_step(s, p, i, o); }
-    static uint32_t init(state *s, const params *p) { return law_double::law_init(s, p); }
-    using wiring = law_double::law_wiring;
-    static uint32_t check(wiring *w, const params *p, real a, real t) { return law_double::law_check_wiring(w, p, a, t); }
-};
+void require(bool holds, const char *message) {
+    if (!holds) throw std::invalid_argument(message);
+}
 
-struct Single {
-    using params = law_float::law_params;
-    using state = law_float::law_state;
-    using input = law_float::law_input;
-    using output = law_float::law_output;
-    using real = law_float::law_real;
-    static void step(state *s, const params *p, const input *i, output *o) { law_float::law_step_single(s, p, i, o); }
-    static uint32_t init(state *s, const params *p) { return law_float::law_init_single(s, p); }
-    using wiring = law_float::law_wiring;
-    static uint32_t check(wiring *w, const params *p, real a, real t) {
-        return law_float::law_check_wiring_single(w, p, a, t);
+nb::bytes bytes_of(const std::vector<std::uint64_t> &words, int size) { return nb::bytes(words.data(), std::size_t(size)); }
+
+nb::tuple begin_law(const nb::bytes &params, bool single) {
+    const law_port &port = port_of(single);
+    const auto block = words_of(params, port.sizes[LAW_PARAMS], "params");
+    std::vector<std::uint64_t> state(std::size_t(port.sizes[LAW_STATE]) / 8 + 1);
+    const std::uint32_t reason = port.begin(state.data(), block.data());
+    return nb::make_tuple(bytes_of(state, port.sizes[LAW_STATE]), reason);
+}
+
+// Rows as law_port.h has them.
+nb::bytes run_law(const nb::bytes &params, const nb::bytes &before, Ticks ticks, Array<const double, 2> inputs,
+                  Signals outputs, Array<std::uint32_t, 2> marks, bool single) {
+    const law_port &port = port_of(single);
+    const auto block = words_of(params, port.sizes[LAW_PARAMS], "params");
+    auto state = words_of(before, port.sizes[LAW_STATE], "state");
+    const std::size_t n = ticks.shape(0);
+    require(inputs.shape(0) == PORT_INPUTS && inputs.shape(1) == n && outputs.shape(0) == PORT_OUTPUTS &&
+                outputs.shape(1) == n && marks.shape(0) == PORT_MARKS && marks.shape(1) == n,
+            "inputs, outputs and marks need 5, 5 and 3 rows of one length");
+    {
+        const nb::gil_scoped_release release;
+        for (std::size_t k = 0; k < n; k++) {
+            double in[PORT_INPUTS], out[PORT_OUTPUTS];
+            std::uint32_t mark[PORT_MARKS];
+            for (int i = 0; i < PORT_INPUTS; i++) in[i] = inputs.data()[i * n + k];
+            port.step(state.data(), block.data(), ticks.data()[k], in, out, mark);
+            for (int i = 0; i < PORT_OUTPUTS; i++) outputs.data()[i * n + k] = out[i];
+            for (int i = 0; i < PORT_MARKS; i++) marks.data()[i * n + k] = mark[i];
+        }
     }
-};
-
-template <class T> T from_bytes(const nb::bytes &bytes, const char *what) {
-    T value;
-    if (bytes.size() != sizeof(T)) throw std::invalid_argument(std::string(what) + " has the wrong size");
-    std::memcpy(&value, bytes.c_str(), sizeof(T));
-    return value;
+    return bytes_of(state, port.sizes[LAW_STATE]);
 }
 
-template <class T> nb::bytes to_bytes(const T &value) { return nb::bytes(reinterpret_cast<const char *>(&value), sizeof(T)); }
-
-template <class L> nb::tuple init(const nb::bytes &params) {
-    const auto p = from_bytes<typename L::params>(params, "params");
-    typename L::state s;
-    const uint32_t reason = L::init(&s, &p);
-    return nb::make_tuple(to_bytes(s), reason);
+std::uint32_t check_wiring(const nb::bytes &params, Signal angle, Signal torque, bool single) {
+    const law_port &port = port_of(single);
+    const auto block = words_of(params, port.sizes[LAW_PARAMS], "params");
+    require(angle.shape(0) == torque.shape(0), "angle and torque need one length");
+    return port.wiring(block.data(), angle.data(), torque.data(), std::int64_t(angle.shape(0)));
 }
 
-// Rows of `inputs`: reference, acceleration, motor angle, torque, payload. Rows of `outputs`: motor reference,
-// voltage, compensation, tip estimate, error. Rows of `marks`: mode, reason, flags.
-template <class L>
-nb::bytes run(const nb::bytes &params, const nb::bytes &state, Ticks ticks,
-              nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> inputs, Out outputs, Marks marks) {
-    const auto p = from_bytes<typename L::params>(params, "params");
-    auto s = from_bytes<typename L::state>(state, "state");
-    const size_t n = ticks.shape(0);
-    if (inputs.shape(0) != 5 || inputs.shape(1) != n || outputs.shape(0) != 5 || outputs.shape(1) != n ||
-        marks.shape(0) != 3 || marks.shape(1) != n)
-        throw std::invalid_argument("inputs, outputs and marks need 5, 5 and 3 rows of one length");
-    const double *in = inputs.data();
-    double *out = outputs.data();
-    uint32_t *mark = marks.data();
-    nb::gil_scoped_release release;
-    for (size_t k = 0; k < n; k++) {
-        using R = typename L::real;
-        const typename L::input i = {ticks.data()[k], R(in[k]), R(in[n + k]), R(in[2 * n + k]), R(in[3 * n + k]), R(in[4 * n + k])};
-        typename L::output o;
-        L::step(&s, &p, &i, &o);
-        out[k] = double(o.motor_reference);
-        out[n + k] = double(o.voltage);
-        out[2 * n + k] = double(o.compensation);
-        out[3 * n + k] = double(o.tip_estimate);
-        out[4 * n + k] = double(o.error);
-        mark[k] = o.mode;
-        mark[n + k] = o.reason;
-        mark[2 * n + k] = o.flags;
+nb::tuple begin_estimate(const nb::bytes &params, bool single) {
+    const law_port &port = port_of(single);
+    const auto block = words_of(params, port.sizes[PAYLOAD_PARAMS], "params");
+    std::vector<std::uint64_t> state(std::size_t(port.sizes[PAYLOAD_STATE]) / 8 + 1);
+    const std::uint32_t reason = port.begin_estimate(state.data(), block.data());
+    return nb::make_tuple(bytes_of(state, port.sizes[PAYLOAD_STATE]), reason);
+}
+
+// Rows of `outputs`: given, estimate, low, high.
+nb::bytes run_estimate(const nb::bytes &params, const nb::bytes &before, Ticks ticks, Signal angle, Signal torque,
+                      Signals outputs, Array<std::uint32_t, 1> flags, bool single) {
+    const law_port &port = port_of(single);
+    const auto block = words_of(params, port.sizes[PAYLOAD_PARAMS], "params");
+    auto state = words_of(before, port.sizes[PAYLOAD_STATE], "state");
+    const std::size_t n = ticks.shape(0);
+    require(angle.shape(0) == n && torque.shape(0) == n && flags.shape(0) == n && outputs.shape(0) == 4 &&
+                outputs.shape(1) == n,
+            "ticks, angle, torque, flags and 4 rows of outputs need one length");
+    {
+        const nb::gil_scoped_release release;
+        for (std::size_t k = 0; k < n; k++) {
+            double interval[3];
+            outputs.data()[k] = port.estimate(state.data(), block.data(), ticks.data()[k], angle.data()[k],
+                                              torque.data()[k], interval, flags.data() + k);
+            for (int i = 0; i < 3; i++) outputs.data()[(i + 1) * n + k] = interval[i];
+        }
     }
-    nb::gil_scoped_acquire acquire;
-    return to_bytes(s);
-}
-
-template <class L> uint32_t wiring(const nb::bytes &params, In angle, In torque) {
-    const auto p = from_bytes<typename L::params>(params, "params");
-    typename L::wiring w = {};
-    uint32_t reason = 0;
-    for (size_t k = 0; k < angle.shape(0) && k < torque.shape(0); k++)
-        reason = L::check(&w, &p, typename L::real(angle.data()[k]), typename L::real(torque.data()[k]));
-    return reason;
+    return bytes_of(state, port.sizes[PAYLOAD_STATE]);
 }
 
 }  // namespace
 
 void bind_law(nb::module_ &m) {
-    m.def("law_init", [](const nb::bytes &p, bool single) { return single ? init<Single>(p) : init<Double>(p); });
-    m.def("law_run", [](const nb::bytes &p, const nb::bytes &s, Ticks t,
-                        nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> i, Out o, Marks marks,
-                        bool single) {
-        return single ? run<Single>(p, s, t, i, o, marks) : run<Double>(p, s, t, i, o, marks);
-    });
-    m.def("law_wiring", [](const nb::bytes &p, In angle, In torque, bool single) {
-        return single ? wiring<Single>(p, angle, torque) : wiring<Double>(p, angle, torque);
-    });
+    m.def("law_init", &begin_law);
+    m.def("law_run", &run_law);
+    m.def("law_wiring", &check_wiring);
+    m.def("payload_init", &begin_estimate);
+    m.def("payload_run", &run_estimate);
     m.def("law_sizes", [](bool single) {
-        return single ? nb::make_tuple(sizeof(Single::params), sizeof(Single::state))
-                      : nb::make_tuple(sizeof(Double::params), sizeof(Double::state));
+        const int *const sizes = port_of(single).sizes;
+        return nb::make_tuple(sizes[LAW_PARAMS], sizes[LAW_STATE]);
     });
+    m.def("payload_sizes", [](bool single) {
+        const int *const sizes = port_of(single).sizes;
+        return nb::make_tuple(sizes[PAYLOAD_PARAMS], sizes[PAYLOAD_STATE]);
+    });
+    // the headers' own numbers, so that no module writes them down again
+    m.attr("LAW_RUN") = unsigned(LAW_RUN);
+    m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);
+    m.attr("LAW_FLAG_STARTED") = unsigned(LAW_FLAG_STARTED);
+    m.attr("LAW_FLAG_PAYLOAD") = unsigned(LAW_FLAG_PAYLOAD);
+    m.attr("PAYLOAD_FROZEN") = unsigned(PAYLOAD_FROZEN);
+    m.attr("PAYLOAD_OUTSIDE") = unsigned(PAYLOAD_OUTSIDE);
+    m.attr("PAYLOAD_CONTACT") = unsigned(PAYLOAD_CONTACT);
+    m.attr("PAYLOAD_GIVEN") = unsigned(PAYLOAD_GIVEN);
+    m.attr("PAYLOAD_CHANGED") = unsigned(PAYLOAD_CHANGED);
+    m.attr("PAYLOAD_SAMPLE") = unsigned(PAYLOAD_SAMPLE);
 }

@@ -3,13 +3,11 @@
 #include <nanobind/ndarray.h>
 
 #include <complex>
-#include <cstring>
-#include <stdexcept>
-#include <vector>
+
+#include "words.h"
 
 extern "C" {
 #include "batch.h"
-#include "law.h"
 #include "twin.h"
 }
 
@@ -83,34 +81,30 @@ void run(nb::bytes params, bool single, nb::bytes estimator, const loop_rig &sha
     const size_t plane = runs * n;
     double *o = signals.data();
     double *rest = signals.shape(0) == 8 ? o + 3 * plane : nullptr;
-    uint32_t *f = marks.data();
-    const batch_traces traces = {o,
-                                 o + plane,
-                                 o + 2 * plane,
-                                 rest,
-                                 rest ? rest + plane : nullptr,
-                                 rest ? rest + 2 * plane : nullptr,
-                                 rest ? rest + 3 * plane : nullptr,
-                                 rest ? rest + 4 * plane : nullptr,
-                                 f,
-                                 f + plane,
-                                 f + 2 * plane};
-    std::vector<double> block(params.size() / sizeof(double) + 1);  // bytes promise no alignment
-    std::memcpy(block.data(), params.c_str(), params.size());
-    const law_port &law = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
-    if (estimator.size() && estimator.size() != size_t(law.sizes[2]))
-        throw std::invalid_argument("estimator: another size than payload_params");
-    std::vector<double> bank(estimator.size() / sizeof(double) + 1);
-    std::memcpy(bank.data(), estimator.c_str(), estimator.size());
+    std::uint32_t *f = marks.data();
+    const loop_trace traces = {o,
+                               o + plane,
+                               o + 2 * plane,
+                               f,
+                               f + plane,
+                               f + 2 * plane,
+                               rest,
+                               rest ? rest + plane : nullptr,
+                               rest ? rest + 2 * plane : nullptr,
+                               rest ? rest + 3 * plane : nullptr,
+                               rest ? rest + 4 * plane : nullptr};
+    const law_port &law = port_of(single);
+    const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
+    const auto bank = words_of(estimator, estimator.size() ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
     loop_rig rig = shared;
     rig.estimator = estimator.size() ? bank.data() : nullptr;
-    std::vector<double> scratch(BATCH_SCRATCH * n);
+    std::vector<double> noise(LOOP_LANES * n);
     int failed = 0;
     {
         nb::gil_scoped_release release;
         failed = batch_run(int64_t(runs), int64_t(n), &view, &rig, numbers.data(), seeds.data(), chosen.data(),
-                           path.data(), faults.shape(0) ? faults.data() : nullptr, block.data(), single,
-                           scratch.data(), &traces);
+                           path.data(), faults.shape(0) ? faults.data() : nullptr, &law, block.data(),
+                           noise.data(), &traces);
     }
     if (failed) throw std::invalid_argument("too many modes or too long a delay for the closed loop");
 }
@@ -141,18 +135,6 @@ void bind_loop(nb::module_ &m) {
              nb::kw_only(), nb::arg("sampled"), nb::arg("substeps"), nb::arg("period"), nb::arg("pole"),
              nb::arg("coupling"), nb::arg("encoder"), nb::arg("limit"), nb::arg("quantum"), nb::arg("start"));
     m.def("loop_run", &run, "Closed loops of one or many arms under one law.");
-    m.def("loop_coast", [](nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> angle, double speed,
-                           double gain, double decay, double friction, double period, int substeps) {
-        loop_rig rig = {};
-        rig.sampled = 1;
-        rig.substeps = substeps;
-        rig.period = period;
-        rig.gain = gain;
-        rig.decay = decay;
-        rig.friction = friction;
-        rig.weights = loop_weights_of(&rig);
-        loop_coast(&rig, speed, angle.data(), int64_t(angle.shape(0)));
-    });
     m.def("loop_normal", &loop_normal);
     m.def("loop_weights", [](double decay, double period, int substeps) {
         loop_rig rig = {};
@@ -163,9 +145,4 @@ void bind_loop(nb::module_ &m) {
         const loop_weights w = loop_weights_of(&rig);
         return nb::make_tuple(w.keep, w.first, w.second);
     });
-    // law.h's own numbers, so that no module writes them down again
-    m.attr("LAW_RUN") = unsigned(LAW_RUN);
-    m.attr("LAW_FLAG_SATURATED") = unsigned(LAW_FLAG_SATURATED);
-    m.attr("LAW_FLAG_STARTED") = unsigned(LAW_FLAG_STARTED);
-    m.attr("LAW_FLAG_PAYLOAD") = unsigned(LAW_FLAG_PAYLOAD);
 }

@@ -47,42 +47,10 @@ output_array response(reals u, double direct, double first, reals log_decays, re
     return result(std::move(y), n);
 }
 
-output_array memory_sum(reals weights, reals u) {
-    size_t n = u.shape(0);
-    if (weights.shape(0) < n)
-        throw std::invalid_argument("memory_sum: fewer weights than samples");
-    std::unique_ptr<double[]> y(new double[std::max<size_t>(n, 1)]);
-    {
-        nb::gil_scoped_release release;
-        std::unique_ptr<double[]> reversed(new double[std::max<size_t>(n, 1)]);
-        std::reverse_copy(u.data(), u.data() + n, reversed.get());
-        full_memory_sum(weights.data(), reversed.get(), y.get(), (ptrdiff_t)n);
-    }
-    return result(std::move(y), n);
-}
-
-output_array memory_solve(reals weights, reals input) {
-    size_t n = input.shape(0);
-    if (weights.shape(0) < n || (n && weights.data()[0] == 0.0))
-        throw std::invalid_argument("memory_solve: fewer weights than samples, or a zero first weight");
-    std::unique_ptr<double[]> y(new double[std::max<size_t>(n, 1)]);
-    if (n) {
-        nb::gil_scoped_release release;
-        std::unique_ptr<double[]> reversed(new double[n]);
-        std::reverse_copy(weights.data(), weights.data() + n, reversed.get());
-        full_memory_solve(reversed.get(), input.data(), y.get(), (ptrdiff_t)n);
-    }
-    return result(std::move(y), n);
-}
-
 } // namespace
 
 void bind_modes(nb::module_ &m) {
     m.def("modes_response", &response, nb::arg("u"), nb::arg("direct"), nb::arg("first"), nb::arg("log_decays"),
           nb::arg("gains"), nb::arg("pole_log_decays"), nb::arg("pole_gains"), nb::arg("initial"),
           "Response of a sum of exponential modes to a held input.");
-    m.def("memory_sum", &memory_sum, nb::arg("weights"), nb::arg("u"),
-          "Full-memory convolution sum, O(n^2).");
-    m.def("memory_solve", &memory_solve, nb::arg("weights"), nb::arg("u"),
-          "Full-memory recursion weights * y = u, O(n^2).");
 }

@@ -7,7 +7,6 @@ namespace nb = nanobind;
 void bind_fit(nb::module_ &m);
 void bind_law(nb::module_ &m);
 void bind_loop(nb::module_ &m);
-void bind_payload(nb::module_ &m);
 void bind_realtime(nb::module_ &m);
 void bind_twin(nb::module_ &m);
 
@@ -16,7 +15,6 @@ NB_MODULE(_kernels, m) {
     bind_fit(m);
     bind_law(m);
     bind_loop(m);
-    bind_payload(m);
     bind_realtime(m);
     bind_twin(m);
 }

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "twin_arrays.h"
+#include "words.h"
 
 extern "C" {
 #include "realtime.h"
@@ -163,12 +164,6 @@ struct Clock {
     bool stalled() const { return clock && realtime_clock_stalled(clock) != 0; }
 };
 
-std::vector<std::uint64_t> aligned(const nb::bytes &bytes) {
-    std::vector<std::uint64_t> words(bytes.size() / 8 + 1);
-    std::memcpy(words.data(), bytes.c_str(), bytes.size());
-    return words;
-}
-
 nb::dict told(const realtime_outcome &o) {
     nb::dict d;
     d["stop"] = o.stop;
@@ -191,18 +186,14 @@ nb::dict run(Io &io, nb::bytes params, nb::bytes state, bool single, Matrix path
     require(path.shape(0) == 2 && length >= 1 && period_ns >= 1, "path: (2, periods), period above 0");
     require(record.shape(0) == length && record.shape(1) == REALTIME_COLUMNS, "record: (periods, columns)");
     require(marks.shape(0) == length && marks.shape(1) == REALTIME_MARKS, "marks: (periods, marks)");
-    const law_port &law = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
-    const int *const sizes = law.sizes;
-    require(params.size() == std::size_t(sizes[0]) && state.size() == std::size_t(sizes[1]), "law: other sizes");
-    require(estimator.size() == 0 ||
-                (estimator.size() == std::size_t(sizes[2]) && estimate.size() == std::size_t(sizes[3])),
-            "estimator: other sizes");
-    const auto block = aligned(params);
-    auto memory = aligned(state);
-    const auto bank = aligned(estimator);
-    auto estimates = aligned(estimate);
+    const law_port &law = port_of(single);
+    const bool estimated = estimator.size() != 0;
+    const auto block = words_of(params, law.sizes[LAW_PARAMS], "params");
+    auto memory = words_of(state, law.sizes[LAW_STATE], "state");
+    const auto bank = words_of(estimator, estimated ? law.sizes[PAYLOAD_PARAMS] : 0, "estimator");
+    auto estimates = words_of(estimate, estimated ? law.sizes[PAYLOAD_STATE] : int(estimate.size()), "estimate");
     const realtime_plan plan = {period_ns, std::int64_t(length), path.data(), path.data() + length, payload,
-                                estimator.size() ? bank.data() : nullptr, estimates.data(), patience_ns, relative, priority,
+                                estimated ? bank.data() : nullptr, estimates.data(), patience_ns, relative, priority,
                                 lock_memory, clock.clock};
     const realtime_io way = io_of(io);
     realtime_outcome outcome;

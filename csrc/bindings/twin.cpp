@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "twin_arrays.h"
+#include "words.h"
 
 namespace nb = nanobind;
 using namespace twin_arrays;
@@ -53,22 +54,13 @@ Result run(Matrix transition, Vector hub, Vector tip, Matrix outputs, Vector rig
     require(obstacle_values.size() == 5, "obstacle: 5 values");
     const double *o = obstacle_values.data();
     const twin_obstacle obstacle = {o[0], o[1], o[2], o[3], o[4]};
-    const law_port &port = single ? LAW_IN_SINGLE : LAW_IN_DOUBLE;
-    const auto fits = [&port](std::size_t bytes, int which) { return bytes == static_cast<std::size_t>(port.sizes[which]); };
-    require(fits(params.size(), 0), "params: another size than law_params");
-    require(fits(law.size(), 1), "law: another size than law_state");
+    const law_port &port = port_of(single);
+    const int *const sizes = port.sizes;
     const bool estimates = estimator.size() != 0;
-    require(!estimates || fits(estimator.size(), 2), "estimator: another size than payload_params");
-    require(!estimates || fits(estimate.size(), 3), "estimate: another size than payload_state");
-    // Copies in words of eight bytes: the structs hold doubles, and a Python buffer promises no alignment.
-    std::vector<std::uint64_t> block(params.size() / 8 + 1);
-    std::vector<std::uint64_t> law_memory(law.size() / 8 + 1);
-    std::memcpy(block.data(), params.c_str(), params.size());
-    std::memcpy(law_memory.data(), law.data(), law.size());
-    std::vector<std::uint64_t> bank(estimator.size() / 8 + 1);
-    std::vector<std::uint64_t> bank_memory(estimate.size() / 8 + 1);
-    std::memcpy(bank.data(), estimator.c_str(), estimator.size());
-    std::memcpy(bank_memory.data(), estimate.data(), estimate.size());
+    const auto block = words_of(params, sizes[LAW_PARAMS], "params");
+    auto law_memory = words_of(law.data(), law.size(), sizes[LAW_STATE], "law");
+    const auto bank = words_of(estimator, estimates ? sizes[PAYLOAD_PARAMS] : 0, "estimator");
+    auto bank_memory = words_of(estimate.data(), estimate.size(), int(estimates ? sizes[PAYLOAD_STATE] : estimate.size()), "estimate");
     require(input.shape(1) == TWIN_INPUTS, "input: (periods, TWIN_INPUTS)");
     const std::size_t periods = input.shape(0);
     Memory buffers{state, gauge, voltage, sensed, counters, {}};

@@ -1,8 +1,5 @@
-/* Eight runs at a time through group.c, the rest, and runs with all their signals, one by one through loop.c: both give
- * the same bits. */
+/* Many runs, LOOP_LANES at a time. */
 #include "batch.h"
-
-#include "group.h"
 
 static loop_link link_of(const batch_links *all, int64_t run, double stiffness)
 {
@@ -40,84 +37,49 @@ static loop_rig rig_of(const loop_rig *shared, const double *row)
     return rig;
 }
 
-typedef struct {
-    const batch_links *links;
-    const loop_rig *rig;
-    const double *numbers;
-    const uint64_t *seeds;
-    const int32_t *chosen;
-    const double *path;
-    const double *faults;
-    int64_t length;
-    const batch_traces *traces;
-} batch;
-
-static group_loop loop_of(const batch *b, int64_t r, double *noise)
+/* The row of `run`; a signal that is not kept stays so. */
+static loop_trace trace_of(const loop_trace *first, int64_t at)
 {
-    const double *row = b->numbers + r * BATCH_COLUMNS;
-    const double *unit = b->path + (int64_t)b->chosen[r] * 2 * b->length;
-    const int64_t at = r * b->length;
-    const group_loop loop = {link_of(b->links, r, row[BATCH_STIFFNESS]),
-                             rig_of(b->rig, row),
-                             row[BATCH_AMPLITUDE],
-                             unit,
-                             unit + b->length,
-                             noise,
-                             {b->traces->tip + at, b->traces->motor_reference + at, b->traces->voltage + at,
-                              b->traces->flags + at, b->traces->mode + at, b->traces->reason + at}};
-    return loop;
-}
-
-/* A run by itself: one whose signals are all kept, or the rest of a block that is too small for a group. */
-static int run_alone(const batch *b, int64_t r, const void *params, int single, double *scratch)
-{
-    const group_loop loop = loop_of(b, r, scratch);
-    const batch_traces *all = b->traces;
-    const int64_t n = b->length;
-    double *const angle = scratch;
-    double *const acceleration = scratch + n;
-    double *const spare = scratch + 2 * n;
-    double *const normal = scratch + 7 * n;
-    if (loop.rig.noise > 0.0)
-        loop_normals(b->seeds[r], normal, n);
-    for (int64_t k = 0; k < n; k++) {
-        angle[k] = loop.amplitude * loop.angle[k];
-        acceleration[k] = loop.amplitude * loop.acceleration[k];
-    }
-    const int kept = all->motor != 0;
-    const loop_input input = {n, angle, acceleration, normal, b->faults};
-    const loop_trace trace = {loop.trace.tip,
-                              kept ? all->motor + r * n : spare,
-                              loop.trace.motor_reference,
-                              kept ? all->torque + r * n : spare + n,
-                              kept ? all->measured + r * n : spare + 2 * n,
-                              loop.trace.voltage,
-                              kept ? all->tip_estimate + r * n : spare + 3 * n,
-                              kept ? all->encoder + r * n : spare + 4 * n,
-                              loop.trace.flags,
-                              loop.trace.mode,
-                              loop.trace.reason};
-    return loop_run(&loop.link, &loop.rig, single ? &LAW_IN_SINGLE : &LAW_IN_DOUBLE, params, &input, &trace);
+    const loop_trace trace = {first->tip + at,
+                              first->motor_reference + at,
+                              first->voltage + at,
+                              first->flags + at,
+                              first->mode + at,
+                              first->reason + at,
+                              first->motor ? first->motor + at : 0,
+                              first->motor ? first->torque + at : 0,
+                              first->motor ? first->measured + at : 0,
+                              first->motor ? first->tip_estimate + at : 0,
+                              first->motor ? first->encoder + at : 0};
+    return trace;
 }
 
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
               const uint64_t *seeds, const int32_t *chosen, const double *path, const double *faults,
-              const void *params, int single, double *scratch, const batch_traces *traces)
+              const law_port *law, const void *params, double *noise, const loop_trace *traces)
 {
-    const batch all = {links, rig, numbers, seeds, chosen, path, faults, length, traces};
     int failed = 0;
-    int64_t r = 0;
-    for (; !traces->motor && !faults && r + GROUP_LANES <= runs && !failed; r += GROUP_LANES) {
-        group_loop group[GROUP_LANES];
-        for (int l = 0; l < GROUP_LANES; l++) {
-            double *noise = scratch + l * length;
-            group[l] = loop_of(&all, r + l, noise);
-            if (group[l].rig.noise > 0.0)
-                loop_normals(seeds[r + l], noise, length);
+    for (int64_t begin = 0; begin < runs && !failed; begin += LOOP_LANES) {
+        loop_arm arms[LOOP_LANES];
+        const int count = runs - begin < LOOP_LANES ? (int)(runs - begin) : LOOP_LANES;
+        for (int l = 0; l < count; l++) {
+            const int64_t run = begin + l;
+            const double *const row = numbers + run * BATCH_COLUMNS;
+            const double *const unit = path + (int64_t)chosen[run] * 2 * length;
+            double *const normal = noise + l * length;
+            const loop_arm arm = {link_of(links, run, row[BATCH_STIFFNESS]),
+                                  rig_of(rig, row),
+                                  row[BATCH_AMPLITUDE],
+                                  unit,
+                                  unit + length,
+                                  normal,
+                                  faults,
+                                  trace_of(traces, run * length)};
+            if (arm.rig.noise > 0.0)
+                loop_normals(seeds[run], normal, length);
+            arms[l] = arm;
         }
-        failed = single ? group_run_single(group, params, length) : group_run_double(group, params, length);
+        failed = loop_run(arms, count, law, params, length);
     }
-    for (; r < runs && !failed; r++)
-        failed = run_alone(&all, r, params, single, scratch);
     return failed;
 }

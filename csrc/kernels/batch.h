@@ -7,8 +7,6 @@
 
 #include "loop.h"
 
-#define BATCH_SCRATCH 8 /* rows of noise of a group; a run alone needs them all */
-
 /* Columns of a run's numbers. */
 enum {
     BATCH_STIFFNESS,   /* c [N m/rad] */
@@ -39,26 +37,11 @@ typedef struct {
     const double *second; /* LOOP_SECOND numbers a run; null where no link has a second mode */
 } batch_links;
 
-/* One row of `length` a run. Where `motor` is null, the five signals that no metric needs are not kept, and eight runs
- * at a time go through group.c. */
-typedef struct {
-    double *tip;
-    double *motor_reference;
-    double *voltage;
-    double *motor;
-    double *torque;
-    double *measured;
-    double *tip_estimate;
-    double *encoder;
-    uint32_t *flags;
-    uint32_t *mode;
-    uint32_t *reason;
-} batch_traces;
-
-/* `path` holds unit references (angle, acceleration) of `length` each, `chosen` which one a run follows; `rig` what
- * all runs share, `faults` too (as in loop_input, null for none). `scratch` has room for BATCH_SCRATCH rows. Return 0, or 1 where a bound of loop.h is exceeded. */
+/* `traces` are those of the first run; each run has the next row of `length`. `path` holds unit references (angle,
+ * acceleration) of `length` each, `chosen` which one a run follows; `rig` what all runs share, `faults` too (as in
+ * loop_arm, null for none). `noise` has room for LOOP_LANES rows. Return 0, or 1 where a bound of loop.h is exceeded. */
 int batch_run(int64_t runs, int64_t length, const batch_links *links, const loop_rig *rig, const double *numbers,
               const uint64_t *seeds, const int32_t *chosen, const double *path, const double *faults,
-              const void *params, int single, double *scratch, const batch_traces *traces);
+              const law_port *law, const void *params, double *noise, const loop_trace *traces);
 
 #endif

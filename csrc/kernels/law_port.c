@@ -8,16 +8,9 @@
 #define LAW_PORT LAW_IN_DOUBLE
 #endif
 
-static void begin(void *state, const void *params, void *estimate, const void *bank)
+static uint32_t begin(void *state, const void *params)
 {
-    (void)law_init((law_state *)state, (const law_params *)params);
-#ifdef WITHOUT_ESTIMATOR
-    (void)estimate;
-    (void)bank;
-#else
-    if (bank)
-        (void)payload_init((payload_state *)estimate, (const payload_params *)bank);
-#endif
+    return law_init((law_state *)state, (const law_params *)params);
 }
 
 static void step(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
@@ -52,12 +45,38 @@ static void held(const void *state, double *outputs, uint32_t *marks)
     marks[PORT_FLAGS] = 0U;
 }
 
-#ifndef WITHOUT_ESTIMATOR
-static double estimate(void *state, const void *params, uint32_t tick, double angle, double torque)
+#ifdef LAW_ALONE /* without the wiring test and the estimator */
+#define wiring 0
+#define begin_estimate 0
+#define estimate 0
+#else
+static uint32_t wiring(const void *params, const double *angle, const double *torque, int64_t length)
+{
+    law_wiring test = {0};
+    uint32_t reason = LAW_OK;
+    for (int64_t k = 0; k < length; k++)
+        reason = law_check_wiring(&test, (const law_params *)params, (law_real)angle[k], (law_real)torque[k]);
+    return reason;
+}
+
+static uint32_t begin_estimate(void *state, const void *params)
+{
+    return payload_init((payload_state *)state, (const payload_params *)params);
+}
+
+static double estimate(void *state, const void *params, uint32_t tick, double angle, double torque, double *interval,
+                       uint32_t *flags)
 {
     payload_output found;
     payload_step((payload_state *)state, (const payload_params *)params, tick, (law_real)angle, (law_real)torque,
                  &found);
+    if (interval) {
+        interval[0] = (double)found.estimate;
+        interval[1] = (double)found.low;
+        interval[2] = (double)found.high;
+    }
+    if (flags)
+        *flags = found.flags;
     return (double)found.given;
 }
 #endif
@@ -65,10 +84,8 @@ static double estimate(void *state, const void *params, uint32_t tick, double an
 const law_port LAW_PORT = {begin,
                            step,
                            held,
-#ifdef WITHOUT_ESTIMATOR
-                           0,
-#else
+                           wiring,
+                           begin_estimate,
                            estimate,
-#endif
                            {(int)sizeof(law_params), (int)sizeof(law_state), (int)sizeof(payload_params),
                             (int)sizeof(payload_state)}};

@@ -11,14 +11,18 @@ enum { PORT_MODE, PORT_REASON, PORT_FLAGS, PORT_MARKS };
 
 /* Pointers are to the blocks and states of the port's precision. */
 typedef struct {
-    /* law_init, and payload_init where `bank` is not null */
-    void (*begin)(void *state, const void *params, void *estimate, const void *bank);
+    uint32_t (*begin)(void *state, const void *params); /* law_init */
     void (*step)(void *state, const void *params, uint32_t tick, const double *inputs, double *outputs,
                  uint32_t *marks);
     /* motor reference, mode and reason of a law that is not called; the rest is 0 */
     void (*held)(const void *state, double *outputs, uint32_t *marks);
-    /* the payload that is estimated from this period's sample [kg]; 0: none yet */
-    double (*estimate)(void *state, const void *params, uint32_t tick, double angle, double torque);
+    /* law_check_wiring of a whole log */
+    uint32_t (*wiring)(const void *params, const double *angle, const double *torque, int64_t length);
+    uint32_t (*begin_estimate)(void *state, const void *params); /* payload_init */
+    /* the payload for the law from this period's sample [kg], 0: none yet; estimate and its interval, low and high, go
+     * to `interval`, and the flags to `flags`, where these are not null */
+    double (*estimate)(void *state, const void *params, uint32_t tick, double angle, double torque, double *interval,
+                       uint32_t *flags);
     int sizes[4]; /* bytes of law_params, law_state, payload_params, payload_state */
 } law_port;
 

@@ -1,98 +1,398 @@
-/* One closed loop: sensors -> law_step -> delay -> motor -> link, one period after the other.
+/* Closed loops: sensors -> law_step -> delay -> motor -> link, one period after the other.
  *
  * Within a period the motor's angle is a smooth curve whose angles, speeds and accelerations at both ends are known.
  * The quintic through them differs from it by T^6/46080 times its sixth derivative (1e-9 rad behind M(s) at 4 ms; a
  * cubic is 1e-6 off), and for a quintic the link's response is exact. */
 #include "loop.h"
 
+#include <math.h>
+
+#include "clones.h"
 #include "law.h"
-#include "loop_parts.h"
 #include "payload_estimator.h"
 #include "twin.h"
 
-static const double HEALTHY[TWIN_INPUTS] = {[TWIN_ENCODER_GAIN] = 1.0, [TWIN_GAUGE_GAIN] = 1.0};
+#define EACH_LANE(l) for (int l = 0; l < LOOP_LANES; l++)
 
-int loop_run(const loop_link *link, const loop_rig *rig, const law_port *law, const void *params,
-             const loop_input *input, const loop_trace *trace)
+typedef struct {
+    double angle; /* from the start angle [rad] */
+    double speed;
+    double early; /* acceleration at the beginning and at the end of the last period [rad/s^2] */
+    double late;
+} motor_state;
+
+typedef struct {
+    double real[LOOP_MODES];
+    double re[LOOP_MODES];
+    double im[LOOP_MODES];
+    double tip;
+    double before; /* tip one period ago */
+    double second_re;
+    double second_im;
+} link_state;
+
+static const link_state STRAIGHT = {{0}, {0}, {0}, 0.0, 0.0, 0.0, 0.0};
+
+static double rounded_to(double value, double quantum)
 {
-    const loop_weights w = rig->weights;
-    motor_state motor = {0.0, 0.0, 0.0, 0.0};
-    link_state flexible = STRAIGHT;
-    gauge_line gauge;
-    double pending[LOOP_DELAY];
-    law_state state; /* room for those of either precision: these are the larger ones */
-    payload_state estimate;
-    double in[PORT_INPUTS], out[PORT_OUTPUTS] = {0.0};
-    uint32_t marks[PORT_MARKS] = {0U};
-    double seen_angle = 0.0, seen_torque = 0.0; /* what the sensors gave last */
-    if (out_of_bounds(link, rig))
-        return 1;
-    set_gauge(&gauge, rig->gauge_delay);
-    const int slots = rig->delay + 1;
-    for (int i = 0; i < slots; i++)
-        pending[i] = 0.0;
-    law->begin(&state, params, &estimate, rig->estimator);
-    for (int64_t k = 0; k < input->length; k++) {
-        const double *const fault = input->faults ? input->faults + k * TWIN_INPUTS : HEALTHY;
-        const int broken = (int)fault[TWIN_FAULTS];
-        const double torque = root_torque(&flexible, link, motor.angle);
-        const double normal = rig->noise > 0.0 ? input->normal[k] : 0.0;
-        double measured =
-            gauge_reading(rig, &gauge, torque, normal, fault[TWIN_GAUGE_GAIN], fault[TWIN_GAUGE_ERROR], k);
-        double angle = rounded_to(fault[TWIN_ENCODER_GAIN] * (rig->start + motor.angle) + fault[TWIN_ENCODER_ERROR],
-                                  rig->encoder);
-        twin_break(fault, seen_angle, seen_torque, &angle, &measured);
-        seen_angle = angle;
-        seen_torque = measured;
-        in[PORT_REFERENCE] = input->reference[k];
-        in[PORT_ACCELERATION] = input->acceleration[k];
-        in[PORT_ANGLE] = angle;
-        in[PORT_TORQUE] = measured;
-        in[PORT_PAYLOAD] = rig->payload;
-        if (broken & TWIN_TICK_MISSED) {
-            marks[PORT_FLAGS] = 0U; /* the timer's hardware goes on with the voltage it was given last */
-        } else {
-            if (rig->estimator)
-                in[PORT_PAYLOAD] = law->estimate(&estimate, rig->estimator, (uint32_t)k, angle, measured);
-            for (int i = (broken & TWIN_TICK_REPEATED) ? 2 : 1; i; i--)
-                law->step(&state, params, (uint32_t)k, in, out, marks);
-        }
-        trace->tip[k] = rig->start + flexible.tip;
-        trace->motor[k] = rig->start + motor.angle;
-        trace->motor_reference[k] = out[PORT_MOTOR_REFERENCE];
-        trace->torque[k] = torque;
-        trace->measured[k] = measured;
-        trace->voltage[k] = out[PORT_VOLTAGE];
-        trace->tip_estimate[k] = out[PORT_TIP_ESTIMATE];
-        trace->encoder[k] = angle;
-        trace->flags[k] = marks[PORT_FLAGS];
-        trace->mode[k] = marks[PORT_MODE];
-        trace->reason[k] = marks[PORT_REASON];
-        /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
-        const double added = rig->coupling > 0.0 ? 0.0 : out[PORT_COMPENSATION];
-        pending[k % slots] = rig->sampled ? out[PORT_VOLTAGE] - added : out[PORT_MOTOR_REFERENCE] - rig->start;
-        const double applied = pending[(k + 1) % slots]; /* written `delay` periods ago */
-        const motor_state before = motor;
-        double q[LOOP_POWERS];
-        if (rig->sampled) {
-            follow_voltage(&motor, rig, &w, rig->gain * applied, &flexible);
-        } else {
-            trace->voltage[k] = servo_voltage(&motor, rig, applied);
-            follow_reference(&motor, rig, &w, applied);
-        }
-        quintic(&before, &motor, rig->period, q);
-        move_link(&flexible, link, q);
-    }
-    return 0;
+    return quantum > 0.0 ? nearbyint(value / quantum) * quantum : value;
 }
 
-/* The motor alone, from `speed`, without voltage: what a test compares with the equation's own solution. */
-void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length)
+/* M(s) = 1/(1 + s/p)^2 under a held reference, exactly: a double pole at -p. */
+static void follow_reference(motor_state *m, const loop_rig *rig, const loop_weights *w, double reference)
 {
-    motor_state motor = {0.0, speed, 0.0, 0.0};
-    const link_state rigid = STRAIGHT;
-    for (int64_t k = 0; k < length; k++) {
-        angle[k] = motor.angle;
-        follow_voltage(&motor, rig, &rig->weights, 0.0, &rigid);
+    const double pt = rig->pole * rig->period;
+    const double p = rig->pole;
+    const double e = m->angle - reference;
+    const double v = m->speed;
+    m->early = -p * (p * e + 2.0 * v);
+    m->angle = reference + w->keep * ((1.0 + pt) * e + rig->period * v);
+    m->speed = w->keep * ((1.0 - pt) * v - p * pt * e);
+    m->late = -p * (p * (m->angle - reference) + 2.0 * m->speed);
+}
+
+/* The voltage behind that move at its beginning, coupling torque and friction compensated: from the equation (1). */
+static double servo_voltage(const motor_state *m, const loop_rig *rig, double reference)
+{
+    const double p = rig->pole;
+    return (p * p * (reference - m->angle) + (rig->decay - 2.0 * p) * m->speed) / rig->gain;
+}
+
+/* Motor under a held voltage with Coulomb friction as a proximal step: the friction force of a substep is the one
+ * that shortens the speed by at most its impulse and never turns it around, which includes stiction. */
+static void follow_voltage(motor_state *m, const loop_rig *rig, const loop_weights *w, double held,
+                           const link_state *link)
+{
+    const double impulse = rig->friction * w->first;
+    const double h = rig->period / rig->substeps;
+    for (int i = 0; i < rig->substeps; i++) {
+        /* the coupling torque at the middle of the substep, with the tip on its straight line of the last period */
+        const double tip = link->tip + (link->tip - link->before) * (i + 0.5) / rig->substeps;
+        const double push = held - rig->coupling * (m->angle + 0.5 * h * m->speed - tip);
+        const double free = w->keep * m->speed + w->first * push;
+        const double left = fabs(free) - impulse;
+        const double speed = copysign(left > 0.0 ? left : 0.0, free);
+        const double force = push + (speed - free) / w->first;
+        if (i == 0)
+            m->early = force - rig->decay * m->speed;
+        m->angle += w->first * m->speed + w->second * force;
+        m->speed = speed;
+        m->late = force - rig->decay * speed;
     }
+}
+
+/* Real modes in lanes of SUM_LANES: each lane adds up its own modes, and the lanes are added in one order, so that the
+ * sum has the same bits whatever the width of the machine's vectors (a reduction clause would follow that width). */
+#define SUM_LANES 8
+
+FRACLINK_CLONES
+static double move_reals(double *restrict x, const loop_link *link, const double q[LOOP_POWERS])
+{
+    const int n = link->reals;
+    const double *restrict decay = link->decay;
+    const double *restrict w = link->weight;
+    double lane[SUM_LANES] = {0.0};
+    int i = 0;
+    for (; i + SUM_LANES <= n; i += SUM_LANES) {
+#pragma omp simd
+        for (int l = 0; l < SUM_LANES; l++) {
+            const int k = i + l;
+            x[k] = decay[k] * x[k] + (w[k] * q[0] + w[n + k] * q[1] + w[2 * n + k] * q[2] + w[3 * n + k] * q[3] +
+                                      w[4 * n + k] * q[4] + w[5 * n + k] * q[5]);
+            lane[l] += x[k];
+        }
+    }
+    for (int l = 0; i < n; i++, l++) {
+        x[i] = decay[i] * x[i] + (w[i] * q[0] + w[n + i] * q[1] + w[2 * n + i] * q[2] + w[3 * n + i] * q[3] +
+                                  w[4 * n + i] * q[4] + w[5 * n + i] * q[5]);
+        lane[l] += x[i];
+    }
+    return ((lane[0] + lane[4]) + (lane[2] + lane[6])) + ((lane[1] + lane[5]) + (lane[3] + lane[7]));
+}
+
+static void move_link(link_state *s, const loop_link *link, const double q[LOOP_POWERS])
+{
+    const int m = link->pairs;
+    const double *a = link->weight_re;
+    const double *b = link->weight_im;
+    double tip = move_reals(s->real, link, q);
+    for (int j = 0; j < LOOP_POWERS; j++)
+        tip += link->first[j] * q[j];
+    for (int i = 0; i < m; i++) {
+        double re = link->pair_re[i] * s->re[i] - link->pair_im[i] * s->im[i];
+        double im = link->pair_re[i] * s->im[i] + link->pair_im[i] * s->re[i];
+        for (int j = 0; j < LOOP_POWERS; j++) {
+            re += a[j * m + i] * q[j];
+            im += b[j * m + i] * q[j];
+        }
+        s->re[i] = re;
+        s->im[i] = im;
+        tip += re;
+    }
+    s->before = s->tip;
+    s->tip = tip;
+    if (link->second) {
+        const double *n = link->second;
+        double re = n[1] * s->second_re - n[2] * s->second_im;
+        double im = n[1] * s->second_im + n[2] * s->second_re;
+        for (int j = 0; j < LOOP_POWERS; j++) {
+            re += n[3 + j] * q[j];
+            im += n[3 + LOOP_POWERS + j] * q[j];
+        }
+        s->second_re = re;
+        s->second_im = im;
+    }
+}
+
+/* Torque at the root of the link: the angle between motor and tip, and what the second mode adds to it. */
+static double root_torque(const link_state *s, const loop_link *link, double motor)
+{
+    const double bend = motor - s->tip;
+    return link->stiffness * (link->second ? bend + (link->second[0] * motor + s->second_re) : bend);
+}
+
+/* The torques of the last periods, for a gauge that shows an older one. A delay between two samples is interpolated by
+ * the cubic through the four around it: at 20 samples a vibration a straight line would damp it by 0.6 %, which a
+ * lightly damped loop feels, the cubic by 1e-4. The arm is at rest before it starts, so the memory starts with zeros. */
+#define GAUGE_MEMORY 128 /* a power of two that holds LOOP_DELAY + 2 */
+
+typedef struct {
+    int immediate;
+    int youngest; /* age of the youngest of the four, in periods */
+    double weight[4];
+    double torque[GAUGE_MEMORY];
+} gauge_line;
+
+static void set_gauge(gauge_line *g, double delay)
+{
+    g->immediate = delay == 0.0;
+    g->youngest = delay >= 1.0 ? (int)floor(delay) - 1 : 0;
+    const double at = delay - g->youngest;
+    for (int i = 0; i < 4; i++) {
+        g->weight[i] = 1.0; /* Lagrange's polynomials; exactly 0 and 1 where the delay is whole */
+        for (int j = 0; j < 4; j++)
+            if (j != i)
+                g->weight[i] *= (at - j) / (i - j);
+    }
+    for (int i = 0; i < GAUGE_MEMORY; i++)
+        g->torque[i] = 0.0;
+}
+
+static double shown_torque(gauge_line *g, double torque, int64_t k)
+{
+    if (g->immediate)
+        return torque;
+    double sum = 0.0;
+    g->torque[k & (GAUGE_MEMORY - 1)] = torque;
+    for (int i = 0; i < 4; i++)
+        sum += g->weight[i] * g->torque[(k - g->youngest - i) & (GAUGE_MEMORY - 1)];
+    return sum;
+}
+
+static int out_of_bounds(const loop_link *link, const loop_rig *rig)
+{
+    return link->reals > LOOP_MODES || link->pairs > LOOP_MODES || rig->delay < 0 || rig->delay >= LOOP_DELAY ||
+           !(rig->gauge_delay >= 0.0 && rig->gauge_delay < LOOP_DELAY);
+}
+
+/* What the gauge says of a torque, from a standard normal number; `gain` and `error` are a fault's, 1 and 0 for none. */
+static double gauge_reading(const loop_rig *rig, gauge_line *gauge, double torque, double normal, double gain,
+                            double error, int64_t k)
+{
+    double reading = gain * rig->gauge_gain * shown_torque(gauge, torque, k) + (k > 0 ? rig->offset : 0.0) + error;
+    if (rig->noise > 0.0)
+        reading += rig->noise * normal;
+    reading = rounded_to(reading, rig->quantum);
+    return fmin(fmax(reading, -rig->limit), rig->limit);
+}
+
+/* The quintic in (t - kT)/T with the angles, speeds and accelerations of both ends. */
+static void quintic(const motor_state *from, const motor_state *to, double period, double q[LOOP_POWERS])
+{
+    const double rise = to->angle - from->angle;
+    const double v0 = period * from->speed;
+    const double v1 = period * to->speed;
+    const double a0 = 0.5 * period * period * to->early;
+    const double a1 = 0.5 * period * period * to->late;
+    q[0] = from->angle;
+    q[1] = v0;
+    q[2] = a0;
+    q[3] = 10.0 * rise - 6.0 * v0 - 4.0 * v1 - 3.0 * a0 + a1;
+    q[4] = -15.0 * rise + 8.0 * v0 + 7.0 * v1 + 3.0 * a0 - 2.0 * a1;
+    q[5] = 6.0 * rise - 3.0 * (v0 + v1) - a0 + a1;
+}
+
+static const double HEALTHY[TWIN_INPUTS] = {[TWIN_ENCODER_GAIN] = 1.0, [TWIN_GAUGE_GAIN] = 1.0};
+
+/* What an arm and its controller remember, beside the motor. */
+typedef struct {
+    link_state link;
+    gauge_line gauge;
+    double pending[LOOP_DELAY];
+    law_state law; /* room for those of either precision: these are the larger ones */
+    payload_state estimate;
+    double out[PORT_OUTPUTS];
+    uint32_t marks[PORT_MARKS];
+    double seen_angle; /* what the sensors gave last */
+    double seen_torque;
+} arm_state;
+
+/* The motors, field by field what motor_state and loop_weights are for one. */
+typedef struct {
+    double angle[LOOP_LANES];
+    double speed[LOOP_LANES];
+    double early[LOOP_LANES];
+    double late[LOOP_LANES];
+    double held[LOOP_LANES];
+    double keep[LOOP_LANES];
+    double first[LOOP_LANES];
+    double second[LOOP_LANES];
+    double decay[LOOP_LANES];
+    double impulse[LOOP_LANES];
+} motor_lanes;
+
+/* follow_voltage without coupling, whose push is the same in all substeps. */
+FRACLINK_CLONES
+static void follow_voltages(motor_lanes *restrict m, int substeps)
+{
+    for (int i = 0; i < substeps; i++) {
+#pragma omp simd
+        EACH_LANE(l)
+        {
+            const double push = m->held[l];
+            const double free = m->keep[l] * m->speed[l] + m->first[l] * push;
+            const double left = fabs(free) - m->impulse[l];
+            const double speed = copysign(left > 0.0 ? left : 0.0, free);
+            const double force = push + (speed - free) / m->first[l];
+            m->early[l] = i == 0 ? force - m->decay[l] * m->speed[l] : m->early[l];
+            m->angle[l] += m->first[l] * m->speed[l] + m->second[l] * force;
+            m->speed[l] = speed;
+            m->late[l] = force - m->decay[l] * speed;
+        }
+    }
+}
+
+static motor_state motor_of(const motor_lanes *m, int l)
+{
+    const motor_state one = {m->angle[l], m->speed[l], m->early[l], m->late[l]};
+    return one;
+}
+
+/* Motors that are no lanes of one vector: behind the ideal motor loop, or pushed by their links. */
+static void follow_alone(const loop_arm *arm, motor_lanes *m, int l, const link_state *link, double applied, int64_t k)
+{
+    const loop_rig *const rig = &arm->rig;
+    motor_state one = motor_of(m, l);
+    if (rig->sampled) {
+        follow_voltage(&one, rig, &rig->weights, rig->gain * applied, link);
+    } else {
+        arm->trace.voltage[k] = servo_voltage(&one, rig, applied);
+        follow_reference(&one, rig, &rig->weights, applied);
+    }
+    m->angle[l] = one.angle;
+    m->speed[l] = one.speed;
+    m->early[l] = one.early;
+    m->late[l] = one.late;
+}
+
+static void begin(const loop_arm *arm, const law_port *law, const void *params, arm_state *s, motor_lanes *m, int l)
+{
+    const loop_weights *const w = &arm->rig.weights;
+    m->keep[l] = w->keep;
+    m->first[l] = w->first;
+    m->second[l] = w->second;
+    m->decay[l] = arm->rig.decay;
+    m->impulse[l] = arm->rig.friction * w->first;
+    s->link = STRAIGHT;
+    set_gauge(&s->gauge, arm->rig.gauge_delay);
+    for (int i = 0; i <= arm->rig.delay; i++)
+        s->pending[i] = 0.0;
+    for (int i = 0; i < PORT_OUTPUTS; i++)
+        s->out[i] = 0.0;
+    for (int i = 0; i < PORT_MARKS; i++)
+        s->marks[i] = 0U;
+    s->seen_angle = s->seen_torque = 0.0;
+    (void)law->begin(&s->law, params);
+    if (arm->rig.estimator)
+        (void)law->begin_estimate(&s->estimate, arm->rig.estimator);
+}
+
+/* Sensors and law of one arm; returns what it applies to the motor `delay` periods later. */
+static double decide(const loop_arm *arm, const law_port *law, const void *params, arm_state *s, double motor, int64_t k)
+{
+    const loop_rig *const rig = &arm->rig;
+    const loop_trace *const to = &arm->trace;
+    const double *const fault = arm->faults ? arm->faults + k * TWIN_INPUTS : HEALTHY;
+    const int broken = (int)fault[TWIN_FAULTS];
+    const double torque = root_torque(&s->link, &arm->link, motor);
+    const double normal = rig->noise > 0.0 ? arm->normal[k] : 0.0;
+    double measured =
+        gauge_reading(rig, &s->gauge, torque, normal, fault[TWIN_GAUGE_GAIN], fault[TWIN_GAUGE_ERROR], k);
+    double angle =
+        rounded_to(fault[TWIN_ENCODER_GAIN] * (rig->start + motor) + fault[TWIN_ENCODER_ERROR], rig->encoder);
+    twin_break(fault, s->seen_angle, s->seen_torque, &angle, &measured);
+    s->seen_angle = angle;
+    s->seen_torque = measured;
+    if (broken & TWIN_TICK_MISSED) {
+        s->marks[PORT_FLAGS] = 0U; /* the timer's hardware goes on with the voltage it was given last */
+    } else {
+        const double in[PORT_INPUTS] = {
+            arm->amplitude * arm->reference[k], arm->amplitude * arm->acceleration[k], angle, measured,
+            rig->estimator ? law->estimate(&s->estimate, rig->estimator, (uint32_t)k, angle, measured, 0, 0)
+                           : rig->payload};
+        for (int i = (broken & TWIN_TICK_REPEATED) ? 2 : 1; i; i--)
+            law->step(&s->law, params, (uint32_t)k, in, s->out, s->marks);
+    }
+    to->tip[k] = rig->start + s->link.tip;
+    to->motor_reference[k] = s->out[PORT_MOTOR_REFERENCE];
+    to->voltage[k] = s->out[PORT_VOLTAGE];
+    to->flags[k] = s->marks[PORT_FLAGS];
+    to->mode[k] = s->marks[PORT_MODE];
+    to->reason[k] = s->marks[PORT_REASON];
+    if (to->motor) {
+        to->motor[k] = rig->start + motor;
+        to->torque[k] = torque;
+        to->measured[k] = measured;
+        to->tip_estimate[k] = s->out[PORT_TIP_ESTIMATE];
+        to->encoder[k] = angle;
+    }
+    if (!rig->sampled)
+        return s->out[PORT_MOTOR_REFERENCE] - rig->start;
+    /* ideal: what the law adds against the coupling torque meets a coupling torque that is the same */
+    return s->out[PORT_VOLTAGE] - (rig->coupling > 0.0 ? 0.0 : s->out[PORT_COMPENSATION]);
+}
+
+int loop_run(const loop_arm *arms, int count, const law_port *law, const void *params, int64_t length)
+{
+    arm_state states[LOOP_LANES];
+    motor_lanes motor = {{0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}, {0.0}};
+    const int in_lanes = LOOP_LANES > 1 && arms[0].rig.sampled && arms[0].rig.coupling == 0.0;
+    for (int l = 0; l < count; l++) {
+        if (out_of_bounds(&arms[l].link, &arms[l].rig))
+            return 1;
+        begin(&arms[l], law, params, &states[l], &motor, l);
+    }
+    for (int64_t k = 0; k < length; k++) {
+        const motor_lanes before = motor;
+        for (int l = 0; l < count; l++) {
+            const loop_arm *const arm = &arms[l];
+            arm_state *const s = &states[l];
+            const int64_t slots = arm->rig.delay + 1;
+            s->pending[k % slots] = decide(arm, law, params, s, motor.angle[l], k);
+            const double applied = s->pending[(k + 1) % slots]; /* written `delay` periods ago */
+            motor.held[l] = arm->rig.gain * applied;
+            if (!in_lanes)
+                follow_alone(arm, &motor, l, &s->link, applied, k);
+        }
+        if (in_lanes)
+            follow_voltages(&motor, arms[0].rig.substeps);
+        for (int l = 0; l < count; l++) {
+            const motor_state from = motor_of(&before, l);
+            const motor_state to = motor_of(&motor, l);
+            double q[LOOP_POWERS];
+            quintic(&from, &to, arms[l].rig.period, q);
+            move_link(&states[l].link, &arms[l].link, q);
+        }
+    }
+    return 0;
 }

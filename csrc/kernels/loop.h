@@ -60,40 +60,50 @@ typedef struct {
     const void *estimator; /* payload_params of the law's precision, whose estimate the law is given; null: `payload` */
 } loop_rig;
 
-/* What comes from outside, period by period. */
+/* One row per period; the last five are kept where they are not null. */
 typedef struct {
-    int64_t length;
+    double *tip;
+    double *motor_reference;
+    double *voltage;
+    uint32_t *flags;
+    uint32_t *mode;
+    uint32_t *reason;
+    double *motor;
+    double *torque;
+    double *measured;
+    double *tip_estimate;
+    double *encoder;
+} loop_trace;
+
+/* One arm, and what comes from outside period by period. Its reference is `amplitude` times the one here. */
+typedef struct {
+    loop_link link;
+    loop_rig rig;
+    double amplitude;
     const double *reference;
     const double *acceleration;
     const double *normal; /* standard normal numbers of the gauge's noise; not read where the rig has none */
     const double *faults; /* rows of the twin's inputs (twin.h), of which those of a fault are read; null: healthy */
-} loop_input;
+    loop_trace trace;
+} loop_arm;
 
-/* One row per period; all arrays have `length` entries. */
-typedef struct {
-    double *tip;
-    double *motor;
-    double *motor_reference;
-    double *torque;
-    double *measured;
-    double *voltage;
-    double *tip_estimate;
-    double *encoder;
-    uint32_t *flags;
-    uint32_t *mode;
-    uint32_t *reason;
-} loop_trace;
+/* Arms that run in step: one alone waits, as each friction substep needs the speed of the one before, and eight side
+ * by side fill that time in the lanes of one vector. There are no sums over lanes, so that neither their number nor
+ * the width of the machine's vectors changes a bit. */
+#ifndef LOOP_LANES
+#define LOOP_LANES 8
+#endif
 
-/* Return 0, or 1 where a bound above is exceeded. `params` is a law_params of the law's precision. */
-int loop_run(const loop_link *link, const loop_rig *rig, const law_port *law, const void *params,
-             const loop_input *input, const loop_trace *trace);
+/* Run up to LOOP_LANES arms under one law, whose `params` are a law_params of its precision. Their rigs share `sampled`,
+ * `substeps`, `period`, and whether `coupling` is zero. Return 0, or 1 where a bound above is exceeded. */
+int loop_run(const loop_arm *arms, int count, const law_port *law, const void *params, int64_t length);
 
 loop_weights loop_weights_of(const loop_rig *rig);
 
-/* Angles at the samples of the motor alone, from `speed`, without voltage. */
-void loop_coast(const loop_rig *rig, double speed, double *angle, int64_t length);
-
 /* Standard normal number `counter` of stream `seed`: the same wherever and in whatever order it is drawn. */
 double loop_normal(uint64_t seed, uint64_t counter);
+
+/* Those of counters 0 ... length - 1. */
+void loop_normals(uint64_t seed, double *out, int64_t length);
 
 #endif

@@ -18,10 +18,4 @@ size_t modes_scratch(const modes_system *system);
 // `initial` holds x (reals), then z (pairs, interleaved), before the first sample.
 void modes_response(const modes_system *system, const double *initial, const double *input, double *output,
                     ptrdiff_t n, double *scratch);
-
-// y[k] = sum_{m<=k} weights[m] u[k-m]: the full-memory sum of Gruenwald-Letnikov, O(n^2), for comparison.
-void full_memory_sum(const double *weights, const double *input, double *output, ptrdiff_t n);
-
-// y with sum_{m<=k} weights[m] y[k-m] = input[k]; `reversed[j]` is weights[n-1-j].
-void full_memory_solve(const double *reversed, const double *input, double *output, ptrdiff_t n);
 #endif

@@ -5,7 +5,6 @@
 #include <math.h>
 
 #include "clones.h"
-#include "group.h"
 #include "loop.h"
 
 static uint64_t mixed(uint64_t z)

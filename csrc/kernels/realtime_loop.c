@@ -71,7 +71,7 @@ static int run_period(const realtime_plan *plan, const realtime_io *io, const la
     row[REALTIME_PAYLOAD] = plan->payload;
     if (plan->bank)
         row[REALTIME_PAYLOAD] = law->estimate(plan->estimate, plan->bank, mark[REALTIME_TICK],
-                                              row[REALTIME_MOTOR_ANGLE], row[REALTIME_TORQUE]);
+                                              row[REALTIME_MOTOR_ANGLE], row[REALTIME_TORQUE], 0, 0);
     law->step(state, params, mark[REALTIME_TICK], row + REALTIME_REFERENCE, row + REALTIME_MOTOR_REFERENCE,
               mark + REALTIME_MODE);
     command->motor_reference = row[REALTIME_MOTOR_REFERENCE];

@@ -28,7 +28,7 @@ static double control(const twin_rig *rig, const twin_law *law, const double *in
     } else {
         if (law->bank) {
             given[PORT_PAYLOAD] =
-                port->estimate(law->estimate, law->bank, tick, given[PORT_ANGLE], given[PORT_TORQUE]);
+                port->estimate(law->estimate, law->bank, tick, given[PORT_ANGLE], given[PORT_TORQUE], 0, 0);
         }
         for (int i = (faults & TWIN_TICK_REPEATED) ? 2 : 1; i; --i) {
             port->step(law->state, law->params, tick, given, answer, marks);

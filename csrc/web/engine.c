@@ -52,38 +52,29 @@ uint32_t *EXPORT(mark)(int row) { return marks[row]; }
 double *EXPORT(matrix)(void) { return matrix_numbers; }
 double *EXPORT(outputs)(void) { return output_numbers; }
 
-static loop_link link_of(int reals, int pairs, int second)
-{
-    const double *const decay = link_numbers + LINK_HEAD;
-    const double *const weight = decay + reals;
-    const double *const pair = weight + LOOP_POWERS * reals;
-    const double *const pair_weight = pair + 2 * pairs;
-    loop_link link = {reals,
-                      pairs,
-                      decay,
-                      weight,
-                      pair,
-                      pair + pairs,
-                      pair_weight,
-                      pair_weight + LOOP_POWERS * pairs,
-                      {0},
-                      link_numbers[0],
-                      second ? link_numbers + LINK_SECOND : 0};
-    memcpy(link.first, link_numbers + LINK_FIRST, sizeof link.first);
-    return link;
-}
-
 /* Run the buffers' arm for `length` periods. Signals: tip, motor, motor reference, torque, measured torque, voltage,
  * tip estimate, measured angle; marks: flags, mode, reason. Return 0, or 1 where a bound is exceeded. */
 int EXPORT(run)(int single, int reals, int pairs, int second, int broken, int length)
 {
     if (length < 0 || length > LONGEST || reals < 0 || pairs < 0 || reals > LOOP_MODES || pairs > LOOP_MODES)
         return 1;
-    const loop_link link = link_of(reals, pairs, second);
-    const loop_input input = {length, paths[0], paths[1], paths[2], broken ? fault_numbers : 0};
-    const loop_trace trace = {signals[0], signals[1], signals[2], signals[3], signals[4], signals[5],
-                              signals[6], signals[7], marks[0],   marks[1],   marks[2]};
-    return loop_run(&link, &rig_of_model, single ? &LAW_IN_SINGLE : &LAW_IN_DOUBLE, block_words, &input, &trace);
+    const double *const decay = link_numbers + LINK_HEAD;
+    const double *const weight = decay + reals;
+    const double *const pair = weight + LOOP_POWERS * reals;
+    const double *const pair_weight = pair + 2 * pairs;
+    loop_arm arm = {
+        .link = {reals, pairs, decay, weight, pair, pair + pairs, pair_weight, pair_weight + LOOP_POWERS * pairs, {0},
+                 link_numbers[0], second ? link_numbers + LINK_SECOND : 0},
+        .rig = rig_of_model,
+        .amplitude = 1.0,
+        .reference = paths[0],
+        .acceleration = paths[1],
+        .normal = paths[2],
+        .faults = broken ? fault_numbers : 0,
+        .trace = {signals[0], signals[2], signals[5], marks[0], marks[1], marks[2], signals[1], signals[3], signals[4],
+                  signals[6], signals[7]}};
+    memcpy(arm.link.first, link_numbers + LINK_FIRST, sizeof arm.link.first);
+    return loop_run(&arm, 1, single ? &LAW_IN_SINGLE : &LAW_IN_DOUBLE, block_words, length);
 }
 
 /* Replace the twin's matrix of `size` rows, its states and two inputs, by its exponential. Return 0, or 1 where it is
@@ -127,7 +118,7 @@ int EXPORT(run_twin)(int single, int size, int length)
         arm.hub[i] = row[states];
         arm.tip[i] = row[states + 1];
     }
-    port->begin(&arm.law, block_words, 0, 0);
+    (void)port->begin(&arm.law, block_words);
     const int done = twin_run(&step, &rig_of_twin, &nothing, &law, length, fault_numbers, &memory, record);
     for (int k = 0; k < length; k++) {
         const double *const row = record + TWIN_COLUMNS * (k < done ? k : done - 1);

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from typing import is_typeddict
 
 from sphinx.application import Sphinx
 
@@ -79,6 +80,8 @@ def short_signature(
     """
     if what != "class":
         return short_arrays(signature), short_arrays(return_annotation)
+    if is_typeddict(obj):
+        return f"({', '.join(f'{key}=…' for key in obj.__annotations__)})", None
     fields = inspect.signature(obj).parameters.values()
     shown = [
         field.name + ("" if field.default is field.empty else "=…") for field in fields

@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from loop_sketch import loop_sketch
 
 import fraclink as fl
 import fracsys
@@ -25,7 +26,7 @@ from fraclink.view import _runs as runs
 from fraclink.view._drawing import Figure, Panel
 from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
 from fraclink.view._scales import Scale
-from fraclink.view._sketches import arm_sketch, loop_sketch
+from fraclink.view._sketches import arm_sketch
 
 ASK: dict[str, Any] = {
     "payloads": (0.020, 0.040),
@@ -75,7 +76,7 @@ def lines(
         *(float(f(curves[0][1])) for f in (np.min, np.max)), more.pop("log", False)
     )
     y = more.pop("y", None) or Scale.around(*(c[2] for c in curves))
-    return Figure(name, said, x, (Panel(label, y, marks, 240.0),), xlabel)
+    return Figure(name, said, (Panel(label, marks, 240.0, y),), xlabel, scale=x)
 
 
 def filters() -> Figure:
@@ -101,11 +102,11 @@ def filters() -> Figure:
         ("Ms at 20 g", peak),
     )
     panels = [
-        Panel(label, Scale.around(values), [Curve(milli, values, k)], 100.0)
+        Panel(label, [Curve(milli, values, k)], 100.0)
         for k, (label, values) in enumerate(rows, 1)
     ]
     said = "A longer filter lowers the noise and costs margin below the range and sensitivity inside of it"
-    return Figure("filters", said, Scale(0.0, 40.0), panels, "filter δ [ms]")
+    return Figure("filters", said, panels, "filter δ [ms]", scale=Scale(0.0, 40.0))
 
 
 def damping() -> Figure:
@@ -259,7 +260,7 @@ def published() -> Figure:
         payloads=(0.020, 0.040),
         gain_crossover=16.0,
         phase_margin=fl.deg(70),
-        margins="ideal",
+        procedure="published",
         filter_order=2,
     )
     mass = np.linspace(0.008, 0.045, 30)
@@ -360,8 +361,8 @@ def refused() -> Figure:
     found = fl.extend.feasibility_map(
         rig().model,
         rig(),
-        gain_crossovers=np.linspace(8, 34, 60),
-        phase_margins=np.radians(np.linspace(10, 100, 60)),
+        gain_crossovers=np.linspace(8, 34, 16),
+        phase_margins=np.radians(np.linspace(10, 100, 16)),
         filter_time=0.0,
     )
     request = {"gain_crossover": 30.0, "phase_margin": fl.deg(80)}

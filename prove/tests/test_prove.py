@@ -32,6 +32,7 @@ from fraclink_prove import (
     symbolic,
     tools,
 )
+from fraclink_prove.norms import worst_gain
 from law_bench import default_controller, law, with_pair
 from law_bench import run as run_law
 from needed_tools import tool
@@ -64,7 +65,7 @@ def claim_of(name: str, folder: Path) -> step.Claim:
 @pytest.fixture(scope="module")
 def design(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("design") / "design.json"
-    design, _ = design_for(fl.Rig.named("paper-2023"), filter_time=0.0)
+    design, _ = design_for(fl.Rig.named("paper-2023"))
     design.save(path)
     return path
 
@@ -191,7 +192,7 @@ def test_the_rounding_stays_below_its_bound_and_a_slip_does_not(tmp_path: Path) 
     export_c(made, tmp_path)
     assert rounding.rounding_claim(made, tmp_path, error=0.02).status == "proved"
     answer = (tmp_path / "proof" / "rounding.log").read_text(encoding="utf-8")
-    bound = rounding.rounding_bound(made, answer, rounding.worst_case(made, error=0.02))
+    bound = rounding.rounding_bound(made, answer, worst_gain(made), 0.02)
     rng = np.random.default_rng(4)
     rows = np.zeros((4, 150))
     rows[3] = 1.56 * (
@@ -1092,8 +1093,8 @@ def test_the_bound_for_all_time_is_the_sum_of_what_each_rounding_may_become(
         f"  {name}_computed - {name}_exact in [-1b{int(np.log2(size))}, 1b-99]"
         for name, size in sizes.items()
     )
-    bounds = rounding.worst_case(made, error=0.5)
-    found = rounding.rounding_bound(made, answer, bounds)
+    largest = worst_gain(made)
+    found = rounding.rounding_bound(made, answer, largest, 0.5)
     values = made.coefficients
 
     def filtered(key: str, width: int, count: int, tag: str) -> tuple[float, float]:
@@ -1125,12 +1126,10 @@ def test_the_bound_for_all_time_is_the_sum_of_what_each_rounding_may_become(
     )  # type: ignore[arg-type]
     assert found.correction == pytest.approx(own, rel=1e-6)
     forward = sizes["ahead_output"] + ahead
-    whole = (
-        own + forward + bounds.gain * sizes["error"] + sizes["offset"] + sizes["wanted"]
-    )
+    whole = own + forward + largest * sizes["error"] + sizes["offset"] + sizes["wanted"]
     assert found.command == pytest.approx(whole, rel=1e-6) and found.error == 0.5
     with pytest.raises(ValueError, match="grows beyond"):
-        rounding.rounding_bound(made, answer.replace("[-1b-40", "[-1b-2"), bounds)
+        rounding.rounding_bound(made, answer.replace("[-1b-40", "[-1b-2"), largest, 0.5)
 
 
 def test_a_tool_runs_in_its_folder_and_is_stopped_for_time(tmp_path: Path) -> None:
@@ -1291,3 +1290,15 @@ def test_a_certificate_is_no_claim_where_it_is_none(tmp_path: Path) -> None:
     claim = loop_claim(made, tmp_path, failed)
     assert (claim.status, claim.reason) == ("failed", failed.verdict)
     assert not (tmp_path / "proof").exists()
+
+
+@pytest.mark.parametrize(
+    "made", [law("single"), with_pair("double")], ids=["real", "pairs"]
+)
+def test_the_worst_gain_is_the_norm_of_the_impulse_response(made: Law) -> None:
+    c = made.correction
+    poles = np.array([*c.poles, *c.pair_poles], dtype=complex)
+    gains = np.array([*c.gains, *c.pair_gains], dtype=complex)
+    inner = (gains[:, None] * poles[:, None] ** np.arange(30_000)).real.sum(axis=0)
+    whole = np.abs(np.diff(np.concatenate([[c.direct], inner]), prepend=0.0)).sum()
+    assert worst_gain(made) == pytest.approx(whole, rel=1e-3)

@@ -34,9 +34,6 @@ from fraclink._identify.compare import identify as identify
 from fraclink._identify.fit import Fit as Fit
 from fraclink._identify.motor import identify_motor as identify_motor
 from fraclink._identify.payloads import identify_payloads as identify_payloads
-from fraclink._identify.spectrum import (
-    identify_frequency_response as identify_frequency_response,
-)
 from fraclink._identify.structures import identify_structure as identify_structure
 from fraclink._law.design import Design as Design
 from fraclink._law.design import Requirement as Requirement
@@ -51,6 +48,7 @@ from fraclink._reading.responses import (
     read_frequency_response as read_frequency_response,
 )
 from fraclink._simulate.arm import Twin as Twin
+from fraclink._simulate.arm_set import worst_case as worst_case
 from fraclink._simulate.run import Run as Run
 from fraclink._simulate.shape import shape as shape
 from fraclink._simulate.simulate import simulate as simulate
@@ -60,7 +58,7 @@ from fraclink.lab._connections import Callback as Callback
 from fraclink.lab._tune import tune as tune
 from fraclink.lab._tune_guard import MotionLimits as MotionLimits
 from fraclink.lab._tuning import TuningPlan as TuningPlan
-from fraclink.view._plots import bode as bode
+from fraclink.view._responses import bode as bode
 
 __version__: str
 __all__: list[str]

@@ -1,26 +1,381 @@
-"""Results in a prompt and in a notebook: the classes name nothing, `fraclink.view`
-knows how each looks.
+"""What people and programs read of a result, stated once by its class.
 
-A class of results lies floors below what draws it. Its methods therefore look their
-template up when they are called, so that neither a table nor matplotlib is loaded with
-the class.
+A figure is a `Row`: its key for programs, its label and unit for people, and its value.
+Rows of several like things are a `Table`, and an `Overview` is all that a result says:
+the word of its verdict, a sentence, its figures, its findings. Command line, JSON,
+notebook, report and studio loop over them; `fraclink.view` formats and draws.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, TypeVar
+from pathlib import PurePath
+from types import MappingProxyType
+from typing import Any, Literal, TypeVar
 
-__all__ = ["displayed"]
+__all__ = [
+    "Finding",
+    "Listed",
+    "Overview",
+    "Row",
+    "Severity",
+    "Table",
+    "displayed",
+    "marked",
+    "number",
+    "quantity",
+    "size_of",
+    "source_name",
+    "span",
+    "state_of",
+    "uncertain",
+]
 
 Kind = TypeVar("Kind", bound=type)
+Item = TypeVar("Item")
+
+# --- values as people read them: few digits, a real minus, powers of ten -----------------
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+# Unit that is stated: as people read it, its size in SI units, and the decimal places
+# of units in which every column has the same.
+_UNITS: dict[str, tuple[str, float, int | None]] = {
+    "rad": ("°", math.pi / 180.0, 1),
+    "kg": ("g", 1e-3, None),
+    "g": ("g", 1e-3, None),
+    "ms": ("ms", 1e-3, None),
+    "µs": ("µs", 1e-6, 1),
+    "mrad": ("mrad", 1e-3, 2),
+    "mN·m": ("mN·m", 1e-3, None),
+    "%": ("%", 1e-2, None),
+    "Hz": ("Hz", 2.0 * math.pi, None),
+}
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Return `value` with `digits` significant digits.
+
+    >>> number(-0.00068712), number(13399.771, 8), number(float("inf")), number(None)
+    ('−6.871×10⁻⁴', '13399.771', '∞', '–')
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    # of −0.0 the sum is 0.0: nobody reads a sign of nothing
+    text = f"{value + 0.0:.{digits}g}"
+    mantissa, _, exponent = text.partition("e")
+    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one
+    # column are misread.
+    if 0 < abs(value) < 1e-3 and not exponent:
+        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
+    mantissa = mantissa.replace("-", "−")
+    if not exponent:
+        return mantissa
+    if "." in mantissa:
+        mantissa = mantissa.rstrip("0").rstrip(".")
+    return f"{mantissa}×10{str(int(exponent)).translate(_RAISED)}"
+
+
+def _fixed(value: float, places: int) -> str:
+    """A value with a fixed number of places; what rounds to nothing has no sign."""
+    text = f"{value:.{places}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def uncertain(value: float, error: float) -> str:
+    """Return `value ± error`, both with the digits that the error leaves meaningful.
+
+    >>> uncertain(1.918734, 0.000213), uncertain(116.0, 145.0)
+    ('1.91873 ± 0.00021', 'undetermined')
+    """
+    # Digits of a value that may as well have the other sign would be read as knowledge.
+    if error >= abs(value):
+        return "undetermined"
+    # Two digits of the error: one would round 0.14 to 0.1, three claim what no
+    # covariance knows.
+    places = max(0, 1 - math.floor(math.log10(error)))
+    if places > 9 or abs(value) >= 1e6:
+        return f"{number(value, 5)} ± {number(error, 2)}"
+    return f"{_fixed(value, places)} ± {_fixed(error, places)}"
+
+
+def size_of(unit: str) -> float:
+    """A unit in which people read, in SI units.
+
+    >>> size_of("mrad"), size_of("rad/s")
+    (0.001, 1.0)
+    """
+    return _UNITS.get(unit, ("", 1.0, None))[1]
+
+
+def _in_unit(value: float | None, unit: str, digits: int) -> tuple[str, str]:
+    """A value in SI units as people read it, and the unit in which it then is."""
+    word, size, places = _UNITS.get(unit, (unit, 1.0, None))
+    if value is None or places is None or not math.isfinite(value):
+        return number(None if value is None else value / size, digits), word
+    return _fixed(value / size, places), word
+
+
+def quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    """Return a value in SI units with its unit, in which people read it.
+
+    >>> quantity(12.0, "rad/s"), quantity(math.pi / 4, "rad"), quantity(0.0305, "kg")
+    ('12 rad/s', '45.0°', '30.5 g')
+    """
+    text, word = _in_unit(value, unit, digits)
+    if text == "–":
+        return text
+    return text + (word if word == "°" else f" {word}".rstrip())
+
+
+def span(low: float, high: float, unit: str) -> str:
+    """Return an interval with its unit; of no length one value.
+
+    >>> span(0.02, 0.04, "kg"), span(0.03, 0.03, "kg")
+    ('20 to 40 g', '30 g')
+    """
+    ends = quantity(high, unit)
+    return ends if low == high else f"{_in_unit(low, unit, 4)[0]} to {ends}"
+
+
+# --- figures, tables, findings, and all that a result says -------------------------------
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of a result.
+
+    Parameters
+    ----------
+    key
+        for programs; a dot leads into an object of the JSON. Empty: for people only.
+    label
+        for people. Empty: for programs only.
+    value
+        a number in SI units and radians, an interval of two, a text, or a verdict.
+    unit
+        in which people read it: "ms" is a value in seconds.
+    error
+        its standard error, in SI units.
+    digits
+        significant ones, where the error does not say how many there are.
+    infinite
+        the word for a value that is.
+
+    >>> Row("delay", "gauge delay", 0.002064, "ms", digits=3).text
+    '2.06 ms'
+    """
+
+    key: str
+    label: str
+    value: Any
+    unit: str = ""
+    error: float | None = None
+    digits: int = 4
+    infinite: str = "∞"
+
+    @staticmethod
+    def time(key: str, label: str, value: float) -> Row:
+        """A time [s] that may never come."""
+        return Row(key, label, value, "s", digits=3, infinite="never")
+
+    @property
+    def text(self) -> str:
+        """The value with its unit, as people read it."""
+        return self._read(with_unit=True)
+
+    @property
+    def cell(self) -> str:
+        """The value alone, for a column whose head has the unit."""
+        return self._read(with_unit=False)
+
+    @property
+    def heading(self) -> str:
+        """The label with the unit, for a column of such figures."""
+        unit = _UNITS.get(self.unit, (self.unit,))[0]
+        return f"{self.label} [{unit}]" if unit else self.label
+
+    def _read(self, *, with_unit: bool) -> str:
+        value, unit = self.value, self.unit if with_unit else ""
+        if isinstance(value, bool):
+            return "passed" if value else "failed"
+        if isinstance(value, str):
+            return value
+        word, size, _ = _UNITS.get(self.unit, (self.unit, 1.0, None))
+        if isinstance(value, tuple):
+            ends = (_in_unit(end, self.unit, self.digits)[0] for end in value)
+            return f"{' to '.join(ends)} {word if unit else ''}".rstrip()
+        if value is not None and math.isinf(value):
+            return self.infinite if value > 0 else f"−{self.infinite}"
+        if self.error is not None and 0.0 < self.error < math.inf:
+            text = uncertain(value / size, self.error / size)
+            known = unit and text != "undetermined"
+            # A line may end before the sign, never behind it.
+            return text.replace("± ", "±\N{NO-BREAK SPACE}") + (
+                f" {word}" if known else ""
+            )
+        if unit:
+            return quantity(value, unit, self.digits)
+        return _in_unit(value, self.unit, self.digits)[0]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Like things, each by the same rows: under `key` for programs, below one heading
+    for people.
+    """
+
+    key: str
+    records: tuple[tuple[Row, ...], ...]
+
+    @staticmethod
+    def of(key: str, records: Iterable[Iterable[Row]]) -> Table:
+        """The table of such records."""
+        return Table(key, tuple(tuple(record) for record in records))
+
+    def columns(self, *labels: str) -> Table:
+        """The same with these columns only."""
+        return Table.of(
+            self.key,
+            ([row for row in record if row.label in labels] for record in self.records),
+        )
+
+
+Severity = Literal["info", "warning", "error"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One observation of a check; `code` is stable across releases.
+
+    Parameters
+    ----------
+    code
+        ``W101`` and so on: rig W1xx, log W2xx.
+    severity
+        ``info`` (good to know), ``warning`` (results may mislead) or ``error``
+        (unusable).
+    message
+        One sentence for a person.
+    evidence
+        The numbers behind it, name to value, in SI units and radians.
+    remedy
+        What to do.
+
+    Examples
+    --------
+    >>> print(Finding("W101", "warning", "c contradicts 3EI/L", {"c": 1.56, "3EI/L": 1.2}, "measure c"))
+    W101 warning: c contradicts 3EI/L (c 1.56, 3EI/L 1.2); measure c
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    evidence: Mapping[str, float] = field(default_factory=dict)
+    remedy: str = ""
+
+    def __post_init__(self) -> None:
+        # A copy behind a proxy: a finding travels with its experiment and is hashed, so
+        # that nobody may change its numbers, not even by the dict it was made from.
+        object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
+
+    def __str__(self) -> str:
+        numbers = ", ".join(
+            f"{name.replace('_', ' ')} {value:.6g}"
+            for name, value in self.evidence.items()
+        )
+        text = f"{self.code} {self.severity}: {self.message}" + (
+            f" ({numbers})" if numbers else ""
+        )
+        return text + (f"; {self.remedy}" if self.remedy else "")
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What it says, as people and programs read it."""
+        return (
+            Row("code", "code", self.code),
+            Row("severity", "severity", self.severity),
+            Row("message", "what", self.message),
+            Row("evidence", "", self.evidence),
+            Row("remedy", "remedy", self.remedy),
+        )
+
+    def __hash__(self) -> int:
+        return hash(
+            (
+                self.code,
+                self.severity,
+                self.message,
+                tuple(self.evidence.items()),
+                self.remedy,
+            )
+        )
+
+    def __reduce__(self) -> tuple[object, ...]:
+        # A mapping proxy cannot cross a process border; its dict can.
+        return type(self), (
+            self.code,
+            self.severity,
+            self.message,
+            dict(self.evidence),
+            self.remedy,
+        )
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What people and programs read of a result.
+
+    Parameters
+    ----------
+    headline
+        its sentence: what decides.
+    state
+        the word of its verdict; empty where it has none.
+    rows
+        its own figures.
+    tables
+        of the parts that it has several of.
+    findings
+        what its checks noticed.
+    notes
+        further sentences.
+    """
+
+    headline: str = ""
+    state: str = ""
+    rows: tuple[Row, ...] = ()
+    tables: tuple[Table, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def source_name(source: str) -> str:
+    """The name of a file without the folders of one machine.
+
+    >>> source_name("C:\\\\logs\\\\run.csv"), source_name("")
+    ('run.csv', 'unnamed log')
+    """
+    return PurePath(source.replace("\\", "/")).name or "unnamed log"
+
+
+def state_of(passed: bool) -> str:
+    """The word of a verdict that is no better than failed where it is not passed."""
+    return "passed" if passed else "failed"
+
+
+# --- results in a prompt and in a notebook -----------------------------------------------
 
 
 def _template(name: str) -> Callable[[Any], Any] | None:
-    # By name and not imported above: this module lies floors below `view`, which loads
-    # matplotlib, and which a copy of the core does not have.
+    # By name and not imported above: this module lies floors below `view`, which a copy
+    # of the core does not have.
     if find_spec("fraclink.view") is None:
         return None
     template: Callable[[Any], Any] = getattr(
@@ -29,9 +384,39 @@ def _template(name: str) -> Callable[[Any], Any] | None:
     return template
 
 
+_MARKS = {
+    "passed": "✓",
+    "failed": "✗",
+    "not shown": "!",
+    "missing": "!",
+    "not run": "–",
+    "outdated": "⟳",
+}
+
+
+def marked(text: str) -> str:
+    """A verdict's word behind its sign, which is there without colours, too.
+
+    >>> marked("passed"), marked("failed"), marked("20 g")
+    ('✓ passed', '✗ failed', '20 g')
+    """
+    return f"{_MARKS[text]} {text}" if text in _MARKS else text
+
+
+_LONGEST = 110  # characters of a repr: a list of results stays readable
+
+
 def _repr(result: Any) -> str:
-    short = _template("short")
-    return f"{type(result).__name__}(...)" if short is None else str(short(result))
+    """The class and the headline of a result."""
+    shown = result.overview()
+    said = ": ".join(filter(None, (marked(shown.state), shown.headline)))
+    said = said if len(said) <= _LONGEST else said[: _LONGEST - 1] + "…"
+    return f"{type(result).__name__}({said})"
+
+
+def _str(result: Any) -> str:
+    text = _template("text")
+    return _repr(result) if text is None else str(text(result))
 
 
 def _repr_html(result: Any) -> str | None:
@@ -45,20 +430,28 @@ def _repr_svg(result: Any) -> str | None:
 
 
 def displayed(kind: Kind) -> Kind:
-    """Give a class of results a short repr, and to notebooks its table and, where there
-    is one, its drawing.
-
-    A repr of the class's own is kept; the one that `dataclass` generates prints every
-    sample of an array.
+    """Give a class with an `overview` what a prompt and a notebook ask for: a short
+    repr, its figures by `print`, its table and, where there is one, its drawing.
 
     >>> import fraclink as fl
     >>> fl.Rig.named("paper-2023")
     Rig(paper-2023)
     """
-    # A repr of the class's own is what its author wants in a prompt; only dataclass's
-    # is replaced.
-    if kind.__dataclass_params__.repr:  # type: ignore[attr-defined]
-        kind.__repr__ = _repr  # type: ignore[assignment]
+    kind.__repr__ = _repr  # type: ignore[assignment]
+    kind.__str__ = _str  # type: ignore[assignment]
     kind._repr_html_ = _repr_html  # type: ignore[attr-defined]
     kind._repr_svg_ = _repr_svg  # type: ignore[attr-defined]
     return kind
+
+
+@displayed
+class Listed(tuple[Item, ...]):
+    """A tuple of like things that have `rows`, which a prompt and a notebook show as
+    one table.
+    """
+
+    def overview(self) -> Overview:
+        """Its table, and how many it has."""
+        table = Table.of("", (item.rows for item in self))  # type: ignore[attr-defined]
+        passed = all(getattr(item, "passed", True) for item in self)
+        return Overview(str(len(self)), state_of(passed), tables=(table,))

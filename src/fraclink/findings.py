@@ -1,4 +1,4 @@
-"""A finding: something a check noticed, with its evidence and what to do; a verdict:
+"""Findings: what the checks noticed, each with its evidence and what to do; a verdict:
 what all was shown.
 
 Rigs, logs and fits carry findings instead of printing warnings, so that a report can
@@ -8,12 +8,22 @@ show them and a program can act on their codes.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
+from dataclasses import dataclass
 from typing import Literal
+
+from fraclink._display import (
+    Finding,
+    Listed,
+    Overview,
+    Row,
+    Severity,
+    Table,
+    displayed,
+)
 
 __all__ = [
     "Finding",
+    "Findings",
     "Scope",
     "Severity",
     "State",
@@ -22,73 +32,29 @@ __all__ = [
     "worst_first",
 ]
 
-Severity = Literal["info", "warning", "error"]
 
+class Findings(Listed[Finding]):
+    """Findings as a tuple; a prompt shows how many there are, a notebook each of them.
 
-@dataclass(frozen=True)
-class Finding:
-    """One observation of a check; `code` is stable across releases.
-
-    Parameters
-    ----------
-    code
-        ``W101`` and so on: rig W1xx, log W2xx.
-    severity
-        ``info`` (good to know), ``warning`` (results may mislead) or ``error``
-        (unusable).
-    message
-        One sentence for a person.
-    evidence
-        The numbers behind it, name to value, in SI units and radians.
-    remedy
-        What to do.
-
-    Examples
-    --------
-    >>> print(Finding("W101", "warning", "c contradicts 3EI/L", {"c": 1.56, "3EI/L": 1.2}, "measure c"))
-    W101 warning: c contradicts 3EI/L (c 1.56, 3EI/L 1.2); measure c
+    >>> Findings([Finding("W305", "info", "the residual is not white")])
+    Findings(✓ passed: 1 info)
     """
 
-    code: str
-    severity: Severity
-    message: str
-    evidence: Mapping[str, float] = field(default_factory=dict)
-    remedy: str = ""
-
-    def __post_init__(self) -> None:
-        # A copy behind a proxy: a finding travels with its experiment and is hashed, so
-        # that nobody may change its numbers, not even by the dict it was made from.
-        object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
-
-    def __str__(self) -> str:
-        numbers = ", ".join(
-            f"{name.replace('_', ' ')} {value:.6g}"
-            for name, value in self.evidence.items()
-        )
-        text = f"{self.code} {self.severity}: {self.message}" + (
-            f" ({numbers})" if numbers else ""
-        )
-        return text + (f"; {self.remedy}" if self.remedy else "")
-
-    def __hash__(self) -> int:
-        return hash(
-            (
-                self.code,
-                self.severity,
-                self.message,
-                tuple(self.evidence.items()),
-                self.remedy,
-            )
-        )
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # A mapping proxy cannot cross a process border; its dict can.
-        return type(self), (
-            self.code,
-            self.severity,
-            self.message,
-            dict(self.evidence),
-            self.remedy,
+    def overview(self) -> Overview:
+        """How many there are of each severity, and what they say."""
+        found = [finding.severity for finding in self]
+        # A warning is no failure, but a result with one is not yet shown to be right:
+        # the word between.
+        state = "not shown" if "warning" in found else "passed"
+        counts = [
+            f"{found.count(word)} {word}{'s' if found.count(word) > 1 and word != 'info' else ''}"
+            for word in ("error", "warning", "info")
+            if word in found
+        ]
+        return Overview(
+            ", ".join(counts) or "no findings",
+            "failed" if "error" in found else state,
+            findings=tuple(self),
         )
 
 
@@ -125,14 +91,24 @@ class Scope:
     reasons: tuple[str, ...] = ()
 
 
+_SCOPES = {
+    "promise": "requirements and proof",
+    "model": "simulated moves of the model",
+    "twin": "arm with distributed mass, arms that differ, faults",
+    "arm": "records of the real arm",
+}
+
+
+@displayed
 @dataclass(frozen=True)
 class Verdict:
-    """What was shown, in three scopes; the whole is never better than its worst part.
+    """What was shown, in four scopes; the whole is never better than its worst part.
 
     promise: the requirements of the design, and their proof where one was asked for.
-    model: simulated moves of the identified model. reality: arms that differ from the
-    model, and faults if they were injected. remarks stand beside the verdict and do not
-    change it.
+    model: simulated moves of the identified model. twin: the arm with distributed mass
+    under the law as it ships, arms that differ from the model, and faults if they were
+    injected. arm: records of what the real one did; "not run" until there is one, which
+    leaves the rest as it is. remarks stand beside the verdict and do not change it.
 
     >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).state
     'not run'
@@ -140,23 +116,64 @@ class Verdict:
 
     promise: Scope
     model: Scope
-    reality: Scope
+    twin: Scope
+    arm: Scope = Scope("not run")
     remarks: tuple[str, ...] = ()
 
     @property
     def scopes(self) -> Mapping[str, Scope]:
-        """The three scopes by name."""
-        return {"promise": self.promise, "model": self.model, "reality": self.reality}
+        """The four scopes by name."""
+        return {name: getattr(self, name) for name in _SCOPES}
+
+    @property
+    def sentence(self) -> str:
+        """The states in one line.
+
+        >>> Verdict(Scope("passed"), Scope("passed"), Scope("not run")).sentence
+        'promise passed, model passed, twin not run, arm not run'
+        """
+        return ", ".join(f"{name} {scope.state}" for name, scope in self.scopes.items())
+
+    def overview(self) -> Overview:
+        """The four scopes, each with its reasons."""
+        scopes = self.scopes.items()
+        lines = (
+            (
+                Row("", "scope", name),
+                Row("", "what", _SCOPES[name]),
+                Row("", "why", "; ".join(scope.reasons) or "–"),
+                Row("", "verdict", scope.state),
+            )
+            for name, scope in scopes
+        )
+        rows = (
+            *(Row(name, "", scope) for name, scope in scopes),
+            Row("remarks", "", self.remarks),
+            Row("reasons", "", self.reasons),
+        )
+        return Overview(
+            self.sentence,
+            self.state,
+            rows,
+            (Table.of("", lines),),
+            notes=self.remarks,
+        )
 
     @property
     def state(self) -> State:
-        """The worst state of the three."""
-        states = {scope.state for scope in self.scopes.values()}
+        """The worst state of the scopes; no record of the arm itself is none of them, and
+        a record of the arm stands in for the twin where that was not run.
+        """
+        judged = [self.promise, self.model]
+        judged += [
+            scope for scope in (self.twin, self.arm) if scope.state != "not run"
+        ] or [self.twin]
+        states = {scope.state for scope in judged}
         return next(state for state in _WORST_FIRST if state in states)
 
     @property
     def passed(self) -> bool:
-        """Whether all three scopes passed."""
+        """Whether every scope passed that was run, and nothing was left out."""
         return self.state == "passed"
 
     @property

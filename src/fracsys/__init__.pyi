@@ -13,7 +13,6 @@ from fracsys._rational import RationalApproximation as RationalApproximation
 from fracsys._rational import approximate as approximate
 from fracsys._response import TimeResponse as TimeResponse
 from fracsys._response import discrete_modes as discrete_modes
-from fracsys._response import grunwald_letnikov as grunwald_letnikov
 from fracsys._response import impulse_response as impulse_response
 from fracsys._response import step_response as step_response
 from fracsys._response import time_response as time_response

@@ -128,9 +128,12 @@ def _spline(t: ArrayLike, y: ArrayLike) -> tuple[CubicSpline, float]:
     """The cubic spline through the samples, and their period."""
     times, values = np.asarray(t, np.float64), np.asarray(y, np.float64)
     if times.size != values.size:
-        problem, remedy = "not one for each time", "give t and y of one length"
         raise FieldError(
-            "y", values.size, problem, allowed=str(times.size), remedy=remedy
+            "y",
+            values.size,
+            "not one for each time",
+            allowed=str(times.size),
+            remedy="give t and y of one length",
         )
     period = float(times[-1] - times[0]) / (times.size - 1)
     gaps = np.diff(times)

@@ -16,7 +16,7 @@ import control
 import numpy as np
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._from_control import continuous
+from fracsys._from_control import from_control
 from fracsys._sweep import frequency_grid
 from fracsys.errors import FracsysError
 
@@ -114,7 +114,9 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             left, right = self.frd(other.omega), other
             return operation(right, left) if reflected else operation(left, right)
         try:
-            exact = continuous(other.item() if isinstance(other, np.generic) else other)
+            exact = from_control(
+                other.item() if isinstance(other, np.generic) else other
+            )
         except (FracsysError, AttributeError):
             return NotImplemented
         left, right = (
@@ -158,7 +160,7 @@ class FractionalResponse(control.FrequencyResponseData):  # type: ignore[misc]
             return control.FrequencyResponseData(closed, other.omega, dt=0)
         # python-control takes any sign here; only its direction counts.
         return FractionalResponse(
-            self.fractional.feedback(continuous(other), sign=-1 if sign < 0 else 1)
+            self.fractional.feedback(from_control(other), sign=-1 if sign < 0 else 1)
         )
 
     def _repr_eval_(self) -> str:

@@ -19,8 +19,10 @@ elsewhere.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from importlib import import_module
 from numbers import Real
 from typing import TYPE_CHECKING, Any, NoReturn, cast, overload
@@ -29,18 +31,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracsys._terms import (
+    LATEX,
+    PLAIN,
+    PYTHON,
     Term,
     as_terms,
     cancelled,
     collect,
     evaluate,
     finite,
-    latex_text,
     normal,
     product,
-    python_text,
     scaled,
-    text,
+    written,
 )
 from fracsys.errors import FieldError
 
@@ -79,9 +82,12 @@ class FractionalTransferFunction:
         top = collect(as_terms("numerator", self.numerator))
         bottom = collect(as_terms("denominator", self.denominator))
         if not bottom:
-            allowed, remedy = "at least one nonzero term", "check the signs"
             raise FieldError(
-                "denominator", self.denominator, "zero", allowed=allowed, remedy=remedy
+                "denominator",
+                self.denominator,
+                "zero",
+                allowed="at least one nonzero term",
+                remedy="check the signs",
             )
         if bottom[-1].order < 0.0:
             remedy, lowest = (
@@ -126,48 +132,16 @@ class FractionalTransferFunction:
     # ----------------------------------------------------------------------------------
 
     def __add__(self, other: object) -> FractionalTransferFunction:
-        right = _operand(other)
-        if right is NotImplemented:
-            return _each(other, lambda one: self + one)
-        # Else 1/D + 1/D would be 2D/D²: every pole twice, with a zero on one of both.
-        if self.denominator == right.denominator:
-            return _build((*self.numerator, *right.numerator), self.denominator)
-        return _build(
-            (
-                *product(self.numerator, right.denominator),
-                *product(right.numerator, self.denominator),
-            ),
-            product(self.denominator, right.denominator),
-        )
+        return _applied(_sum, self, other)
 
     def __mul__(self, other: object) -> FractionalTransferFunction:
-        right = _operand(other)
-        if right is NotImplemented:
-            return _each(other, lambda one: self * one)
-        return _quotient(
-            self.numerator, self.denominator, right.numerator, right.denominator
-        )
+        return _applied(_product, self, other)
 
     def __truediv__(self, other: object) -> FractionalTransferFunction:
-        right = _operand(other)
-        if right is NotImplemented:
-            return _each(other, lambda one: self / one)
-        if not right.numerator:
-            remedy = "do not divide by zero"
-            raise FieldError(
-                "denominator", 0.0, "zero", allowed="a nonzero function", remedy=remedy
-            )
-        return _quotient(
-            self.numerator, self.denominator, right.denominator, right.numerator
-        )
+        return _applied(_ratio, self, other)
 
     def __sub__(self, other: object) -> FractionalTransferFunction:
-        right = _operand(other)
-        return (
-            _each(other, lambda one: self - one)
-            if right is NotImplemented
-            else self + (-right)
-        )
+        return _applied(lambda a, b: _sum(a, -b), self, other)
 
     def __neg__(self) -> FractionalTransferFunction:
         return _build(scaled(self.numerator, -1.0), self.denominator)
@@ -185,12 +159,7 @@ class FractionalTransferFunction:
         return -self + other
 
     def __rtruediv__(self, other: object) -> FractionalTransferFunction:
-        left = _operand(other)
-        return (
-            _each(other, lambda one: one / self)
-            if left is NotImplemented
-            else left / self
-        )
+        return _applied(lambda a, b: _ratio(b, a), self, other)
 
     def __pow__(self, exponent: object) -> FractionalTransferFunction:
         """Integer power of any function, real power of a single term c·s^a with c > 0
@@ -203,16 +172,12 @@ class FractionalTransferFunction:
             return self._integer_power(int(power))
         single = len(self.numerator) == len(self.denominator) == 1
         if not single or self.numerator[0].coefficient <= 0.0:
-            allowed = (
-                "integers to 64, or any real power of a single term c·s^a with c > 0"
-            )
-            remedy = "a real power of a sum is not a quotient of sums of powers of s"
             raise FieldError(
                 "exponent",
                 exponent,
                 "a real power of a sum",
-                allowed=allowed,
-                remedy=remedy,
+                allowed="integers to 64, or any real power of a single term c·s^a with c > 0",
+                remedy="a real power of a sum is not a quotient of sums of powers of s",
             )
         top, bottom = self.numerator[0], self.denominator[0]
         order = (top.order - bottom.order) * power
@@ -223,12 +188,8 @@ class FractionalTransferFunction:
 
     def _integer_power(self, power: int) -> FractionalTransferFunction:
         one = _build((Term(1.0, 0.0),), (Term(1.0, 0.0),))
-        base, result = (self if power >= 0 else one / self), one
-        for bit in bin(abs(power))[2:]:
-            result = result * result
-            if bit == "1":
-                result = result * base
-        return result
+        base = self if power >= 0 else one / self
+        return reduce(_product, [base] * abs(power), one)
 
     def delayed(self, delay: float) -> FractionalTransferFunction:
         """Return G(s)·e^(-τs) for the delay τ ≥ 0 [s].
@@ -260,13 +221,12 @@ class FractionalTransferFunction:
             )
         right = _operand(other)
         if right is NotImplemented:
-            allowed, remedy = "a function or a number", "build it from s"
             raise FieldError(
                 "other",
                 other,
                 "not a transfer function",
-                allowed=allowed,
-                remedy=remedy,
+                allowed="a function or a number",
+                remedy="build it from s",
             )
         # From the four sums and not as G/(1 + GH), which would carry the denominator of
         # G above and below.
@@ -381,20 +341,21 @@ class FractionalTransferFunction:
         return bool(self.numerator)
 
     def __repr__(self) -> str:
-        top = python_text(self.numerator)
+        top = written(self.numerator, PYTHON)
         if self.denominator == _ONE:
             single = all(t.order == 0.0 and not t.delay for t in self.numerator)
             return f"{top}*s**0" if single else top
-        bottom = python_text(self.denominator)
-        top = f"({top})" if len(self.numerator) > 1 else top
+        bottom = written(self.denominator, PYTHON)
         several = len(self.denominator) > 1 or self.denominator[0].delay
+        top = f"({top})" if len(self.numerator) > 1 else top
         return f"{top}/({bottom})" if several else f"{top}/{bottom}"
 
     def __str__(self) -> str:
-        top = text(self.numerator)
+        top, bottom = (
+            written(terms, PLAIN) for terms in (self.numerator, self.denominator)
+        )
         if self.denominator == _ONE:
             return top
-        bottom = text(self.denominator)
         top = f"({top})" if len(self.numerator) > 1 else top
         return (
             f"{top} / ({bottom})" if len(self.denominator) > 1 else f"{top} / {bottom}"
@@ -413,7 +374,13 @@ class FractionalTransferFunction:
         >>> print((1 / (FractionalTransferFunction.power(0.5) + 2)).latex())
         \\frac{1}{s^{0.5} + 2}
         """
-        top, bottom = latex_text(self.numerator), latex_text(self.denominator)
+        top, bottom = (
+            # 1e-05 is how Python writes it.
+            re.sub(
+                r"(?<=\d)e\+?(-?)0*(\d+)", r" \\cdot 10^{\1\2}", written(terms, LATEX)
+            )
+            for terms in (self.numerator, self.denominator)
+        )
         return top if self.denominator == _ONE else rf"\frac{{{top}}}{{{bottom}}}"
 
 
@@ -421,7 +388,37 @@ def _build(top: Iterable[Term], bottom: Iterable[Term]) -> FractionalTransferFun
     return FractionalTransferFunction(tuple(top), tuple(bottom))
 
 
-def _quotient(
+def _sum(
+    a: FractionalTransferFunction, b: FractionalTransferFunction
+) -> FractionalTransferFunction:
+    # Else 1/D + 1/D would be 2D/D²: every pole twice, with a zero on one of both.
+    if a.denominator == b.denominator:
+        return _build((*a.numerator, *b.numerator), a.denominator)
+    top = (*product(a.numerator, b.denominator), *product(b.numerator, a.denominator))
+    return _build(top, product(a.denominator, b.denominator))
+
+
+def _product(
+    a: FractionalTransferFunction, b: FractionalTransferFunction
+) -> FractionalTransferFunction:
+    return _crosswise(a.numerator, a.denominator, b.numerator, b.denominator)
+
+
+def _ratio(
+    a: FractionalTransferFunction, b: FractionalTransferFunction
+) -> FractionalTransferFunction:
+    if not b.numerator:
+        raise FieldError(
+            "denominator",
+            0.0,
+            "zero",
+            allowed="a nonzero function",
+            remedy="do not divide by zero",
+        )
+    return _crosswise(a.numerator, a.denominator, b.denominator, b.numerator)
+
+
+def _crosswise(
     top: Sequence[Term],
     bottom: Sequence[Term],
     other_top: Sequence[Term],
@@ -469,25 +466,34 @@ _ELSEWHERE = {
 }
 
 
-def _each(array: object, operation: Callable[[Any], Any]) -> FractionalTransferFunction:
-    """The operation on every element of an array, as an array of functions;
-    NotImplemented for no array.
+def _applied(
+    operation: Callable[
+        [FractionalTransferFunction, FractionalTransferFunction],
+        FractionalTransferFunction,
+    ],
+    function: FractionalTransferFunction,
+    other: object,
+) -> FractionalTransferFunction:
+    """The operation with a function, a number, or each entry of an array; NotImplemented
+    for anything else.
 
     An operator's type is that of its usual operands: for an array it is an array.
     """
-    found: Any = NotImplemented
-    if isinstance(array, np.ndarray):
-        found = np.empty(array.shape, dtype=object)
-        for place, one in np.ndenumerate(array):
-            found[place] = operation(one)
-    return cast("FractionalTransferFunction", found)
+    right: Any = _operand(other)
+    if right is not NotImplemented:
+        return operation(function, right)
+    if isinstance(other, np.ndarray):
+        right = np.empty(other.shape, dtype=object)
+        for place, one in np.ndenumerate(other):
+            right[place] = _applied(operation, function, one)
+    return cast("FractionalTransferFunction", right)
 
 
 def _operand(value: object) -> Any:
     if isinstance(value, FractionalTransferFunction):
         return value
     if hasattr(value, "ninputs") and hasattr(value, "dt"):  # a system of python-control
-        return import_module("fracsys._from_control").continuous(value)
+        return import_module("fracsys._from_control").from_control(value)
     if isinstance(value, Real) and not isinstance(value, bool):  # a Fraction, too
         return _build((Term(float(value), 0.0),), (Term(1.0, 0.0),))
     return NotImplemented

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import cmath
 import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
 
 import numpy as np
 
@@ -16,8 +14,6 @@ from fracsys._fractional import FractionalTransferFunction
 from fracsys._roots import log_zeros, newton_polygon, two_term_zeros
 from fracsys._terms import Complexes, Reals, Term
 from fracsys.errors import FieldError
-
-Response = Callable[[Complexes], Complexes]
 
 # Twelve decades around 1 rad/s hold every mechanical and electrical loop a callable can
 # stand for.
@@ -28,132 +24,104 @@ _STEP = 1e-5
 
 
 @dataclass(frozen=True)
-class CallableLoop:
-    """A loop given as a function of s, of which nothing else is known.
+class SampledLoop:
+    """A loop as it is followed along the axis, and what is known of it beforehand.
 
-    `low`, `high`: ln of the frequencies [rad/s] that can matter. `seeds`: ln ω where
+    `response`: L(j e^x), x = ln ω. `low`, `high`: ln of the frequencies [rad/s] that can matter. `seeds`: ln ω where
     the response moves fast, near poles and zeros beside the axis. `delayed`: whether
     there may be a delay, so that phase crossings are countless where |L| is small; up
     to `follow` (ln ω) the phase is followed however small |L| is. `ends`: L at ω → 0
-    and ω → ∞ where it has a limit that is known, else nan.
+    and ω → ∞ where it has a limit that is known, else nan. `system`: the transfer
+    function that L is, `span` ln of its lowest and highest corner or asymptotic gain
+    crossing, and `unstable_poles` those with Re s > 0, conjugates counted; None where
+    they are not known.
     """
 
-    response: Response
+    response: Callable[[Reals], object]
     low: float
     high: float
     seeds: Reals = field(default_factory=lambda: np.empty(0))
     delayed: bool = True  # for all that is known
     follow: float = -math.inf
     ends: tuple[complex, complex] = (complex(math.nan), complex(math.nan))
+    system: FractionalTransferFunction | None = None
+    span: tuple[float, float] = (-math.inf, math.inf)
+    unstable_poles: int | None = None
 
     def __call__(self, x: Reals) -> Complexes:
         """L(j e^x)."""
-        values = np.asarray(self.response(1j * np.exp(x)), dtype=complex)
+        values = np.asarray(self.response(x), dtype=complex)
         if values.shape != x.shape:
-            problem, allowed = "of another shape than its argument", f"shape {x.shape}"
-            remedy = "write the callable with numpy operations on arrays of s"
             raise FieldError(
-                "loop", values.shape, problem, allowed=allowed, remedy=remedy
+                "loop",
+                values.shape,
+                "of another shape than its argument",
+                allowed=f"shape {x.shape}",
+                remedy="write the callable with numpy operations on arrays of s",
             )
         if np.isnan(values).any():
-            problem = (
-                f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s"
+            raise FieldError(
+                "loop",
+                "nan",
+                f"not a number at {math.exp(float(x[np.isnan(values)][0])):.6g} rad/s",
+                allowed="finite values (infinite at a pole on the axis)",
+                remedy="check the callable there or lower limit=",
             )
-            allowed = "finite values (infinite at a pole on the axis)"
-            remedy = "check the callable there or lower limit="
-            raise FieldError("loop", "nan", problem, allowed=allowed, remedy=remedy)
         return values
 
-    def point(self, x: float) -> tuple[complex, complex]:
-        """L(j e^x) and d ln L/dx by a central difference, one-sided at the upper limit."""
-        above, below = min(x + _STEP, self.high), x - _STEP
-        low, here, high = self(np.array([below, x, above])).tolist()
-        if not (low and high and cmath.isfinite(low) and cmath.isfinite(high)):
-            return here, complex(math.nan, math.nan)
-        return here, cmath.log(high / low) / (above - below)
+    def slope(self, x: Reals) -> Complexes:
+        """d ln L/dx by central differences, one-sided at the upper limit; no number at
+        a pole or zero on the axis.
+        """
+        above, below = np.minimum(x + _STEP, self.high), x - _STEP
+        low, high = np.split(self(np.concatenate([below, above])), 2)
+        return np.asarray(np.log(high / low) / (above - below))
 
 
 def as_loop(loop: object, limit: float | None) -> SampledLoop:
     """Return the loop with its range of frequencies and its seeds."""
     system = getattr(loop, "fractional", loop)  # what to_control wraps
     if isinstance(system, FractionalTransferFunction) and system.numerator:
-        return FractionalLoop.of(system, limit)
-    if hasattr(loop, "frdata") and hasattr(loop, "omega"):
-        return _data_loop(loop, limit)
+        return _fractional_loop(system, limit)
     if not callable(loop):
-        allowed = "a transfer function or a callable of s"
-        remedy = "pass a FractionalTransferFunction or a function of s = jω"
         raise FieldError(
-            "loop", type(loop).__name__, "not a loop", allowed=allowed, remedy=remedy
+            "loop",
+            type(loop).__name__,
+            "not a loop",
+            allowed="a transfer function or a callable of s",
+            remedy="pass a FractionalTransferFunction or a function of s = jω",
         )
     return _callable_loop(loop, limit)
 
 
-def _data_loop(data: Any, limit: float | None) -> CallableLoop:
-    """Measured frequency response data: straight lines in a Bode plot between the
-    points.
-    """
-    omega, values = (
-        np.asarray(data.omega, dtype=float),
-        np.asarray(data.frdata, dtype=complex),
-    )
-    usable = omega > 0
-    if values.size != omega.size or usable.sum() < 2 or not np.all(values):
-        problem = "not one response at two frequencies or more"
-        allowed, remedy = (
-            "one input, one output, values that are not zero",
-            "select one channel of the data",
-        )
-        raise FieldError("loop", values.shape, problem, allowed=allowed, remedy=remedy)
-    x, logs = np.log(omega[usable]), np.log(np.abs(values.reshape(-1)[usable]))
-    # Modulus and phase each by itself: a chord of the Nyquist curve has a smaller
-    # modulus than its ends, and would cut off every resonance.
-    phase = np.unwrap(np.angle(values.reshape(-1)[usable]))
-
-    def response(s: Complexes) -> Complexes:
-        at = np.log(s.imag)
-        return np.asarray(np.exp(np.interp(at, x, logs) + 1j * np.interp(at, x, phase)))
-
-    high = float(x[-1]) if limit is None else min(float(x[-1]), math.log(limit))
-    if high <= x[0]:
-        problem, allowed = (
-            "below the first point of the data",
-            f"> {math.exp(x[0]):.6g} rad/s",
-        )
-        raise FieldError(
-            "limit", limit, problem, allowed=allowed, remedy="raise it, or leave it out"
-        )
-    return CallableLoop(response, float(x[0]), high, seeds=x)
-
-
-def _callable_loop(loop: Callable[..., object], limit: float | None) -> CallableLoop:
+def _callable_loop(loop: Callable[..., object], limit: float | None) -> SampledLoop:
     """A function of s, or a python-control system (recognised by its `dt`; sampled ones
     stop at π/dt).
     """
-    response, period = loop, getattr(loop, "dt", None)
+    period = getattr(loop, "dt", None)
     if (
         period is True
     ):  # a response over z; as one over s it would have margins, and wrong ones
-        problem, allowed = (
+        raise FieldError(
+            "loop",
+            "dt = True",
             "sampled, without a period",
-            "a sampling period in seconds, or continuous time",
+            allowed="a sampling period in seconds, or continuous time",
+            remedy="give it one, such as control.tf(num, den, 0.01)",
         )
-        remedy = "give it one, such as control.tf(num, den, 0.01)"
-        raise FieldError("loop", "dt = True", problem, allowed=allowed, remedy=remedy)
-    if isinstance(period, (int, float)) and period > 0:
-        step = float(period)
+    step = float(period) if isinstance(period, (int, float)) else 0.0
+    if step > 0.0:
         # Beyond the Nyquist frequency a sampled response only repeats itself, mirrored.
         limit = math.pi / step if limit is None else min(limit, math.pi / step)
 
-        def response(s: Complexes) -> object:
-            return loop(np.exp(s * step))
+    def response(x: Reals) -> object:
+        s = 1j * np.exp(x)
+        return loop(np.exp(s * step) if step > 0.0 else s)
 
     high = _HIGH if limit is None else limit
     # Six decades below the highest frequency, so that a loop at 1e-3 rad/s has as much
     # of a range below it.
-    return CallableLoop(
-        cast(Response, response), math.log(min(_LOW, high * 1e-6)), math.log(high)
-    )
+    return SampledLoop(response, math.log(min(_LOW, high * 1e-6)), math.log(high))
 
 
 # --- A fractional transfer function as a loop: its own range of frequencies, its resonances, exact slopes
@@ -170,146 +138,77 @@ _ON_AXIS = 1e-9
 _FARTHEST, _LARGEST = 600.0, 650.0
 
 
-@dataclass(frozen=True)
-class FractionalLoop:
-    """L(jω) = Σ c s^a e^(−τs) / Σ c s^b e^(−σs) with s^a = ω^a e^(jπa/2) held as one
-    array for all terms.
-    """
+def _fractional_loop(
+    system: FractionalTransferFunction, limit: float | None
+) -> SampledLoop:
+    """A transfer function as a loop, with the frequencies that matter."""
+    terms = (*system.numerator, *system.denominator)
+    span, reach = _marks(system)
+    slowest = max(t.delay for t in terms)
+    steepest = max(
+        abs(system.numerator[i].order - system.denominator[i].order) for i in (0, -1)
+    )
+    # The steepest asymptote has to stay a double at the farthest frequency, too.
+    farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
+    within = span[0] >= -farthest and span[1] <= farthest
+    span = (max(span[0], -farthest), min(span[1], farthest))
+    low = max(span[0] - reach, -farthest - 1)
+    high = min(span[1] + reach, farthest + 1)
+    follow = high
+    if slowest:
+        # Below a tenth of a radian of the delay's phase the delay moves nothing
+        # that a margin would show.
+        low = min(low, math.log(0.1 / slowest))
+        # the first two crossings of the phase
+        follow = math.log(4 * math.pi / slowest)
+        high = max(high, follow, min(_faint(system), farthest))
+    if limit is not None:
+        high = min(high, math.log(limit))
+        # A limit below every corner leaves a factor e of the low asymptote: a
+        # range that is empty has no margins.
+        low = min(low, high - 1.0)
+    bottom, known = _near_axis(system.denominator)
+    top, _ = _near_axis(system.numerator)
+    # `bottom` has one of each pair, the upper one; what is real is its own conjugate.
+    right = [z for z in bottom if z.imag < 0.5 * math.pi - _ON_AXIS]
+    end = _limit(system, 0) if limit is None else complex(math.nan)
+    return SampledLoop(
+        _values(system),
+        low,
+        high,
+        seeds=np.concatenate([np.empty(0), *(around(z) for z in (*bottom, *top))]),
+        delayed=bool(slowest),
+        follow=follow,
+        ends=(_limit(system, -1), end),
+        system=system,
+        span=span,
+        unstable_poles=sum(1 if z.imag == 0 else 2 for z in right)
+        if known and within
+        else None,
+    )
 
-    top: int  # terms of the numerator; the others are the denominator's
-    orders: Reals
-    delays: Reals
-    coefficients: Complexes  # c e^(jπa/2)
-    low: float
-    high: float
-    span: tuple[
-        float, float
-    ]  # ln of the lowest and highest corner or asymptotic gain crossing
-    seeds: Reals
-    zeros: list[
-        complex
-    ]  # z = ln s of the denominator's zeros up to π/2 + 0.3, empty if it has delays
-    known: bool  # whether `zeros` is complete and the range holds every corner
-    scalars: tuple[
-        tuple[complex, float, float], ...
-    ]  # coefficient, order, delay of each term
-    delayed: bool
-    follow: float
-    ends: tuple[complex, complex]
 
-    @classmethod
-    def of(
-        cls, system: FractionalTransferFunction, limit: float | None
-    ) -> FractionalLoop:
-        """Collect the terms and find the frequencies that matter."""
-        terms = (*system.numerator, *system.denominator)
-        coefficients = [t.coefficient * _unit(t.order) for t in terms]
-        span, reach = _marks(system)
-        slowest = max(t.delay for t in terms)
-        steepest = max(
-            abs(system.numerator[i].order - system.denominator[i].order)
-            for i in (0, -1)
-        )
-        # The steepest asymptote has to stay a double at the farthest frequency, too.
-        farthest = min(_FARTHEST, _LARGEST / max(1.0, steepest))
-        within = span[0] >= -farthest and span[1] <= farthest
-        span = (max(span[0], -farthest), min(span[1], farthest))
-        low, high = (
-            max(span[0] - reach, -farthest - 1),
-            min(span[1] + reach, farthest + 1),
-        )
-        follow = high
-        if slowest:
-            # Below a tenth of a radian of the delay's phase the delay moves nothing
-            # that a margin would show.
-            low = min(low, math.log(0.1 / slowest))
-            follow = math.log(
-                4 * math.pi / slowest
-            )  # the first two crossings of the phase
-            high = max(high, follow, min(_faint(system), farthest))
-        if limit is not None:
-            high = min(high, math.log(limit))
-            # A limit below every corner leaves a factor e of the low asymptote: a
-            # range that is empty has no margins.
-            low = min(low, high - 1.0)
-        bottom, known = _near_axis(system.denominator)
-        top, _ = _near_axis(system.numerator)
-        return cls(
-            top=len(system.numerator),
-            orders=np.array([t.order for t in terms]),
-            delays=np.array([t.delay for t in terms]),
-            coefficients=np.array(coefficients),
-            low=low,
-            high=high,
-            span=span,
-            seeds=np.concatenate([around(z) for z in (*bottom, *top)] or [np.empty(0)]),
-            zeros=bottom,
-            known=known and within,
-            scalars=tuple(
-                (c, t.order, t.delay) for c, t in zip(coefficients, terms, strict=True)
-            ),
-            delayed=bool(slowest),
-            follow=follow,
-            ends=(
-                _limit(system, -1),
-                _limit(system, 0) if limit is None else complex(math.nan),
-            ),
-        )
+def _values(system: FractionalTransferFunction) -> Callable[[Reals], Complexes]:
+    """x ↦ L(j e^x): all powers s^a = ω^a e^(jπa/2) as one array."""
+    terms, count = (*system.numerator, *system.denominator), len(system.numerator)
+    orders = np.array([[t.order] for t in terms])
+    delays = np.array([[t.delay] for t in terms])
+    late, low, high = delays.any(), orders.min(), orders.max()
+    # (jω)² must be −ω² and not −ω² + 1e-16j: a power of j by an integer is exact.
+    factors = np.array([t.coefficient * 1j**t.order for t in terms])
+    sides = np.zeros((2, len(terms)), complex)
+    sides[0, :count], sides[1, count:] = factors[:count], factors[count:]
 
-    def _terms(self, x: Reals) -> Complexes:
+    def values(x: Reals) -> Complexes:
         # Divided by the power of s that dominates on either side of 1 rad/s, so that
         # nothing overflows.
-        largest = np.where(x > 0, self.orders.max(), self.orders.min())
-        terms = self.coefficients[:, None] * np.exp(
-            (self.orders[:, None] - largest) * x
-        )
-        if self.delays.any():
-            terms = terms * np.exp(-1j * self.delays[:, None] * np.exp(x))
-        return np.asarray(terms)
+        powers = np.exp((orders - np.where(x > 0, high, low)) * x)
+        if late:
+            powers = powers * np.exp(-1j * delays * np.exp(x))
+        top, bottom = sides @ powers
+        return np.asarray(top / bottom)
 
-    def __call__(self, x: Reals) -> Complexes:
-        """L(j e^x)."""
-        terms = self._terms(x)
-        return np.asarray(terms[: self.top].sum(0) / terms[self.top :].sum(0))
-
-    def point(self, x: float) -> tuple[complex, complex]:
-        """L(j e^x) and d ln L/dx, exact, at one frequency (scalars: ten times faster
-        than short arrays).
-        """
-        sums, slopes = [0j, 0j], [0j, 0j]
-        largest = (
-            max(t[1] for t in self.scalars)
-            if x > 0
-            else min(t[1] for t in self.scalars)
-        )
-        for k, (coefficient, order, delay) in enumerate(self.scalars):
-            term, rate = coefficient * math.exp((order - largest) * x), complex(order)
-            if delay:
-                turn = 1j * delay * math.exp(x)
-                term, rate = term * cmath.exp(-turn), order - turn
-            side = k >= self.top
-            sums[side] += term
-            slopes[side] += rate * term
-        # Exactly on a pole or a zero of the axis: there is a value, but no slope to
-        # polish a crossing with.
-        if not (sums[0] and sums[1]):
-            return (complex(math.inf) if sums[0] else 0j), complex(math.nan, math.nan)
-        return sums[0] / sums[1], slopes[0] / sums[0] - slopes[1] / sums[1]
-
-    @property
-    def unstable_poles(self) -> int | None:
-        """Poles with Re s > 0, conjugates counted; None where a delay or a corner out
-        of range hides them.
-        """
-        if not self.known:
-            return None
-        # `zeros` has one of each pair, the upper one; what is real is its own
-        # conjugate.
-        right = [z for z in self.zeros if z.imag < 0.5 * math.pi - _ON_AXIS]
-        return sum(1 if z.imag == 0 else 2 for z in right)
-
-
-SampledLoop = CallableLoop | FractionalLoop
+    return values
 
 
 def _faint(system: FractionalTransferFunction) -> float:
@@ -340,13 +239,6 @@ def _limit(system: FractionalTransferFunction, end: int) -> complex:
         math.fsum(t.coefficient for t in side if t.order == up.order) for side in sides
     ]
     return complex(sums[0] / sums[1]) if sums[1] else complex(math.nan)
-
-
-def _unit(order: float) -> complex:
-    """j^order, exact for integers: (jω)² must be −ω² and not −ω² + 1e-16j."""
-    if order.is_integer():
-        return (1 + 0j, 1j, -1 + 0j, -1j)[int(order) % 4]
-    return cmath.exp(0.5j * math.pi * math.fmod(order, 4.0))
 
 
 def _near_axis(terms: Sequence[Term]) -> tuple[list[complex], bool]:
@@ -388,7 +280,7 @@ def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], flo
     """
     marks, reach = [], 1.0
     for terms in (system.numerator, system.denominator):
-        corners = _corners(terms)
+        corners = log_corners(terms)
         marks += corners
         orders = sorted(t.order for t in terms)
         for a, b in itertools.pairwise(orders):
@@ -402,7 +294,10 @@ def _marks(system: FractionalTransferFunction) -> tuple[tuple[float, float], flo
     return (min(marks, default=0.0), max(marks, default=0.0)), reach
 
 
-def _corners(terms: Sequence[Term]) -> list[float]:
+def log_corners(terms: Sequence[Term]) -> list[float]:
+    """ln ω at which neighbouring terms of a sum are equal: corners of the magnitude's
+    asymptotes.
+    """
     if len(terms) < 2 or terms[0].order == terms[-1].order:
         return []
     if len(terms) == 2:

@@ -8,24 +8,23 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, cast
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._loops import FractionalLoop, SampledLoop, as_loop
+from fracsys._loops import SampledLoop, as_loop
+from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
 from fracsys._stability import is_stable
 from fracsys._sweep import (
     Tendency,
     gain_level,
     gain_slope,
-    modulus_slope,
     phase_level,
     phase_slope,
     sweep,
-    valleys,
-    zero_of,
+    zeros_of,
 )
 from fracsys._terms import Complexes, Reals
 from fracsys.checks import Between, checked
@@ -153,8 +152,6 @@ class Margins:
 
 # --- Every gain and phase crossing of a loop, its margins and its distance to −1 ----------------------
 
-_ON_AXIS = 1e-12  # a modulus margin of zero is a closed-loop pole on the axis
-
 
 @checked
 def margins(
@@ -178,8 +175,7 @@ def margins(
         L under unity negative feedback. A callable takes s = jω (complex, shape (n,))
         and returns L(s) of the same shape; it is looked at from 1e-6 to 1e6 rad/s. A
         python-control system is a callable; if it is sampled it is evaluated on the
-        unit circle up to its Nyquist frequency. Frequency response data are used in
-        their own range, straight in a Bode plot from point to point.
+        unit circle up to its Nyquist frequency.
     limit
         Highest frequency [rad/s], > 0; the Nyquist frequency of a sampled loop.
     unstable_poles
@@ -207,7 +203,7 @@ def margins(
     1.143203 rad/s, 0.199404 rad, 1.500000, True
     """
     known = as_loop(loop, limit)
-    if unstable_poles is None and isinstance(known, FractionalLoop):
+    if unstable_poles is None:
         unstable_poles = known.unstable_poles
     # Poles and zeros on the axis are infinities here and not faults.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -215,14 +211,12 @@ def margins(
         gain, phase = crossings(known, x, values, quiet)
         modulus, at = modulus_margin(known, x, values)
         stable = None
-        if modulus < _ON_AXIS:
+        if modulus < ON_AXIS:
             stable = False
         # The swept part of the curve shows no encirclement beyond the limit: the
         # verdict is that of the whole loop.
-        elif limit is not None and isinstance(known, FractionalLoop):
-            stable = _beyond_limit(
-                cast(FractionalTransferFunction, getattr(loop, "fractional", loop))
-            )
+        elif limit is not None and known.system is not None:
+            stable = _beyond_limit(known.system)
         elif unstable_poles is not None:
             left = unstable_closed_loop_poles(
                 known, x, values, open_loop=unstable_poles, ends_real=limit is not None
@@ -256,20 +250,20 @@ def crossings(
     level, turn = np.log(np.abs(values)), np.angle(-values)
     turn[np.abs(turn) < _FLAT] = 0.0
     gain = []
-    for bracket in _brackets(loop, gain_level, x, level, np.isfinite(level)):
-        root, value = zero_of(loop, gain_level, *bracket)
+    brackets = _brackets(loop, gain_level, x, level, np.isfinite(level))
+    for root, value in zeros_of(loop, gain_level, brackets):
         frequency, margin = math.exp(root), cmath.phase(-value)
         # A delay turns L clockwise only. Where the margin is negative it has to
         # go on to −1 the long way round.
         gain.append(
             GainCrossing(frequency, margin, (margin % (2 * math.pi)) / frequency)
         )
-    phase = []
-    for bracket in _brackets(
-        loop, phase_level, x, turn, _followed(loop, x, values, turn, quiet)
-    ):
-        root, value = zero_of(loop, phase_level, *bracket)
-        phase.append(PhaseCrossing(math.exp(root), 1 / abs(value)))
+    usable = _followed(loop, x, values, turn, quiet)
+    brackets = _brackets(loop, phase_level, x, turn, usable)
+    phase = [
+        PhaseCrossing(math.exp(root), 1 / abs(value))
+        for root, value in zeros_of(loop, phase_level, brackets)
+    ]
     return tuple(gain), tuple(phase)
 
 
@@ -301,18 +295,18 @@ def _brackets(
     whole = (gap == 1) | ((gap == 2) & usable[np.minimum(place[:-1] + 1, len(x) - 1)])
     change = np.flatnonzero(((here[1:] > 0) != (here[:-1] > 0)) & whole)
     found = [(float(x[place[i]]), float(x[place[i + 1]])) for i in change]
-    for i in _near_touches(place, here):
-        found += _hidden(loop, level, float(x[place[i - 1]]), float(x[place[i + 1]]))
-    return sorted(found)
-
-
-def _hidden(loop: SampledLoop, level: Tendency, a: float, b: float) -> list[Bracket]:
-    """The two brackets that an extreme between a and b makes where it passes zero."""
     # The extreme itself decides: two crossings 1e-5 apart lie between two points of any
     # grid.
-    x, value = zero_of(loop, gain_slope if level is gain_level else phase_slope, a, b)
-    passed = level(value, 0j) * level(*loop.point(a)) < 0
-    return [(a, x), (x, b)] if passed else []
+    slope = gain_slope if level is gain_level else phase_slope
+    near = [
+        (float(x[place[i - 1]]), float(x[place[i + 1]]))
+        for i in _near_touches(place, here)
+    ]
+    for (a, b), (at, _) in zip(near, zeros_of(loop, slope, near), strict=True):
+        beside, here = level(loop, np.array([a, at]))
+        if beside * here < 0:
+            found += [(a, at), (at, b)]
+    return sorted(found)
 
 
 def _near_touches(place: Index, y: Reals) -> list[int]:
@@ -332,85 +326,3 @@ def _near_touches(place: Index, y: Reals) -> list[int]:
         (y[:-2] * y[1:-1] > 0) & (y[1:-1] * y[2:] > 0) & (place[2:] - place[:-2] == 2)
     )
     return (np.flatnonzero(same & close) + 1).tolist()
-
-
-def modulus_margin(
-    loop: SampledLoop, x: Reals, values: Complexes
-) -> tuple[float, float]:
-    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not
-    reached.
-    """
-    distance = np.abs(1 + values)
-    distance[np.isnan(distance)] = math.inf
-    best = int(np.argmin(distance))
-    smallest, at = float(distance[best]), float(x[best])
-    # The sweep lets 1 + L move by its own size from point to point: part of that may
-    # still be lost.
-    for i in valleys(distance, spare=3.0):
-        place, value = zero_of(loop, modulus_slope, float(x[i - 1]), float(x[i + 1]))
-        if abs(1 + value) <= smallest:
-            smallest, at = abs(1 + value), place
-    frequency = math.exp(at)
-    # A distance that falls towards an end of the axis has its infimum there and nowhere
-    # on the way.
-    for limit, place in zip(loop.ends, (0.0, math.inf), strict=True):
-        if abs(1 + limit) < smallest:
-            smallest, frequency = abs(1 + limit), place
-    return smallest, frequency
-
-
-# --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
-
-# |L| on both sides of an interval that turned by more than half a radian: a pole lies
-# between them.
-_BESIDE_POLE = 1e3
-
-
-def unstable_closed_loop_poles(
-    loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
-) -> int | None:
-    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is
-    not a whole number.
-
-    Half the contour suffices, L being real on the positive real axis: from there along
-    a small arc to jω_low, up the axis (passing its poles on the right), and along a
-    large arc back. Up the axis the right half plane lies to the right, so that the
-    change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist frequency
-    and needs no second arc.
-    """
-    ahead = 1 + values
-    steps = np.angle(ahead[1:] / ahead[:-1])
-    modulus = np.abs(values)
-    jumps = (np.abs(steps) > 0.5) & (
-        np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE
-    )
-    # Passing a simple pole of the axis on its right turns L by −π along an arc of
-    # infinite radius.
-    steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)
-    change = float(steps.sum()) + _arc(
-        complex(values[0]), loop.point(float(x[0]))[1].real
-    )
-    if not ends_real or abs(values[-1]) < 1:
-        change -= _arc(complex(values[-1]), loop.point(float(x[-1]))[1].real)
-    turns = -change / math.pi
-    # The arcs at both ends are those of the leading power alone. Where they do not
-    # close to a whole number it is not yet the leading one there, and any count would
-    # be a guess.
-    if not math.isfinite(turns) or abs(turns - round(turns)) > 0.2:
-        return None
-    return open_loop + round(turns)
-
-
-def _arc(value: complex, slope: float) -> float:
-    """Change of arg(1 + L) from the positive real axis to jω along |s| = ω, where L ≈ c
-    s^slope.
-    """
-    phase = cmath.phase(value)
-    # Beside the origin 1 + L stays in the right half plane: the principal
-    # argument is the change along the arc.
-    if abs(value) < 1:
-        return cmath.phase(1 + value)
-    # L starts at a multiple of π and turns by slope π/2, which the phase itself says
-    # more exactly.
-    turned = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
-    return turned + cmath.phase(1 + 1 / value)

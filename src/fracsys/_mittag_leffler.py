@@ -109,12 +109,12 @@ def _numbers(z: ArrayLike) -> NDArray[Any]:
     except ValueError:  # rows of several lengths
         given = np.array(None)
     if given.dtype.kind not in "biufc" or not np.all(np.isfinite(given)):
-        allowed, remedy = (
-            "finite real or complex numbers",
-            "give one number, or an array without NaN",
-        )
         raise FieldError(
-            "z", value_text(z), "not finite numbers", allowed=allowed, remedy=remedy
+            "z",
+            value_text(z),
+            "not finite numbers",
+            allowed="finite real or complex numbers",
+            remedy="give one number, or an array without NaN",
         )
     return given
 

@@ -7,10 +7,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fracsys import _kernels
 from fracsys._quotient import Cluster, Quotient
@@ -167,6 +165,19 @@ class Expansion:
     weights: Reals
     poles: Complexes
     pole_weights: Complexes
+
+    @property
+    def count(self) -> int:
+        """Number of real modes plus two for each complex one."""
+        return len(self.rates) + 2 * len(self.poles)
+
+    def increments(self, times: Reals) -> Reals:
+        """S(t) − S(0) at times [s]: the huge weight of a pole beside 0 would hide all
+        else in S itself.
+        """
+        value = np.expm1(-np.outer(times, self.rates)) @ self.weights
+        pairs = np.expm1(np.outer(times, self.poles)) @ self.pole_weights
+        return np.asarray(value + 2.0 * pairs.real)
 
 
 def expand(
@@ -394,17 +405,3 @@ def _lagrange(x: Complexes) -> Complexes:
     gap = x[:, None] - np.cos(angle)[None, :]
     basis = (-1.0) ** index * np.sin(angle) / gap
     return np.asarray(basis / basis.sum(axis=1, keepdims=True))
-
-
-def mean_growth(x: NDArray[Any]) -> NDArray[Any]:
-    """(e^x - 1)/x - 1: the mean of e^(xτ) - 1 over a period. Left in, the 1 would drown
-    a slow mode.
-    """
-    small = np.abs(x) < 0.5
-    near, series = x[small], np.zeros(np.count_nonzero(small), x.dtype)
-    for n in range(16, 0, -1):  # Σ x^n/(n+1)!, by Horner's rule: 0.5^16/17! is 1e-19
-        series = (series + 1.0) * near / (n + 1.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.asarray(np.expm1(x) / x - 1.0)
-    mean[small] = series
-    return mean

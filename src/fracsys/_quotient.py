@@ -29,6 +29,7 @@ _RANGE = 300.0  # of |ln |s||: squares of poles and of spans stay within doubles
 _CIRCLE = 96
 # a double zero on the negative axis comes as a pair about it, 1e-8 apart by rounding
 _SYMMETRIC = 1e-7
+_VAGUE = 1e3  # units of rounding
 _NEAR = (
     0.02  # zeros closer than this in ln s would lose two digits and more if kept apart
 )
@@ -78,6 +79,11 @@ class Quotient:
             )
         return cls(tuple(top), tuple(bottom), zeros)
 
+    def integrated(self) -> Quotient:
+        """G/s: its step response is the ramp response of G."""
+        bottom = tuple(Term(t.coefficient, t.order + 1.0) for t in self.bottom)
+        return Quotient(self.top, bottom, self.zeros)
+
     @property
     def is_meromorphic(self) -> bool:
         """True where all orders are integers: there is no branch cut."""
@@ -91,30 +97,18 @@ class Quotient:
         """d ln |G|/d ln |s| at points of the log-plane."""
         return _slope(self.top, z) - _slope(self.bottom, z)
 
-    def condition(self, z: Complexes) -> Reals:
-        """Relative error of `value` in units of rounding: that of each power, raised by
-        what cancels.
+    @cached_property
+    def misplaced(self) -> Quotient:
+        """The quotient with its poles off by what rounding may make of them, neighbours
+        in opposite directions.
         """
-        return _condition(self.top, z) + _condition(self.bottom, z)
-
-    def place_error(self, z: Complexes) -> Reals:
-        """Error of zeros of D (in ln s) in units of rounding."""
-        return np.asarray(_moduli(self.bottom, z) / np.abs(_rise(self.bottom, z)))
-
-    def pole_error(self, z: complex) -> tuple[float, float]:
-        """Errors of a simple zero of D (in ln s) and, relative, of its residue, both in
-        units of rounding.
-        """
-        point, slope = np.array([z]), _derivative(self.bottom)
-        rate = float(np.abs(_sum(slope, point))[0])
-        place = float(_moduli(self.bottom, point)[0]) / rate
-        # The residue moves with the pole as its numerator and its slope do.
-        moved = float(
-            np.abs(_sum(_derivative(self.top), point) / _sum(self.top, point))[0]
+        units = _moduli(self.bottom, self.zeros) / np.abs(
+            _rise(self.bottom, self.zeros)
         )
-        moved += float(np.abs(_sum(_derivative(slope), point))[0]) / rate
-        own = float((_condition(self.top, point) + _condition(slope, point))[0])
-        return place, own + place * moved
+        # A pole that is less certain has a neighbour, and their errors cancel.
+        shift = np.finfo(float).eps * np.minimum(units, _VAGUE)
+        turns = (-1.0) ** np.arange(len(self.zeros))
+        return Quotient(self.top, self.bottom, self.zeros + turns * shift)
 
     def on_cut(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
         """Im G(r e^{iπ}) at x = ln r.
@@ -236,11 +230,6 @@ def _slope(terms: Sequence[Term], z: Complexes) -> Reals:
     return np.asarray((rise / value).real)
 
 
-def _derivative(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """d/d ln s of a sum of powers."""
-    return tuple(Term(t.coefficient * t.order, t.order) for t in terms if t.order)
-
-
 def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
     """Bound of the error of `_sum` in units of rounding: e^(a z) errs by |a z| units, a
     product by two.
@@ -251,14 +240,6 @@ def _moduli(terms: Sequence[Term], z: Complexes) -> Reals:
             abs(t.coefficient) * np.exp(t.order * z.real) * (2.0 + np.abs(t.order * z))
         )
     return total
-
-
-def _condition(terms: Sequence[Term], z: Complexes) -> Reals:
-    return (
-        np.asarray(_moduli(terms, z) / np.abs(_sum(terms, z)))
-        if terms
-        else np.zeros(z.shape)
-    )
 
 
 def _sum_on_cut(
@@ -279,144 +260,33 @@ def _turn(order: float) -> complex:
     return complex(math.cos(rest), math.sin(rest)) * (1, 1j, -1, -1j)[quarter % 4]
 
 
-# --- What a transfer function does at s → 0, taken off before it is expanded into modes ---------------
+# --- What a transfer function does at s → 0 -----------------------------------------------------------
 #
-#     G(s) = c/s + Σ c_i s^(-a_i) + rest,   a_i ≥ 0.94
-#
-# The integrator is a mode of its own (a decay of exactly 1). Higher singular powers
-# have no modes whose sum stays accurate from one period to the whole span; their
-# responses t^a/Γ(1+a) are known and are convolved. Weaker ones (a_i < 0.94) stay in the
-# rest: the branch cut carries them.
+# An integrator is a mode of its own, with a decay of exactly 1, and is taken off before
+# the rest is expanded: G = c/s + rest. A rest that is weaker than s^-0.94 is carried by
+# the branch cut; anything stronger has no modes whose sum stays accurate from one period
+# to the whole span.
 
 # The cut's quadrature runs down to where r^(1-a) is below rounding: 42/(1-a) e-folds.
 # At 0.94 these are 700, and the exponent range of a double ends near.
 STRONG = 0.94
-# singular powers: such a series in closely spaced orders is useless where it is not
-# exact
-_MOST = 20
 
 
-@dataclass(frozen=True)
-class LowFrequency:
-    """`integrator` c of c/s, `powers` as (c, a) of c·s^(-a), and the rest as numerator
-    and denominator.
-
-    `is_split` is False where the powers are too many to be told apart; then the rest is
-    all of G.
+def without_integrator(
+    top: tuple[Term, ...], bottom: tuple[Term, ...]
+) -> tuple[float, tuple[Term, ...]]:
+    """c and the numerator of G - c/s; 0 and all of it where G is no integrator at low
+    frequency.
     """
-
-    integrator: float
-    powers: tuple[tuple[float, float], ...]
-    top: tuple[Term, ...]
-    bottom: tuple[Term, ...]
-    is_split: bool = True
-
-
-def split_low_frequency(top: Sequence[Term], bottom: Sequence[Term]) -> LowFrequency:
-    """Divide in rising powers of s until what is left is weaker than s^(-0.94); both in
-    falling orders.
-    """
-    lowest = bottom[-1]
-    if top and lowest.order - top[-1].order < STRONG:  # most links: nothing to divide
-        return LowFrequency(0.0, (), tuple(top), tuple(bottom))
-    rest = collect(top)
-    integrator, powers = 0.0, []
-    while rest and lowest.order - rest[-1].order >= STRONG:
-        factor, order = (
-            rest[-1].coefficient / lowest.coefficient,
-            lowest.order - rest[-1].order,
-        )
-        if same(order, 1.0):
-            integrator += factor
-        else:
-            powers.append((factor, order))
-        if len(powers) > _MOST:
-            return LowFrequency(0.0, (), tuple(top), tuple(bottom), is_split=False)
-        # The lowest term cancels by construction, exactly; leaving it to rounding would
-        # leave a pole at 0.
-        product = [Term(-factor * t.coefficient, t.order - order) for t in bottom[:-1]]
-        rest = collect([*rest[:-1], *product])
-    return LowFrequency(integrator, tuple(powers), tuple(rest), tuple(bottom))
+    if not top or not same(bottom[-1].order - top[-1].order, 1.0):
+        return 0.0, top
+    gain = top[-1].coefficient / bottom[-1].coefficient
+    # The lowest term cancels by construction, exactly; leaving it to rounding would
+    # leave a pole at 0.
+    taken = [Term(-gain * t.coefficient, t.order - 1.0) for t in bottom[:-1]]
+    return gain, tuple(collect([*top[:-1], *taken]))
 
 
-# --- Exact held responses of c·s^(-a): the response of s^(-a) to a step is t^a/Γ(1+a) -----------------
-
-Powers = Sequence[tuple[float, float]]
-
-
-def power_response(powers: Powers, times: Reals, degree: int) -> Reals:
-    """Sum of c t^(a+n-1)/Γ(a+n), n = `degree`: impulse (0), step (1) or ramp (2)
-    response at times ≥ 0.
-    """
-    total = np.zeros(len(times))
-    for factor, order in powers:
-        exponent = order + degree - 1
-        with np.errstate(divide="ignore"):
-            total += factor * np.exp(
-                exponent * np.log(times) - math.lgamma(exponent + 1.0)
-            )
-    return total
-
-
-def power_weights(
-    powers: Powers, period: float, ahead: float, count: int, hold: str
-) -> Reals:
-    """Weights of the held response at lags 0 … count-1, sampled `ahead` [s] after the
-    input's samples.
-
-    Differences of t^b are taken without cancellation: by expm1 (step) or by the
-    binomial series (ramp).
-    """
-    total = np.zeros(count)
-    steps = np.arange(count, dtype=np.float64) + ahead / period  # time in periods
-    for factor, order in powers:
-        scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 1.0))
-        if hold == "zero":
-            total += scale * _first_difference(steps, order)
-        else:
-            total += scale / (order + 1.0) * _second_difference(steps, order + 1.0)
-    return total
-
-
-def jump_response(powers: Powers, period: float, times: Reals) -> Reals:
-    """Response to a unit jump at 0 minus that to a straight rise from -T to 0, at
-    `times` ≥ 0.
-    """
-    total, steps = np.zeros(len(times)), times / period
-    for factor, order in powers:
-        scale = factor * math.exp(order * math.log(period) - math.lgamma(order + 2.0))
-        total += scale * (
-            (order + 1.0) * steps**order - _first_difference(steps + 1.0, order + 1.0)
-        )
-    return total
-
-
-def _first_difference(t: Reals, power: float) -> Reals:
-    """t^b - (t-1)^b for t ≥ 1, t^b before."""
-    result = t**power
-    later = t > 1.0
-    result[later] *= -np.expm1(power * np.log1p(-1.0 / t[later]))
-    return result
-
-
-def _second_difference(t: Reals, power: float) -> Reals:
-    """(t+1)^b - 2 t^b + (t-1)^b, the last term only for t ≥ 1."""
-    result = (
-        (t + 1.0) ** power
-        - 2.0 * t**power
-        + np.where(t > 1.0, np.abs(t - 1.0) ** power, 0.0)
-    )
-    far = t > 20.0  # 10 terms of 1/400^k: 1e-26
-    inverse = 1.0 / t[far] ** 2
-    term, total = np.ones(inverse.shape), np.zeros(inverse.shape)
-    for k in range(1, 11):
-        term = (
-            term
-            * inverse
-            * (power - 2 * k + 2)
-            * (power - 2 * k + 1)
-            / ((2 * k - 1) * (2 * k))
-        )
-        total += 2.0 * term
-    result[far] = t[far] ** power * total
-    return result
+def singular_order(top: Sequence[Term], bottom: Sequence[Term]) -> float:
+    """a of the strongest s^-a at low frequency, 0 or less for none."""
+    return bottom[-1].order - top[-1].order if top else 0.0

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import bilinear_zpk
 
 from fracsys._discrete import Band, checked_band, fit_discrete
 from fracsys._fractional import FractionalTransferFunction
@@ -17,11 +18,9 @@ from fracsys._minimax import Target, finish, grow
 from fracsys._stability import poles
 from fracsys._terms import Complexes, Reals
 from fracsys._zero_pole import (
-    bilinear,
     cascade,
     evaluate,
     oustaloup,
-    residues,
     substituted,
     zeros_of_fractions,
 )
@@ -71,16 +70,6 @@ class RationalApproximation:
     def order(self) -> int:
         """Number of poles."""
         return len(self.poles)
-
-    @property
-    def residues(self) -> Complexes:
-        """Residues at the poles, shape (order,); infinite at a multiple pole."""
-        return residues(self.zeros, self.poles, self.gain)
-
-    @property
-    def direct(self) -> float:
-        """R at infinity: 0 where there are more poles than zeros."""
-        return self.gain if len(self.zeros) == len(self.poles) else 0.0
 
     def __call__(self, s: ArrayLike) -> Complexes:
         """R at s [rad/s], or at z for a discrete approximation; any shape."""
@@ -184,12 +173,13 @@ def _filtered(
     period: float | None,
 ) -> tuple[Complexes, Complexes, float]:
     """Zeros, poles and gain with a filter in place of each fractional power."""
-    zeros, found, gain = substituted(
+    filtered = substituted(
         system.numerator, system.denominator, lambda f: oustaloup(f, band, order)
     )
     if period is None:
-        return zeros, found, gain
-    return bilinear(zeros, found, gain, period)
+        return filtered
+    zeros, found, gain = bilinear_zpk(*filtered, fs=1.0 / period)
+    return zeros, found, float(gain)
 
 
 def _check(
@@ -198,33 +188,28 @@ def _check(
     """What involves several arguments, or the system's own structure."""
     checked_band(band, period)
     if any(t.delay for t in (*system.numerator, *system.denominator)):
-        remedy = (
-            "approximate the system without its delay and keep the delay as samples"
-        )
-        allowed = "systems without delay"
-        raise FieldError(
-            "system", repr(system), "delayed", allowed=allowed, remedy=remedy
-        )
-    if not system.numerator:
-        problem, remedy = (
-            "zero at every frequency",
-            "approximate what is not zero: every error is relative",
-        )
         raise FieldError(
             "system",
             repr(system),
-            problem,
+            "delayed",
+            allowed="systems without delay",
+            remedy="approximate the system without its delay and keep the delay as samples",
+        )
+    if not system.numerator:
+        raise FieldError(
+            "system",
+            repr(system),
+            "zero at every frequency",
             allowed="functions other than 0",
-            remedy=remedy,
+            remedy="approximate what is not zero: every error is relative",
         )
     if system.relative_degree <= -1:
-        problem, remedy = (
-            "improper by one order or more",
-            "divide by a power of s: s^1.65 is s times s^0.65",
-        )
-        allowed = "relative degree > -1"
         raise FieldError(
-            "system", repr(system), problem, allowed=allowed, remedy=remedy
+            "system",
+            repr(system),
+            "improper by one order or more",
+            allowed="relative degree > -1",
+            remedy="divide by a power of s: s^1.65 is s times s^0.65",
         )
 
 
@@ -235,9 +220,12 @@ def _continuous(
     # The fit places its poles in the open left half plane only; of an unstable system
     # it would find the stable function that is nearest on the axis, and say nothing.
     if np.any(known.real >= 0):
-        allowed, remedy = "stable poles for method='minimax'", "use method='oustaloup'"
         raise FieldError(
-            "system", repr(system), "not stable", allowed=allowed, remedy=remedy
+            "system",
+            repr(system),
+            "not stable",
+            allowed="stable poles for method='minimax'",
+            remedy="use method='oustaloup'",
         )
     # Few enough that a Newton step costs microseconds, more than ten a pole at the
     # highest order.

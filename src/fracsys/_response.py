@@ -12,15 +12,15 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fracsys import _kernels
 from fracsys._contour import convolve, delay_free_part, feedthrough, invert
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._held import HeldQuotient, Part
 from fracsys._modes import DiscreteModes
+from fracsys._quotient import Quotient, singular_order
 from fracsys._terms import Reals, Term, grid, largest, refuse_beyond_memory
 from fracsys.checks import Array, Between, Positive, checked
 from fracsys.checks.equality import compared
-from fracsys.errors import FieldError, NotConvergedError, SizeError
+from fracsys.errors import FieldError, NotConvergedError
 
 Signal = Annotated[ArrayLike, Array(1, flags=True)]
 Times = Annotated[ArrayLike, Array(1, min_size=1), Between(0.0, unit="s")]
@@ -32,11 +32,7 @@ TOLERANCE = 1e-12
 FFT_BYTES = (
     2000  # per sample of the numerical inversion: four spans, eight times oversampled
 )
-_METHODS = (
-    "modes",
-    "modes+convolution",
-    "contour",
-)  # from the most to the least direct
+_METHODS = ("modes", "contour", "fft")  # from the most to the least direct
 
 
 @compared
@@ -45,8 +41,7 @@ class TimeResponse:
     """A response from rest at equally spaced samples (or at the times asked for).
 
     `time` [s] and `output` are read-only arrays of one length. `method` is "modes"
-    (exact sum of exponentials), "modes+convolution" (a singular power of 1/s was
-    convolved exactly besides), "contour" (one contour integral per lag, where modes
+    (exact sum of exponentials), "contour" (one contour integral per lag, where modes
     would cancel) or "fft" (numerical inversion). `error_estimate` is an estimate of the
     largest error of `output`, from an independent evaluation at a few times. `modes`
     counts the exponentials, a pair as two; `period` [s] and `hold` are those of the
@@ -120,6 +115,11 @@ def time_response(
     """
     values = np.ascontiguousarray(u, np.float64)
     refuse_beyond_memory("u", len(values))
+    if hold == "first" and len(values) and values[0]:
+        # The jump to the first sample, and straight lines that begin at 0.
+        jump = time_response(G, np.full(len(values), values[0]), period)
+        lines = time_response(G, values - values[0], period, hold=hold)
+        return _added(jump.time, [jump, lines], period, hold)
     if any(t.delay for t in G.denominator):
         return _by_inversion(G, delay_free_part(G), values, period, hold)
     try:
@@ -133,7 +133,7 @@ def time_response(
         NotConvergedError
     ):  # the poles cannot be certified: zeros of high multiplicity
         return _by_inversion(G, feedthrough(G), values, period, hold)
-    return _assembled(grid(len(values), period), parts, period, hold)
+    return _added(grid(len(values), period), parts, period, hold)
 
 
 @checked
@@ -236,25 +236,23 @@ def discrete_modes(
     ).check("span", span)
     groups = delay_groups(G)
     if len(groups) > 1:
-        allowed, remedy = (
-            "one delay common to all terms",
-            "take the parts one by one, or use time_response",
-        )
         raise FieldError(
             "delay",
             sorted(groups),
             "several in the numerator",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="one delay common to all terms",
+            remedy="take the parts one by one, or use time_response",
         )
     delay, top = next(iter(groups.items()), (0.0, ()))
     held = held_quotient(top, G.denominator)
-    if held.low.powers or not held.low.is_split:
-        order = held.low.powers[0][1] if held.low.powers else G.denominator[-1].order
-        allowed = "singular powers s^-a with a < 0.94, and the integrator 1/s"
-        problem = "a power of 1/s without a sum of modes"
+    if not held.has_modes:
+        order = singular_order(top, G.denominator)
         raise FieldError(
-            "order", order, problem, allowed=allowed, remedy="use time_response"
+            "order",
+            order,
+            "a power of 1/s without a sum of modes",
+            allowed="singular powers s^-a with a < 0.94, and the integrator 1/s",
+            remedy="use time_response",
         )
     return held.modes(period, hold=hold, span=span, tolerance=tolerance, delay=delay)
 
@@ -263,16 +261,23 @@ def _instants(time: object, period: float | None) -> Reals:
     """The times asked for: a duration and a period, or the times themselves."""
     if isinstance(time, float):
         if period is None:
-            remedy = "give the period of the samples, or an array of times"
-            raise FieldError("period", None, "missing", allowed="> 0 s", remedy=remedy)
+            raise FieldError(
+                "period",
+                None,
+                "missing",
+                allowed="> 0 s",
+                remedy="give the period of the samples, or an array of times",
+            )
         refuse_beyond_memory("time", time / period)
         # 0.3/0.1 is 2.9999999999999996: the last sample asked for would be missing.
         return grid(int(time / period * (1.0 + 1e-12)) + 1, period)
     if period is not None:
-        allowed = "a duration and a period, or times alone"
-        problem = "given beside an array of times"
         raise FieldError(
-            "period", period, problem, allowed=allowed, remedy="leave the period out"
+            "period",
+            period,
+            "given beside an array of times",
+            allowed="a duration and a period, or times alone",
+            remedy="leave the period out",
         )
     return np.array(time, np.float64)
 
@@ -284,11 +289,13 @@ def _fixed(
     times = _instants(time, period)
     if any(t.delay for t in G.denominator):
         if period is None or degree == 0:
-            given = "an array of times" if period is None else "an impulse"
-            allowed = "step responses given by a duration and a period"
-            remedy = "give a duration and a period; the impulse response is the step response of s·G"
-            problem = "not available with delays in the denominator"
-            raise FieldError("time", given, problem, allowed=allowed, remedy=remedy)
+            raise FieldError(
+                "time",
+                "an array of times" if period is None else "an impulse",
+                "not available with delays in the denominator",
+                allowed="step responses given by a duration and a period",
+                remedy="give a duration and a period; the impulse response is the step response of s·G",
+            )
         return time_response(G, np.ones(len(times)), period)
     parts = []
     try:
@@ -297,25 +304,30 @@ def _fixed(
             # A sample on the jump itself counts as after it, also where k·period -
             # delay rounds below 0.
             late[np.abs(late) <= 1e-12 * max(1.0, delay)] = 0.0
-            parts.append(held_quotient(top, G.denominator).at(late, degree, TOLERANCE))
+            held = held_quotient(top, G.denominator)
+            parts.append(held.at(late) if degree else held.impulse(late))
     except NotConvergedError:
         # The inversion works on a grid and not at single times, and an impulse has no
         # samples that it could difference.
         if period is None or degree == 0:
             raise
         return time_response(G, np.ones(len(times)), period)
-    return _assembled(times, parts, period, "impulse" if degree == 0 else "zero")
+    return _added(times, parts, period, "zero" if degree else "impulse")
 
 
-def _assembled(
-    time: Reals, parts: list[Part], period: float | None, hold: str
+def _added(
+    time: Reals,
+    parts: Sequence[Part | TimeResponse],
+    period: float | None,
+    hold: str,
 ) -> TimeResponse:
-    """The sum over the delays; the least direct method of all parts names the result."""
-    output = parts[0].output if parts else np.zeros(len(time))
-    for part in parts[1:]:
+    """The sum of responses; the least direct method of all parts names the result."""
+    output = np.zeros(len(time))
+    for part in parts:
         output += part.output
     method = max((p.method for p in parts), key=_METHODS.index, default="modes")
-    error, modes = sum(p.error for p in parts), max((p.modes for p in parts), default=0)
+    error = sum(p.error_estimate for p in parts)
+    modes = max((p.modes for p in parts), default=0)
     return TimeResponse(time, output, method, error, modes, period, hold)
 
 
@@ -335,23 +347,12 @@ def _by_inversion(
     # One sample more than asked for: the weights of a first-order hold look one period
     # ahead.
     rest, error = invert(G, exact, len(u) + 1, period, degree)
-    output = base.output + convolve(_weights(rest, period, degree), u)
-    error = (
-        error / period if degree == 2 else error
-    )  # the weights of a first-order hold are slopes of it
-    if degree == 2 and u[0] != 0.0:
-        jump, jump_error = invert(G, exact, len(u), period, 1)
-        output += u[0] * (jump - np.diff(rest) / period)
-        error += jump_error
+    weights = np.diff(rest, prepend=0.0)
+    if degree == 2:
+        weights, error = np.diff(weights) / period, error / period
+    output = base.output + convolve(weights[: len(u)], u)
     estimate = base.error_estimate + 4.0 * error * largest(u)
     return TimeResponse(base.time, output, "fft", estimate, base.modes, period, hold)
-
-
-def _weights(rest: Reals, period: float, degree: int) -> Reals:
-    """Differences of step or ramp samples: the weights of the hold at lags 0 … N-1."""
-    if degree == 1:
-        return np.diff(rest[:-1], prepend=0.0)
-    return np.diff(np.diff(rest, prepend=0.0), prepend=0.0)[1:] / period
 
 
 @lru_cache(maxsize=64)
@@ -359,7 +360,7 @@ def held_quotient(top: tuple[Term, ...], bottom: tuple[Term, ...]) -> HeldQuotie
     """The poles and the low-frequency part of N/D, kept for the next period, hold or
     input.
     """
-    return HeldQuotient.of(top, bottom)
+    return HeldQuotient.of(Quotient.of(top, bottom))
 
 
 def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]:
@@ -367,12 +368,12 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
     denominator.
     """
     if not G.is_proper:
-        remedy = (
-            "add a filter: a time response of a derivative of a step does not exist"
-        )
-        problem = "negative: the system is improper"
         raise FieldError(
-            "relative_degree", G.relative_degree, problem, allowed=">= 0", remedy=remedy
+            "relative_degree",
+            G.relative_degree,
+            "negative: the system is improper",
+            allowed=">= 0",
+            remedy="add a filter: a time response of a derivative of a step does not exist",
         )
     if any(t.delay for t in G.denominator):
         longest, remedy = (
@@ -390,92 +391,3 @@ def delay_groups(G: FractionalTransferFunction) -> dict[float, tuple[Term, ...]]
     for t in G.numerator:
         groups[t.delay] = (*groups.get(t.delay, ()), Term(t.coefficient, t.order))
     return groups
-
-
-# --- The Grünwald–Letnikov simulation, for comparison only --------------------------------------------
-
-_LONGEST = (
-    300_000  # samples: N²/2 products of each of two sums, half a minute of one core
-)
-
-
-def grunwald_letnikov_weights(order: float, count: int) -> Reals:
-    """Return (-1)^k binom(order, k), k = 0 … count-1.
-
-    h^(-order) Σ weights_k u(t - kh) approximates the derivative of that order of u.
-
-    >>> grunwald_letnikov_weights(0.5, 4)
-    array([ 1.    , -0.5   , -0.125 , -0.0625])
-    """
-    k = np.arange(1.0, count)
-    weights: Reals = np.concatenate(([1.0], np.cumprod(1.0 - (order + 1.0) / k)))[
-        :count
-    ]
-    return weights
-
-
-@checked
-def grunwald_letnikov(
-    G: FractionalTransferFunction,
-    u: Annotated[ArrayLike, Array(1, flags=True)],
-    period: Annotated[float, Between(1e-12, 1e12, "s")],
-) -> Reals:
-    """Return the response of G to samples u by the Grünwald–Letnikov difference with
-    full memory.
-
-    s^a becomes T^(-a) Σ_k (-1)^k binom(a, k) z^(-k) in numerator and denominator. This
-    is the method of FOMCON's `fode_sol` and of the source paper, offered for
-    comparison: its error is of first order in the period, 6 % (step) to 16 % (random
-    binary input) of full scale on a lightly damped link at 4 ms, and its cost is O(N²).
-    Never use it for a plant.
-
-    Parameters
-    ----------
-    G
-        Without delays.
-    u
-        Input, shape (N,), N up to 300 000.
-    period
-        Sampling period, 1e-12 … 1e12 s.
-
-    Raises
-    ------
-    FieldError
-        Delays, or values out of range.
-    SizeError
-        A longer signal.
-
-    Examples
-    --------
-    >>> from fracsys._fractional import s
-    >>> grunwald_letnikov(1 / (s + 1), [1.0, 1.0, 1.0], 1.0)  # implicit Euler: 1 - 2^-(k+1)
-    array([0.5  , 0.75 , 0.875])
-    """
-    if any(t.delay for t in (*G.numerator, *G.denominator)):
-        raise FieldError(
-            "delay", G.delay, "present", allowed="no delays", remedy="use time_response"
-        )
-    values = np.ascontiguousarray(u, np.float64)
-    count = len(values)
-    if count > _LONGEST:
-        problem = (
-            f"too many samples for a memory of all of them: {count**2:.2g} products"
-        )
-        remedy = "use time_response, whose cost is linear in N"
-        raise SizeError("u", count, problem, allowed=f"<= {_LONGEST}", remedy=remedy)
-    driven = np.asarray(
-        _kernels.memory_sum(_combined(G.numerator, count, period), values)
-    )
-    output: Reals = np.asarray(
-        _kernels.memory_solve(_combined(G.denominator, count, period), driven)
-    )
-    return output
-
-
-def _combined(terms: Sequence[Term], count: int, period: float) -> Reals:
-    total = np.zeros(count)
-    for t in terms:
-        total += (
-            t.coefficient * period**-t.order * grunwald_letnikov_weights(t.order, count)
-        )
-    return total

@@ -29,7 +29,7 @@ from fracsys._exponential import (
     count_strip,
 )
 from fracsys._terms import Complexes
-from fracsys.errors import FieldError, NotConvergedError
+from fracsys.errors import NotConvergedError
 
 Mask = NDArray[np.bool_]
 
@@ -70,9 +70,6 @@ def log_zeros(
 
     Raises
     ------
-    FieldError
-        Arrays of different shape, values that are not finite, all coefficients zero, a
-        bad angle.
     NotConvergedError
         The certified count could not be reached.
 
@@ -88,7 +85,6 @@ def log_zeros(
     >>> np.exp(z).real
     array([-1., -1.])
     """
-    angle = _checked(angle)
     terms = ExponentialSum.of(coefficients, orders)
     if len(terms.rates) < 2:
         return np.empty(0, dtype=complex)
@@ -123,18 +119,6 @@ def two_term_zeros(ratio: float, gap: float, angle: float) -> list[complex]:
         complex(size, angle if abs(y - angle) < _ON_EDGE * (1 + angle) else y)
         for y in heights
     ]
-
-
-def _checked(angle: float) -> float:
-    if not (math.isfinite(angle) and angle >= 0):
-        raise FieldError(
-            "angle",
-            angle,
-            "not a usable argument",
-            allowed="0 rad to a few turns",
-            remedy="use math.pi for the principal sheet",
-        )
-    return float(angle)
 
 
 def _counted(terms: ExponentialSum, angle: float) -> tuple[float, int]:

@@ -8,9 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fracsys._exponential import right_half_plane_zeros
 from fracsys._fractional import FractionalTransferFunction
+from fracsys._loops import as_loop
+from fracsys._nyquist import ON_AXIS, modulus_margin, unstable_closed_loop_poles
 from fracsys._roots import log_zeros
+from fracsys._sweep import sweep
 from fracsys._terms import Complexes, Term
 from fracsys.checks import checked
 from fracsys.errors import FieldError
@@ -125,7 +127,7 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     """
     integrators = _integrators(system)
     if any(t.delay for t in system.denominator):
-        count = right_half_plane_zeros(system.denominator)
+        count = _delayed_zeros(system.denominator)
         return _verdict(system, (), integrators, count, delayed=True)
     # The poles are found, not only counted: `log_zeros` returns as many as the argument
     # principle certifies, so that counting those with Re s > 0 is counting certified
@@ -146,6 +148,67 @@ def is_stable(system: FractionalTransferFunction) -> StabilityVerdict:
     where = _shown(complex(_both_halves(hidden, 0)[0]))
     note = f"; a zero cancels the pole at {where} rad/s, which stays inside the system"
     return replace(verdict, reason=verdict.reason + note)
+
+
+def _delayed_zeros(terms: Sequence[Term]) -> int:
+    """Number of zeros with Re s > 0 of a sum with delays, −1 for infinitely many.
+
+    Zeros of A + B, with the delayed terms in B, are the poles of 1/(1 + B/A): the
+    Nyquist criterion counts them. Of the neutral type (delays on the highest order,
+    too) that holds where the delayed coefficients' moduli add up to less than the
+    undelayed one's; otherwise zeros of any size lie in Re s > 0 or come as near to the
+    axis as one likes. Raises `FieldError` for zeros on the axis.
+
+    Source: Hale and Verduyn Lunel, Introduction to Functional Differential Equations
+    (1993), chapter 9.
+    """
+    leading = [t for t in terms if t.order == terms[0].order]
+    if leading[0].delay or 2.0 * abs(leading[0].coefficient) <= sum(
+        abs(t.coefficient) for t in leading
+    ):
+        return -1
+    late = tuple(t for t in terms if t.delay)
+    plain = tuple(t for t in terms if not t.delay)
+    # An octave above, |B/A| is below 1 on all of the arc that closes the contour.
+    loop = as_loop(FractionalTransferFunction(late, plain), 2.0 * _largest_zero(terms))
+    # Poles and zeros on the axis are infinities here and not faults.
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        x, values, _ = sweep(loop)
+        count = None
+        if loop.unstable_poles is not None:
+            count = unstable_closed_loop_poles(
+                loop, x, values, open_loop=loop.unstable_poles, ends_real=False
+            )
+        if count is None or modulus_margin(loop, x, values)[0] < ON_AXIS:
+            raise FieldError(
+                "denominator",
+                list(terms),
+                "zero on the imaginary axis, or too close to it to tell",
+                allowed="poles away from the axis",
+                remedy="change the gain or the delay a little, or cancel what is zero at s = 0",
+            )
+    return count
+
+
+def _largest_zero(terms: Sequence[Term]) -> float:
+    """A frequency [rad/s] beyond which a sum with delays has no zero with Re s >= 0.
+
+    There the undelayed leading term outweighs all others, no e^(-sL) being larger
+    than 1: every lower term is at most its share of what the leading ones leave.
+    """
+    top = terms[0].order
+    lower = [t for t in terms if t.order < top]
+    spare = 2.0 * abs(terms[0].coefficient) - sum(
+        abs(t.coefficient) for t in terms if t.order == top
+    )
+    # Without lower terms there is none at all, and any frequency will do.
+    return max(
+        (
+            (len(lower) * abs(t.coefficient) / spare) ** (1.0 / (top - t.order))
+            for t in lower
+        ),
+        default=1.0,
+    )
 
 
 def _verdict(
@@ -215,13 +278,12 @@ def _pole_logs(system: FractionalTransferFunction) -> tuple[Complexes, Complexes
     numerator cancels.
     """
     if any(t.delay for t in system.denominator):
-        allowed, problem = (
-            "delays in the numerator only",
-            "delayed: it has infinitely many poles",
-        )
-        remedy = "use is_stable or margins"
         raise FieldError(
-            "denominator", repr(system), problem, allowed=allowed, remedy=remedy
+            "denominator",
+            repr(system),
+            "delayed: it has infinitely many poles",
+            allowed="delays in the numerator only",
+            remedy="use is_stable or margins",
         )
     left, cancelled = _logs(system.denominator).tolist(), []
     top = system.numerator

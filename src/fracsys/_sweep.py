@@ -4,17 +4,15 @@ extremes.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._loops import FractionalLoop, SampledLoop, as_loop
+from fracsys._loops import SampledLoop, as_loop
 from fracsys._terms import Complexes, Reals
 from fracsys.errors import FieldError
 
@@ -118,13 +116,13 @@ def frequency_grid(
     """
     known = as_loop(loop, limit)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        if isinstance(known, FractionalLoop):
+        if known.system is not None:
             low, high = known.span[0] - _DECADES, known.span[1] + _DECADES
             if limit is not None:
                 high = min(high, math.log(limit))
             known = replace(known, low=min(low, high - _DECADES), high=high)
         x, values, _ = sweep(known)
-        if not isinstance(known, FractionalLoop):
+        if known.system is None:
             x, values = _bent(x, values, keep_top=limit is not None)
     even = np.linspace(x[0], x[-1], points)
     # Where the response turns slowly the even points draw it; the others are where it
@@ -174,14 +172,6 @@ def refined(
     sizes. Intervals are halved while the chords beside a point meet at more than `bend`
     [rad] and are longer than a line's width.
     """
-    if len(x) < 3:
-        raise FieldError(
-            "x",
-            len(x),
-            "too short a grid",
-            allowed="3 points or more",
-            remedy="give a longer grid",
-        )
     for _ in range(12):
         across, up = curve(x)
         run, rise = np.diff(across), np.diff(up)
@@ -207,25 +197,21 @@ def refined(
 
 
 _ROUNDS = 100  # bisection alone needs 53; Newton 4 to 6, the secant 6 to 10
-# A Newton step this small, relative, leaves an error of its square. Where the
+# A step this small, relative, leaves an error of nearly its square. Where the
 # function's own rounding is then more than that of x, its sign is chance: without this
 # bound Newton wandered about in it for fifty rounds.
 _NEAR = 1e-8
 
 
 def bracketed_roots(
-    function: Callable[[Reals], Reals],
-    low: ArrayLike,
-    high: ArrayLike,
-    *,
-    slope: Callable[[Reals], Reals] | None = None,
+    function: Callable[[Reals], Reals], low: ArrayLike, high: ArrayLike
 ) -> Reals:
     """Return the root of a continuous function in each bracket [low, high], to
     rounding.
 
-    A step that would leave its bracket halves it instead. Without `slope` the secant
-    keeps the value of the end that stays, halved (Illinois), which is superlinear and
-    cannot stall at one end.
+    The secant keeps the value of the end that stays, halved (Illinois), which is
+    superlinear and cannot stall at one end; a step that would leave its bracket halves
+    it instead.
 
     Parameters
     ----------
@@ -234,8 +220,6 @@ def bracketed_roots(
         the two ends.
     low, high
         ends of the brackets, of one shape.
-    slope
-        derivative of `function`.
 
     Examples
     --------
@@ -249,20 +233,15 @@ def bracketed_roots(
     size = np.abs(a) + np.abs(b)
     done, settled = 4e-16 * size, np.zeros(a.shape, dtype=bool)
     with np.errstate(divide="ignore", invalid="ignore"):
-        for turn in range(_ROUNDS):
-            if slope is None:
-                x = b - at_b * (b - a) / (at_b - at_a)
-            else:  # Newton from the middle: an end of the bracket may be where the function is flat
-                x = b - at_b / slope(b) if turn else np.full_like(a, np.nan)
+        for _ in range(_ROUNDS):
+            x = b - at_b * (b - a) / (at_b - at_a)
             inside = (x >= np.minimum(a, b)) & (x <= np.maximum(a, b))
             x = np.where(inside, x, 0.5 * (a + b))
             at_x = np.asarray(function(x))
             stays = (at_x > 0.0) == (at_b > 0.0)  # b moves on, a stays
-            kept = at_a if slope is not None else 0.5 * at_a
-            a, at_a = np.where(stays, a, b), np.where(stays, kept, at_b)
+            a, at_a = np.where(stays, a, b), np.where(stays, 0.5 * at_a, at_b)
             moved = np.abs(x - b)
-            if slope is not None:
-                settled |= (moved <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
+            settled |= (moved <= _NEAR * size) & (np.abs(at_x) >= np.abs(at_b))
             b, at_b = x, at_x
             if np.all((moved <= done) | (at_x == 0.0) | settled):
                 break
@@ -286,54 +265,52 @@ def valleys(values: Reals, *, spare: float) -> list[int]:
     return (np.flatnonzero(low) + 1).tolist()
 
 
-Tendency = Callable[[complex, complex], float]  # of L and d ln L/d ln ω
-
-# The least that brentq admits, relative to ln ω: crossings are then known to rounding.
-_RTOL = 4 * np.finfo(float).eps
+# a function of ln ω, elementwise
+Tendency = Callable[[SampledLoop, Reals], Reals]
 
 
-def gain_level(value: complex, slope: complex) -> float:
+def gain_level(loop: SampledLoop, x: Reals) -> Reals:
     """ln |L|; a pole or zero on the axis counts as e^±745, the range of doubles, to
     stay a number.
     """
-    size = abs(value)
-    return math.log(size) if 0 < size < math.inf else math.copysign(745.0, size - 1)
+    return np.asarray(np.clip(np.log(np.abs(loop(x))), -745.0, 745.0))
 
 
-def phase_level(value: complex, slope: complex) -> float:
+def phase_level(loop: SampledLoop, x: Reals) -> Reals:
     """arg(−L)."""
-    return cmath.phase(-value)
+    return np.angle(-loop(x))
 
 
-def gain_slope(value: complex, slope: complex) -> float:
+def gain_slope(loop: SampledLoop, x: Reals) -> Reals:
     """d ln |L|/d ln ω."""
-    return slope.real
+    return loop.slope(x).real
 
 
-def phase_slope(value: complex, slope: complex) -> float:
+def phase_slope(loop: SampledLoop, x: Reals) -> Reals:
     """d arg L/d ln ω."""
-    return slope.imag
+    return loop.slope(x).imag
 
 
-def modulus_slope(value: complex, slope: complex) -> float:
+def modulus_slope(loop: SampledLoop, x: Reals) -> Reals:
     """½ d|1 + L|²/d ln ω."""
-    return ((1 + value).conjugate() * value * slope).real
+    value = loop(x)
+    return np.asarray(((1 + value).conj() * value * loop.slope(x)).real)
 
 
-def zero_of(
-    loop: SampledLoop, tendency: Tendency, a: float, b: float
-) -> tuple[float, complex]:
-    """ln ω of a zero of `tendency` in [a, b], and L there; without a change of sign the
-    better end.
+def zeros_of(
+    loop: SampledLoop, tendency: Tendency, brackets: list[tuple[float, float]]
+) -> list[tuple[float, complex]]:
+    """ln ω of a zero of `tendency` in each bracket, and L there; without a change of
+    sign the better end.
 
     A crossing is a zero of its level, an extreme one of its slope.
     """
-    at_a, at_b = (tendency(*loop.point(x)) for x in (a, b))
+    if not brackets:
+        return []
+    a, b = np.array(brackets).T
+    at_a, at_b = tendency(loop, a), tendency(loop, b)
     # An end is the extreme itself, or the slope beside a pole of the axis is no number.
-    if at_a * at_b < 0:
-        x = float(
-            brentq(lambda x: tendency(*loop.point(x)), a, b, xtol=1e-15, rtol=_RTOL)
-        )
-    else:
-        x = a if abs(at_a) < abs(at_b) else b
-    return x, loop.point(x)[0]
+    x = np.where(np.abs(at_a) < np.abs(at_b), a, b)
+    changes = at_a * at_b < 0
+    x[changes] = bracketed_roots(lambda x: tendency(loop, x), a[changes], b[changes])
+    return list(zip(x.tolist(), loop(x).tolist(), strict=True))

@@ -229,69 +229,42 @@ def scaled(terms: Iterable[Term], factor: float) -> tuple[Term, ...]:
     return tuple(Term(t.coefficient * factor, t.order, t.delay) for t in terms)
 
 
-def text(terms: tuple[Term, ...]) -> str:
+@dataclass(frozen=True)
+class Notation:
+    """How a sum is written: the product sign, numbers, powers of s, and what is
+    delayed.
+    """
+
+    product: str
+    number: str
+    power: str
+    delayed: str
+
+
+PLAIN = Notation(" ", "{:.6g}", "s^{:.10g}", "{} e^(-{:.6g} s)")
+LATEX = Notation(r"\,", "{:.6g}", "s^{{{:.6g}}}", r"{}\,e^{{-{:.6g} s}}")
+# Python reads it back to the last bit, with s the Laplace variable.
+PYTHON = Notation("*", "{!r}", "s**{!r}", "({}).delayed({!r})")
+
+
+def written(terms: tuple[Term, ...], notation: Notation) -> str:
+    """The sum as text."""
     parts: list[str] = []
     for term in terms:
-        sign = "-" if term.coefficient < 0 else "+"
-        size = f"{abs(term.coefficient):.6g}"
-        factors = [] if size == "1" else [size]
-        if term.order != 0.0:
-            factors.append("s" if term.order == 1.0 else f"s^{term.order:.10g}")
-        if term.delay:
-            factors.append(f"e^(-{term.delay:.6g} s)")
-        body = " ".join(factors) or "1"
-        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
-    return " ".join(parts) or "0"
-
-
-def python_text(terms: tuple[Term, ...]) -> str:
-    """The sum as Python reads it back to the last bit, with s the Laplace variable."""
-    parts: list[str] = []
-    for term in terms:
-        sign, size = (
-            ("-" if term.coefficient < 0 else "+"),
-            f"{abs(float(term.coefficient))!r}",
-        )
-        size = size.removesuffix(".0")
-        power = (
-            ""
-            if term.order == 0.0
-            else "s"
-            if term.order == 1.0
-            else f"s**{float(term.order)!r}"
-        )
-        power = power.removesuffix(".0")
-        body = "*".join(
-            factor
-            for factor in ("" if size == "1" and power else size, power)
-            if factor
-        )
-        if term.delay:
-            body = (
-                f"({body if power else f'{body}*s**0'}).delayed({float(term.delay)!r})"
-            )
-        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
-    return " ".join(parts) or "0"
-
-
-def latex_text(terms: tuple[Term, ...]) -> str:
-    """The sum for a formula; numbers to six digits."""
-    parts: list[str] = []
-    for term in terms:
-        sign, size = (
-            ("-" if term.coefficient < 0 else "+"),
-            f"{abs(term.coefficient):.6g}",
-        )
-        if "e" in size:
-            digits, power = size.split("e")
-            size = rf"{digits} \cdot 10^{{{int(power)}}}"
-        factors = [] if size == "1" and (term.order or term.delay) else [size]
+        size = notation.number.format(abs(float(term.coefficient)))
+        power = notation.power.format(float(term.order)).removesuffix(".0")
+        factors = [size.removesuffix(".0")] if float(size) != 1.0 else []
         if term.order:
-            factors.append("s" if term.order == 1.0 else f"s^{{{term.order:.6g}}}")
+            factors.append("s" if term.order == 1.0 else power)
+        body = notation.product.join(factors)
         if term.delay:
-            factors.append(f"e^{{-{term.delay:.6g} s}}")
-        body = r"\,".join(factors)
-        parts.append(f"{sign} {body}" if parts else ("-" if sign == "-" else "") + body)
+            if notation is PYTHON and not term.order:
+                body = f"{body or '1'}*s**0"
+            body = notation.delayed.format(body, float(term.delay))
+            body = body.removeprefix(notation.product)
+        sign = "-" if term.coefficient < 0 else "+"
+        lead = f"{sign} " if parts else sign.removeprefix("+")
+        parts.append(lead + (body or "1"))
     return " ".join(parts) or "0"
 
 
@@ -393,7 +366,10 @@ def refuse_beyond_memory(field: str, count: float, each: int = _BYTES) -> None:
         os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if known else 8 << 30
     )
     if not count * each < available:
-        problem = f"too many samples: they need {count * each:.2g} bytes"
-        allowed = f"at most {available // each:.3g} samples on this machine"
-        remedy = "shorten the span or lengthen the period"
-        raise SizeError(field, count, problem, allowed=allowed, remedy=remedy)
+        raise SizeError(
+            field,
+            count,
+            f"too many samples: they need {count * each:.2g} bytes",
+            allowed=f"at most {available // each:.3g} samples on this machine",
+            remedy="shorten the span or lengthen the period",
+        )

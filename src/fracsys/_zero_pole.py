@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import tf2ss, zpk2sos
 
 from fracsys._terms import Complexes, Reals, Term
 from fracsys.errors import NotConvergedError
@@ -35,17 +36,6 @@ def evaluate(
         / np.prod(flat - poles[shared:], axis=1)
     )
     return np.asarray((gain * value).reshape(s.shape))
-
-
-def residues(zeros: Complexes, poles: Complexes, gain: float) -> Complexes:
-    """Residues at simple poles; infinite at a multiple one."""
-    found = np.empty(len(poles), dtype=complex)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for i, p in enumerate(poles):
-            # The product without that pole, and not a derivative: it keeps its digits
-            # where other poles are near.
-            found[i] = evaluate(np.array([p]), zeros, np.delete(poles, i), gain)[0]
-    return found
 
 
 def zeros_of_fractions(
@@ -106,66 +96,19 @@ def aberth(start: Complexes, rate: Callable[[Complexes], Complexes]) -> Complexe
 def cascade(
     zeros: Complexes, poles: Complexes, gain: float
 ) -> tuple[Reals, Reals, Reals, Reals]:
-    """Real A, B, C, D: sections of second order in series, slow ones first; needs as
-    many poles as zeros.
-    """
+    """Real A, B, C, D: sections of second order in series."""
     a, b = np.zeros((0, 0)), np.zeros((0, 1))
-    c, d = np.zeros((1, 0)), np.array([[gain]])
-    tops, bottoms = _quadratics(zeros), _quadratics(poles)
-    for i, bottom in enumerate(bottoms):
-        top = tops[i] if i < len(tops) else np.array([1.0])
-        a2, b2, c2, d2 = _section(top, bottom)
+    c, d = np.zeros((1, 0)), np.ones((1, 1))
+    # Sections and not one polynomial, whose coefficients would span forty decades.
+    for section in zpk2sos(zeros, poles, gain, pairing="minimal", analog=True):
+        a2, b2, c2, d2 = tf2ss(
+            *(np.trim_zeros(part, "f") for part in np.split(section, 2))
+        )
         n, m = len(a), len(a2)
         a = np.block([[a, np.zeros((n, m))], [b2 @ c, a2]])
         b = np.vstack([b, b2 @ d])
         c, d = np.hstack([d2 * c, c2]), d2 * d
     return a, b, c, d
-
-
-def _quadratics(roots: Complexes) -> list[Reals]:
-    """Monic real polynomials of degree 2 (one may have 1) with these roots, ordered by
-    modulus.
-    """
-    real = sorted(roots[roots.imag == 0].real, key=abs)
-    factors = [np.array([1.0, -2 * z.real, abs(z) ** 2]) for z in roots if z.imag > 0]
-    factors += [
-        np.array([1.0, -(x + y), x * y])
-        for x, y in zip(real[::2], real[1::2], strict=False)
-    ]
-    # By modulus, in zeros and poles alike: a section then has a zero and a pole of like
-    # size, and no state is large where the output is not.
-    factors.sort(key=lambda p: float(p[2]))
-    if len(real) % 2:
-        factors.append(np.array([1.0, -real[-1]]))
-    return factors
-
-
-def _section(top: Reals, bottom: Reals) -> tuple[Reals, Reals, Reals, float]:
-    """Controllable form of top/bottom; the degree of top is at most that of bottom."""
-    n = len(bottom) - 1
-    padded = np.concatenate([np.zeros(n + 1 - len(top)), top])
-    d = float(padded[0])
-    a = np.zeros((n, n))
-    a[0] = -bottom[1:]
-    a[range(1, n), range(n - 1)] = 1.0
-    b = np.zeros((n, 1))
-    b[0, 0] = 1.0
-    return a, b, (padded[1:] - d * bottom[1:]).reshape(1, n), d
-
-
-def bilinear(
-    zeros: Complexes, found: Complexes, gain: float, period: float
-) -> tuple[Complexes, Complexes, float]:
-    """s = (2/T)(z − 1)/(z + 1): a root r goes to (1 + rT/2)/(1 − rT/2), missing zeros
-    to −1.
-    """
-    half = 0.5 * period
-    missing = len(found) - len(zeros)
-    scale = np.prod(1 - half * zeros) / np.prod(1 - half * found) * half**missing
-    moved = np.concatenate(
-        [(1 + half * zeros) / (1 - half * zeros), np.full(missing, -1.0)]
-    )
-    return moved, (1 + half * found) / (1 - half * found), float(gain * scale.real)
 
 
 # ---- filters that stand for s^f ---------------------------------------------------------------------

@@ -256,7 +256,7 @@ static void upsets(void)
 
 static void limits(void)
 {
-    begin(law_data.angle_limit - (law_real)0.01F);
+    begin(law_data.motor_limit - (law_real)0.01F);
     in.reference_acceleration = (law_real)30;
     for (uint32_t k = 0U; k < 5U; k++) {
         step(1U);
@@ -302,10 +302,10 @@ static void memory(void)
     require((out.flags & LAW_FLAG_STARTED) == 0U);
     /* what the last period did not leave: the arm begins anew where it stands, and in the mode that it was in */
     for (uint32_t mode = LAW_RUN; mode <= LAW_OFF; mode++) {
-        for (uint32_t i = 0U; i < 7U; i++) {
+        for (uint32_t i = 0U; i < 9U; i++) {
             begin((law_real)0.25F);
-            law_real *const damage[7] = {&state.real[0], &state.forward[1], &state.reference, &state.motor_reference,
-                                         &state.integral, &state.torque, &state.sum};
+            law_real *const damage[9] = {&state.real[0], &state.forward[1], &state.reference, &state.motor_reference,
+                                         &state.integral, &state.torque, &state.error, &state.scale, &state.sum};
             state.mode = copied(mode);
             *damage[i] += (law_real)0.0078125F;
             step(1U);
@@ -320,7 +320,7 @@ static void memory(void)
     state.error = (law_real)NAN;
     state.motor_angle = (law_real)NAN;
     state.torque = (law_real)NAN;
-    state.model_near = (law_real)1e20F;
+    state.model_push = (law_real)1e20F;
     state.reference = (law_real)1e20F;
     state.encoder_model = (law_real)NAN;
     step(1U);
@@ -342,6 +342,40 @@ static void memory(void)
     state.motor_reference = (law_real)NAN;
     step(1U);
     require(out.motor_reference == (law_real)0.25F);
+    begin((law_real)0.25F);
+    state.model_angle = (law_real)2 * law_data.motor_limit;
+    step(1U);
+    require((out.mode == LAW_RUN) && (state.model_angle == (law_real)0.25F));
+}
+
+/* The flags of a tip that swings in `block` until the law stops it, or for thirty half periods. */
+static uint32_t swing(const law_params *block)
+{
+    const law_real torque = (law_real)2 * block->swing_angle * block->stiffness;
+    uint32_t flags = 0U;
+    begin((law_real)0);
+    state.stamp = block->crc;
+    for (uint32_t k = 0U; (k < (30U * block->block_limit)) && (out.mode == LAW_RUN); k++) {
+        const law_real wanted = (((k / block->block_limit) & 1U) != 0U) ? torque : -torque;
+        in.torque += (wanted - in.torque) / (law_real)8;
+        in.motor_angle = state.model_angle;
+        in.tick++;
+        law_step(&state, block, &in, &out);
+        flags |= out.flags;
+    }
+    return flags;
+}
+
+/* A vibration that does not decay is flagged; where a limit was given, it trips. */
+static void vibrations(void)
+{
+    law_params block = law_data;
+    block.options &= ~LAW_STOP_RINGING;
+    block.crc = block_crc(&block);
+    require(((swing(&block) & LAW_FLAG_RINGING) != 0U) && (out.mode == LAW_RUN));
+    block.options |= LAW_STOP_RINGING;
+    block.crc = block_crc(&block);
+    require(((swing(&block) & LAW_FLAG_RINGING) != 0U) && (out.mode == LAW_HOLD) && (out.reason == LAW_RINGING));
 }
 
 /* A jump of the reference is followed slowly, its own motion beneath it at once, a little that is left at once. */
@@ -434,8 +468,9 @@ static void held(void)
     uint32_t moved = 0U;
     for (uint32_t k = 1U; (k < 200U) && (out.mode == LAW_RUN); k++) {
         in.reference_acceleration = (law_real)30;
-        in.motor_angle = state.model_angle;
+        in.motor_angle = (k < 5U) ? (law_real)0 : state.model_angle;
         step(1U);
+        require((k >= 5U) || (state.stuck == 0U)); /* friction holds the motor, and with it the torque */
         moved++;
     }
     require((out.reason == LAW_GAUGE_STUCK) && (moved >= law_data.stuck_limit) && (moved < 100U));
@@ -515,6 +550,7 @@ int main(int count, char **words)
     upsets();
     limits();
     memory();
+    vibrations();
     jumps();
     frozen();
     blocked();

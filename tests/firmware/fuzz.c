@@ -48,7 +48,9 @@ static void seal(law_state *s, const law_params *p)
         sum += s->pair[i];
     }
 #endif
-    s->sum = sum + (s->motor_reference + (s->integral + s->torque)); /* law.c: kept */
+    /* law.c: kept */
+    sum += ((s->motor_reference + s->motor_angle) + (s->integral + s->torque)) + ((s->error + s->scale) + s->track_push);
+    s->sum = sum;
 }
 
 int LLVMFuzzerTestOneInput(const unsigned char *bytes, size_t size);

@@ -20,6 +20,7 @@ import hashlib
 import io
 import json
 import math
+import os
 import re
 import sys
 import tempfile
@@ -29,6 +30,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the tests
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,16 +43,14 @@ sys.path[:0] = [str(folder) for folder in Path(__file__).resolve().parents[1:3]]
 
 # The names that are not at the root: all of them here, so that a move of modules is one
 # edit.
-from fraclink._certify import Certificate  # noqa: E402
-from fraclink._export import export_fmu  # noqa: E402
-from fraclink._identify import (  # noqa: E402
-    design_experiment,
-    identify_frequency_response,
+from fraclink import (  # noqa: E402
+    Certificate,
+    export_fmu,
     identify_motor,
     identify_payloads,
 )
-from fraclink._law import equip  # noqa: E402
-from fraclink._simulate import (  # noqa: E402
+from fraclink.errors import InfeasibleError  # noqa: E402
+from fraclink.extend import (  # noqa: E402
     FractionalKelvinVoigt,
     KelvinVoigt,
     Obstacle,
@@ -58,12 +59,17 @@ from fraclink._simulate import (  # noqa: E402
     Restart,
     SensorFault,
     TipPulse,
+    design_experiment,
+    equip,
     geared,
 )
-from fraclink.errors import InfeasibleError  # noqa: E402
-from fraclink.trials._arms import simulate_part  # noqa: E402
-from fraclink.trials._campaign import Campaign  # noqa: E402
-from fraclink.trials._faults import Bench, Case, run_case  # noqa: E402
+from fraclink.trials import (  # noqa: E402
+    Bench,
+    Campaign,
+    Case,
+    run_case,
+    simulate_part,
+)
 from made_logs import example_motor_log  # noqa: E402
 from reproduce.evidence import EVIDENCE  # noqa: E402
 from reproduce.published import read_published  # noqa: E402
@@ -180,7 +186,11 @@ def unguarded_law() -> fl.Law:
 
 
 PRINTED = fl.Controller(
-    gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=LINK
+    derivative_gain=0.148,
+    derivative_order=0.65,
+    filter_time=0.16,
+    filter_order=2,
+    link=LINK,
 )
 
 # How the laws are fitted today. Recorded once; the runs read the files.
@@ -188,8 +198,8 @@ LAWS: dict[str, Callable[[], fl.Law]] = {
     "default": default_law,
     "order-4": lambda: design_of(RIG, filter_time=0.0).law(order=4),
     "unguarded": unguarded_law,
-    "outer": lambda: replace(default_law(), drive=None),
-    "direct": lambda: design_of(RIG, inner="sampled", placement="direct").law(),
+    "outer": lambda: replace(default_law(), motor_loop=None),
+    "ideal": lambda: design_of(RIG, motor_loop="ideal", placement="tustin").law(),
     "printed": lambda: equip(fl.discretize(PRINTED, RIG.period), RIG, LINK),
     "geared": lambda: design_of(GEARED).law(),
 }
@@ -247,15 +257,15 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
     """Runs on the lumped model."""
     move = fl.smooth_step(1.0, 0.5)
     for seed, grams in enumerate((8, 16, 20, 30, 40, 60)):
-        for inner, named in (("ideal", "outer"), ("sampled", "default")):
+        for motor_loop, named in (("ideal", "outer"), ("sampled", "default")):
             options: Plain = {
                 "payload": grams / 1e3,
                 "seed": seed,
-                "motor_loop": inner,
+                "motor_loop": motor_loop,
                 "duration": 3.0,
             }
             yield (
-                f"model {grams} g {inner}",
+                f"model {grams} g {motor_loop}",
                 partial(fl.simulate, law(named), move, rig=RIG, model=LINK, **options),
             )
     several: dict[str, tuple[str, str, Plain]] = {
@@ -268,12 +278,8 @@ def model_runs() -> Iterator[tuple[str, Callable[[], fl.Run]]]:
         "unguarded delay 3": ("unguarded", "double", {"delay_samples": 3, "seed": 15}),
         "single": ("default", "single", {"seed": 16}),
         "order 4": ("order-4", "double", {"seed": 17}),
-        "direct": ("direct", "double", {"seed": 18}),
-        "measured": (
-            "default",
-            "double",
-            {"compensation": "measured", "seed": 19, "substeps": 3},
-        ),
+        "ideal": ("ideal", "double", {"seed": 18}),
+        "substeps": ("default", "double", {"seed": 19, "substeps": 3}),
         "printed": ("printed", "double", {"payload": 0.040, "seed": 20}),
     }
     for title, (named, precision, options) in several.items():
@@ -397,10 +403,13 @@ def twin_runs() -> Iterator[tuple[str, Callable[[], Any]]]:
     )
 
 
-def campaign_figures(inner: str, seed: int) -> Plain:
+def campaign_figures(motor_loop: str, seed: int) -> Plain:
     """Every column of a Monte Carlo part of 250 arms."""
     columns = simulate_part(
-        Campaign.of(RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=inner), 0
+        Campaign.of(
+            RIG, LINK, law("default"), runs=250, seed=seed, motor_loop=motor_loop
+        ),
+        0,
     )
     finite = {name: np.asarray(values, dtype=float) for name, values in columns.items()}
     return plain(
@@ -415,11 +424,9 @@ def campaign_figures(inner: str, seed: int) -> Plain:
 
 
 def fault_figures(name: str, severity: int, phase: str) -> Plain:
-    """One case of the fault campaign in double and single precision."""
+    """One case of the fault campaign."""
     bench = replace(_bench(), law=law("geared"))
-    outcome = run_case(
-        bench, Case(name, severity, 0.030, phase, 3), single=severity == 1
-    )
+    outcome = run_case(bench, Case(name, severity, 0.030, phase, 3))
     checks = {
         check.name: [check.measured, check.limit, check.passed]
         for check in outcome.checks
@@ -461,8 +468,8 @@ def runs() -> Entries:
         title: partial(_of_run, make) for title, make in (*model_runs(), *twin_runs())
     }
     made |= {
-        f"campaign {inner}": partial(campaign_figures, inner, seed)
-        for inner, seed in (("sampled", 7), ("ideal", 8))
+        f"campaign {motor_loop}": partial(campaign_figures, motor_loop, seed)
+        for motor_loop, seed in (("sampled", 7), ("ideal", 8))
     }
     return made | {
         f"fault {name}-{severity}-{phase}": partial(
@@ -505,7 +512,7 @@ def certificate_figures(found: Certificate) -> Plain:
             "holds": found.passed,
             "modulus": s.modulus,
             "ranges": ranges,
-            "inner": s.motor_loop,
+            "motor_loop": s.motor_loop,
             "precision": s.precision,
             "numbers": [
                 *s.box[0].values(),
@@ -516,7 +523,6 @@ def certificate_figures(found: Certificate) -> Plain:
             ],
             "leaves": found.leaves,
             "fails_at": place,
-            "poles": found.poles,
             "sha256": {
                 "certificate": found.sha256[:16],
                 "tree": digest(found.tree.encode()),
@@ -532,11 +538,11 @@ def certificates() -> Entries:
         "asked 0.35": (law("outer"), {"modulus_margin": 0.35}),
         "nine tenths of the grid": (law("outer"), {}),
         "single": (law("outer", "single"), {"modulus_margin": 0.4}),
-        "sampled": (law("default"), {"modulus_margin": 0.35, "inner": "sampled"}),
-        "direct": (law("direct"), {"modulus_margin": 0.35, "inner": "sampled"}),
+        "sampled": (law("default"), {"modulus_margin": 0.35}),
+        "tustin": (law("ideal"), {"modulus_margin": 0.35}),
         "wider": (
             law("order-4"),
-            {"payloads": (0.010, 0.050), "delay": (0.0, 0.008), "modulus_margin": 0.2},
+            {"payloads": (0.010, 0.050), "modulus_margin": 0.2},
         ),
         "too much": (law("outer"), {"modulus_margin": 0.9}),
         "printed": (law("printed"), {}),
@@ -556,8 +562,8 @@ def controller_figures(controller: fl.Controller) -> Plain:
     """The numbers of a controller."""
     return plain(
         {
-            "gain": controller.gain,
-            "order": controller.order,
+            "gain": controller.derivative_gain,
+            "order": controller.derivative_order,
             "filter_time": controller.filter_time,
             "filter_order": controller.filter_order,
         }
@@ -600,19 +606,19 @@ REQUESTS: dict[str, Plain] = {
     },
     "slow": {"gain_crossover": 9.0, "phase_margin": fl.deg(60)},
     "fast": {"gain_crossover": 16.0, "phase_margin": fl.deg(40)},
-    "sampled": {"inner": "sampled"},
-    "direct": {"inner": "sampled", "placement": "direct"},
+    "ideal": {"motor_loop": "ideal", "placement": "tustin"},
+    "tustin": {"placement": "tustin"},
     "paper": {
         "payloads": None,
         "natural_frequencies": (9.42, 14.14),
         "gain_crossover": 16.0,
         "phase_margin": fl.deg(70),
-        "margins": "ideal",
+        "procedure": "published",
     },
     "paper, n = 1": {
         "gain_crossover": 16.0,
         "phase_margin": fl.deg(70),
-        "margins": "ideal",
+        "procedure": "published",
         "filter_order": 1,
     },
     "Ms": {"phase_margin": None, "max_sensitivity": 1.6},
@@ -660,7 +666,7 @@ def designs() -> Entries:
     # The law of a design takes a second to fit: its margin is added to two of them.
     shipped: tuple[Plain, ...] = (
         {"filter_time": 0.0},
-        {"inner": "sampled", "placement": "direct"},
+        {"motor_loop": "ideal", "placement": "tustin"},
     )
     for asked in shipped:
         made[f"with law {asked}"] = lambda asked=asked: plan_figures(
@@ -709,28 +715,6 @@ def fit_figures(fit: fl.Fit) -> Plain:
     )
 
 
-def spectrum_figures() -> Plain:
-    """A frequency response with noise and outliers."""
-    frequency = np.linspace(1.0, 40.0, 200)
-    generator = np.random.default_rng(0)
-    response = LINK.torque()(1j * frequency) * np.exp(-1j * frequency * 0.01)
-    response = response * (
-        1 + 0.02 * (generator.normal(size=200) + 1j * generator.normal(size=200))
-    )
-    response[[20, 77, 150]] *= [5, -3, 0.1]
-    fit = identify_frequency_response(frequency, response)
-    return plain(
-        {
-            "order": fit.order,
-            "delay": fit.delay,
-            "natural_frequency": fit.model().natural_frequency,
-            "stiffness": fit.model().stiffness,
-            "outliers": fit.outliers,
-            "standard_errors": fit.standard_errors,
-        }
-    )
-
-
 @functools.cache
 def log_of(name: str) -> fl.Experiment:
     """A bundled log, read once."""
@@ -742,7 +726,6 @@ def structure_figures(name: str) -> Plain:
     found = fl.compare_structures(log_of(name))
     made: Plain = {structure: fit_figures(fit) for structure, fit in found.fits.items()}
     made["preferred"] = found.preferred
-    made["advantage"] = plain(found.contest.advantage)
     made["diagnosis"] = [finding.code for finding in fl.logs.diagnose(log_of(name))]
     return made
 
@@ -815,7 +798,6 @@ def identification() -> Entries:
         "payloads": partial(payload_figures, False),
         "payloads tied": partial(payload_figures, True),
         "motor": motor_figures,
-        "spectrum": spectrum_figures,
         "experiment": experiment_figures,
     }
 

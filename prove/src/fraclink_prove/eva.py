@@ -37,8 +37,8 @@ def commands_claim(law: Law, folder: Path, *, name: str, data: str) -> Claim:
     (Frama-C 25, plug-in Eva).
     """
     voltage = (
-        f" and |voltage| ≤ {law.drive.voltage_limit:g} V"
-        if law.drive is not None
+        f" and |voltage| ≤ {law.motor_loop.voltage_limit:g} V"
+        if law.motor_loop is not None
         else ""
     )
     claim = Claim(

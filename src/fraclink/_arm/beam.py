@@ -38,7 +38,13 @@ __all__ = [
     "matrices",
     "modal_shares",
 ]
-__all__ += ["modes_of", "residual_inertia", "rigid_rotation", "unmodelled_modes"]
+__all__ += [
+    "model_at",
+    "modes_of",
+    "residual_inertia",
+    "rigid_rotation",
+    "unmodelled_modes",
+]
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -347,10 +353,41 @@ def modes_of(model: LinkModel) -> int:
     return 1 if model.second_mode is None else 2
 
 
-def assumed_ratio(model: LinkModel) -> float | None:
-    """The damping ratio of the higher modes of a model without damping; None where its
-    law has one.
+def model_at(model: LinkModel, rig: Rig, payload: float) -> LinkModel:
+    """Return the model at another `payload` [kg], its modes moved as those of the rig's
+    beam; as eq. (5) says where the link has no mass.
+
+    >>> rig = Rig.named("paper-2023")
+    >>> model = replace(rig.model, natural_frequency=11.0, payload=0.03)
+    >>> round(model_at(model, rig, 0.12).natural_frequency, 3)
+    5.5
+    >>> heavy = replace(rig, link=replace(rig.link, mass=0.045))
+    >>> round(model_at(model, heavy, 0.12).natural_frequency, 3)
+    6.139
     """
+    moved = model.at_payload(payload)
+    if rig.link.mass <= 0.0 or model.payload is None:
+        return moved
+    here, there = (
+        modal_shares(Beam.from_rig(rig, payload=mass))[0]
+        for mass in (model.payload, payload)
+    )
+    first, second, *_ = there / here
+    mode = model.second_mode
+    if mode is not None:
+        mode = replace(mode, frequency=mode.frequency * float(second))
+    frequency = model.natural_frequency * float(first)
+    return replace(moved, natural_frequency=frequency, second_mode=mode)
+
+
+def assumed_ratio(model: LinkModel) -> float | None:
+    """The damping ratio of the modes that a model does not know: that of its second
+    mode where its own power law has less, an assumed one where it has no damping at all,
+    None where its law has one.
+    """
+    mode = model.second_mode
+    if mode is not None and mode.damping_ratio > -math.cos(math.pi / model.order) > 0.0:
+        return mode.damping_ratio
     return ASSUMED_RATIO if model.order == 2.0 and model.damping == 0.0 else None
 
 

@@ -61,7 +61,7 @@ class Arm:
         # The PID was placed for the motor that the rig states and runs on the true one:
         # the ratio changes the plant, never the controller.
         loop = Loop.of(controller, self.model, rig)
-        settings = controller.inner
+        settings = controller.motor_loop
         if settings is None or settings.kind == "ideal":
             return replace(loop, lag=loop.lag / self.motor_ratio)
         period = rig.period if controller.period is None else controller.period
@@ -94,6 +94,18 @@ class Arm:
         )
         plant = sampled_plant(self.model, settings, true, period, higher=higher)
         return replace(plant, before=pid.voltage)
+
+    def knowing(self, name: str, box: ParameterBox) -> Arm:
+        """Return the arm with one parameter, by its name in `ParameterBox`, as the
+        lower end of a box has it.
+        """
+        value, model = getattr(box, name)[0], self.model
+        if name == "motor_ratio":
+            return replace(self, motor_ratio=value)
+        if name == "mode_frequency" and model.second_mode is not None:
+            mode = replace(model.second_mode, frequency=value)
+            return replace(self, model=replace(model, second_mode=mode))
+        return replace(self, model=replace(model, **{name: value}))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import LogColumns
-from fraclink._arm.rig import Rig, _LogTable
+from fraclink._arm.rig import Rig
 from fraclink._arm.rig_parts import Link, Motor, Name, Payloads
 from fraclink._files.toml import keys_of, read_table, read_toml, table_of, toml_value
 from fraclink.errors import FieldError
@@ -80,7 +80,7 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
         data = read_toml(Path(path))
         if "log" not in data:
             raise
-        table: _LogTable = read_table(_LogTable, data["log"])
+        columns: LogColumns = read_table(LogColumns, data["log"])
         blanks = [fault.field for fault in faults]
         if not {"stiffness_Nm_per_rad", "flexural_rigidity_Nm2"} & set(
             data.get("link", {})
@@ -88,9 +88,7 @@ def load_rig_or_draft(path: Path | str) -> Rig | RigDraft:
             blanks.append(
                 "link.stiffness_Nm_per_rad"
             )  # seen by Link only once its length is there
-        return RigDraft(
-            table.build(), tuple(dict.fromkeys(blanks)), Path(path).stem[:100]
-        )
+        return RigDraft(columns, tuple(dict.fromkeys(blanks)), Path(path).stem[:100])
 
 
 def _is_blank(fault: FieldError) -> bool:
@@ -134,12 +132,12 @@ def draft_text(
     for part, kind in _PARTS.items():
         lines += ["", f"[{part}]  # blank: needed by `design`"]
         for key, row in keys_of(kind).items():
-            if f"{part}.{row.field}" in stated:
-                value, why = stated[f"{part}.{row.field}"]
+            if f"{part}.{row.name}" in stated:
+                value, why = stated[f"{part}.{row.name}"]
                 lines.append(f"{key} = {toml_value(value)}  # {why}")
-            elif row.field in _ASKED[part]:
+            elif row.name in _ASKED[part]:
                 lines.append(
-                    f"# {key} =   # {_ASKED[part][row.field]} [{row.rule.unit}]"
+                    f"# {key} =   # {_ASKED[part][row.name]} [{row.rule.unit}]"
                 )
     return "\n".join(lines) + "\n"
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fraclink._arm.log_columns import SI, Channel, LogColumns, OutputKind, parse_columns
 from fraclink._arm.timebase import time_base
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document, write_text
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -28,8 +28,6 @@ __all__ = ["Experiment"]
     "log",
     version=2,
     container="npz",
-    period=lambda log: log.period,
-    sources=lambda log: {log.source: log.sha256} if log.sha256 else {},
 )
 @checked(error=LogError)
 @compared
@@ -146,13 +144,7 @@ class Experiment:
         arrays = {"time": time, "motor_angle": motor_angle, output_kind: output}
         arrays |= {} if voltage is None else {"voltage": voltage}
         channels = {role: Channel(role, stated.get(role, SI[role])) for role in arrays}
-        columns = LogColumns(
-            channels["time"],
-            channels["motor_angle"],
-            channels[output_kind],
-            output_kind,
-            channels.get("voltage"),
-        )
+        columns = LogColumns(**channels)
         return cls.from_frame(arrays, columns, payload=payload, source=source)
 
     @classmethod
@@ -265,6 +257,26 @@ class Experiment:
         """Unit of the output: ``N·m`` of a torque, ``rad`` of a deflection."""
         return "N·m" if self.output_kind == "torque" else "rad"
 
+    def overview(self) -> Overview:
+        """What is known about the log."""
+        kind = {"torque": "base torque [N·m]", "deflection": "deflection angle [rad]"}
+        shown = ("title", "simulated", "source", "damping")
+        rows = (
+            Row("samples", "samples", self.output.size),
+            Row("duration", "duration", self.duration, "s"),
+            Row("period", "sampling period", self.period, "ms"),
+            Row("output_kind", "", self.output_kind),
+            Row("", "output", kind[self.output_kind]),
+            Row("payload", "payload", self.payload, "g"),
+            Row("sha256", "SHA-256 of the file", self.sha256),
+            *(
+                Row(f"notes.{key}", key, text)
+                for key, text in self.notes
+                if key in shown
+            ),
+        )
+        return Overview(source_name(self.source), rows=rows, findings=self.findings)
+
     @property
     def simulated(self) -> bool:
         """Whether the log says of itself that it was simulated."""
@@ -298,21 +310,19 @@ def _column(frame: Any, channel: Channel) -> NDArray[np.float64]:
         # imported, or needed.
         values = np.asarray(frame[channel.column], dtype=np.float64)
     except (KeyError, IndexError, TypeError, ValueError) as error:
-        allowed, remedy = (
-            "the name of a column of numbers",
-            "state a column of the frame",
-        )
-        problem = f"no column of numbers ({type(error).__name__})"
         raise LogError(
-            "columns", channel.column, problem, allowed=allowed, remedy=remedy
+            "columns",
+            channel.column,
+            f"no column of numbers ({type(error).__name__})",
+            allowed="the name of a column of numbers",
+            remedy="state a column of the frame",
         ) from error
     if values.ndim != 1 or values.size < 2:
-        remedy = "give one-dimensional arrays of one length"
         raise LogError(
             "columns",
             channel.column,
             f"of shape {values.shape}",
             allowed="(N,)",
-            remedy=remedy,
+            remedy="give one-dimensional arrays of one length",
         )
     return values

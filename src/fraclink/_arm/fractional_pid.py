@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._files import document, load, save
+from fraclink._files import Saved, document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction, s
 from fracsys.checks import Between, checked
@@ -29,7 +28,7 @@ PidOrder = Annotated[float, Between(0.0, 2.0, low_open=True, high_open=True)]
 @document("fractional-pid", summary=lambda made: {"formula": made.formula})
 @checked
 @dataclass(frozen=True)
-class FractionalPid:
+class FractionalPid(Saved):
     """A PI^λD^μ controller of an error: ``C(s) = k_p + k_i/s^λ + k_d s^μ/(1 + T_f
     s)^n``.
 
@@ -80,13 +79,12 @@ class FractionalPid:
         # Zero gains leave their orders free, and a loop without a controller has no
         # margin to speak of.
         if not (self.proportional or self.integral or self.derivative):
-            remedy = "give at least one gain above 0"
             raise FieldError(
                 "proportional",
                 0.0,
                 "zero like the other gains",
                 allowed="> 0",
-                remedy=remedy,
+                remedy="give at least one gain above 0",
             )
 
     @property
@@ -113,13 +111,7 @@ class FractionalPid:
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Return C(jω) at real `frequency` [rad/s] > 0, shape kept."""
-        parts = pid_parts(
-            frequency, self.integral_order, self.derivative_order, self.filter_time
-        )
-        gains = (self.proportional, self.integral, self.derivative)
-        return np.asarray(
-            sum(gain * part for gain, part in zip(gains, parts, strict=True))
-        )
+        return self.transfer()(1j * np.asarray(frequency, dtype=float))
 
     def transfer(self) -> FractionalTransferFunction:
         """Return C(s) as a fractional transfer function, for every other function of
@@ -135,39 +127,6 @@ class FractionalPid:
             )
             whole = whole + self.derivative * s**self.derivative_order / lag
         return whole
-
-    def save(self, path: Path | str) -> None:
-        """Write the controller to one JSON file."""
-        save(self, path, force=True)
-
-    @staticmethod
-    def load(path: Path | str) -> FractionalPid:
-        """Read a controller back; FileFormatError where the file is not one, or was
-        edited.
-        """
-        return load(path, FractionalPid)
-
-
-def pid_parts(
-    frequency: ArrayLike,
-    integral_order: ArrayLike,
-    derivative_order: ArrayLike,
-    filter_time: ArrayLike,
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return 1, s^(-λ) and s^μ/(1 + T_f s)^n at s = jω; the arguments broadcast."""
-    given = (frequency, integral_order, derivative_order, filter_time)
-    w, lam, mu, lag = (np.asarray(x, dtype=float) for x in given)
-    slow = np.power(w, -lam) * np.exp(-0.5j * np.pi * lam)
-    fast = (
-        np.power(w, mu)
-        * np.exp(0.5j * np.pi * mu)
-        / (1.0 + 1j * lag * w) ** np.ceil(mu)
-    )
-    return (
-        np.ones_like(slow * fast),
-        slow * np.ones_like(fast),
-        fast * np.ones_like(slow),
-    )
 
 
 def _exponent(order: float) -> str:

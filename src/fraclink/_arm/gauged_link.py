@@ -76,25 +76,6 @@ class GaugedLink:
             np.log(drag + spring) - np.log(inertia + drag + spring), dtype=np.complex128
         )
 
-    def _link_level(self, w: Real, ln_w: Real, natural_frequency: ArrayLike) -> Real:
-        """ln|B|; without the cost of complex powers where B is G."""
-        if not self.exact_gauge:
-            with np.errstate(divide="ignore"):  # B may have a zero on the axis
-                return np.asarray(np.log(np.abs(self.parts(w, natural_frequency)[0])))
-        spring = np.square(np.asarray(natural_frequency, dtype=float))
-        inertia, turn = np.exp(self.link_order * ln_w), 0.5 * math.pi * self.link_order
-        # In reals: a design asks for this on every grid, and complex powers cost more.
-        real, imaginary = spring + inertia * math.cos(turn), inertia * math.sin(turn)
-        value = np.log(spring)
-        if self.damping:
-            drag = self.damping * np.exp(self.damping_order * ln_w)
-            along, across = (
-                f(0.5 * math.pi * self.damping_order) for f in (math.cos, math.sin)
-            )
-            value = 0.5 * np.log((spring + drag * along) ** 2 + (drag * across) ** 2)
-            real, imaginary = real + drag * along, imaginary + drag * across
-        return np.asarray(value - 0.5 * np.log(real * real + imaginary * imaginary))
-
     def _link_terms(
         self, ln_w: Real, natural_frequency: ArrayLike
     ) -> tuple[Complex, Complex, Complex]:
@@ -113,39 +94,6 @@ class GaugedLink:
             inertia,
             drag,
             np.square(np.asarray(natural_frequency, dtype=np.complex128)),
-        )
-
-    def _link_slope(self, w: Real, natural_frequency: ArrayLike) -> Complex:
-        inertia, drag, spring = self._link_terms(np.log(w), natural_frequency)
-        whole = inertia + drag + spring
-        # s d/ds of a power is its exponent times it: the slope of a sum is the mean
-        # exponent, terms as weights.
-        moved = (self.link_order * inertia + self.damping_order * drag) / whole
-        if self.exact_gauge:
-            return np.asarray(
-                (self.damping_order * drag / (drag + spring) if self.damping else 0.0)
-                - moved
-            )
-        s = 1j * w
-        torque, change = inertia / whole, (self.link_order - moved) * inertia / whole
-        if self.second_mode is not None:
-            mode = self.second_mode
-            # s d/ds ln of s²/(s² + 2ζω₂s + ω₂²) is (2ζω₂s + 2ω₂²)/(s² + 2ζω₂s + ω₂²).
-            resonant = (
-                s**2 + 2.0 * mode.damping_ratio * mode.frequency * s + mode.frequency**2
-            )
-            rest = (
-                2.0 * mode.damping_ratio * mode.frequency * s + 2.0 * mode.frequency**2
-            )
-            torque, change = (
-                torque + mode.response(s),
-                change + mode.response(s) * rest / resonant,
-            )
-        # The delay turns X by −ωτ_g, so it adds −τ_g s X to the slope of X; B = 1 − X
-        # has that over B.
-        read = self.gauge_gain * np.exp(-self.gauge_delay * s)
-        return np.asarray(
-            -read * (change - self.gauge_delay * s * torque) / (1.0 - read * torque)
         )
 
     def parts(
@@ -233,10 +181,7 @@ class GaugedLink:
         """Return `count` frequencies about the second mode, none where none is known."""
         if self.second_mode is None:
             return np.empty(0)
-        # Eight half-widths of the second mode to either side: beyond, it adds 1/16 of
-        # its peak at most.
-        width = self.second_mode.damping_ratio * np.linspace(-8.0, 8.0, count)
-        return np.asarray(self.second_mode.frequency * np.exp(width))
+        return self.second_mode.about(count)
 
     @cached_property
     def _alone(self) -> GaugedLink:
@@ -244,6 +189,17 @@ class GaugedLink:
         is cached for it.
         """
         return GaugedLink(*(getattr(self, field.name) for field in fields(GaugedLink)))
+
+    def mode_band(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
+        """Return the frequencies about the second mode that are nearer to it than to the
+        first, by ratio; empty where none is known.
+        """
+        if self.second_mode is None:
+            never = np.full(np.shape(natural_frequency), math.inf)
+            return never, never
+        mode = self.second_mode.frequency
+        apart = np.sqrt(np.maximum(mode / self.peak(natural_frequency), 1.0))
+        return mode / apart, mode * apart
 
     def peak(self, natural_frequency: ArrayLike) -> Real:
         """Return the resonance of the undamped structure, ``(-ω₀² cos(πλ/2))^(1/λ)``

@@ -10,23 +10,20 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fraclink._display import number, quantity
 from fraclink._files import document
 from fraclink.errors import FieldError
 from fracsys._fractional import FractionalTransferFunction
 from fracsys._terms import Term
-from fracsys.checks import checked_choice, checked_noun, checked_number
-from fracsys.checks.rules import rule
+from fracsys.checks import Between, Where, checked, checked_choice
 
 __all__ = ["STRUCTURES", "LinkModel", "SecondMode", "Structure", "structure"]
-
-# Name of a parameter, and the two ends of its interval.
-_INTERVALS = rule(tuple[tuple[str, float, float], ...])
 
 
 @dataclass(frozen=True)
@@ -79,32 +76,13 @@ def structure(name: str) -> Structure:
     return STRUCTURES[checked_choice("structure", name, STRUCTURES)]
 
 
-_Check = tuple[str, Callable[[float], bool], str, str]
+Mass = Annotated[
+    float,
+    Between(0.0, unit="kg", low_open=True, remedy="give the mass at the tip in kg"),
+]
 
 
-def _store(model: object, *checks: _Check) -> None:
-    """Check the named numbers of a frozen model and store them as floats."""
-    for field, holds, allowed, remedy in checks:
-        value = getattr(model, field)
-        if type(value) is float and math.isfinite(value) and holds(value):
-            # a design makes a link for every payload: what is right costs nothing
-            continue
-        number = checked_number(
-            field, value, holds=holds, allowed=allowed, remedy=remedy
-        )
-        object.__setattr__(model, field, number)
-
-
-def _mass(payload: object) -> float:
-    return checked_number(
-        "payload",
-        payload,
-        allowed="> 0 kg",
-        remedy="give the mass at the tip in kg",
-        holds=lambda mass: mass > 0,
-    )
-
-
+@checked
 @dataclass(frozen=True)
 class SecondMode:
     """The second vibration mode of the link, as a log shows it in the torque.
@@ -133,32 +111,35 @@ class SecondMode:
     1.25
     """
 
-    frequency: float
-    gain: float
-    damping_ratio: float = 0.02
+    frequency: Annotated[
+        float,
+        Between(0.0, 1e6, "rad/s", low_open=True, remedy="give mode 2's frequency"),
+    ]
+    gain: Annotated[
+        float,
+        Between(0.0, 1e3, low_open=True, remedy="give its static share in Γ/(c θm)"),
+    ]
+    damping_ratio: Annotated[
+        float,
+        Between(
+            0.0,
+            1.0,
+            "(ζ)",
+            low_open=True,
+            high_open=True,
+            remedy="give ζ, 0.02 where it is not known",
+        ),
+    ] = 0.02
 
-    def __post_init__(self) -> None:
-        _store(
-            self,
-            (
-                "frequency",
-                lambda x: 0 < x < 1e6,
-                "> 0 and < 1e6 rad/s",
-                "give the frequency of mode 2",
-            ),
-            (
-                "gain",
-                lambda x: 0 < x < 1e3,
-                "> 0 and < 1e3",
-                "give its static share in Γ/(c θm)",
-            ),
-            (
-                "damping_ratio",
-                lambda x: 0 < x < 1,
-                "0 < ζ < 1",
-                "give ζ, 0.02 where it is not known",
-            ),
-        )
+    def about(self, count: int) -> NDArray[np.float64]:
+        """Return `count` frequencies about the mode [rad/s], close within its width and
+        wider apart to either side.
+        """
+        # Eight half-widths at least: beyond, it adds 1/16 of its peak at most. A sharp
+        # peak is high, and its circle comes by -1 far from its middle.
+        reach = math.asinh(max(8.0, 0.2 / self.damping_ratio))
+        shape = self.damping_ratio * np.sinh(np.linspace(-reach, reach, count))
+        return np.asarray(self.frequency * np.exp(shape))
 
     def response(self, s: ArrayLike) -> NDArray[np.complex128]:
         """Return ``gain s²/(s² + 2 ζ ω₂ s + ω₂²)`` at complex `s` [rad/s], shape kept."""
@@ -169,6 +150,7 @@ class SecondMode:
 
 
 @document("model", version=2)
+@checked
 @dataclass(frozen=True)
 class LinkModel:
     """A flexible link with a payload, seen from the motor angle, and the gauge that
@@ -225,89 +207,65 @@ class LinkModel:
 
     __made_by__ = "fit.model, or rig.model"
 
-    stiffness: float
-    natural_frequency: float
-    order: float = 2.0
-    damping: float = 0.0
-    damping_order: float = 1.0
-    payload: float | None = None
-    gauge_delay: float = 0.0
-    gauge_gain: float = 1.0
+    stiffness: Annotated[
+        float,
+        Between(
+            0.0, unit="N·m/rad", low_open=True, remedy="give the torque for one radian"
+        ),
+    ]
+    natural_frequency: Annotated[
+        float, Between(0.0, 1e6, "s^(-λ/2)", remedy="give ω₀ = sqrt(c/(m L²))")
+    ]
+    order: Annotated[
+        float, Between(1.0, 2.0, "(λ)", remedy="give λ, 2 for a classical link")
+    ] = 2.0
+    damping: Annotated[float, Between(0.0, remedy="give μ, 0 for an undamped link")] = (
+        0.0
+    )
+    damping_order: Annotated[
+        float,
+        Between(
+            0.0,
+            2.0,
+            "(α)",
+            low_open=True,
+            high_open=True,
+            remedy="give α, 1 for viscous damping",
+        ),
+    ] = 1.0
+    payload: Mass | None = None
+    gauge_delay: Annotated[
+        float, Between(-10.0, 10.0, "s", remedy="give the delay in seconds")
+    ] = 0.0
+    gauge_gain: Annotated[
+        float,
+        Between(-1e6, 1e6),
+        Where(bool, "not 0", remedy="give measured over true torque"),
+    ] = 1.0
     second_mode: SecondMode | None = None
-    unseen_up_to: float | None = None
+    unseen_up_to: (
+        Annotated[
+            float,
+            Between(
+                0.0,
+                unit="rad/s",
+                low_open=True,
+                remedy="leave it out where it is not known",
+            ),
+        ]
+        | None
+    ) = None
     intervals: tuple[tuple[str, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        _store(
-            self,
-            (
-                "stiffness",
-                lambda x: x > 0,
-                "> 0 N·m/rad",
-                "give the measured torque per radian",
-            ),
-            (
-                _FREQUENCY,
-                lambda x: 0 <= x < 1e6,
-                "0 to 1e6 s^(-λ/2)",
-                "give ω₀ = sqrt(c/(m L²))",
-            ),
-            (
-                "order",
-                lambda x: 1 <= x <= 2,
-                "1 to 2",
-                "give λ, 2 for a classical link",
-            ),
-            ("damping", lambda x: x >= 0, ">= 0", "give μ, 0 for an undamped link"),
-            (
-                "damping_order",
-                lambda x: 0 < x < 2,
-                "0 < α < 2",
-                "give α, 1 for viscous damping",
-            ),
-            (
-                "gauge_delay",
-                lambda x: abs(x) <= 10,
-                "-10 to 10 s",
-                "give the delay in seconds",
-            ),
-            (
-                "gauge_gain",
-                lambda x: 0 < abs(x) <= 1e6,
-                "not 0, at most 1e6",
-                "give measured over true torque",
-            ),
-        )
-        if self.payload is not None:
-            object.__setattr__(self, "payload", _mass(self.payload))
-        if self.unseen_up_to is not None:
-            _store(
-                self,
-                (
-                    "unseen_up_to",
-                    lambda x: x > 0,
-                    "> 0 rad/s",
-                    "leave it out where it is not known",
-                ),
-            )
-        if self.second_mode is not None:
-            checked_noun(
-                "second_mode",
-                self.second_mode,
-                SecondMode,
-                remedy="SecondMode(frequency, gain)",
-            )
         if self.natural_frequency == 0 and self.damping == 0:
             raise FieldError(
-                _FREQUENCY,
+                "natural_frequency",
                 0.0,
                 "zero without damping",
                 allowed="> 0",
                 remedy="give ω₀ = sqrt(c/(m L²))",
             )
-        object.__setattr__(
-            self, "intervals", _INTERVALS.check("intervals", self.intervals)
-        )
 
     def interval(self, name: str) -> tuple[float, float] | None:
         """Return the identified 95 % interval (low, high) of parameter `name`, None
@@ -405,6 +363,38 @@ class LinkModel:
         return 0.0 if self.structure == "UD-IOM" else -self.pole.real / abs(self.pole)
 
     @property
+    def oscillates(self) -> bool:
+        """Whether the pole is one of a vibration: not real but for rounding."""
+        return abs(self.pole.imag) > 1e-9 * abs(self.pole)
+
+    @property
+    def sentence(self) -> str:
+        """What a person sees of the link with its motor held.
+
+        >>> LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92, payload=0.03).sentence
+        'swings at 12.24 rad/s (1.95 Hz) with 30 g, 6.5 % damping'
+        """
+        rate = abs(self.pole.imag)
+        swing = "does not oscillate: it creeps back"
+        if self.oscillates:
+            swing = f"swings at {number(rate)} rad/s ({quantity(rate, 'Hz', 3)})"
+            swing += (
+                "" if self.payload is None else f" with {quantity(self.payload, 'g')}"
+            )
+            swing += f", {number(100 * self.damping_ratio, 2)} % damping"
+        parts = [swing]
+        if self.second_mode is not None:
+            rate = self.second_mode.frequency
+            parts.append(
+                f"a second mode at {number(rate)} rad/s ({quantity(rate, 'Hz', 3)})"
+            )
+        # Less than a microsecond is rounding of a fit: no log shows it.
+        if abs(self.gauge_delay) > 1e-6:
+            side = "late" if self.gauge_delay > 0 else "early"
+            parts.append(f"gauge {quantity(abs(self.gauge_delay), 'ms', 2)} {side}")
+        return "; ".join(parts)
+
+    @property
     def tip_resonance(self) -> float | None:
         """Frequency [rad/s] where |θt/θm| peaks, None where it has no peak.
 
@@ -467,7 +457,8 @@ class LinkModel:
         )
         return math.exp(float(found.x))
 
-    def at_payload(self, payload: float) -> LinkModel:
+    @checked
+    def at_payload(self, payload: Mass) -> LinkModel:
         """Return the model at another `payload` [kg > 0]: ω₀ scales by sqrt(m/payload),
         eq. (5).
 
@@ -478,8 +469,7 @@ class LinkModel:
         5.0
         """
         known = self._known_payload()
-        wanted = _mass(payload)
-        scale = math.sqrt(known / wanted)
+        scale = math.sqrt(known / payload)
         intervals = tuple(
             (name, low * scale, high * scale)
             if name == _FREQUENCY
@@ -489,7 +479,7 @@ class LinkModel:
         return replace(
             self,
             natural_frequency=self.natural_frequency * scale,
-            payload=wanted,
+            payload=payload,
             intervals=intervals,
         )
 

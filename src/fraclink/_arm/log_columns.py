@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Length, Where, checked
+from fracsys.checks import Between, Where, checked, length
 
 __all__ = [
     "QUANTITY_OF",
@@ -95,8 +95,8 @@ class Channel:
     'pot_V'
     """
 
-    column: Annotated[str, Length(1, 200)]
-    unit: Annotated[str, Length(1, 10)]
+    column: Annotated[str, length(1, 200)]
+    unit: Annotated[str, length(1, 10), Where(bool, "units are never guessed")]
     sign: Literal[1, -1] = 1
     scale: Annotated[
         float,
@@ -123,7 +123,7 @@ class Channel:
 @dataclass(frozen=True)
 class LogColumns:
     """Which column is the time, the motor angle, the output and (optionally) the motor
-    voltage.
+    voltage: the `[log]` table of a rig file.
 
     Parameters
     ----------
@@ -131,55 +131,67 @@ class LogColumns:
         stamps of the samples.
     motor_angle
         θm, angle of the gear's output.
-    output
-        base torque Γ, positive where it drives the tip forward, or deflection θm − θt.
-    output_kind
-        which of the two it is.
+    torque
+        base torque Γ, positive where it drives the tip forward, or None.
+    deflection
+        θm − θt, or None; one of the two is the output.
     voltage
         voltage at the amplifier's input, or None.
 
     Raises
     ------
     FieldError
-        where a unit does not measure its quantity.
+        where there is not one output, or a unit does not measure its quantity.
 
     Examples
     --------
-    >>> columns = LogColumns(Channel("t", "s"), Channel("enc", "deg"), Channel("gauge", "Nm"), "torque")
+    >>> columns = LogColumns(Channel("t", "s"), Channel("enc", "deg"), torque=Channel("gauge", "Nm"))
     >>> columns.output.unit
     'Nm'
     """
 
     time: Channel
     motor_angle: Channel
-    output: Channel
-    output_kind: OutputKind
+    torque: Channel | None = None
+    deflection: Channel | None = None
     voltage: Channel | None = None
 
     def __post_init__(self) -> None:
+        if (self.torque is None) == (self.deflection is None):
+            raise FieldError(
+                "log",
+                "(no output)" if self.torque is None else "torque and deflection",
+                "not one output",
+                allowed="torque or deflection",
+                remedy="state exactly one of log.torque and log.deflection",
+            )
         for role, channel in self.channels().items():
             known = UNITS[QUANTITY_OF[role]]
             if channel.unit not in known:
-                problem, allowed = f"not a unit of {role}", ", ".join(known)
-                remedy = _way_to(role, channel, known)
                 raise FieldError(
                     f"log.{role}.unit",
                     channel.unit,
-                    problem,
-                    allowed=allowed,
-                    remedy=remedy,
+                    f"not a unit of {role}",
+                    allowed=", ".join(known),
+                    remedy=_way_to(role, channel, known),
                 )
 
     def channels(self) -> dict[str, Channel]:
         """The stated channels by role: time, motor_angle, torque or deflection,
         voltage.
         """
-        stated = {
-            "time": self.time,
-            "motor_angle": self.motor_angle,
-            str(self.output_kind): self.output,
-        }
-        return stated | ({"voltage": self.voltage} if self.voltage is not None else {})
+        channels = {role: getattr(self, role) for role in QUANTITY_OF}
+        return {role: channel for role, channel in channels.items() if channel}
+
+    @property
+    def output_kind(self) -> OutputKind:
+        """Which of the two the output is."""
+        return "deflection" if self.torque is None else "torque"
+
+    @property
+    def output(self) -> Channel:
+        """The column of the output."""
+        return self.channels()[self.output_kind]
 
 
 _LENGTHS = ("m", "mm", "cm", "um", "µm", "in", "inch")
@@ -213,7 +225,7 @@ def _way_to(role: str, channel: Channel, known: Iterable[str]) -> str:
             f'"{role}={channel.column} * 1/0.32 [rad]" for metres'
         )
     if unit in _ACCELERATIONS and angle:
-        return "an accelerometer is no angle: fit it by identify-structure, with k*s**2/(s**a + w)/(T*s + 1)"
+        return "an accelerometer is no angle: fit it by identify --structure, as k*s**2/(s**a + w)/(T*s + 1)"
     # Its scale need not be known: a link's frequency and order do not depend on the
     # gauge's gain.
     if (unit.lower() in _RAW or unit in UNITS["voltage"]) and role in (
@@ -332,14 +344,14 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
     """
     channels: dict[str, Channel] = {}
     for text in texts:
-        found = ColumnStatement.of(text)
-        if found.column is None or found.unit is None:
+        statement = ColumnStatement.of(text)
+        if statement.column is None or statement.unit is None:
             raise _not_understood(text, "not understood")
-        if found.role in channels:
+        if statement.role in channels:
             raise _not_understood(text, "stated twice")
-        scale = 1.0 if found.scale is None else found.scale
-        channels[found.role] = Channel(
-            found.column, found.unit, sign=found.sign or 1, scale=scale
+        scale = 1.0 if statement.scale is None else statement.scale
+        channels[statement.role] = Channel(
+            statement.column, statement.unit, sign=statement.sign or 1, scale=scale
         )
     kinds: tuple[OutputKind, ...] = ("torque", "deflection")
     outputs = [kind for kind in kinds if kind in channels]
@@ -351,10 +363,7 @@ def parse_columns(texts: Iterable[str]) -> LogColumns:
             allowed="time, motor_angle, and torque or deflection; voltage as well",
             remedy="state every column once, or write [log] in the rig file",
         )
-    kind, voltage = outputs[0], channels.get("voltage")
-    return LogColumns(
-        channels["time"], channels["motor_angle"], channels[kind], kind, voltage
-    )
+    return LogColumns(**channels)
 
 
 def drive_columns(texts: Iterable[str]) -> LogColumns:

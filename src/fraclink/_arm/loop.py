@@ -49,6 +49,7 @@ Complex = NDArray[np.complex128]
 
 # links at a time; a minimum inside the range is closed in on from its neighbours
 _PAYLOADS = 17
+_STEP = 1e-5  # of ln ω: the cube root of the precision, for a central difference
 
 
 def with_payload(model: LinkModel, rig: Rig) -> LinkModel:
@@ -173,7 +174,7 @@ class Loop(GaugedLink):
 
         The controller's own motor loop and period take precedence over the rig's.
         """
-        settings = controller.inner or MotorLoop(
+        settings = controller.motor_loop or MotorLoop(
             rig.motor_loop.pole, rig.motor_loop.delay_samples
         )
         period = rig.period if controller.period is None else controller.period
@@ -185,8 +186,8 @@ class Loop(GaugedLink):
         """Return the loop with Ĉ of `controller`, its filter included."""
         return replace(
             self,
-            gain=controller.gain,
-            order=controller.order,
+            gain=controller.derivative_gain,
+            order=controller.derivative_order,
             filter_time=controller.filter_time,
             filter_order=controller.filter_order,
             notch=controller.notch,
@@ -236,46 +237,20 @@ class Loop(GaugedLink):
         )
 
     def level(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Real:
-        """Return ln|L(jω)|: the real part of `log` in real arithmetic, for scans of
-        many points.
-        """
-        w = np.asarray(frequency, dtype=float)
-        ln_w = np.log(w)
-        value = (
-            math.log(self.gain)
-            + self.order * ln_w
-            + self._link_level(w, ln_w, natural_frequency)
-        )
-        for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
-            if time:
-                value = value - 0.5 * power * np.log1p((time * w) ** 2)
-        if self.notch is not None:
-            value = value + self.notch.log(w).real
-        if self.correction is not None:
-            value = value + self.correction(w).real
-        return np.asarray(value)
+        """Return ln|L(jω)|, the real part of `log`."""
+        return self.log(frequency, natural_frequency).real
 
     def slope(self, frequency: ArrayLike, natural_frequency: ArrayLike) -> Complex:
         """Return d ln L / d ln ω: real part the slope of the gain, imaginary part that
         of the phase.
         """
         w = np.asarray(frequency, dtype=float)
-        s = 1j * w
-        value = self.order - s * self.delay + self._link_slope(w, natural_frequency)
-        for time, power in ((self.filter_time, self.filter_order), (self.lag, 2)):
-            if time:
-                value = value - power * time * s / (1.0 + time * s)
-        if self.notch is not None:
-            value = value + self.notch.slope(w)
-        if self.correction is not None:
-            # central difference: an error of 1e-10 only slows Newton's last step down
-            step = 1e-5
-            up, down = (
-                self.correction(w * math.exp(step)),
-                self.correction(w * math.exp(-step)),
-            )
-            value = value + (up - down) / (2.0 * step)
-        return np.asarray(value, dtype=np.complex128)
+        # A central difference over a step this small is exact to 1e-9, and one formula
+        # serves every factor of L.
+        up, down = (
+            self.log(w * math.exp(step), natural_frequency) for step in (_STEP, -_STEP)
+        )
+        return np.asarray((up - down) / (2.0 * _STEP))
 
     def crossings(self, natural_frequency: ArrayLike) -> Crossings:
         """Return every crossing of |L| = 1 below `highest` for each ω₀ of the array."""
@@ -377,18 +352,20 @@ class Loop(GaugedLink):
         return np.asarray((root * w0**2) ** (1.0 / self.link_order))
 
     def _polish(self, low: Real, high: Real, w0: Real) -> Real:
-        """The crossing inside each bracket, by Newton's method in ln ω."""
+        """The crossing inside each bracket, sought in ln ω."""
         return np.exp(
             bracketed_roots(
                 lambda x: self.level(np.exp(x), w0),
                 np.log(low),
                 np.log(high),
-                slope=lambda x: self.slope(np.exp(x), w0).real,
             )
         )
 
     def margins(self, natural_frequency: ArrayLike) -> tuple[Real, Real]:
         """Return (upper gain crossover, signed phase margin) for each ω₀.
+
+        Where |L| rises through one about the second mode only to fall again, that is no
+        crossover of the loop; its margins count like any other's.
 
         The margin is the smallest over all crossings, negative where the closed loop is
         unstable; without a crossing it counts as π and the crossover as 0. L is
@@ -399,9 +376,19 @@ class Loop(GaugedLink):
         w0 = np.atleast_1d(np.asarray(natural_frequency, dtype=float))
         found = self.crossings(w0)
         crossover, margin = np.zeros(w0.size), np.full(w0.size, math.pi)
-        np.maximum.at(crossover, found.row, found.frequency)
+        first = ~self._at_mode(found, w0)
+        np.maximum.at(crossover, found.row[first], found.frequency[first])
         np.minimum.at(margin, found.row, np.abs(found.phase_margin))
         return crossover, np.where(_turns(found, w0.size) == 0.0, margin, -margin)
+
+    def _at_mode(self, found: Crossings, w0: Real) -> NDArray[np.bool_]:
+        """Which crossings are those of the second mode's own resonance."""
+        low, high = self.mode_band(w0)
+        near = (found.frequency > low[found.row]) & (found.frequency < high[found.row])
+        rows, first = np.unique(found.row[near], return_index=True)
+        alone = np.zeros(w0.size, dtype=bool)
+        alone[rows] = found.slope[near][first] > 0.0
+        return near & alone[found.row]
 
     def gain_margin(self, natural_frequency: ArrayLike) -> Real:
         """Return the factor by which |L| may grow for each ω₀: 1/|L| where the phase
@@ -433,12 +420,6 @@ class Loop(GaugedLink):
         margin = np.full(w0.size, math.inf)
         np.minimum.at(margin, crossings.row, room / crossings.frequency)
         return margin
-
-    def encirclements(self, natural_frequency: float) -> int:
-        """Return how often L(jω), ω from 0 up, encircles -1 clockwise: the closed loop
-        is stable at 0.
-        """
-        return int(_turns(self.crossings(natural_frequency), 1)[0])
 
     def margins_at(self, natural_frequency: float) -> Margins:
         """Return every crossing and margin at one ω₀, from the general engine

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from fracsys._terms import Term
 __all__ = [
     "ContinuousPid",
     "DiscretePid",
-    "Method",
     "MotorConstants",
     "closed_poles",
     "held_motor",
@@ -32,7 +31,6 @@ __all__ = [
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
-Method = Literal["tustin", "backward", "zero-order-hold"]
 
 
 class MotorConstants(Protocol):
@@ -121,12 +119,11 @@ class ContinuousPid:
             (Term(1.0 / p**2, 2.0), Term(2.0 / p, 1.0), Term(1.0, 0.0)),
         )
 
-    def discretize(self, period: float, *, method: Method = "tustin") -> DiscretePid:
-        """Return the loop at `period` [s], 0 < period; Tustin is the one to run.
+    def discretize(self, period: float) -> DiscretePid:
+        """Return the loop at `period` [s] > 0 by Tustin's rule.
 
-        The other methods are offered for comparison: at 4 ms with one sample of delay
-        and p = 80 they are unstable (`sampled_radius`), because they lag or advance the
-        PID where the loop has 7.4 ms to spare.
+        A backward difference and a zero-order hold lag or advance the PID: at 4 ms with
+        one sample of delay and p = 80 both are unstable.
         """
         if not (math.isfinite(period) and period > 0):
             raise FieldError(
@@ -136,9 +133,8 @@ class ContinuousPid:
                 allowed="> 0 s",
                 remedy="give the control period in seconds",
             )
-        c = self.filter_pole
-        integral = _one_pole(0.0, period, method)
-        filtered = _one_pole(c, period, method)
+        c, half = self.filter_pole, 0.5 * period
+        filtered = half / (1 + c * half)
         return DiscretePid(
             period=period,
             direct=self.a2,
@@ -148,38 +144,16 @@ class ContinuousPid:
             # c).
             filter_gain=self.a1 - self.a2 * c - self.a0 / c,
             angle_filter_gain=self.b0 - self.b1 * c,
-            integral_now=integral[0],
-            integral_before=integral[1],
-            filter_now=filtered[0],
-            filter_before=filtered[1],
-            filter_decay=filtered[2],
-        )
-
-    def sampled_radius(
-        self, period: float, *, delay_samples: int = 1, method: Method = "tustin"
-    ) -> float:
-        """Return the spectral radius of the sampled inner loop: below 1 it is stable.
-
-        The motor (1) is discretised exactly under a held voltage that comes
-        `delay_samples` late.
-
-        >>> from types import SimpleNamespace
-        >>> loop = place_pid(SimpleNamespace(gain=3056.7686, decay=15.152838), 80.0)
-        >>> methods = ("tustin", "backward", "zero-order-hold")
-        >>> [round(loop.sampled_radius(0.004, method=method), 3) for method in methods]
-        [0.951, 1.004, 1.006]
-        """
-        return float(
-            np.abs(
-                closed_poles(
-                    self, self.discretize(period, method=method), delay_samples
-                )[0]
-            )
+            integral_now=half,
+            integral_before=half,
+            filter_now=filtered,
+            filter_before=filtered,
+            filter_decay=(1 - c * half) / (1 + c * half),
         )
 
 
 def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
-    """Place all poles of the inner loop at −`pole` [rad/s] (19)–(21).
+    """Place all poles of the motor loop at −`pole` [rad/s] (19)–(21).
 
     a0 = p⁴/A, a1 = b0 = 2p³/A, a2 = p²/A, b1 = (5p² − 4pB + B²)/A, filter pole 4p − B.
 
@@ -215,11 +189,11 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
     # filter's c.
     if not (math.isfinite(pole) and pole > decay / 4):
         raise FieldError(
-            "inner.pole",
+            "motor_loop.pole",
             pole,
             "too slow for this motor",
             allowed=f"> B/4 = {decay / 4:.4g} rad/s",
-            remedy="ask for a faster inner loop; its filter pole 4p − B must be positive",
+            remedy="ask for a faster motor loop; its filter pole 4p − B must be positive",
         )
     p = float(pole)
     return ContinuousPid(
@@ -234,27 +208,6 @@ def place_pid(motor: MotorConstants, pole: float = 80.0) -> ContinuousPid:
         b0=2 * p**3 / gain,
         b1=(5 * p**2 - 4 * p * decay + decay**2) / gain,
         filter_pole=4 * p - decay,
-    )
-
-
-def _one_pole(pole: float, period: float, method: Method) -> tuple[float, float, float]:
-    """(now, before, decay) of 1/(s + pole) by the method named."""
-    if method == "tustin":
-        half = period / 2
-        scale = half / (1 + pole * half)
-        return scale, scale, (1 - pole * half) / (1 + pole * half)
-    if method == "backward":
-        return period / (1 + pole * period), 0.0, 1 / (1 + pole * period)
-    if method == "zero-order-hold":
-        # expm1, as 1 − e^(−aT) of a slow pole would have few digits left.
-        weight = period if pole == 0 else -math.expm1(-pole * period) / pole
-        return 0.0, weight, math.exp(-pole * period)
-    raise FieldError(
-        "method",
-        method,
-        "unknown",
-        allowed="tustin, backward, zero-order-hold",
-        remedy="use tustin: it is the stable one",
     )
 
 

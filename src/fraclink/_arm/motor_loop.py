@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,18 +27,16 @@ from fraclink._arm.motor import (
     place_pid,
 )
 from fraclink.errors import FieldError
-from fracsys.checks import checked_between, checked_choice, checked_whole
+from fracsys.checks import Between, Frequency, checked
 
 if TYPE_CHECKING:
-    from fraclink._arm.rig import Rig
+    pass
 
 __all__ = [
     "MotorGain",
     "MotorLoop",
-    "MotorLoopCost",
     "SampledMotorLoop",
     "direct_placement",
-    "motor_loop_costs",
 ]
 
 Complex = NDArray[np.complex128]
@@ -50,6 +48,7 @@ LONGEST_DELAY = 100  # samples; beyond it no loop of an arm is worth closing
 _FASTEST_FILTER = 0.8
 
 
+@checked
 @dataclass(frozen=True)
 class MotorLoop:
     """The motor loop as the outer controller sees it: its pole, its delay, and how it
@@ -81,26 +80,15 @@ class MotorLoop:
     0.951
     """
 
-    pole: float = 80.0
-    delay_samples: int = 1
-    kind: str = "ideal"
-    placement: str = "tustin"
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(
-            self,
-            "pole",
-            checked_between("pole", self.pole, 0.0, 1e6, "rad/s", open_low=True),
-        )
-        samples = checked_whole(
-            "delay_samples", self.delay_samples, 0, LONGEST_DELAY, "samples"
-        )
-        put(self, "delay_samples", samples)
-        checked_choice("kind", self.kind, ("ideal", "sampled"), remedy="say 'ideal'")
-        checked_choice(
-            "placement", self.placement, ("tustin", "direct"), remedy="say 'tustin'"
-        )
+    pole: Frequency = 80.0
+    delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = 1
+    # A design assumes these; they are no properties of a rig.
+    kind: Literal["ideal", "sampled"] = field(
+        default="ideal", metadata={"stated": False}
+    )
+    placement: Literal["tustin", "direct"] = field(
+        default="tustin", metadata={"stated": False}
+    )
 
     def pid(self, motor: MotorConstants, period: float) -> DiscretePid:
         """Return the PID that law.c runs at `period` [s] for this pole and placement."""
@@ -244,7 +232,7 @@ def direct_placement(
     feedback, radius = _left_over(motor, pole, period, delay_samples, r)
     if radius >= 1.0:
         raise FieldError(
-            "inner.pole",
+            "motor_loop.pole",
             pole,
             "not to be placed with this delay",
             allowed="a slower motor loop",
@@ -319,66 +307,3 @@ def _parallel(s: Real, r: float, z0: float, period: float) -> DiscretePid:
         filter_before=scale,
         filter_decay=r,
     )
-
-
-@dataclass(frozen=True)
-class MotorLoopCost:
-    """What one placement of the motor loop costs."""
-
-    placement: str
-    radius: float  # largest |z| of the closed motor loop; below 1 it is stable
-    modulus_margin: float  # min |1 + L_inner|
-    lag: float  # [rad] that θm/θm* lags behind M(s) with hold and delay, at `frequency`
-    frequency: float  # [rad/s]
-    voltage_per_step: float  # [V/rad] first voltage after a unit step of θm*
-    voltage_per_noise: (
-        float  # [V/rad] largest gain from the encoder's noise to the voltage
-    )
-
-
-def motor_loop_costs(rig: Rig, *, frequency: float) -> tuple[MotorLoopCost, ...]:
-    """Return what "tustin" and "direct" cost at the rig's pole, delay and period, at
-    `frequency` [rad/s].
-
-    >>> from fraclink._arm.rig import Rig
-    >>> [cost.placement for cost in motor_loop_costs(Rig.named("paper-2023"), frequency=18.0)]
-    ['tustin', 'direct']
-    """
-    found = []
-    pole, samples, period = (
-        rig.motor_loop.pole,
-        rig.motor_loop.delay_samples,
-        rig.period,
-    )
-    # Up to the Nyquist frequency, though the paper's loop at 4 ms is nearest to −1 at a
-    # seventh of it (117 rad/s by Tustin's rule, 129 by direct placement): a slower
-    # rig's is not.
-    grid = np.geomspace(1e-2, math.pi / period, 2000)
-    for placement in ("tustin", "direct"):
-        try:
-            loop = MotorLoop(pole, samples, "sampled", placement).sampled(
-                rig.motor, period
-            )
-        except FieldError:
-            continue
-        # At x = z⁻¹ = 0 only what answers in the same period is left: the jump of the
-        # voltage behind a jump of θm*.
-        first = loop.controllers(np.zeros(1, dtype=np.complex128))[0]
-        found.append(
-            MotorLoopCost(
-                placement=placement,
-                radius=float(np.max(np.abs(loop.poles()))),
-                modulus_margin=float(np.min(np.abs(1.0 + loop.loop_gain(grid)))),
-                lag=float(-np.angle(loop.ratio(pole, frequency))),
-                frequency=frequency,
-                voltage_per_step=float(first.real[0]),
-                voltage_per_noise=float(np.max(np.abs(_noise_gain(loop, grid)))),
-            )
-        )
-    return tuple(found)
-
-
-def _noise_gain(loop: SampledMotorLoop, frequency: Real) -> Complex:
-    first, second = loop.controllers(np.exp(-1j * frequency * loop.pid.period))
-    # The encoder's noise enters as θm does, through Cm1 and Cm2 alike.
-    return np.asarray((first + second) / (1.0 + loop.loop_gain(frequency)))

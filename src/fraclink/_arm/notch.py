@@ -56,30 +56,16 @@ class Notch:
         """Return ln N(jω): each quadratic turns by less than 180°, so that the
         principal logarithm is continuous.
         """
-        top, bottom, _, _ = self._parts(frequency)
+        at, w = 1j * np.asarray(frequency), self.frequency
+        rest = at * at + w * w
+        top, bottom = (
+            rest + 2.0 * ratio * w * at for ratio in (self.zeros, self.poles)
+        )
         return np.asarray(np.log(top / bottom))
-
-    def slope(self, frequency: NDArray[Any]) -> Complex:
-        """Return d ln N/d ln ω."""
-        top, bottom, first, second = self._parts(frequency)
-        return np.asarray(first / top - second / bottom)
 
     def transfer(self) -> FractionalTransferFunction:
         """Return N as a transfer function."""
         w = self.frequency
         return (s**2 + 2.0 * self.zeros * w * s + w * w) / (
             s**2 + 2.0 * self.poles * w * s + w * w
-        )
-
-    def _parts(
-        self, frequency: NDArray[Any]
-    ) -> tuple[Complex, Complex, Complex, Complex]:
-        """Numerator and denominator, and ω times their slopes."""
-        at, w = 1j * np.asarray(frequency), self.frequency
-        rest, zero, pole = at * at + w * w, 2.0 * self.zeros * w, 2.0 * self.poles * w
-        return (
-            rest + zero * at,
-            rest + pole * at,
-            at * (2.0 * at + zero),
-            at * (2.0 * at + pole),
         )

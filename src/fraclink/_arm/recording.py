@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, displayed, source_name
 from fraclink._files import document
 from fraclink.errors import FieldError, LogError
 from fracsys.checks import Array, Between, Positive, checked
@@ -29,8 +29,6 @@ Signal = Annotated[NDArray[np.float64], Array(1, min_size=2)]
 @document(
     "recording",
     container="npz",
-    period=lambda record: record.period,
-    sources=lambda record: {record.source: record.sha256} if record.sha256 else {},
 )
 @checked(error=LogError)
 @compared
@@ -68,15 +66,26 @@ class Recording:
 
     def __post_init__(self) -> None:
         if self.input.size != self.output.size:
-            remedy = "cut both to their common span of time"
-            problem = f"not as long as the input ({self.input.size} samples)"
             raise LogError(
                 "output",
                 self.output.size,
-                problem,
+                f"not as long as the input ({self.input.size} samples)",
                 allowed="equal lengths",
-                remedy=remedy,
+                remedy="cut both to their common span of time",
             )
+
+    def overview(self) -> Overview:
+        """What is known about the two channels."""
+        ends = {
+            name: (float(values.min()), float(values.max()))
+            for name, values in (("input", self.input), ("output", self.output))
+        }
+        rows = (
+            Row("samples", "samples", self.input.size),
+            Row("period", "period", self.period, "s", digits=6),
+            *(Row(name, name, interval) for name, interval in ends.items()),
+        )
+        return Overview(source_name(self.source), rows=rows)
 
     @classmethod
     def ring_down(
@@ -108,16 +117,12 @@ class Recording:
         # Below fifty samples the last fifth, from which the rest is taken, is shorter
         # than the beginning.
         if values.size < 5 * lead or not np.ptp(values):
-            allowed, remedy = (
-                ">= 50 samples that move",
-                "record from before the link is let go",
-            )
             raise LogError(
                 "output",
                 int(values.size),
                 "no ring-down",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=">= 50 samples that move",
+                remedy="record from before the link is let go",
             )
         held = float(np.ptp(values[:lead])) < _HELD * float(np.ptp(values))
         # The mean of the last fifth: a vibration that has not died yet averages out
@@ -152,14 +157,13 @@ class Recording:
         }
         for role in (input, output):
             if role not in channels or channels[role] is None:
-                allowed = ", ".join(
-                    name for name, values in channels.items() if values is not None
-                )
                 raise LogError(
                     "input",
                     role,
                     "not in the log",
-                    allowed=allowed,
+                    allowed=", ".join(
+                        name for name, values in channels.items() if values is not None
+                    ),
                     remedy="name another channel",
                 )
         # An encoder's first reading is where the arm stood, not a step of the motor
@@ -195,7 +199,6 @@ Coherence = Annotated[
 @document(
     "frequency-response",
     container="npz",
-    sources=lambda found: {found.source: found.sha256} if found.sha256 else {},
 )
 @checked
 @compared
@@ -243,20 +246,28 @@ class FrequencyResponse:
         for name in ("response", "magnitude", "coherence"):
             column = getattr(self, name)
             if column is not None and column.shape != self.frequency.shape:
-                problem = f"not as long as frequency {self.frequency.shape}"
-                remedy = "give one for each frequency"
                 raise FieldError(
                     name,
                     str(column.shape),
-                    problem,
+                    f"not as long as frequency {self.frequency.shape}",
                     allowed="equal lengths",
-                    remedy=remedy,
+                    remedy="give one for each frequency",
                 )
 
     @property
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency [rad/s]."""
         return float(self.frequency.min()), float(self.frequency.max())
+
+    def overview(self) -> Overview:
+        """What is known about the response."""
+        least = None if self.coherence is None else float(self.coherence.min())
+        rows = (
+            Row("lines", "lines", self.frequency.size),
+            Row("band", "band", self.band, "rad/s"),
+            Row("coherence", "least coherence", least, digits=3),
+        )
+        return Overview(source_name(self.source), rows=rows)
 
     def between(self, low: float, high: float) -> FrequencyResponse:
         """Return the lines from `low` to `high` [rad/s].
@@ -267,12 +278,11 @@ class FrequencyResponse:
         kept = (self.frequency >= low) & (self.frequency <= high)
         if not kept.any():
             low_end, high_end = self.band
-            allowed = f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s"
             raise FieldError(
                 "band",
                 (low, high),
                 "without a line",
-                allowed=allowed,
+                allowed=f"a band that overlaps {low_end:.6g} to {high_end:.6g} rad/s",
                 remedy="widen the band",
             )
         columns = {

@@ -242,12 +242,12 @@ class SampledReference(Reference):
     def __post_init__(self) -> None:
         shape = self.values.shape
         if shape[0] != 3 or not 2 <= shape[1] <= LONGEST:
-            allowed, remedy = (
-                f"(3, 2 … {LONGEST})",
-                "give rows of angle, velocity, acceleration",
-            )
             raise FieldError(
-                "values", shape, "not a table", allowed=allowed, remedy=remedy
+                "values",
+                shape,
+                "not a table",
+                allowed=f"(3, 2 … {LONGEST})",
+                remedy="give rows of angle, velocity, acceleration",
             )
         object.__setattr__(self, "duration", self.period * (shape[1] - 1))
 
@@ -317,9 +317,12 @@ def spline(
             remedy="pair them",
         )
     if not (time[0] >= 0.0 and np.all(np.diff(time) >= _SHORTEST)):
-        allowed, remedy = "rising from 0 s on", "sort them, and leave repeated ones out"
         raise FieldError(
-            "time", time[:3].tolist(), "not rising", allowed=allowed, remedy=remedy
+            "time",
+            time[:3].tolist(),
+            "not rising",
+            allowed="rising from 0 s on",
+            remedy="sort them, and leave repeated ones out",
         )
     # Clamped: at rest at both ends, as an arm is. SciPy has the highest power first, a
     # `Path` the lowest.
@@ -334,12 +337,6 @@ def spline(
         np.vstack([before[1], pieces, end]),
         float(time[-1]),
     )
-
-
-@checked
-def checked_reference(reference: Reference) -> Reference:
-    """Return `reference`; FieldError for anything else, a number among it."""
-    return reference
 
 
 @checked
@@ -396,9 +393,12 @@ def pulse(
             "pulse", [0.0, start, start + width], [0.0, amplitude, 0.0], start + width
         )
     if rise > width:
-        allowed, remedy = f"<= {width} s", "widen the pulse"
         raise FieldError(
-            "rise", rise, "longer than the pulse", allowed=allowed, remedy=remedy
+            "rise",
+            rise,
+            "longer than the pulse",
+            allowed=f"<= {width} s",
+            remedy="widen the pulse",
         )
     path = smooth_step(amplitude, rise, start).then(
         smooth_step(-amplitude, rise, width - rise)

@@ -5,30 +5,29 @@ TOML file.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any
 
 from fraclink import __version__
-from fraclink._arm.link import LinkModel, SecondMode
-from fraclink._arm.log_columns import Channel, LogColumns
-from fraclink._arm.motor_loop import LONGEST_DELAY, MotorLoop
+from fraclink._arm.link import LinkModel
+from fraclink._arm.log_columns import LogColumns
+from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig_parts import (
     DesignDefaults,
     Encoder,
     Gauge,
     Link,
     Motor,
+    Moves,
     Name,
     Payloads,
     Sentence,
     Source,
     StatedTolerances,
-    at_least_zero,
-    positive,
 )
-from fraclink._display import displayed
-from fraclink._files import document, stored_as, write_text
+from fraclink._display import Overview, Row, displayed
+from fraclink._files import document, write_text
 from fraclink._files.toml import (
     parse_toml,
     read_table,
@@ -39,7 +38,7 @@ from fraclink._files.toml import (
 )
 from fraclink.errors import FieldError, FileFormatError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Frequency, Payload, Period, checked
+from fracsys.checks import Between, Payload, Period, checked
 
 __all__ = [
     "DesignDefaults",
@@ -47,12 +46,11 @@ __all__ = [
     "Gauge",
     "Link",
     "Motor",
+    "Moves",
     "Payloads",
     "Rig",
     "StatedTolerances",
 ]
-
-T = TypeVar("T")
 
 _FOLDER = Path(__file__).resolve().parents[1] / "data" / "rigs"
 # two measurements of one stiffness agree to about 2 %; the paper's differ by 30 %
@@ -84,6 +82,8 @@ class Rig:
         what a design reaches where the call does not say, or None.
     tolerances
         how far the arm may differ from its model.
+    moves
+        the largest move that the arm is meant to make: the limits of its law.
     assumptions
         sentences on values that were not measured, shown in every report.
     source
@@ -123,6 +123,7 @@ class Rig:
     assumptions: tuple[Sentence, ...] = ()
     source: Source = ""
     tolerances: StatedTolerances = field(default_factory=StatedTolerances)
+    moves: Moves = field(default_factory=Moves)
 
     @staticmethod
     def named(name: str) -> Rig:
@@ -134,12 +135,15 @@ class Rig:
         """
         names = Rig.names()
         if name not in names:
-            remedy = (
-                suggestion(str(name), names)
-                or "give one of these, or the path of your own file"
-            )
             raise FieldError(
-                "rig", name, "unknown", allowed=", ".join(names), remedy=remedy
+                "rig",
+                name,
+                "unknown",
+                allowed=", ".join(names),
+                remedy=(
+                    suggestion(str(name), names)
+                    or "give one of these, or the path of your own file"
+                ),
             )
         return Rig.load(_FOLDER / f"{name}.toml")
 
@@ -161,13 +165,12 @@ class Rig:
         """
         place = Path(path)
         if not place.is_file():
-            remedy = f"check the path; rigs by name: {', '.join(Rig.names())}"
             raise FileFormatError(
                 "rig",
                 str(path),
                 "not a file",
                 allowed="a rig file (TOML)",
-                remedy=remedy,
+                remedy=f"check the path; rigs by name: {', '.join(Rig.names())}",
             )
         return Rig.from_tables(read_toml(place))
 
@@ -176,23 +179,16 @@ class Rig:
         """Return the rig of a file's tables; FieldError for one fault, FileFaults for
         several.
         """
-        # Until the motor loop had one name everywhere, its table was called
-        # [inner_loop].
-        names = (
-            {"inner_loop": "motor_loop"}
-            if isinstance(data, dict) and "motor_loop" not in data
-            else {}
-        )
         if isinstance(data, dict):
-            data = {names.get(name, name): table for name, table in data.items()}
-        file: _RigFile = read_table(_RigFile, data)
-        return file.build()
+            data = _with_usual_model(_in_seconds(data))
+        rig: Rig = read_table(Rig, data)
+        return rig
 
     def tables(self) -> dict[str, Any]:
         """Return the tables of the rig's file: SI units, plain values; `from_tables`
         reads them back.
         """
-        return table_of(_RigFile.of(self))
+        return table_of(self)
 
     @staticmethod
     def from_toml(text: str) -> Rig:
@@ -243,6 +239,52 @@ class Rig:
             finding for finding in (*found, self._mass_finding()) if finding is not None
         )
 
+    def overview(self) -> Overview:
+        """Everything that the rig states."""
+        motor, link, gauge, loop = self.motor, self.link, self.gauge, self.motor_loop
+        counts, payloads = self.encoder.counts_per_revolution, self.payloads
+        rows = (
+            Row("motor.inertia", "motor inertia J", motor.inertia, "kg·m²"),
+            Row(
+                "motor.viscous_friction",
+                "motor viscous friction ν",
+                motor.viscous_friction,
+                "N·m·s",
+            ),
+            Row(
+                "motor.torque_constant",
+                "motor torque constant K",
+                motor.torque_constant,
+                "N·m/V",
+            ),
+            Row("motor.gear_ratio", "gear ratio", motor.gear_ratio),
+            Row("motor.coulomb_torque", "Coulomb torque", motor.coulomb_torque, "N·m"),
+            Row("motor.voltage_limit", "voltage limit", motor.voltage_limit, "V"),
+            Row("link.length", "link length L", link.length, "m"),
+            Row(
+                "link.flexural_rigidity",
+                "flexural rigidity EI",
+                link.flexural_rigidity,
+                "N·m²",
+            ),
+            Row("link.stiffness", "link stiffness c", link.stiffness, "N·m/rad"),
+            Row("link.mass", "link mass", link.mass, "g"),
+            Row("payloads.range", "payloads m", (payloads.low, payloads.high), "g"),
+            Row("payloads.nominal", "nominal payload", payloads.nominal, "g"),
+            Row("encoder", "encoder", counts or "exact", "counts per turn"),
+            Row("gauge.noise", "gauge noise", gauge.noise, "N·m"),
+            Row("gauge.offset", "gauge offset", gauge.offset, "N·m"),
+            Row("motor_loop.pole", "motor loop, double pole", loop.pole, "rad/s"),
+            Row(
+                "motor_loop.delay_samples",
+                "computation delay",
+                loop.delay_samples,
+                "samples",
+            ),
+            Row("period", "sampling period Ts", self.period, "ms"),
+        )
+        return Overview(self.name, rows=rows, findings=self.warnings)
+
     def _stiffness_finding(self) -> Finding | None:
         stated, computed = self.link.stiffness, self.link.beam_stiffness
         if abs(stated - computed) <= _AGREEMENT * computed:
@@ -286,198 +328,47 @@ def _contradiction(
     )
 
 
-# --- the file: one class a table, where it differs from the object that it becomes -----------------------
+# --- the file: what a person may write otherwise than the rig has it ---------------------------------------
 
 
-def _like(kind: type[T], other: Any, **changes: Any) -> T:
-    """Return a `kind` with the fields that it shares with `other`, but for `changes`."""
-    shared = {item.name for item in fields(kind)} & {  # type: ignore[arg-type]
-        item.name for item in fields(other)
-    }
-    return kind(**({name: getattr(other, name) for name in shared} | changes))
-
-
-@checked(prefix="motor_loop.")
-@dataclass(frozen=True)
-class _MotorLoopTable:
-    pole: Frequency = MotorLoop.pole
-    delay_samples: Annotated[int, Between(0, LONGEST_DELAY, "samples")] = (
-        MotorLoop.delay_samples
+def _in_seconds(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables with the period as `period_s`, where the file has `period_ms`."""
+    if "period_ms" not in data:
+        return data
+    if "period_s" in data:
+        raise FieldError(
+            "period_s",
+            data["period_s"],
+            "given twice, as period_s and as period_ms",
+            allowed="one sampling period",
+            remedy="leave one of them out",
+        )
+    period = Between(0.0, 1e4, "ms", low_open=True).check(
+        "period_ms", data["period_ms"]
     )
+    rest = {key: value for key, value in data.items() if key != "period_ms"}
+    return rest | {"period_s": period / 1e3}
 
 
-@checked(prefix="model.second_mode.")
-@dataclass(frozen=True)
-class _SecondModeTable:
-    frequency: Frequency
-    gain: Annotated[float, Between(0.0, 1e3, low_open=True)]
-    damping_ratio: Annotated[
-        float, Between(0.0, 1.0, low_open=True, high_open=True)
-    ] = 0.02
-
-
-@checked(prefix="model.")
-@dataclass(frozen=True)
-class _ModelTable:
-    """What it leaves out follows from the link and the nominal payload."""
-
-    order: Annotated[float, Between(1.0, 2.0, low_open=True)]
-    stiffness: Annotated[float | None, positive("N·m/rad")] = None
-    natural_frequency: Annotated[float | None, positive("s^(-order/2)")] = None
-    damping: Annotated[float, at_least_zero()] = 0.0
-    damping_order: Annotated[float, Between(0.0, 2.0)] = 1.0
-    payload: Annotated[float | None, positive("kg")] = None
-    gauge_delay: Annotated[float | None, Between(-10.0, 10.0, "s")] = None
-    gauge_gain: Annotated[float | None, Between(-1e6, 1e6)] = None
-    second_mode: _SecondModeTable | None = None
-    unseen_up_to: Annotated[float | None, positive("rad/s")] = None
-    intervals: dict[str, tuple[float, float]] | None = None
-
-    def build(self, link: Link, payloads: Payloads) -> LinkModel:
-        """Return the link model, with eq. (5) where the file states no natural
-        frequency.
-        """
-        stiffness, payload = (
-            self.stiffness or link.stiffness,
-            self.payload or payloads.nominal,
-        )
-        return _like(
-            LinkModel,
-            self,
-            stiffness=stiffness,
-            natural_frequency=self.natural_frequency
-            or _lumped_frequency(stiffness, payload, link.length),
-            payload=payload,
-            gauge_delay=self.gauge_delay or 0.0,
-            gauge_gain=1.0 if self.gauge_gain is None else self.gauge_gain,
-            second_mode=self.second_mode and _like(SecondMode, self.second_mode),
-            intervals=tuple(
-                (name, *pair) for name, pair in (self.intervals or {}).items()
-            ),
-        )
-
-    @staticmethod
-    def of(model: LinkModel) -> _ModelTable:
-        """Return the table of a link model; an ideal gauge is left out."""
-        return _like(
-            _ModelTable,
-            model,
-            gauge_delay=model.gauge_delay or None,
-            gauge_gain=None if model.gauge_gain == 1.0 else model.gauge_gain,
-            second_mode=model.second_mode
-            and _like(_SecondModeTable, model.second_mode),
-            intervals={name: (low, high) for name, low, high in model.intervals}
-            or None,
-        )
-
-
-@checked(prefix="log.")
-@dataclass(frozen=True)
-class _LogTable:
-    time: Channel
-    motor_angle: Channel
-    torque: Channel | None = None
-    deflection: Channel | None = None
-    voltage: Channel | None = None
-
-    def __post_init__(self) -> None:
-        # so that a unit of another quantity is among the faults of the file
-        self.build()
-
-    def build(self) -> LogColumns:
-        """Return the columns; FieldError where there is not one output, or a unit
-        measures something else.
-        """
-        outputs = {"torque": self.torque, "deflection": self.deflection}
-        stated = [
-            (kind, channel) for kind, channel in outputs.items() if channel is not None
-        ]
-        if len(stated) != 1:
-            raise FieldError(
-                "log",
-                " and ".join(kind for kind, _ in stated) or "(no output)",
-                "not one output",
-                allowed="torque or deflection",
-                remedy="state exactly one of log.torque and log.deflection",
-            )
-        return LogColumns(
-            self.time,
-            self.motor_angle,
-            stated[0][1],
-            stated[0][0],  # type: ignore[arg-type]
-            self.voltage,
-        )
-
-
-@checked
-@dataclass(frozen=True, kw_only=True)
-class _RigFile:
-    """A rig file: its keys and tables in the order in which they are written."""
-
-    format: Annotated[int, Between(1, 1)] = 1
-    name: Name
-    source: Source | None = None
-    period: Period | None = None
-    period_ms: Annotated[float | None, Between(0.0, 10_000.0, "ms", low_open=True)] = (
-        None
-    )
-    assumptions: tuple[Sentence, ...] = ()
-    motor: Motor
-    link: Link
-    payloads: Payloads
-    encoder: Encoder = field(default_factory=Encoder)
-    gauge: Gauge = field(default_factory=Gauge)
-    motor_loop: _MotorLoopTable = field(default_factory=_MotorLoopTable)
-    model: _ModelTable | None = None
-    design: DesignDefaults | None = None
-    tolerances: StatedTolerances | None = None
-    log: _LogTable | None = None
-
-    def __post_init__(self) -> None:
-        if (self.period is None) == (self.period_ms is None):
-            raise FieldError(
-                "period_ms" if self.period is None else "period_s",
-                "(nothing)" if self.period is None else self.period,
-                "missing"
-                if self.period is None
-                else "given twice, as period_s and as period_ms",
-                allowed="one sampling period",
-                remedy="state the control period as period_ms = … or period_s = …",
-            )
-
-    def build(self) -> Rig:
-        """Return the rig that the file describes."""
-        return _like(
-            Rig,
-            self,
-            source=self.source or "",
-            period=self.period_ms / 1000 if self.period is None else self.period,  # type: ignore[operator]
-            motor_loop=_like(MotorLoop, self.motor_loop),
-            model=self.model and self.model.build(self.link, self.payloads),
-            log=self.log and self.log.build(),
-            tolerances=self.tolerances or StatedTolerances(),
-        )
-
-    @staticmethod
-    def of(rig: Rig) -> _RigFile:
-        """Return the file that describes `rig`."""
-        return _like(
-            _RigFile,
-            rig,
-            source=rig.source or None,
-            motor_loop=_like(_MotorLoopTable, rig.motor_loop),
-            model=rig.model and _ModelTable.of(rig.model),
-            tolerances=None if rig.tolerances == StatedTolerances() else rig.tolerances,
-            log=rig.log and _LogTable(**rig.log.channels()),
-        )
-
-
-def _stored(data: Any) -> Rig:
-    """The rig inside another document: its tables, or the text of its file as the first
-    formats had it.
+def _with_usual_model(data: dict[str, Any]) -> dict[str, Any]:
+    """The tables with a model that is complete: what it leaves out follows from the link
+    and the nominal payload, eq. (5).
     """
-    return Rig.from_toml(data) if isinstance(data, str) else Rig.from_tables(data)
+    model = data.get("model")
+    if not isinstance(model, dict):
+        return data
+    try:
+        link: Link = read_table(Link, data.get("link", {}))
+        payloads: Payloads = read_table(Payloads, data.get("payloads", {}))
+    except FieldError:
+        # The file is refused for its link or payloads: the model's values do not matter.
+        link, payloads = Link(1.0, 1.0), Payloads(1.0, 1.0)
+    usual = {"stiffness_Nm_per_rad": link.stiffness, "payload_kg": payloads.nominal}
+    stiffness, payload = ((usual | model)[key] for key in usual)
+    if all(isinstance(x, float | int) and x > 0 for x in (stiffness, payload)):
+        frequency = _lumped_frequency(stiffness, payload, link.length)
+        usual["natural_frequency"] = frequency
+    return data | {"model": usual | model}
 
 
-document("rig", container="toml")(Rig)
-stored_as(Rig, write=Rig.tables, read=_stored)
+document("rig", container="toml", own=True)(Rig)

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Frequency, Length, Where, checked
+from fracsys.checks import Between, Frequency, Where, checked, length
 
 __all__ = [
     "DesignDefaults",
@@ -18,6 +18,7 @@ __all__ = [
     "Gauge",
     "Link",
     "Motor",
+    "Moves",
     "Payloads",
     "StatedTolerances",
 ]
@@ -54,9 +55,53 @@ _UNICODE = Where(
     "not valid Unicode (a lone surrogate)",
     "remove that character",
 )
-Name = Annotated[str, Length(1, 100), _UNICODE]
-Source = Annotated[str, Length(0, 500), _UNICODE]
-Sentence = Annotated[str, Length(1, 500), _UNICODE]
+Name = Annotated[str, length(1, 100), _UNICODE]
+Source = Annotated[str, length(0, 500), _UNICODE]
+Sentence = Annotated[str, length(1, 500), _UNICODE]
+
+
+@checked(prefix="moves.")
+@dataclass(frozen=True)
+class Moves:
+    """The largest move the arm is meant to make; the law's guards take anything far
+    beyond it for a fault.
+
+    The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36
+    rad/s²).
+
+    Parameters
+    ----------
+    angle
+        of reference and motor reference, either way from `centre` [rad], > 0; a law
+        does not start beyond it.
+    velocity, acceleration
+        of the reference [rad/s], [rad/s²], > 0.
+    torque
+        of the link [N·m], > 0, at which the motor is held; infinite for what the other
+        limits make of it.
+    vibration
+        of the tip [rad], > 0: one that goes beyond it on both sides and does not decay
+        trips, and the motor is held. None: one of 0.05 rad is flagged.
+    centre
+        what the encoder reads in the middle of `angle` [rad].
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> Moves().velocity
+    6.0
+    """
+
+    angle: Annotated[float, Between(0.0, 1e6, "rad", low_open=True)] = 2 * math.pi
+    velocity: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] = 6.0
+    acceleration: Annotated[float, Between(0.0, 1e6, "rad/s²", low_open=True)] = 60.0
+    torque: Annotated[float, _limit("N·m")] = math.inf
+    vibration: Annotated[float | None, positive("rad")] = None
+    centre: Annotated[float, Between(-1e6, 1e6, "rad")] = 0.0
 
 
 @checked(prefix="motor.")
@@ -144,12 +189,12 @@ class Link:
 
     def __post_init__(self) -> None:
         if self.stiffness is None and self.flexural_rigidity is None:
-            allowed, remedy = (
-                "a stiffness [N·m/rad] or EI [N·m²]",
-                "state stiffness, or flexural_rigidity",
-            )
             raise FieldError(
-                "link.stiffness", "(nothing)", "missing", allowed=allowed, remedy=remedy
+                "link.stiffness",
+                "(nothing)",
+                "missing",
+                allowed="a stiffness [N·m/rad] or EI [N·m²]",
+                remedy="state stiffness, or flexural_rigidity",
             )
         if self.flexural_rigidity is None:
             # Eq. (3), c = 3 EI/L: whichever was measured, the twin bends and the lumped
@@ -196,15 +241,11 @@ class Payloads:
 
     def __post_init__(self) -> None:
         if self.low > self.high:
-            problem, allowed = (
-                f"above payloads.high = {self.high:g} kg",
-                "low <= nominal <= high [kg]",
-            )
             raise FieldError(
                 "payloads.low",
                 self.low,
-                problem,
-                allowed=allowed,
+                f"above payloads.high = {self.high:g} kg",
+                allowed="low <= nominal <= high [kg]",
                 remedy="exchange the two",
             )
         if self.empty is not None and self.empty > self.low:

@@ -8,6 +8,7 @@ refused, and values are interpolated on request only.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,20 +36,37 @@ class TimeBase:
     findings: tuple[Finding, ...] = ()
 
 
-def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBase:
+def time_base(
+    stamps: NDArray[np.float64], *, resample: bool = False, slowest: float = _SLOWEST
+) -> TimeBase:
     """The uniform time base of `stamps`, shape (N,) [s], N >= 2.
 
     Raises LogError for decreasing or repeated stamps, gaps, or jitter above a quarter
     of a period; with `resample` the last three are findings, and `resampled` makes the
-    uniform samples.
+    uniform samples. `slowest` [s]: steps of it and longer are refused.
     """
+    if stamps.size < 2:
+        raise LogError(
+            "time",
+            f"{stamps.size} stamps",
+            "too few rows for a step",
+            allowed=">= 2",
+            remedy="record for longer",
+        )
     steps = np.diff(stamps)
     _check_order(stamps, steps, resample)
     steps = steps[steps > 0]
     # The median: a tenth of the samples may be lost, or the clock may have stood for a
     # minute, and it does not move.
     typical = float(np.median(steps))
-    _check_unit(typical)
+    if typical >= slowest:
+        raise LogError(
+            "time",
+            f"{typical:.6g} s between samples",
+            "too slow for a vibrating arm; it looks like milliseconds called seconds",
+            allowed=f"< {slowest:g} s",
+            remedy='state unit = "ms" for the time column',
+        )
     # Behind the check of the unit: a gap is counted in periods, and these must be
     # right.
     gaps = np.flatnonzero(steps > _GAP * typical)
@@ -76,9 +94,11 @@ def time_base(stamps: NDArray[np.float64], *, resample: bool = False) -> TimeBas
         )
         period = _rounded(float(slope))
         start = float(middle - period * (stamps.size - 1) / 2)
-    return TimeBase(
-        start, period, _jitter(_distance(stamps, start, period), period, resample)
-    )
+        # A line leaves N - 2 of N stamps free: of three it follows almost any.
+        spare = math.sqrt(stamps.size / max(stamps.size - 2, 1))
+        worst = spare * _distance(stamps, start, period)
+        return TimeBase(start, period, _jitter(worst, period, resample))
+    return TimeBase(start, period)
 
 
 def _distance(stamps: NDArray[np.float64], start: float, period: float) -> float:
@@ -123,17 +143,6 @@ def _check_order(
             f"repeated at sample {rows} ({same.size} such)",
             allowed="increasing stamps",
             remedy="remove the repeated rows, or read with resample=True (--resample)",
-        )
-
-
-def _check_unit(typical: float) -> None:
-    if typical >= _SLOWEST:
-        raise LogError(
-            "time",
-            f"{typical:.6g} s between samples",
-            "too slow for a vibrating arm; it looks like milliseconds called seconds",
-            allowed=f"< {_SLOWEST:g} s",
-            remedy='state unit = "ms" for the time column',
         )
 
 

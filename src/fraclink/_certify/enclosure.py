@@ -39,11 +39,7 @@ Flags = NDArray[np.bool_]
 Shifts = tuple[int, ...]
 _MAIN: Shifts = (0,)
 _HELD = len(ALIASES) // 2  # pairs of aliases beyond the nearest that L holds
-_CLOSING = (
-    "frequency",
-    "delay",
-    "motor",
-)  # what the denominator of the sampled motor loop depends on
+_ROOTS = 16  # of unity; the sampled motor loop has up to 14 coefficients
 
 
 @dataclass(frozen=True)
@@ -173,33 +169,6 @@ class BoxLoop:
         """Whether L holds the nearest aliases of boxes from these frequencies on."""
         return np.asarray(frequency >= 0.5 * ALIASES_FROM * self.turn)
 
-    def unbounded_along(self, low: Real, high: Real, alias: Real) -> NDArray[np.int64]:
-        """The axis to cut of boxes over which F is unbounded, where all others would be
-        in vain; else -1.
-
-        It is the frequency where its arc alone comes too close to a pole of Ĉ, else
-        what moves the denominator of the sampled motor loop most. `alias`, the bound of
-        the aliases, is infinite there.
-        """
-        wide, axis = ~np.isfinite(alias), np.full(alias.shape, -1)
-        if not wide.any():
-            return axis
-        box = self.box(low[wide], high[wide])
-        window, moved = (
-            self._window(box["frequency"]),
-            np.zeros((3, np.count_nonzero(wide))),
-        )
-        if self.motor_loop == "sampled":
-            late = self._variable("delay", box["delay"])
-            slow = self._variable("motor", box["motor"]).inverse()
-            slopes = self.closing(window, late, slow).d
-            for row, name in enumerate(_CLOSING):
-                if name in slopes:
-                    moved[row] = slopes[name].most() * box[name].disc().r
-        most = np.argmax(np.where(np.isfinite(window.alias), moved, 0.0), axis=0)
-        axis[wide] = np.array([AXES.index(name) for name in _CLOSING])[most]
-        return axis
-
     def _kernel(self, z: Disc) -> Disc:
         """K."""
         zero = np.zeros(z.c.shape)
@@ -241,13 +210,17 @@ class BoxLoop:
         x, y = window.back, 1 - window.back
         n, n0, n2 = self.held_motor(late)
         e = math.exp(-self.statement.decay * self.period)
-        return y * y * slow + window.both * x * (1 - x * e).inverse() * (
-            x * n + y * (n0 - x * n2)
-        )
+        held = x * (1 - x * e).inverse() * (x * n + y * (n0 - x * n2))
+        for _ in range(self.statement.whole):
+            held = held * x
+        return y * y * slow + window.both * held
 
     def held_motor(self, late: Disc) -> tuple[float, Disc, Disc]:
-        """(n, n0, n2) of the motor under a voltage that is held, and late."""
+        """(n, n0, n2) of the motor under a voltage that is held, and late by part of a
+        period besides whole ones.
+        """
         decay, period = self.statement.decay, self.period
+        late = late - self.statement.whole * period
         scales = (decay**-2, math.exp(-decay * period) * decay**-2)
 
         def of(delay: Disc) -> list[Disc]:
@@ -498,33 +471,17 @@ class BoxLoop:
         For every other delay and gain it follows from the tree: each leaf shows X ≠ 0
         on its part of the unit circle, so no pole can cross it while they grow.
         """
-        return self.motor_loop == "ideal" or inside_circle(self._characteristic())
-
-    def _characteristic(self) -> list[float]:
-        """Coefficients of (1 − e x)(1 − r x) X/A, ascending in x: the highest power of
-        z first.
-        """
-        p, motor = self.pid, self.low["motor"]
-        e, r = math.exp(-self.statement.decay * self.period), p["filter_decay"]
-        n, n0, n2 = self.held_motor(Disc(np.array([self.low["delay"]])))
-        edge, slow, filt = (
-            np.array([1.0, -1.0]),
-            np.array([1.0, -e]),
-            np.array([1.0, -r]),
-        )
-        both = np.convolve(
-            np.convolve(edge, filt), [p["inner_direct"] + p["inner_angle"]]
-        )
-        both = both + np.convolve([p["integral_now"], p["integral_before"]], filt)
-        lags = [
-            p["filter_now"] + p["filter_angle_now"],
-            p["filter_before"] + p["filter_angle_before"],
-        ]
-        both = both + np.convolve(lags, edge)
-        held = np.array([0.0, 0.0, n, 0.0])
-        held += np.convolve(edge, [0.0, float(n0.c[0]), -float(n2.c[0])])
-        total = np.convolve(both, held)
-        total[:5] += (
-            np.convolve(np.convolve(edge, edge), np.convolve(filt, slow)) / motor
-        )
-        return [float(x) for x in total]
+        if self.motor_loop == "ideal":
+            return True
+        # The polynomial (1 − e x)(1 − r x) X/A, ascending in x (the highest power of z
+        # first), from its values at the roots of unity, which are more than it has
+        # coefficients.
+        x = Disc(np.exp(2j * math.pi / _ROOTS * np.arange(_ROOTS)))
+        both = self.controllers(x)[1]
+        window = FrequencyWindow((both,), np.zeros(_ROOTS), x, both)
+        late = Disc(np.array(self.low["delay"]))
+        closing = self.closing(window, late, Disc(np.array(1 / self.low["motor"])))
+        decay = math.exp(-self.statement.decay * self.period)
+        poles = (1 - x.c * decay) * (1 - x.c * self.pid["filter_decay"])
+        coefficients = np.fft.fft(closing.c * poles).real / _ROOTS
+        return inside_circle(coefficients[: 6 + self.statement.whole].tolist())

@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
 
 from fraclink._certify.statement import ALIASES, ALIASES_FROM, AXES, Statement
 
 if TYPE_CHECKING:
     from fraclink._law import Law
 
-__all__ = ["loop_values", "windings", "worst_distance"]
+__all__ = ["loop_values", "motor_loop", "windings", "worst_distance"]
 
 Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 _ROWS = 32
 _CORNERS = 512  # of a box with more than nine uncertain parameters a random choice
-# Ten of them, or a quarter of the points on the grid, lead to the same place on the
-# bundled rigs.
-_STEPS = 40
 
 
 def loop_values(
@@ -53,7 +51,7 @@ def loop_values(
         / law.period
     )
     if statement.motor_loop == "sampled":
-        outer = outer * _voltage(statement, law, w, at["delay"], at["motor"])
+        outer = outer * motor_loop(statement, w, at["delay"], at["motor"])[0]
     # Sampling folds the spectrum: L at e^jωTs is a sum over all ω + 2πn/Ts, with the
     # periodic factors outside.
     aliases = sum(_continuous(statement, w + n * turn, at) for n in ALIASES)
@@ -95,30 +93,33 @@ def _continuous(
     return np.asarray(link * at["motor"] / (s * (s + statement.decay)))
 
 
-def _voltage(
-    statement: Statement, law: Law, frequency: Real, delay: Real, gain: Real
-) -> Complex:
-    """Cm1/(1 + (Cm1 + Cm2) P_τ) with the held motor late by any part of a period."""
-    c, x = law.coefficients, np.exp(-1j * frequency * law.period)
-    slow = 1.0 / (1.0 - float(c["filter_decay"]) * x)  # type: ignore[arg-type]
+def motor_loop(
+    statement: Statement, frequency: Real, delay: ArrayLike, gain: ArrayLike
+) -> tuple[Complex, Complex]:
+    """Return (voltage, θm) over θm* of the sampled motor loop, ``Cm1/(1 + (Cm1 + Cm2)
+    P_τ)`` and P_τ times that, with the held motor late by any part of a period.
+    """
+    c = statement.coefficients
+    period, decay = float(c["period"]), statement.decay
+    x = np.exp(-1j * frequency * period)
+    slow = 1.0 / (1.0 - float(c["filter_decay"]) * x)
 
     def pair(name: str) -> Complex:
-        now, before = float(c[f"{name}_now"]), float(c[f"{name}_before"])  # type: ignore[arg-type]
-        return np.asarray(now + before * x)
+        return np.asarray(c[f"{name}_now"] + c[f"{name}_before"] * x)
 
-    first = (
-        float(c["inner_direct"]) + pair("integral") / (1.0 - x) + slow * pair("filter")  # type: ignore[arg-type]
-    )
-    both = first + float(c["inner_angle"]) + slow * pair("filter_angle")  # type: ignore[arg-type]
+    first = c["inner_direct"] + pair("integral") / (1.0 - x) + slow * pair("filter")
+    both = first + c["inner_angle"] + slow * pair("filter_angle")
     # The motor A/(s(s + a)) behind a hold that is `delay` late, at the samples: a
     # partial fraction each for the integrator and for the pole, with the rest of the
     # period `left` after the late edge.
-    decay, left = statement.decay, law.period - delay
-    held = (decay * left - 1.0) + decay * law.period * x / (1.0 - x)
+    left = (1 + statement.whole) * period - np.asarray(delay)
+    held = (decay * left - 1.0) + decay * period * x / (1.0 - x)
     held = held + np.exp(-decay * left) * (1.0 - x) / (
-        1.0 - np.exp(-decay * law.period) * x
+        1.0 - np.exp(-decay * period) * x
     )
-    return np.asarray(first / (1.0 + both * x * gain / decay**2 * held))
+    motor = x ** (1 + statement.whole) * np.asarray(gain) / decay**2 * held
+    voltage = np.asarray(first / (1.0 + both * motor))
+    return voltage, np.asarray(voltage * motor)
 
 
 def _grid(statement: Statement, law: Law, points: int) -> Real:
@@ -185,36 +186,27 @@ def worst_distance(statement: Statement, law: Law) -> tuple[float, dict[str, flo
 def _downhill(
     statement: Statement, law: Law, start: dict[str, float]
 ) -> tuple[float, dict[str, float]]:
-    """Follow |1 + L| down inside the box, one axis at a time with steps that shrink."""
+    """Follow |1 + L| down inside the box, each axis in shares of its width."""
     low, high = statement.box
-    low["frequency"], high["frequency"] = (
-        0.5 * start["frequency"],
-        2.0 * start["frequency"],
-    )
-    high["frequency"] = min(high["frequency"], math.pi / law.period)
+    low["frequency"] = 0.5 * start["frequency"]
+    high["frequency"] = min(2.0 * start["frequency"], math.pi / law.period)
     names = [name for name in AXES if low[name] < high[name]]
-    at = dict(start)
-    step, least = 0.2, math.inf
-    for _ in range(_STEPS):
-        trial = {name: np.full(2 * len(names) + 1, at[name]) for name in AXES}
-        for k, name in enumerate(names):
-            # The frequency's interval spans a factor of four; a fifth of it would step
-            # over a narrow second mode.
-            reach = (
-                step * (high[name] - low[name]) * (0.1 if name == "frequency" else 1.0)
-            )
-            for row, sign in ((2 * k, -1.0), (2 * k + 1, 1.0)):
-                trial[name][row] = min(
-                    max(at[name] + sign * reach, low[name]), high[name]
-                )
-        found = np.abs(1.0 + loop_values(statement, law, trial["frequency"], trial))
-        row = int(np.argmin(found))
-        # The last row is the place itself: where no step finds less, the place stays
-        # and the step is halved.
-        step = step if found[row] < least else 0.5 * step
-        least = min(least, float(found[row]))
-        at = {name: float(trial[name][row]) for name in AXES}
-    return least, at
+    width = {name: high[name] - low[name] for name in names}
+
+    def place(shares: Real) -> dict[str, float]:
+        moved = zip(names, shares, strict=True)
+        return start | {
+            name: float(low[name] + share * width[name]) for name, share in moved
+        }
+
+    def distance(shares: Real) -> float:
+        at = place(shares)
+        return float(abs(1.0 + loop_values(statement, law, at["frequency"], at)))
+
+    first = [(start[name] - low[name]) / width[name] for name in names]
+    bounds, options = [(0.0, 1.0)] * len(names), {"ftol": 1e-12}
+    found = minimize(distance, first, method="L-BFGS-B", bounds=bounds, options=options)
+    return float(found.fun), place(found.x)
 
 
 def _over_corners(

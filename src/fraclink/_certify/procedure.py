@@ -7,30 +7,33 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 from scipy.optimize import brentq
 
 from fraclink._arm.box import ParameterBox
-from fraclink._arm.controller import Controller, closed_loop_poles
+from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._certify.enclosure import BoxLoop
-from fraclink._certify.numeric import loop_values, windings, worst_distance
+from fraclink._certify.guards import check_guards
+from fraclink._certify.numeric import windings, worst_distance
 from fraclink._certify.search import MarginFailure, MarginProof, prove
 from fraclink._certify.statement import AXES, Certificate, Statement, state
 from fraclink._law import Law, discretize_controller
 from fraclink._law.design import Design
 from fraclink._law.limits import JUMP
 from fraclink.errors import FieldError
-from fracsys.checks import Between, Ordered, Payload, checked, checked_between
+from fracsys.checks import Between, Payload, ascending, checked
 
 __all__ = ["certify"]
 
-PayloadRange = Annotated[tuple[Payload, Payload], Ordered()]
+PayloadRange = Annotated[tuple[Payload, Payload], ascending()]
 ModulusMargin = Annotated[float, Between(0.0, 1.0, low_open=True)]
-InnerKind = Literal["ideal", "sampled"]
+# Least |1 + L| of a loop that is passed: 14.4° of phase and a factor of 1.33 of gain
+# either way, whatever else differs from the box.
+LEAST_MODULUS = 0.25
 # Between what a search finds and what is claimed. Half of it costs 3 to 7 % more leaves
 # on four claims, a fifth of it up to 19 %.
 _ROOM = 0.005
@@ -49,7 +52,6 @@ def certify(
     delay: tuple[float, float] | None = None,
     modulus_margin: ModulusMargin | None = None,
     law: Law | None = None,
-    inner: InnerKind | None = None,
     box: ParameterBox | None = None,
     others: Iterable[LinkModel] = (),
 ) -> Certificate:
@@ -57,9 +59,10 @@ def certify(
     delay and arm of a box.
 
     The box holds the link's order, frequency and damping, the gauge's gain and delay,
-    the second mode and the motor loop. The proof covers the law's exact coefficients,
-    the zero-order hold and all aliases; tools/check_certificate.py checks it with other
-    arithmetic.
+    the second mode and the motor. The proof covers the law's exact coefficients, its
+    motor loop as it is sampled, the zero-order hold and all aliases, and that no guard
+    stands in the way of the moves it states; tools/check_certificate.py checks it with
+    other arithmetic against the files of `export_c`.
 
     The certificate says ``passed``, ``verdict``, and where it fails the payload, the
     frequency and what was found there.
@@ -73,15 +76,14 @@ def certify(
     payloads
         (lightest, heaviest) [kg], > 0; the design's or the rig's when left out.
     delay
-        (shortest, longest) computation delay [s], at most Ts for a sampled motor loop;
-        (0, Ts) when left out.
+        (shortest, longest) computation delay [s], at most Ts apart where the law closes
+        the motor loop; the last of the motor loop's periods of delay when left out.
     modulus_margin
-        m, 0 < m < 1; a hundredth or two below what a search finds when left out.
+        m, 0 < m < 1; a hundredth or two below what a search finds when left out, and
+        then not below 0.25: a loop that comes closer does not pass.
     law
-        the law to prove, where the design's own is not meant (single precision, another
+        the law to prove, where the design's own is not meant (double precision, another
         order).
-    inner
-        "ideal" or "sampled" motor loop; the design's own when left out.
     box
         what the arm may be; when left out the box that the design was made for, else
         ``ParameterBox.of(model, rig)``: the fit's intervals and at least the rig's
@@ -100,64 +102,56 @@ def certify(
     >>> import fraclink as fl
     >>> from fraclink._certify import certify
     >>> rig = fl.Rig.named("paper-2023")
-    >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50), "filter_time": 0.0}
+    >>> wanted = {"gain_crossover": 12.0, "phase_margin": fl.deg(50)}
     >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
     >>> certificate = certify(design, modulus_margin=0.35)
     >>> certificate.passed
     True
     """
-    claim, proper = _statement(
-        subject, model, rig, payloads, delay, law, inner, box, others
-    )
+    claim, proper = _statement(subject, model, rig, payloads, delay, law, box, others)
+    check_guards(claim)
     if modulus_margin is not None:
         claim = replace(claim, modulus=modulus_margin)
     # In plain floating point first: a loop that is unstable, or too close already, is
     # told in milliseconds, and the branch and bound would only run out of nodes on it.
     unstable = windings(claim, proper)
     if unstable is not None:
-        return _unstable(claim, subject, model, unstable)
+        return _refused(claim, "unstable, as L passes left of -1", unstable)
     distance, place = worst_distance(claim, proper)
     if modulus_margin is None:
-        return _largest_claim(claim, proper, distance, place)
+        return _largest_claim(claim, distance, place)
     if distance <= claim.modulus:
         return _too_close(claim, distance, place)
-    return _proved(claim, distance)
+    return _certificate(claim, prove(BoxLoop(claim)), distance)
 
 
 def _largest_claim(
-    claim: Statement, law: Law, distance: float, place: dict[str, float]
+    claim: Statement, distance: float, place: dict[str, float]
 ) -> Certificate:
     """Prove the largest claim of three digits that leaves `_ROOM`, or a smaller one
     where that is refuted.
     """
     loop, step = BoxLoop(claim), _ROOM
-    # The proof holds fewer aliases than the loop has and allows for the rest by a
-    # bound: that much less is claimed.
-    kept = distance - loop.alias_at(place) - _ROOM
     for most in _NODES:
-        claim = replace(claim, modulus=max(math.floor(1000.0 * kept) / 1000.0, 0.001))
-        if distance <= claim.modulus:
-            break
+        # The proof holds fewer aliases than the loop has and allows for the rest by a
+        # bound: that much less is claimed.
+        kept = distance - loop.alias_at(place)
+        if kept < LEAST_MODULUS + _ROOM:
+            return _too_close(replace(claim, modulus=LEAST_MODULUS), distance, place)
+        modulus = max(math.floor(1000.0 * (kept - step)) / 1000.0, LEAST_MODULUS)
+        claim = replace(claim, modulus=modulus)
         outcome = prove(BoxLoop(claim), most=most)
-        if isinstance(outcome, MarginProof) or "frequency" not in outcome.place:
-            return _certificate(claim, outcome, distance)
-        place = outcome.place
-        found = float(abs(1.0 + loop_values(claim, law, place["frequency"], place)))
+        if isinstance(outcome, MarginProof):
+            break
         # Refuted: the next claim is what is left there. Else the bounds are too wide
         # somewhere, nobody knows by how much: each step is twice the last.
-        step = step if outcome.refuted else 2.0 * step
-        left = found - loop.alias_at(place) - _ROOM
-        distance, kept = (
-            min(distance, found),
-            min(kept, left) if outcome.refuted else kept - step,
-        )
-    if distance > claim.modulus:
-        return _certificate(claim, outcome, distance)
-    return _too_close(claim, distance, place)
-
-
-def _proved(claim: Statement, distance: float) -> Certificate:
-    return _certificate(claim, prove(BoxLoop(claim)), distance)
+        if outcome.refuted:
+            distance, place = outcome.distance, outcome.place
+        elif modulus == LEAST_MODULUS:
+            break
+        else:
+            step *= 2.0
+    return _certificate(claim, outcome, distance)
 
 
 def _certificate(
@@ -167,54 +161,51 @@ def _certificate(
         return Certificate(claim, True, claim.words(), outcome.tree, outcome.leaves)
     if outcome.refuted:
         return _too_close(claim, outcome.distance, outcome.place)
-    reason = f"Not certified: {outcome.reason} {_where(claim, outcome.place)}"
-    return _failed(
-        claim,
-        f"{reason}; a search finds |1 + L| = {distance:.4g}",
-        outcome.place,
-        distance,
-    )
+    reason = f"{outcome.reason}, while a search finds |1 + L| = {distance:.4g},"
+    return _refused(claim, reason, outcome.place, distance)
 
 
-def _failed(
+def _too_close(
+    claim: Statement, distance: float, place: dict[str, float]
+) -> Certificate:
+    reason = f"|1 + L| = {distance:.4g} is not above {claim.modulus:g}"
+    return _refused(claim, reason, place, distance)
+
+
+def _refused(
     claim: Statement,
-    verdict: str,
+    reason: str,
     place: dict[str, float],
     distance: float | None = None,
 ) -> Certificate:
+    """The certificate that says no, and where: payload, frequency, delay, and whatever
+    else is not exact.
+    """
+    # Payload and the frequency's own doubt enter as one product q: of the pairs that
+    # give the place, the one whose softness is closest to the middle.
+    payload = place["softness"] / claim.softness
+    payload = min(max(payload, claim.payload_low), claim.payload_high)
+    low, high = claim.box
+    others = [
+        f"{name.replace('_', ' ')} {place[name]:.4g}"
+        for name in AXES[3:]
+        if low[name] < high[name]
+    ]
+    where = (
+        f"at {payload * 1e3:.4g} g, {place['frequency']:.6g} rad/s and "
+        f"{place['delay'] * 1e3:.4g} ms of delay"
+    )
+    where += f" ({', '.join(others)})" if others else ""
     return Certificate(
         claim,
         False,
-        verdict,
-        payload=_payload_at(claim, place),
+        f"Not certified: {reason} {where}",
+        payload=payload,
         frequency=place["frequency"],
         delay=place["delay"],
         distance=distance,
         place=tuple(place.items()),
     )
-
-
-def _payload_at(claim: Statement, place: dict[str, float]) -> float:
-    """The payload [kg] of the range that has this q with a softness as close to the
-    middle as there is.
-    """
-    # Payload and the frequency's own doubt enter as one product q: many pairs give the
-    # place that was found.
-    return min(
-        max(place["softness"] / claim.softness, claim.payload_low), claim.payload_high
-    )
-
-
-def _where(claim: Statement, place: dict[str, float]) -> str:
-    """Where that is: payload, frequency and delay, and whatever else is not exact."""
-    words = (
-        f"at {_payload_at(claim, place) * 1e3:.4g} g, {place['frequency']:.6g} rad/s and "
-        f"{place['delay'] * 1e3:.4g} ms of delay"
-    )
-    low, high = claim.box
-    names = [name for name in AXES[3:] if low[name] < high[name]]
-    rest = ", ".join(f"{name.replace('_', ' ')} {place[name]:.4g}" for name in names)
-    return f"{words} ({rest})" if rest else words
 
 
 def _statement(
@@ -224,7 +215,6 @@ def _statement(
     payloads: tuple[float, float] | None,
     delay: tuple[float, float] | None,
     law: Law | None,
-    inner: str | None,
     box: ParameterBox | None,
     others: Iterable[LinkModel],
 ) -> tuple[Statement, Law]:
@@ -235,16 +225,13 @@ def _statement(
             law or subject.law(),
         )
         box = subject.box if box is None else box
-        settings = subject.controller.inner
-        inner = (settings.kind if settings else "ideal") if inner is None else inner
     if isinstance(subject, Law) and not subject.has_gauge:
-        allowed = "a law of an arm: the proof knows its motor, link and gauge, and no other plant"
-        remedy = (
-            "PidTuning.sampled_margins computes this loop's margins, which is no proof"
-        )
-        given = "a fractional PID's law"
         raise FieldError(
-            "subject", given, "of another plant", allowed=allowed, remedy=remedy
+            "subject",
+            "a fractional PID's law",
+            "of another plant",
+            allowed="a law of an arm: the proof knows its motor, link and gauge, and no other plant",
+            remedy="PidTuning.sampled_margins computes this loop's margins, which is no proof",
         )
     if model is None or rig is None:
         raise FieldError(
@@ -259,14 +246,20 @@ def _statement(
     chosen = law if law is not None else subject
     # both branches above gave a law
     assert not isinstance(chosen, (Design, Controller))  # noqa: S101
-    kind, period = inner or "ideal", chosen.period
+    period = chosen.period
     # From none to a whole period is what a board may take to compute; the design
-    # counted on one of them.
-    first, last = (0.0, period) if delay is None else delay
-    first = checked_between("delay[0]", first, 0.0, 8.0 * period, "s")
-    last = checked_between(
-        "delay[1]", last, first, period if kind == "sampled" else 8.0 * period, "s"
-    )
+    # counted on one of them, and on whole periods of delay before it.
+    motor_loop = subject.motor_loop if isinstance(subject, Design) else rig.motor_loop
+    whole = max(motor_loop.delay_samples - 1, 0) * period
+    first, last = (whole, whole + period) if delay is None else delay
+    first = Between(0.0, 8.0 * period, "s").check("delay[0]", first)
+    most = 8.0 * period
+    if chosen.motor_loop is not None:
+        # within one period: between two the sampled motor loop has another order
+        most = (math.floor(first / period * (1 + 1e-9)) + 1) * period
+        if last == first:
+            most = max(most, last)
+    last = Between(first, most, "s").check("delay[1]", last)
     link = with_payload(model, rig)
     box = ParameterBox.of(link, rig) if box is None else box
     claim = state(
@@ -275,31 +268,11 @@ def _statement(
         rig,
         box=box.with_others(others, link, rig),
         payloads=payloads or (rig.payloads.low, rig.payloads.high),
-        nominal_payload=0.0,
         delay=(first, last),
-        motor_loop=kind,
         # A placeholder: the caller puts what is to be claimed.
         modulus=0.5,
     )
-    return replace(
-        claim, nominal_payload=_nominal_payload(chosen, _middle(claim, link))
-    ), chosen
-
-
-def _middle(claim: Statement, link: LinkModel) -> LinkModel:
-    """The link in the middle of the claim's intervals, as the checker takes it."""
-    payload = _known(link.payload)
-    return replace(
-        link,
-        natural_frequency=(claim.softness * payload) ** -0.5,
-        order=0.5 * (claim.order_low + claim.order_high),
-        damping=0.5 * (claim.damping_low + claim.damping_high),
-    )
-
-
-def _known(payload: float | None) -> float:
-    assert payload is not None  # with_payload gave it one  # noqa: S101
-    return payload
+    return replace(claim, nominal_payload=_nominal_payload(chosen, claim.link)), chosen
 
 
 def _nominal_payload(law: Law, link: LinkModel) -> float:
@@ -316,63 +289,16 @@ def _nominal_payload(law: Law, link: LinkModel) -> float:
     def beyond(log_payload: float) -> float:
         return math.log(abs(link.at_payload(math.exp(log_payload)).pole) / wanted)
 
-    try:
-        # From a milligram to ten tonnes: whatever arm a link model stands for lies
-        # between.
-        payload = math.exp(
-            brentq(beyond, math.log(1e-6), math.log(1e4), xtol=1e-14, rtol=1e-14)
-        )
-        # Six digits are written into the statement; the checker forms the resonance
-        # from what is written, not from what was found.
-        return float(f"{payload:.6g}")
-    except ValueError as error:
+    # From a milligram to ten tonnes: whatever arm a link model stands for lies between.
+    ends = math.log(1e-6), math.log(1e4)
+    if not beyond(ends[0]) > 0.0 > beyond(ends[1]):
         raise FieldError(
             "law.limits.reference_rate",
             law.limits.reference_rate,
             "not that of this link at any payload",
             allowed="a law that was made for this link",
             remedy="discretise the controller with this link",
-        ) from error
-
-
-def _unstable(
-    claim: Statement,
-    subject: Design | Controller | Law,
-    model: LinkModel | None,
-    place: dict[str, float],
-) -> Certificate:
-    poles: tuple[complex, ...] = ()
-    controller = subject.controller if isinstance(subject, Design) else subject
-    link = subject.model if isinstance(subject, Design) else model
-    text = ""
-    if isinstance(controller, Controller) and link is not None:
-        at = replace(
-            link,
-            natural_frequency=place["softness"] ** -0.5,
-            order=place["order"],
-            damping=place["damping"],
         )
-        ideal = claim.motor_loop == "ideal"
-        pole = (
-            place["motor"]
-            if ideal
-            else (controller.inner.pole if controller.inner else 80.0)
-        )
-        poles = tuple(
-            complex(p) for p in closed_loop_poles(controller, at, inner_pole=pole)
-        )
-        if poles and poles[0].real > 0.0:
-            text = f"; poles {poles[0].real:+.3f} ± {abs(poles[0].imag):.2f}j rad/s without hold and delay"
-    payload = _payload_at(claim, place)
-    verdict = (
-        f"Not certified: unstable at {payload * 1e3:.4g} g with {place['delay'] * 1e3:.3g} ms of delay; "
-        f"L passes left of -1 near {place['frequency']:.4g} rad/s{text}"
-    )
-    return replace(_failed(claim, verdict, place), poles=poles)
-
-
-def _too_close(
-    claim: Statement, distance: float, place: dict[str, float]
-) -> Certificate:
-    verdict = f"Not certified: |1 + L| = {distance:.4g} is not above {claim.modulus:g} {_where(claim, place)}"
-    return _failed(claim, verdict, place, distance)
+    # Six digits are written into the statement; the checker forms the resonance from
+    # what is written, not from what was found.
+    return float(f"{math.exp(brentq(beyond, *ends, xtol=1e-14, rtol=1e-14)):.6g}")

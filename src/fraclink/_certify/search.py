@@ -1,5 +1,4 @@
-"""Branch and bound until every box is proved: the distance from -1, or the phase
-margin.
+"""Branch and bound until every box is proved: the distance from -1.
 
 A box is proved by one half plane that holds L, or 1/L, and misses every forbidden
 value. Along the plane's normal the loop is bounded by its slopes: a parameter whose
@@ -9,24 +8,17 @@ largest slope. Many boxes are judged at once.
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._certify.discs import ROUNDING, Disc
 from fraclink._certify.enclosure import BoxLoop
-from fraclink._certify.numeric import loop_values
-from fraclink._certify.statement import AXES, LEAVES, LETTERS, Statement
-from fraclink._law import Law
-from fracsys._sweep import bracketed_roots
-from fracsys.checks import Between, Count, checked
+from fraclink._certify.statement import AXES, LEAVES, LETTERS
 
-__all__ = ["Enclosure", "MarginFailure", "MarginProof", "enclose_phase_margin", "prove"]
+__all__ = ["MarginFailure", "MarginProof", "prove"]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -35,6 +27,9 @@ _DEPTH = 80
 _SLACK = (
     1.0 + 1e-6
 )  # proved a little more than claimed, so that other arithmetic confirms the same leaves
+# The frequency's arc alone unbounds F beside a pole of Ĉ, where all other cuts are in
+# vain; by 3 instead of 8 a proof takes twice the leaves, by 50 a tenth more.
+_FIRST = 8.0
 _TURNED = (AXES.index("delay"), AXES.index("gauge_delay"))
 
 
@@ -67,71 +62,36 @@ class MarginFailure:
         return math.isfinite(self.distance)
 
 
-@dataclass(frozen=True)
-class _Goal:
-    """Half planes that miss what is forbidden: their normals, and what Re(n* v) must
-    exceed.
-
-    Both are functions of the middle of a disc and of the bound of the aliases.
-    """
-
-    plain: Callable[[Complex, Real], tuple[Complex, Real]]  # of L
-    inverse: Callable[[Complex, Real], tuple[Complex, Real]]  # of 1/L
-    quiet: Callable[[Real, Real], Flags]  # of the largest |L|
-    # whether |L| itself must be known, and not only where it lies along a normal
-    bounds_size: bool = False
-
-
 def _unit(value: Complex) -> Complex:
     return np.asarray(value / np.maximum(np.abs(value), 1e-300))
 
 
-def _distance(modulus: float) -> _Goal:
-    """|1 + L| > m and L not in (-∞, -1]; with Y = 1/L that is a disc and the segment
-    from it to 0.
-    """
-
-    def plain(value: Complex, alias: Real) -> tuple[Complex, Real]:
-        ahead = 1.0 + value
-        # Beside −1 away from it; left of it straight up or down, as the ray to −∞ is
-        # forbidden too.
-        normal = np.where(
-            ahead.real >= 0.0, _unit(ahead), np.where(ahead.imag >= 0.0, 1j, -1j)
-        )
-        return normal, modulus + alias - normal.real
-
-    def inverse(value: Complex, alias: Real) -> tuple[Complex, Real]:
-        # |1 + 1/Y| <= m is |Y + 1| <= m |Y|, the disc (of Apollonius) about -1/(1 - m²)
-        # of radius m/(1 - m²). A half plane Re(n* Y) > b misses it and 0 where b is the
-        # larger of their two supports along n.
-        m = np.minimum(modulus + alias, 0.999)
-        centre = 1.0 / (1.0 - m**2)
-        straight, away = _unit(value), _unit(value + centre)
-        # The hull of disc and 0 has two straight sides, tangents from 0: on their
-        # normal, of cosine m, both supports are zero.
-        kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
-        normal = np.where(
-            straight.real >= m, straight, np.where(away.real <= m, away, kink)
-        )
-        return normal, np.maximum(m * centre - centre * normal.real, 0.0)
-
-    return _Goal(plain, inverse, lambda most, alias: most < 1.0 - modulus - alias)
+# A half plane Re(n* v) > b misses what is forbidden: |1 + L| <= m and the ray (-∞, -1];
+# of Y = 1/L that is a disc and the segment from it to 0. `value` is the middle of the
+# disc of L or Y; the plane is its normal n and its bound b.
+def _plane_of_loop(value: Complex, m: Real) -> tuple[Complex, Real]:
+    ahead = 1.0 + value
+    # Beside −1 away from it; left of it straight up or down, as the ray to −∞ is
+    # forbidden too.
+    normal = np.where(
+        ahead.real >= 0.0, _unit(ahead), np.where(ahead.imag >= 0.0, 1j, -1j)
+    )
+    return normal, m - normal.real
 
 
-def _sector(margin: float) -> _Goal:
-    """|L| < 1, or -L turned by no less than the margin: the sector about (-∞, 0] is
-    missed.
-    """
-
-    def plane(value: Complex, alias: Real) -> tuple[Complex, Real]:
-        # Where |L| >= 1 - a an alias of modulus a turns L by no more than asin(a/(1 -
-        # a)) < 2a.
-        widest = np.maximum(0.5 * math.pi - margin - 2.0 * alias, 0.0)
-        return np.exp(1j * np.clip(np.angle(value), -widest, widest)), np.zeros_like(
-            alias
-        )
-
-    return _Goal(plane, plane, lambda most, alias: most < 1.0 - alias, bounds_size=True)
+def _plane_of_inverse(value: Complex, m: Real) -> tuple[Complex, Real]:
+    # |1 + 1/Y| <= m is |Y + 1| <= m |Y|, the disc (of Apollonius) about -1/(1 - m²) of
+    # radius m/(1 - m²). A half plane misses it and 0 where b is the larger of their two
+    # supports along n.
+    centre = 1.0 / (1.0 - m**2)
+    straight, away = _unit(value), _unit(value + centre)
+    # The hull of disc and 0 has two straight sides, tangents from 0: on their normal,
+    # of cosine m, both supports are zero.
+    kink = m + 1j * np.where(value.imag >= 0.0, 1.0, -1.0) * np.sqrt(1.0 - m**2)
+    normal = np.where(
+        straight.real >= m, straight, np.where(away.real <= m, away, kink)
+    )
+    return normal, np.maximum(m * centre - centre * normal.real, 0.0)
 
 
 @dataclass(frozen=True)
@@ -145,10 +105,9 @@ class _Judged:
     axis: NDArray[np.int64]
     point: Real
     value: Complex
-    alias: Real
 
 
-def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
+def _judge(loop: BoxLoop, low: Real, high: Real) -> _Judged:
     with np.errstate(
         all="ignore"
     ):  # a box that is too wide gives infinities and NaN, which prove nothing
@@ -157,21 +116,15 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
         # resonance L may be any number, and 1/L is a small disc beside 0.
         soft = np.isfinite(plain.r) & (np.abs(plain.c) < 1.0)
         loud = np.isfinite(inverse.r) & ~soft
+        kept = loop.statement.modulus + alias
+        of_loop = _plane_of_loop(plain.c, kept)
+        of_inverse = _plane_of_inverse(inverse.c, np.minimum(kept, 0.999))
         normal, least = (
-            np.where(loud, b, a)
-            for a, b in zip(
-                goal.plain(plain.c, alias), goal.inverse(inverse.c, alias), strict=True
-            )
+            np.where(loud, b, a) for a, b in zip(of_loop, of_inverse, strict=True)
         )
-        point, loss, weight = _downhill(
+        point, loss, weight, moved = _downhill(
             loop.axes, plain, inverse, loud, normal, low, high
         )
-        # A sector bounds the angle alone: what is left to do is to show |L| < 1, and
-        # every axis that moves L helps.
-        if goal.bounds_size:
-            for name in loop.axes:
-                k = AXES.index(name)
-                weight[:, k] = (high[:, k] - low[:, k]) * plain.d[name].most()
         # With the aliases that the box holds: the point lies in it, but may lie on the
         # other side of where they begin.
         at_plain, at_inverse, _ = loop.forms(point, point, loop.held(low[:, 0]))
@@ -184,16 +137,16 @@ def _judge(loop: BoxLoop, goal: _Goal, low: Real, high: Real) -> _Judged:
             - loss
         )
         front = np.isfinite(plain.r) | np.isfinite(inverse.r)
-        quiet = goal.quiet(plain.most(), alias)
-        proved, loud = (
-            quiet | (front & (reached > least + (_SLACK - 1.0))),
-            loud & ~quiet,
+        # Where sharper slopes could not make up for what is missing, no half plane holds
+        # the whole box: it is cut where the value moves most.
+        missing = least + (_SLACK - 1.0) - reached
+        weight = np.where(
+            (missing > np.maximum(weight, 0.0).sum(axis=1))[:, None], moved, weight
         )
-        # Before the slopes are asked: they are infinite there, too, and any of them
-        # would win.
-        front_axis = loop.unbounded_along(low, high, alias)
-        axis = np.where(front_axis >= 0, front_axis, _widest(low, high, weight))
-        return _Judged(proved, loud, axis, point, at_plain.c, alias)
+        quiet = plain.most() < 1.0 - kept
+        proved = quiet | (front & (reached > least + (_SLACK - 1.0)))
+        axis = _widest(low, high, weight)
+        return _Judged(proved, loud & ~quiet, axis, point, at_plain.c)
 
 
 def _downhill(
@@ -204,12 +157,12 @@ def _downhill(
     normal: Complex,
     first: Real,
     second: Real,
-) -> tuple[Real, Real, Real]:
-    """(point to evaluate, what the other axes cost at most, weight of each axis for the
-    next cut).
+) -> tuple[Real, Real, Real, Real]:
+    """(point to evaluate, what the other axes cost at most, what a cut of each axis would
+    gain, and how far each moves the value).
     """
     point, loss = 0.5 * (first + second), np.zeros(first.shape[0])
-    weight = np.full(first.shape, -1.0)
+    weight, moved = np.full(first.shape, -1.0), np.full(first.shape, -1.0)
     for name in axes:
         k = AXES.index(name)
         a, b = plain.d[name], inverse.d[name]
@@ -236,7 +189,8 @@ def _downhill(
         weight[:, k] = np.where(
             width > 0.0, width * np.where(fixed, spread, steep), -1.0
         )
-    return point, loss, weight
+        moved[:, k] = np.where(width > 0.0, width * slope.most(), -1.0)
+    return point, loss, weight, moved
 
 
 def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
@@ -247,7 +201,7 @@ def _widest(low: Real, high: Real, weight: Real) -> NDArray[np.int64]:
     relative = width / np.maximum(np.abs(high), 1e-300)
     # Where nothing is bounded yet widths decide: of a delay it is the angle ω τ that
     # changes.
-    relative[:, 0] *= 3.0
+    relative[:, 0] *= _FIRST
     for axis in _TURNED:
         relative[:, axis] = width[:, axis] * high[:, 0]
     unknown = ~np.isfinite(weight) & (width > 0.0)
@@ -274,6 +228,9 @@ def cut(low: Real, high: Real, axis: NDArray[np.int64]) -> tuple[Real, Real]:
 def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     """Cut the statement's box until every leaf is proved, or give up at `most` nodes
     and say where.
+
+    It is cut generation by generation; the letters of the tree are put into preorder at
+    the end.
     """
     s = loop.statement
     corner = {name: loop.low[name] for name in AXES}
@@ -291,27 +248,15 @@ def prove(loop: BoxLoop, *, most: int = 80_000) -> MarginProof | MarginFailure:
     if not loop.low_bound() < 1.0 - s.modulus:
         return MarginFailure("the loop gain is not small at low frequency", corner)
 
-    def refuted(found: _Judged) -> Flags:
-        return np.asarray(np.abs(1.0 + found.value) < s.modulus)
-
-    return _covered(loop, _distance(s.modulus), refuted, most)
-
-
-def _covered(
-    loop: BoxLoop, goal: _Goal, refuted: Callable[[_Judged], Flags], most: int
-) -> MarginProof | MarginFailure:
-    """Cut generation by generation; the letters of the tree are put into preorder at
-    the end.
-    """
     low, high = loop.root()
     generations: list[NDArray[np.int64]] = []
     nodes = 0
     while low.size:
-        found = _judge(loop, goal, low, high)
+        found = _judge(loop, low, high)
         nodes += low.shape[0]
         # A value at a point of the box that breaks the claim ends the search at
         # once: no cutting would mend it.
-        wrong = refuted(found)
+        wrong = np.abs(1.0 + found.value) < s.modulus
         if wrong.any():
             k = int(np.argmin(np.where(wrong, np.abs(1.0 + found.value), np.inf)))
             place = dict(zip(AXES, map(float, found.point[k]), strict=True))
@@ -347,90 +292,3 @@ def _preorder(generations: list[NDArray[np.int64]]) -> str:
                 cuts += 1
         below = text
     return below[0]
-
-
-@dataclass(frozen=True)
-class Enclosure:
-    """``low <= worst phase margin <= high`` [rad]; `payload` [kg] and `frequency`
-    [rad/s] attain `high`.
-    """
-
-    low: float
-    high: float
-    payload: float
-    frequency: float
-    nodes: int
-
-
-def _keeps(loop: BoxLoop, margin: float, most: int) -> int | None:
-    """Number of nodes of a proof that every crossing keeps `margin` [rad] < π/2; None
-    where there is none.
-    """
-    found = _covered(
-        loop,
-        _sector(margin),
-        lambda judged: np.zeros(judged.proved.shape, dtype=bool),
-        most,
-    )
-    return found.nodes if isinstance(found, MarginProof) else None
-
-
-@checked
-def enclose_phase_margin(
-    statement: Statement,
-    law: Law,
-    *,
-    width: Annotated[
-        float, Between(0.0, 0.5 * math.pi, "rad", low_open=True)
-    ] = math.radians(0.01),
-    most: Count = 60_000,
-) -> Enclosure:
-    """Enclose the worst phase margin over the statement's box to `width` [rad].
-
-    The upper end is attained at a crossing, known to rounding; the lower end is proved
-    by branch and bound, to the least of `width`, twice, four times `width` … that a
-    proof of `most` nodes reaches. For margins below 90°.
-    """
-    high, payload, frequency = _attained(statement, law)
-    loop = BoxLoop(statement)
-    # The upper end was attained, so a proof of all but `width` of it mostly succeeds at
-    # once. The bound counts aliases by their modulus: where they turn the loop by more
-    # than `width`, the next widths do.
-    low = high - width
-    while low > 0.0:
-        nodes = _keeps(loop, low, most)
-        if nodes is not None:
-            return Enclosure(low, high, payload, frequency, nodes)
-        low = high - 2.0 * (high - low)
-    return Enclosure(0.0, high, payload, frequency, 0)
-
-
-def _attained(statement: Statement, law: Law) -> tuple[float, float, float]:
-    """(margin, payload, frequency) of the worst crossing at the corners of the box."""
-    low, high = statement.box
-    best = (math.pi, statement.payload_low, 0.0)
-    mode = low["softness"] ** (-1.0 / low["order"])
-    # From a fifth of the lightest payload's mode, the mode of 25 times its payload. A
-    # crossing elsewhere would be missed by the upper end, not by the proof of the lower
-    # one.
-    w = np.geomspace(0.2 * mode, min(8.0 * mode, math.pi / law.period), 4000)
-    names = [name for name in AXES[1:] if low[name] < high[name]]
-    fixed = {name: low[name] for name in AXES[1:]}
-    for corner in itertools.product(*((low[name], high[name]) for name in names)):
-        place = fixed | dict(zip(names, corner, strict=True))
-
-        def level(at: Real, place: dict[str, float] = place) -> Real:
-            return np.asarray(np.log(np.abs(loop_values(statement, law, at, place))))
-
-        loud = np.abs(loop_values(statement, law, w, place)) > 1.0
-        for i in np.flatnonzero(loud[:-1] != loud[1:]):
-            crossing = float(bracketed_roots(level, w[i], w[i + 1]))
-            margin = float(
-                np.abs(np.angle(-loop_values(statement, law, crossing, place)))
-            )
-            payload = min(
-                max(place["softness"] / statement.softness, statement.payload_low),
-                statement.payload_high,
-            )
-            best = min(best, (margin, payload, crossing))
-    return best

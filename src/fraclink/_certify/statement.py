@@ -8,8 +8,7 @@ import hashlib
 import json
 import math
 import struct
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -18,11 +17,19 @@ from typing import Any
 from fraclink._arm.box import ParameterBox, outward
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
-from fraclink._display import displayed
+from fraclink._display import (
+    Overview,
+    Row,
+    Table,
+    displayed,
+    number,
+    span,
+    state_of,
+)
 from fraclink._files import read_json, write_json
 from fraclink._law import Law
 from fraclink._law import block as layout
-from fraclink._law.block import LEAST_RANGE, linear_range, modes_of
+from fraclink._law.block import linear_range, modes_of
 from fraclink.errors import FieldError, FileFormatError, NotCertifiedError
 
 __all__ = [
@@ -37,7 +44,7 @@ __all__ = [
     "state",
 ]
 
-KIND, FORMAT = "certificate", 3
+KIND, FORMAT = "certificate", 4
 # What a leaf is a box of, and the letter of the tree that cuts it. "softness" is q =
 # 1/ω₀², "motor" p or A.
 AXES = (
@@ -83,7 +90,9 @@ CLAIM = (
     "from {pole_low} to {pole_high} rad/s; motor gain from {gain_low} to {gain_high}, rate {decay} 1/s), the "
     "loop of law {law} ({precision} precision, {real_modes} real modes and {pair_modes} pairs, period "
     "{period} s, {hold} hold, gauge compliance {compliance} rad/(N m)) is stable and |1 + L| > {modulus} at "
-    "every frequency; tip errors up to {linear_range} rad meet no limit of the command."
+    "every frequency; tip errors up to {linear_range} rad meet no limit of the command, and moves up to {angle} rad, "
+    "{velocity} rad/s and {acceleration} rad/s² none of a sensor or of the motor (friction {friction} V, coupling "
+    "{coupling} V/(N m))."
 )
 COMPLIANCE_TOLERANCE = (
     1e-6  # of 1/c: what rounding to single precision takes, six times over
@@ -146,6 +155,71 @@ class Statement:
     linear_range: (
         float  # [rad]: tip errors up to it meet none of the limits of the command
     )
+    angle: float  # [rad]: moves up to it, and to the next two, trip no guard
+    velocity: float  # [rad/s]
+    acceleration: float  # [rad/s²]
+    friction: float  # Coulomb friction of the motor [V]
+    coupling: float  # 1/(K n): what compensates the coupling torque [V/(N·m)]
+
+    @property
+    def sentence(self) -> str:
+        """What is claimed, in units that a person reads.
+
+        |1 + L| > m leaves a phase margin above 2 asin(m/2) and a gain margin above
+        1/(1 − m); the arms of `intervals` lie inside the claim.
+        """
+        # Downwards: a digit that is rounded up would claim what is not proved.
+        modulus = math.floor(1e3 * self.modulus + 1e-9) / 1e3
+        angle = math.degrees(2.0 * math.asin(min(1.0, 0.5 * modulus)))
+        factor = (
+            math.floor(100.0 / (1.0 - modulus)) / 100.0 if modulus < 1.0 else math.inf
+        )
+        return (
+            f"proved stable for every payload from {span(self.payload_low, self.payload_high, 'g')}, "
+            f"every computation delay from {span(self.delay_low, self.delay_high, 'ms')} and "
+            f"every arm of the stated box; distance to −1 above {number(modulus)}, which is at "
+            f"least {math.floor(10.0 * angle) / 10.0:.1f}° of phase margin and a gain margin of "
+            f"{number(factor)}"
+        )
+
+    @property
+    def intervals(self) -> Table:
+        """Least and largest value of everything that the claim is about."""
+        named = (
+            ("payload", "payload", "g"),
+            ("delay", "computation delay", "ms"),
+            ("order", "order λ", ""),
+            ("softness", "1/ω₀² over the payload", "1/(kg·s^−λ)"),
+            ("damping", "damping μ", ""),
+            ("gauge_gain", "gain of the gauge", ""),
+            ("gauge_delay", "delay of the gauge", "ms"),
+            ("mode_frequency", "second mode", "rad/s"),
+            ("mode_gain", "gain of the second mode", ""),
+            ("pole", "pole of the motor loop", "rad/s"),
+            ("gain", "gain of the motor", "rad/(V·s²)"),
+        )
+        ends = [
+            (
+                name,
+                words,
+                unit,
+                getattr(self, f"{name}_low"),
+                getattr(self, f"{name}_high"),
+            )
+            for name, words, unit in named
+        ]
+        return Table.of(
+            "box",
+            (
+                (
+                    Row("name", "inside the proof", words),
+                    Row("low", "from", low, unit),
+                    Row("high", "to", high, unit),
+                )
+                for name, words, unit, low, high in ends
+                if low or high
+            ),
+        )
 
     @cached_property
     def coefficients(self) -> dict[str, Any]:
@@ -153,9 +227,28 @@ class Statement:
         return layout.unpack(bytes.fromhex(self.block), self.precision)
 
     @property
+    def whole(self) -> int:
+        """Whole periods of the computation delay, besides a part of one."""
+        period = float(self.coefficients["period"])
+        return max(math.ceil(self.delay_high / period * (1 - 1e-9)) - 1, 0)
+
+    @property
     def softness(self) -> float:
         """κ in the middle of its interval."""
         return 0.5 * (self.softness_low + self.softness_high)
+
+    @property
+    def link(self) -> LinkModel:
+        """The link in the middle of the box, with the nominal payload."""
+        return LinkModel(
+            stiffness=self.stiffness,
+            natural_frequency=(self.softness * self.nominal_payload) ** -0.5,
+            order=0.5 * (self.order_low + self.order_high),
+            damping=0.5 * (self.damping_low + self.damping_high),
+            damping_order=self.damping_order,
+            payload=self.nominal_payload,
+            gauge_delay=self.gauge_delay_low,
+        )
 
     @property
     def box(self) -> tuple[dict[str, float], dict[str, float]]:
@@ -190,27 +283,28 @@ class Statement:
     @staticmethod
     def from_json(data: object) -> Statement:
         """Read back what `to_json` wrote; FileFormatError for anything else."""
-        kinds = Statement.__annotations__
+        kinds = Statement.__annotations__.items()
         try:
-            if not isinstance(data, Mapping) or set(data) != set(kinds):
-                raise KeyError("other fields")
             values: dict[str, Any] = {
-                k: float.fromhex(v) if kinds[k] == "float" else _text(v)
-                for k, v in data.items()
+                name: float.fromhex(data[name]) if kind == "float" else data[name]  # type: ignore[index]
+                for name, kind in kinds
             }
-            made = Statement(**values)
-            _ = made.coefficients  # a block that cannot be read is found here
+            statement = Statement(**values)
+            if statement.to_json() != data:
+                raise ValueError("other fields")
+            _ = statement.coefficients  # a block that cannot be read is found here
         except (
             KeyError,
             TypeError,
             ValueError,
+            AttributeError,
             ArithmeticError,
             struct.error,
         ) as error:
             raise _damaged(
                 "statement", str(error)[:80], "every field of a statement, as text"
             ) from error
-        return made
+        return statement
 
     def words(self) -> str:
         """Return the statement as one sentence; tools/check_certificate.py writes it
@@ -244,8 +338,6 @@ class Certificate:
         |1 + L| found there.
     place
         every parameter there by name: λ as "order", q as "softness", and so on.
-    poles
-        closed-loop poles of the fractional loop with M(s) at that payload [rad/s], where it is unstable.
     """
 
     __made_by__ = "fraclink.certify(design)"
@@ -259,8 +351,29 @@ class Certificate:
     frequency: float | None = None
     delay: float | None = None
     distance: float | None = None
-    poles: tuple[complex, ...] = ()
     place: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """What was proved, in units that a person reads, or where the proof fails."""
+        return self.statement.sentence if self.passed else self.verdict
+
+    def overview(self) -> Overview:
+        """What was proved, and of which arms; the exact claim is its `verdict`."""
+        rows = (
+            Row("verdict", "", self.verdict),
+            Row("payload", "", self.payload),
+            Row("frequency", "", self.frequency),
+            Row("modulus", "", self.statement.modulus if self.passed else None),
+            Row("sha256", "", self.sha256 if self.passed else None),
+        )
+        return Overview(
+            # The sign before the headline says "failed" already.
+            self.sentence.removeprefix("Not certified: "),
+            state_of(self.passed),
+            rows,
+            (self.statement.intervals,) if self.passed else (),
+        )
 
     def _hashed(self) -> dict[str, Any]:
         return {
@@ -300,13 +413,8 @@ class Certificate:
     def load(path: Path | str) -> Certificate:
         """Read a certificate back; FileFormatError where its hash does not fit. Reading
         is not checking.
-
-        A file of format 1 or 2 is read with `passed` False: it covers one link, gauge
-        and motor only.
         """
-        data = read_json(path, KIND, (1, 2, FORMAT))
-        if data["format"] != FORMAT:
-            return _earlier_format(data)
+        data = read_json(path, KIND, (FORMAT,))
         statement = Statement.from_json(data.get("statement"))
         tree, leaves = data.get("tree"), data.get("leaves")
         if not isinstance(tree, str) or type(leaves) is not int:
@@ -322,74 +430,13 @@ class Certificate:
         return made
 
 
-def _earlier_format(data: Mapping[str, Any]) -> Certificate:
-    """What a file of format 1 or 2 stated, every interval a point; what it left out as
-    it had to be.
-    """
-    old = data.get("statement")
-    if not isinstance(old, Mapping) or not isinstance(old.get("block"), str):
-        raise _damaged(
-            "statement", type(old).__name__, "every field of a statement, as text"
-        )
-    first = data["format"] == 1
-    kinds = Statement.__annotations__
-    known: dict[str, Any] = {
-        "motor_loop" if key == "inner" else key: value for key, value in old.items()
-    }
-    left_out = {
-        "hold": "zero-order",
-        "linear_range": LEAST_RANGE.hex(),
-        "gauge_gain": (1.0).hex(),
-    }
-    known = dict.fromkeys(_POINTS, (0.0).hex()) | left_out | known
-    for name in [key for key in known if f"{key}_low" in kinds]:
-        known[f"{name}_low"] = known[f"{name}_high"] = known.pop(name)
-    statement = Statement.from_json(known)
-    if first:
-        statement = replace(
-            statement, stiffness=1.0 / float(statement.coefficients["compliance"])
-        )
-    hashed = (
-        ("statement", "tree")
-        if first
-        else ("claim", "form", "assumed", "statement", "tree")
-    )
-    signed = {key: data.get(key) for key in hashed}
-    text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=first)
-    if data.get("sha256") != hashlib.sha256(text.encode()).hexdigest():
-        raise _damaged("sha256", data.get("sha256"), "the hash of the file's content")
-    why = (
-        "does not state the gauge" if first else "covers one link, gauge and motor only"
-    )
-    verdict = (
-        f"Not certified: a certificate of format {data['format']} {why}; certify again"
-    )
-    return Certificate(
-        statement, False, verdict, str(data["tree"]), str(data["tree"]).count(".")
-    )
-
-
-# What format 1 did not have.
-_POINTS = (
-    "gauge_delay",
-    "mode_frequency",
-    "mode_gain",
-    "mode_damping",
-    "nominal_payload",
-    "stiffness",
-)
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str):
-        raise TypeError("a field is not text")
-    return value
-
-
 def _damaged(field: str, value: object, allowed: str) -> FileFormatError:
-    remedy = "make the certificate again"
     return FileFormatError(
-        field, value, "not that of a certificate", allowed=allowed, remedy=remedy
+        field,
+        value,
+        "not that of a certificate",
+        allowed=allowed,
+        remedy="make the certificate again",
     )
 
 
@@ -410,25 +457,9 @@ def _check_law(law: Law, model: LinkModel) -> None:
             allowed=f"{model.stiffness:g} N·m/rad",
             remedy="discretise the controller with this link",
         )
-    names = [name for name, _ in layout.REALS]
-    for name in (
-        *layout.COUNTS[4:],
-        *names[names.index("sum_limit") : names.index("inner_direct")],
-    ):
-        if not float(c[name]) > 0:  # type: ignore[arg-type]
-            remedy = "use the derived limits"
-            raise FieldError(
-                f"law.limits.{name}",
-                c[name],
-                "not positive",
-                allowed="> 0",
-                remedy=remedy,
-            )
 
 
-def _check_provable(
-    law: Law, model: LinkModel, rig: Rig, box: ParameterBox, motor_loop: str
-) -> None:
+def _check_provable(law: Law, model: LinkModel, rig: Rig, box: ParameterBox) -> None:
     """FieldError where the formulas of the proof do not describe the arm, with what
     would make them.
     """
@@ -440,22 +471,21 @@ def _check_provable(
             allowed="λ < 2, or damping > 0",
             remedy="certify with the identified damping, which every real link has",
         )
-    if motor_loop == "sampled" and not (law.drive and rig.motor.decay > 0.0):
+    if law.motor_loop and not rig.motor.decay > 0.0:
         raise FieldError(
-            "inner",
-            motor_loop,
-            "without a motor loop in the law or friction in the motor",
-            allowed="a law with its motor loop, B > 0",
-            remedy="make the law with Design.law()",
+            "motor.viscous_friction",
+            rig.motor.viscous_friction,
+            "no friction: the motor's pole lies on the stability boundary",
+            allowed="> 0 N·m·s",
+            remedy="state the motor's viscous friction, which every motor has",
         )
     if box.gauge_delay[0] < 0 or box.gauge_gain[0] <= 0:
-        remedy = "certify with the gauge's true sign and delay"
         raise FieldError(
             "model.gauge_delay",
             model.gauge_delay,
             "negative",
             allowed=">= 0 s",
-            remedy=remedy,
+            remedy="certify with the gauge's true sign and delay",
         )
 
 
@@ -466,19 +496,22 @@ def state(
     *,
     box: ParameterBox,
     payloads: tuple[float, float],
-    nominal_payload: float,
     delay: tuple[float, float],
-    motor_loop: str,
     modulus: float,
 ) -> Statement:
-    """Return the statement about `law` over `box`, around `model` with a known payload."""
-    _check_provable(law, model, rig, box, motor_loop)
+    """Return the statement about `law` over `box`, around `model` with a known payload.
+
+    A law that closes the motor loop is proved with its own PID on the rig's motor; one
+    for a drive with a position servo of its own behind M(s).
+    """
+    _check_provable(law, model, rig, box)
     _check_law(law, model)
     # A pole outside the unit circle is refused where the proof begins.
     gaps = [1 - abs(p) for p, _ in modes_of(law.coefficients) if abs(p) < 1]
-    ideal, ratio = motor_loop == "ideal", box.motor_ratio
+    ideal, ratio = law.motor_loop is None, box.motor_ratio
+    motor_loop = "ideal" if ideal else "sampled"
     soft = [1.0 / (w0**2 * model.payload) for w0 in reversed(box.natural_frequency)]  # type: ignore[operator]
-    motor = outward(*(law.inner_pole * x for x in ratio)) if ideal else (0.0, 0.0)
+    motor = outward(*(law.motor_loop_pole * x for x in ratio)) if ideal else (0.0, 0.0)
     gain = (0.0, 0.0) if ideal else outward(*(rig.motor.gain * x for x in ratio))
     intervals = {
         "payload": (float(payloads[0]), float(payloads[1])),
@@ -512,10 +545,28 @@ def state(
         mode_damping=0.0
         if model.second_mode is None
         else float(model.second_mode.damping_ratio),
-        nominal_payload=nominal_payload,
+        nominal_payload=float(model.payload),  # type: ignore[arg-type]
         decay=0.0 if ideal else float(rig.motor.decay),
         modulus=float(modulus),
         lowest=min([_LOWEST, *(_SLOWEST * gap for gap in gaps)]) / law.period,
         linear_range=linear_range(law.coefficients),
+        **_moves(model, rig),
+        friction=rig.motor.coulomb_torque / rig.motor.torque_constant,
+        coupling=1 / (rig.motor.torque_constant * rig.motor.gear_ratio),
         **ends,
     )
+
+
+def _moves(model: LinkModel, rig: Rig) -> dict[str, float]:
+    """Two thirds of the largest move that the guards were made for: the rest is room for
+    payloads and vibration; and no more torque than gauge and person allow.
+    """
+    moves, resonance = rig.moves, abs(model.pole)
+    bend = abs(1 / model.tip()(1j * resonance) - 1) / resonance**2
+    torque = min(0.87 * rig.gauge.limit, moves.torque)
+    most = torque / (2 * model.stiffness * bend)
+    return {
+        "angle": 2 / 3 * moves.angle,
+        "velocity": 2 / 3 * moves.velocity,
+        "acceleration": min(2 / 3 * moves.acceleration, most),
+    }

@@ -21,13 +21,12 @@ _FIRST = {
     "run": "log to model, controller, simulated moves and report, all in one",
     "inspect": "list a log's channels, rates and ranges",
     "diagnose": "examine a log before a model is fitted to it",
-    "identify": "fit a link model to a log",
+    "identify": "fit a link model to a log, or any structure",
     "design": "design the controller for a payload range",
     "simulate": "simulate a move of the tip",
     "certify": "prove stability for every payload and delay",
     "export": "write the controller as C99 or FMU",
-    "report": "gather a folder of results into one HTML file",
-    "share": "the arm in a page that moves, as one HTML file",
+    "report": "gather a folder of results, or the arm that moves, into one HTML file",
     "studio": "a page on this machine: drag the loop, see the arm",
     "doctor": "check this installation",
 }
@@ -37,23 +36,16 @@ _SECTIONS: dict[str, dict[str, str]] = {
     "From a log to a board": {
         "start": "starting",
         **dict.fromkeys(("run",), "designs"),
-        **dict.fromkeys(("inspect", "diagnose", "identify"), "models"),
-        **dict.fromkeys(("design", "simulate", "twin", "certify"), "designs"),
+        **dict.fromkeys(("inspect", "diagnose"), "models"),
+        "identify": "identification",
+        **dict.fromkeys(("design", "simulate", "certify"), "designs"),
         **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
         **dict.fromkeys(("tune", "watch"), "tunings"),
-        **dict.fromkeys(("report", "share"), "designs"),
+        "report": "designs",
         "studio": "studio",
     },
     "More on logs and models": {
-        **dict.fromkeys(
-            ("compare-structures", "identify-payloads", "validate"), "models"
-        ),
-        **dict.fromkeys(
-            ("identify-motor", "identify-spectrum", "identify-driven-link"),
-            "recordings",
-        ),
-        "identify-structure": "recordings",
-        **dict.fromkeys(("plan-experiment", "record"), "models"),
+        **dict.fromkeys(("validate", "record"), "models"),
     },
     "More on designs and laws": {
         **dict.fromkeys(("assess", "compare"), "assessments"),

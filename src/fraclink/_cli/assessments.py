@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Default, Writes, command
+from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     DesignFile,
-    FilterTime,
+    Gear,
     LinkMass,
-    ModelFile,
-    RigName,
-    SeedNumber,
-    load_link_model,
-    load_rig,
+    in_seconds,
+    load_design,
 )
 from fraclink._design import Design, Requirement
 from fraclink._design.assess import (
@@ -33,21 +30,23 @@ from fraclink._design.assess import (
     phase_budget,
 )
 from fraclink._design.pid import tune_pid as pid_for
+from fraclink._display import Overview, Row, Table, quantity
 from fraclink._files import write_json, write_text
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
 from fraclink.view._loops import budget_figure, margin_curves_figure
-from fraclink.view._records import to_json
+from fraclink.view._notebook import draw
+from fraclink.view._text import plain_text, to_json, view
 from fracsys._fractional import FractionalTransferFunction
-from fracsys.checks import Between, Frequency, PhaseMarginDeg
+from fracsys.checks import Between, PhaseMarginDeg
 
 app = group()
 
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
 _FIGURES, _NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
-_COMPARISON = ("comparison.md", "comparison.json", "comparison.svg")
+_COMPARISON = ("comparison.txt", "comparison.json", "comparison.svg")
 _POINTS = (
     41  # payloads of a curve: the sampled margins take most of the second it costs
 )
@@ -55,8 +54,11 @@ _POINTS = (
 
 @dataclass(frozen=True)
 class Assessment:
-    """What a design is worth: phase budget, margins, higher modes."""
+    """What a design is worth: phase budget, margins, higher modes; passed no better
+    than the design itself.
+    """
 
+    design: Design
     payloads: tuple[float, ...]
     budget: tuple[PhaseShare, ...]
     curves: tuple[MarginCurve, ...]
@@ -64,8 +66,53 @@ class Assessment:
 
     @property
     def passed(self) -> bool:
-        """Whether the loop gain at every higher mode keeps its bound."""
-        return all(item.passed for item in self.modes)
+        """Whether the design passed, and the loop gain at every higher mode keeps its
+        bound.
+        """
+        return self.design.passed and all(item.passed for item in self.modes)
+
+    def overview(self) -> Overview:
+        """The least margin, the budget of the phase, and every kind of loop."""
+        budget = (
+            (
+                Row("", f"phase at {quantity(self.payloads[-1], 'g')}", share.element),
+                Row("", "share", share.phase, "rad"),
+            )
+            for share in self.budget
+        )
+        margins = (
+            (
+                Row("", "phase margin", curve.kind),
+                *(
+                    Row("", quantity(payload, "g", 3), float(margin), "rad")
+                    for payload, margin in zip(
+                        self.payloads, curve.phase_margin, strict=True
+                    )
+                ),
+            )
+            for curve in self.curves
+        )
+        rows = (
+            Row("phase_budget", "", {s.element: s.phase for s in self.budget}),
+            Row("phase_margin", "", {c.kind: c.phase_margin for c in self.curves}),
+            Row("payloads", "", self.payloads),
+        )
+        massless = "higher modes: none, as the link has no mass; give --link-mass [kg]"
+        sampled = next(curve for curve in self.curves if curve.kind == "sampled")
+        least = quantity(float(min(sampled.phase_margin)), "rad")
+        lost = not all(item.passed for item in self.modes)
+        return Overview(
+            f"at least {least} of phase margin in the sampled loop",
+            "failed" if lost else self.design.overview().state,
+            rows,
+            (
+                Table.of("spillover", (mode.rows for mode in self.modes)),
+                Table.of("", budget),
+                Table.of("", margins),
+            ),
+            findings=self.design.findings,
+            notes=() if self.modes else (massless,),
+        )
 
 
 @command(app)
@@ -94,6 +141,7 @@ def assess(
         made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
     )
     found = Assessment(
+        made,
         payloads,
         tuple(phase_budget(made, low)),
         curves,
@@ -106,12 +154,13 @@ def assess(
     )
     if out is None:
         return Answer(found, found.passed)
-    _write_assessment(found, made, out)
+    _write_assessment(found, out)
     written = tuple(out / name for name in (*_FIGURES, _NUMBERS))
     return Answer(found, found.passed, values={"out": str(out)}, written=written)
 
 
-def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
+def _write_assessment(found: Assessment, out: Path) -> None:
+    made = found.design
     low, high = made.payloads
     # Beyond both ends, as the first question behind a design is what a payload outside
     # its range does.
@@ -127,7 +176,7 @@ def _write_assessment(found: Assessment, made: Design, out: Path) -> None:
 
 @command(app)
 def compare(
-    rig: RigName,
+    design_file: DesignFile,
     out: Annotated[
         Path, "Folder for table, figure and figures as JSON", Writes(_COMPARISON)
     ] = Path("comparison"),
@@ -136,38 +185,24 @@ def compare(
         typer.Option(metavar="TEXT"),
         "Run rivals whose name contains this",
     ] = None,
-    model: ModelFile = None,
+    gear: Gear = None,
     link_mass: LinkMass = None,
-    gain_crossover: Annotated[
-        float, "Crossover of the design by fraclink [rad/s]"
-    ] = 12.0,
-    phase_margin_deg: Annotated[
-        PhaseMarginDeg, "Phase margin of the design by fraclink"
-    ] = 45.0,
-    filter_time: FilterTime = None,
-    seed: SeedNumber = 0,
 ) -> Answer:
-    """Run the design and its rivals on one twin, each tuned by a stated rule.
+    """Run a design and its rivals on one twin, each tuned by a stated rule.
 
-    $ fraclink compare --rig paper-2023 --only fraclink --only PD
+    $ fraclink compare design.json --only LQG --only PD
     """
-    known = load_rig(rig)
-    with steps(15) as begin:
+    with steps(6) as begin:
         result = run_rivals(
-            known,
-            model=load_link_model(model, known),
+            load_design(design_file, gear=gear),
             link_mass=link_mass,
-            gain_crossover=gain_crossover,
-            phase_margin=math.radians(phase_margin_deg),
-            filter_time=filter_time,
             names=only or None,
-            seed=seed,
             progress=begin,
         )
-    table = out / "comparison.md"
-    write_text(table, result.markdown())
-    result.save(out / "comparison.json")
-    result.draw(out / "comparison.svg")
+    table = out / "comparison.txt"
+    write_text(table, plain_text(view(result)))
+    write_json(out / "comparison.json", "comparison", 1, to_json(result))
+    draw(result, out / "comparison.svg")
     return Answer(
         result, result.standings[0].passed, values={"out": str(out)}, written=(table,)
     )
@@ -176,34 +211,12 @@ def compare(
 # --- a fractional PID for any plant -----------------------------------------------------------------------
 
 
-class PidOptions(TypedDict):
-    """What `tune_pid` is asked for, in its own names."""
-
-    gain_crossover: Annotated[Frequency | None, "ω_c [rad/s]; default: by ITAE"]
-    gain_margin: Annotated[float | None, "Least gain margin, a factor above 1"]
-    max_sensitivity: Annotated[
-        float | None, "Bound on Ms; default: 2 where ω_c is free"
-    ]
-    flat_phase: Annotated[
-        bool, "Phase flat at the crossover, against changes of the gain", Default(True)
-    ]
-    form: Annotated[
-        Literal["PI", "PD", "PID"], "Parts of the controller", Default("PID")
-    ]
-    integral_order: Annotated[
-        float | None, "λ where it is given; 1 for an ordinary integral"
-    ]
-    derivative_order: Annotated[float | None, "μ where it is given"]
-    filter_time: Annotated[
-        float | None, "T_f of the derivative [s]; default: 1/(20 ω_c)"
-    ]
-    horizon: Annotated[
-        float | None, "Time over which ITAE is taken [s]; default: 40/ω_c"
-    ]
-    output_limit: Annotated[float | None, "Largest output, for the law"]
-    measurement_limit: Annotated[
-        float | None, "Largest credible reference and measurement, for the law"
-    ]
+WANTED = Keywords(
+    pid_for,
+    *("gain_crossover", "gain_margin", "max_sensitivity", "flat_phase", "form"),
+    *("integral_order", "derivative_order", "filter_time"),
+    *("output_limit", "measurement_limit"),
+)
 
 
 @command(app)
@@ -211,7 +224,7 @@ def tune_pid(
     plant: Annotated[
         str,
         typer.Argument(metavar="PLANT"),
-        'Transfer function, such as "2/(0.4*s**1.5 + 1)*exp(-0.05*s)", or a file of identify-structure',
+        'Transfer function, such as "2/(0.4*s**1.5 + 1)*exp(-0.05*s)", or a file of `identify --structure`',
     ],
     phase_margin_deg: Annotated[PhaseMarginDeg, "Phase margin at the crossover"] = 60.0,
     period_ms: Annotated[
@@ -220,7 +233,7 @@ def tune_pid(
         "Period of the law, counted as delay",
     ] = None,
     out: Annotated[Path, "File to write the tuning to", Writes()] = Path("pid.json"),
-    **wanted: Unpack[PidOptions],
+    **wanted: Annotated[Any, WANTED],
 ) -> Answer:
     """Tune a fractional PID for any plant: margins met, phase flat, least ITAE; export
     takes the file.
@@ -230,7 +243,7 @@ def tune_pid(
     made = pid_for(
         _plant(plant),
         phase_margin=math.radians(phase_margin_deg),
-        period=None if period_ms is None else period_ms / 1e3,
+        period=in_seconds(period_ms),
         **wanted,
     )
     made.save(out)
@@ -255,15 +268,11 @@ def _plant(text: str) -> FractionalTransferFunction:
         return StructureFit.load(text).transfer_function
     expression = parse_expression(text)
     if expression.names:
-        allowed = "numbers and s"
-        remedy = (
-            "write numbers, or give the file of identify-structure, which finds them"
-        )
         raise FieldError(
             "plant",
             ", ".join(expression.names),
             "unknown",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="numbers and s",
+            remedy="write numbers, or give the file of `identify --structure`, which finds them",
         )
     return expression.function({})

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -16,20 +15,18 @@ from fraclink._arm.recording import Recording
 from fraclink._arm.reference import Reference, prbs
 from fraclink._certify import Certificate, certify
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Default, Writes, command
+from fraclink._cli.campaigns import replayed
+from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps, tell
 from fraclink._cli.options import (
     Amplitude,
-    ArmOptions,
     Columns,
     DesignFile,
     Estimate,
-    Gear,
-    GivenPayload,
     MoveTime,
+    NominalPayload,
     ReferenceFile,
     RigName,
-    load_arm,
     load_design,
     load_log,
     load_rig,
@@ -46,12 +43,14 @@ from fraclink._export import (
     export_fmu,
     replay_log,
 )
-from fraclink._files import kind_of
+from fraclink._files import check_ending, kind_of, output_path
 from fraclink._law import Law, discretize
 from fraclink._reading.responses import read_recording
+from fraclink._simulate import Twin
 from fraclink.errors import FieldError, LogError, MissingExtraError
 from fraclink.lab._machine import signals_held
-from fraclink.lab._run import reserved, saved
+from fraclink.lab._rehearsal import rehearse
+from fraclink.lab._run import saved
 
 app = group()
 export = group("Write the controller for C on a board, an FMU, or a board's I/O.")
@@ -112,8 +111,6 @@ def c(
         Literal["single", "double"], "Arithmetic of the board"
     ] = "single",
     motor: Motor = True,
-    name: Annotated[str, "C identifier of the block of coefficients"] = "law_data",
-    title: Annotated[str, "Text for the first comment"] = "",
     prove: Annotated[
         bool, "Prove what the page claims; exit code 1 where something is not proved"
     ] = False,
@@ -128,14 +125,8 @@ def c(
     $ fraclink export c design.json --out firmware
     """
     law, made = _of_file(design_file, motor=motor)
-    if estimate and made is None:
-        problem, remedy = (
-            "given for a fractional PID",
-            "leave it out: a PID knows no payload",
-        )
-        raise FieldError(
-            "estimate", True, problem, allowed="the design of an arm", remedy=remedy
-        )
+    if made is None:
+        refuse_beside("a fractional PID", "no payload", estimate=estimate or None)
     # Rounded before it is proved and written: the claim must be about the coefficients
     # on the board.
     shipped = law.in_precision(precision)
@@ -144,13 +135,11 @@ def c(
         if prove:
             begin("certifying the loop")
             # A fractional PID has no arm over whose payloads a loop could be certified.
-            certificate = _certificate(made, shipped, motor=motor) if made else None
+            certificate = _certificate(made, shipped) if made else None
             begin("proving the files, half a minute")
         paths = export_c(
             shipped,
             out,
-            name=name,
-            title=title,
             prove=prove,
             certificate=certificate,
             estimator=made.estimator() if estimate and made else None,
@@ -171,14 +160,12 @@ def c(
     )
 
 
-def _certificate(made: Design, law: Law, *, motor: bool) -> Certificate | None:
+def _certificate(made: Design, law: Law) -> Certificate | None:
     """The certificate of the loop that `law` closes; None, which leaves the claim open,
     without the extra.
     """
     try:
-        # Without the motor loop the servo is the robot's: the proof is for one that
-        # follows at once.
-        return certify(made, law=law, inner=None if motor else "ideal")
+        return certify(made, law=law)
     except MissingExtraError as error:
         tell(f"the loop is not certified: {error}")
         return None
@@ -190,7 +177,7 @@ def fmu(
     out: Annotated[Path, "File to write, .fmu"] = Path("arm_law.fmu"),
     precision: Annotated[
         Literal["single", "double"], "Arithmetic of the law"
-    ] = "double",
+    ] = "single",
     compiler: Annotated[
         list[str] | None,
         typer.Option(metavar="CC"),
@@ -234,11 +221,20 @@ def arm_firmware(
 @command(app)
 def replay(
     folder: Annotated[
-        Path, typer.Argument(metavar="FIRMWARE"), "Folder made by `fraclink export c`"
+        Path,
+        typer.Argument(metavar="FOLDER"),
+        "Folder of `fraclink export c`, or of a campaign",
     ],
     log_file: Annotated[
-        str, typer.Argument(metavar="LOG"), "Log file, or demo for the bundled one"
-    ],
+        str | None,
+        typer.Argument(metavar="[LOG]"),
+        "Log for the exported law, or demo for the bundled one",
+    ] = None,
+    run: Annotated[
+        str | None,
+        "Run of the campaign to repeat: its number, or the name of a fault's, e.g. F07-3-30g-mid-3",
+    ] = None,
+    out: Annotated[Path, "File for the signals of that run (.npz)"] = Path("run.npz"),
     rig: RigName = "paper-2023",
     column: Columns = None,
     input: Annotated[
@@ -248,15 +244,27 @@ def replay(
     allow_changed: Annotated[
         bool, "Compile and run C that differs from what fraclink exports"
     ] = False,
+    force: bool = False,
 ) -> Answer:
     """Compile an exported law and run a log through it beside the package's: bit for
-    bit, or exit code 1.
+    bit, or exit code 1; or repeat one run of a campaign.
 
     The folder's law.c, law.h and data are compiled by cc and run on this computer, with
     your rights. Files that are not as `fraclink export c` writes them are refused.
 
     $ fraclink replay firmware log.csv --rig rig.toml
     """
+    if run is not None:
+        refuse_beside("--run", "a campaign's own arm", log_file=log_file)
+        return replayed(folder, run, output_path(out, force=force), force=force)
+    if log_file is None:
+        raise FieldError(
+            "log_file",
+            None,
+            "missing",
+            allowed="a log for a law, or --run of a campaign",
+            remedy="give one",
+        )
     log: Experiment | Recording
     # An arm's log needs a rig for its columns; a PID's has two columns that nobody
     # knows the names of.
@@ -275,21 +283,10 @@ def replay(
 # --- real time --------------------------------------------------------------------------------------------
 
 
-class LoopOptions(TypedDict):
-    """The payload that the law is given; the time, the priority and the tolerance of
-    the real-time loop.
-    """
-
-    payload: Annotated[GivenPayload, Default(0.0)]
-    duration: Annotated[float | None, "Time to run [s]; default: 3 s after the move"]
-    patience: Annotated[float, "Time to wait for the arm [s]", Default(5.0)]
-    priority: Annotated[
-        int, "Priority of SCHED_FIFO, 1 to 99; 0 asks for none", Default(80)
-    ]
-    lock_memory: Annotated[bool, "Keep the process in memory (mlockall)", Default(True)]
-    allowed_overruns: Annotated[
-        int, "Commands after the next deadline that are tolerated", Default(0)
-    ]
+LOOP = Keywords(
+    lab.run_realtime,
+    *("payload", "duration", "patience", "priority", "allowed_overruns"),
+)
 
 
 @command(app)
@@ -308,21 +305,17 @@ def run_realtime(
     log: Annotated[
         Path | None, "File for the motion as a log (CSV), to identify from", Writes()
     ] = None,
-    absolute: Annotated[
-        bool, "The move begins at angle 0, not where the arm stands"
-    ] = False,
-    gear: Gear = None,
     motor: Motor = True,
-    single: Annotated[bool, "In single precision, as on a microcontroller"] = False,
     estimate: Estimate = False,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
-    **options: Unpack[LoopOptions],
+    **options: Annotated[Any, LOOP],
 ) -> Answer:
     """Run the shipped law on an arm in real time (Linux), with times, overruns and a
     safe stop.
 
-    First it measures for half a second how late this machine wakes up, says so, and
+    The move is made on the model first: one that trips the law there is refused.
+    Then it measures for half a second how late this machine wakes up, says so, and
     refuses a period that is not kept: more than 1 % of the wake-ups later than a
     period.
 
@@ -343,30 +336,27 @@ def run_realtime(
     else:
         wanted = reference_of(reference, amplitude, move_time)
     connection = connection_of(io, unsafe_remote, key_file)
-    made = load_design(design_file, gear=gear)
+    made = load_design(design_file)
     law = _law(made, motor=motor)
     estimator = made.estimator() if estimate else None
+    rehearse(made, law, wanted, payload=options["payload"])
     # Measured before anything is opened: an arm whose controller misses its periods
     # trips in the middle of a move.
-    awake = lab.measure_wake_ups(
-        law.period, priority=options["priority"], lock_memory=options["lock_memory"]
-    )
+    awake = lab.measure_wake_ups(law.period, priority=options["priority"])
     tell(str(awake))
     awake.check()
     # The record has its place kept by the loop itself; a log that cannot be written is
     # found as early.
-    with nullcontext() if log is None else reserved(log, field="log"):
-        run = lab.run_realtime(
-            # The loop on this machine is double by default; single shows what a
-            # microcontroller's rounding does to the arm.
-            law.in_precision("single") if single else law,
-            wanted,
-            connection,
-            relative=not absolute,
-            out=out,
-            estimator=estimator,
-            **options,
-        )
+    if log is not None:
+        output_path(log, force=True)
+    run = lab.run_realtime(
+        law,
+        wanted,
+        connection,
+        out=out,
+        estimator=estimator,
+        **options,
+    )
     remarks = _refused("priority", run.scheduling) + _refused("memory", run.memory)
     # The record went to a second place: the arm has moved, and its data must not be
     # lost to a full disk.
@@ -413,16 +403,12 @@ def serve_arm(
         int, "Silent periods after which the drive is switched off"
     ] = 10,
     once: Annotated[bool, "End when the first controller has left"] = False,
-    seed: Annotated[int, "Seed of the gauge's noise"] = 0,
-    priority: Annotated[
-        int, "Priority of SCHED_FIFO, below the controller's; 0 asks for none"
-    ] = 70,
     out: Annotated[
         Path | None,
         "File for the true motion of the arm (npz); default: none",
         Writes(),
     ] = None,
-    **options: Unpack[ArmOptions],
+    payload: NominalPayload = None,
 ) -> Answer:
     """Serve a simulated arm in real time, for run-realtime to move; --duration, --once
     or Ctrl-C ends it.
@@ -433,25 +419,25 @@ def serve_arm(
     $ fraclink serve-arm design.json --io udp:127.0.0.1:5005 --once
     """
     connection = connection_of(io, unsafe_remote, key_file)
-    made, arm = load_arm(design_file, options)
+    made = load_design(design_file)
+    arm = Twin.from_rig(made.rig, payload=payload)
     # Before it serves, as the command may run for hours and nobody reads what comes
     # after.
     for finding in arm.findings:
         tell(str(finding))
     tell(f"an arm at {connection}, {1e3 * made.rig.period:g} ms")
     with signals_held() as obeyed:
-        with nullcontext() if out is None else reserved(out, cls=lab.ServedArm):
-            served = lab.serve_arm(
-                arm,
-                connection,
-                made.rig.period,
-                duration=duration,
-                watchdog=watchdog,
-                once=once,
-                seed=seed,
-                priority=priority,
-                begin=tell,
-            )
+        if out is not None:
+            check_ending(lab.ServedArm, output_path(out, force=True))
+        served = lab.serve_arm(
+            arm,
+            connection,
+            made.rig.period,
+            duration=duration,
+            watchdog=watchdog,
+            once=once,
+            begin=tell,
+        )
         # Every signal asks for the end, which has come: one that comes now has only the
         # file to wait for.
         obeyed.set()

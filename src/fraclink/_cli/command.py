@@ -8,7 +8,8 @@ What stands beside a parameter's type says everything about its option, once:
 
 A text is the help, a range is checked and added to the help, `Writes` keeps what is
 already there, and a `typer.Option` or `typer.Argument` stands where the name alone does
-not say how it is written.
+not say how it is written. Keywords of a public function are declared there and nowhere
+else: `Keywords` takes type, range, default and help of each from it.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from __future__ import annotations
 import copy
 import functools
 import inspect
+import re
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from types import SimpleNamespace
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
 
 import typer
 from typer.models import OptionInfo, ParameterInfo
@@ -37,20 +40,18 @@ from fraclink._cli.console import (
 )
 from fraclink._files import output_path
 from fraclink.findings import Finding
-from fraclink.view._records import to_json
-from fraclink.view._text import View, plain_text
-from fraclink.view._views import view
-from fracsys.checks.rules import rule
+from fraclink.view._text import doubted, plain, plain_text, to_json, view
+from fracsys.checks import rule
 
-__all__ = ["Answer", "Default", "Writes", "command"]
+__all__ = ["Answer", "Keywords", "Writes", "command"]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command found: a result that `view` and `to_json` know, or text; and what
-    follows from it.
+    """What a command found: a result with an overview, or text; and what follows from
+    it.
 
-    text replaces the view and values the JSON; values are added to it otherwise. doubts
+    text replaces the overview and values the JSON; values are added to it otherwise. doubts
     are errors of the input that leave nothing shown by the result. remarks go to
     standard error and are left out with --json. written are the files; following is the
     command a user would give next; opened is a page for the browser.
@@ -58,7 +59,7 @@ class Answer:
 
     result: Any = None
     passed: bool = True
-    text: str | View = ""
+    text: str = ""
     values: dict[str, Any] = field(default_factory=dict)
     doubts: tuple[Finding, ...] = ()
     remarks: tuple[str, ...] = ()
@@ -79,15 +80,6 @@ class Writes:
         """Raise FieldError where a file is already there and must be kept."""
         for path in [place / name for name in self.names] or [place]:
             output_path(path, force=force)
-
-
-@dataclass(frozen=True)
-class Default:
-    """The default of an option in a group (a TypedDict has none); without it None, or
-    False for a flag.
-    """
-
-    value: Any
 
 
 @dataclass(frozen=True)
@@ -160,28 +152,69 @@ _FORCE = Declared(
 )
 
 
-def _declared(function: Callable[..., Any]) -> Iterator[Declared]:
-    """The parameters of a command; those of ``**options: Unpack[Group]`` are the keys
-    of that TypedDict.
+class Keywords:
+    """Options of a command that are keywords of a public function, or of a TypedDict of
+    them: type, range and default are those of its signature, the help those of its
+    docstring.
     """
-    kinds, hints = (
-        get_type_hints(function),
-        get_type_hints(function, include_extras=True),
-    )
-    for name, parameter in inspect.signature(function).parameters.items():
-        if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
-            yield Declared(name, kinds[name], hints[name], parameter.default)
+
+    def __init__(self, function: Callable[..., Any], *names: str) -> None:
+        self.function, self.names = function, names
+
+    def of(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Those of `options` that are keywords of the function."""
+        return {name: options[name] for name in self.names}
+
+    @property
+    def declared(self) -> Iterator[Declared]:
+        """The options."""
+        texts = _parameter_texts(self.function)
+        for each in _parameters(self.function, self.names):
+            yield replace(each, hint=Annotated[each.hint, texts[each.name]])
+
+
+def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
+    """The first sentence that a numpydoc docstring says of each parameter."""
+    _, _, section = (inspect.getdoc(function) or "").partition("Parameters\n----------")
+    section = section.partition("\n----")[0]
+    texts: dict[str, str] = {}
+    for names, text in re.findall(
+        r"^(\w[\w, ]*)\n((?: +.*\n|\n(?= ))+)", section, re.M
+    ):
+        text = " ".join(text.split()).replace("``", "`")
+        sentence = re.split(r"\. (?=[A-Z])", text)[0]
+        # A symbol such as ω_c or n keeps its case.
+        word = sentence.partition(" ")[0]
+        if word.isascii() and word.isalpha() and len(word) > 1:
+            sentence = sentence[0].upper() + sentence[1:]
+        texts |= dict.fromkeys(names.split(", "), sentence)
+    return texts
+
+
+def _parameters(
+    function: Callable[..., Any], names: Iterable[str] | None = None
+) -> Iterator[Declared]:
+    """The parameters of these names, or all; keywords as `Keywords` declares them."""
+    if is_typeddict(function):
+        hints = get_type_hints(function, include_extras=True)
+        kinds = get_type_hints(function)
+        for name in names or hints:
+            yield Declared(name, kinds[name], hints[name], None)
+        return
+    parameters = inspect.signature(function).parameters
+    # Only what is asked for is evaluated: other annotations of a library's function may
+    # name what is imported for the type checker alone.
+    source: Any = inspect.unwrap(function)
+    wanted = {name: source.__annotations__[name] for name in names or parameters}
+    annotated = SimpleNamespace(__annotations__=wanted)
+    kinds = get_type_hints(annotated, source.__globals__)
+    hints = get_type_hints(annotated, source.__globals__, include_extras=True)
+    for name, hint in hints.items():
+        if parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
+            yield Declared(name, kinds[name], hint, parameters[name].default)
             continue
-        (group,) = get_args(hints[name])
-        plain = get_type_hints(group)
-        for key, hint in get_type_hints(group, include_extras=True).items():
-            # A TypedDict holds no defaults: what is not given is None, which the
-            # library takes for its own default.
-            usual = Declared(
-                key, plain[key], hint, False if plain[key] is bool else None
-            )
-            default = usual.mark(Default)
-            yield usual if default is None else replace(usual, default=default.value)
+        for keywords in get_args(hint)[1:]:
+            yield from keywords.declared
 
 
 def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:
@@ -196,7 +229,7 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
     # Every command that writes has --force; where the command checks its files itself
     # it also hears of it.
-    declared = [part for part in _declared(function) if part.name != "force"]
+    declared = [part for part in _parameters(function) if part.name != "force"]
     own_force = "force" in inspect.signature(function).parameters
     writes = {part.name: mark for part in declared if (mark := part.mark(Writes))}
     ranges = {part.name: rule(part.hint) for part in declared if part.ranged}
@@ -235,7 +268,7 @@ def _show_json(answer: Answer) -> None:
     values = {} if answer.result is None else to_json(answer.result)
     if answer.doubts:
         # The input's doubts first: they are why the rest is to be distrusted.
-        values["findings"] = [*map(to_json, answer.doubts), *values.get("findings", ())]
+        values["findings"] = [*map(plain, answer.doubts), *values.get("findings", ())]
     paths = [str(path) for path in answer.written]
     # One file is a string, as most commands write one; scripts read `out` without an
     # index.
@@ -248,9 +281,9 @@ def _show_json(answer: Answer) -> None:
 
 
 def _show_text(answer: Answer) -> None:
-    shown = answer.text or (view(answer.result) if answer.result is not None else "")
-    if isinstance(shown, View):
-        shown = plain_text(shown.doubted(answer.doubts), width())
+    shown = answer.text
+    if not shown and answer.result is not None:
+        shown = plain_text(doubted(view(answer.result), answer.doubts), width())
     if shown:
         emit(shown)
     for remark in answer.remarks:

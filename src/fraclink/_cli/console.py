@@ -13,12 +13,12 @@ import os
 import re
 import shutil
 import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import typer
 from rich.console import Console
@@ -28,6 +28,7 @@ from rich.progress import (
     Progress,
     TextColumn,
     TimeElapsedColumn,
+    TimeRemainingColumn,
 )
 
 from fraclink.errors import (
@@ -40,16 +41,20 @@ from fraclink.errors import (
 from fraclink.view._text import folded, option
 
 __all__ = [
+    "ask",
     "clean",
     "emit",
     "emit_json",
     "guarded",
+    "interactive",
     "steps",
     "tell",
     "tell_written",
     "unread_allowed",
 ]
 __all__ += ["watching", "width"]
+
+Answer = TypeVar("Answer")
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
 # a defect of fraclink itself, kept apart from the three verdicts (sysexits'
@@ -149,58 +154,89 @@ def tell_written(path: Path) -> None:
     sys.stderr.write(f"written: {name}\n")
 
 
+# --- questions ---------------------------------------------------------------------------
+
+
+def interactive() -> bool:
+    """Whether somebody is there to ask."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def ask(
+    question: str,
+    understood: Callable[[str], Answer],
+    *,
+    default: str = "",
+    option: str,
+) -> Answer:
+    """Ask on the terminal until the answer is understood: until `understood` raises no
+    ValueError. `option` gives the answer where nobody can be asked.
+    """
+    hint = f"[{default}] " if default else ""
+    while True:
+        sys.stderr.write(f"{question} {hint}> ".lstrip())
+        sys.stderr.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise FieldError(
+                "answer",
+                "(end of input)",
+                "missing",
+                allowed="an answer",
+                remedy=f"or give {option}",
+            )
+        try:
+            return understood(line.strip() or default)
+        except ValueError as error:
+            tell(str(error))
+
+
 # --- progress -------------------------------------------------------------------------------------------
 
 
 @contextmanager
-def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Show progress over `total` parts on standard error; silent where that is not a
+def _progress(total: int) -> Iterator[Callable[..., None] | None]:
+    """Yield what moves a bar of `total` parts on standard error; None where that is no
     terminal.
-    """
-    if not sys.stderr.isatty():
-        yield lambda name: None
-        return
-    text = TextColumn("{task.description}", markup=False)
-    columns = (text, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        # One more than the parts: `begin` advances as a part starts, and the bar is
-        # full when the last one ends.
-        task = progress.add_task("", total=total + 1)
-        yield lambda name: progress.update(task, description=clean(name), advance=1)
-
-
-@contextmanager
-def watching(runs: int) -> Iterator[Callable[[Any], None] | None]:
-    """Show runs done, their rate and the time that is left on standard error; silent
-    where no terminal is.
     """
     if not sys.stderr.isatty():
         yield None
         return
-    began = time.monotonic()
-    text = TextColumn("{task.description}", markup=False)
-    with Progress(
-        text, BarColumn(), console=Console(stderr=True), transient=True
-    ) as bar:
-        task = bar.add_task("simulating", total=runs)
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        yield partial(progress.update, progress.add_task("", total=total))
+
+
+@contextmanager
+def steps(total: int) -> Iterator[Callable[[str], None]]:
+    """Yield what names each of `total` parts as it begins, on standard error."""
+    # One more than the parts: the bar is full when the last one ends.
+    with _progress(total + 1) as update:
+
+        def begin(name: str) -> None:
+            if update:
+                update(description=clean(name), advance=1)
+
+        yield begin
+
+
+@contextmanager
+def watching(runs: int) -> Iterator[Callable[[Any], None]]:
+    """Yield what shows how many of `runs` are done, and how many of these failed."""
+    with _progress(runs) as update:
 
         def watch(progress: Any) -> None:
-            # What a resumed campaign finds finished took no time of this one, and is
-            # not in its rate.
-            now = progress.done - progress.before
-            shown = f"{progress.done} / {runs}"
-            if now:
-                rate = now / max(
-                    time.monotonic() - began, 1e-9
-                )  # a clock may not have moved on yet
-                left, failed = (
-                    (runs - progress.done) / rate,
-                    100 * progress.failed / now,
-                )
-                shown += (
-                    f" · {failed:.1f} % failed · {rate:.0f} runs/s · {left:.0f} s left"
-                )
-            bar.update(task, completed=progress.done, description=shown)
+            # What a resumed campaign finds finished is not in its rate of failures.
+            share = progress.failed / max(progress.done - progress.before, 1)
+            shown = f"{100 * share:.1f} % failed"
+            if update:
+                update(completed=progress.done, description=shown)
 
         yield watch
 

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from fraclink import __version__, _kernels
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, command
-from fraclink.view._text import Row, Table, View
+from fraclink._display import Overview, Row, Table
 
 app = group()
 
@@ -35,8 +35,13 @@ def _installed(name: str) -> str | None:
         return None
 
 
-def _row(name: str, found: str | None, instead: str, use: str) -> Row:
-    return (name, found or instead, use, "passed" if found else "missing")
+def _part(name: str, found: str | None, instead: str, use: str) -> tuple[Row, ...]:
+    return (
+        Row("", "part", name),
+        Row("", "version", found or instead),
+        Row("", "for", use),
+        Row("", "state", "passed" if found else "missing"),
+    )
 
 
 @command(app)
@@ -50,26 +55,26 @@ def doctor() -> Answer:
     # help them.
     compiler = shutil.which("cc")
     rows = [
-        ("Python", platform.python_version(), "", "passed"),
-        ("numpy", _installed("numpy") or "", "", "passed"),
+        _part("Python", platform.python_version(), "", ""),
+        _part("numpy", _installed("numpy"), "", ""),
         # By distribution and not by import: an import of all would take seconds, and
         # one that is broken would end the check that is to find it.
         *(
-            _row(name, extras[name], f"pip install 'fraclink[{extra}]'", use)
+            _part(name, extras[name], f"pip install 'fraclink[{extra}]'", use)
             for name, extra, use in _EXTRAS
         ),
-        _row("C compiler", compiler, "none found", "replay, FMU"),
-        _row(
+        _part("C compiler", compiler, "none found", "replay, FMU"),
+        _part(
             "real-time loop",
             "here" if _kernels.REALTIME else None,
             "Linux only",
             "run-realtime",
         ),
     ]
-    missing = [row[0] for row in rows if row[-1] == "missing"]
+    missing = [name.value for name, *_, state in rows if state.value == "missing"]
     headline = f"fraclink {__version__} on {platform.system()} {platform.machine()}"
     headline += f"; without {', '.join(missing)}" if missing else ""
-    table = Table(("part", "version", "for", "state"), tuple(rows), judged=True)
+    table = Table.of("", rows)
     python = platform.python_version()
     values = {
         "version": __version__,
@@ -78,7 +83,7 @@ def doctor() -> Answer:
         "compiler": compiler,
     }
     return Answer(
-        text=View(headline, (table,), state="passed"),
+        Overview(headline, "passed", tables=(table,)),
         values=values,
         following="fraclink run --rig paper-2023-geared --log demo --out results",
     )

@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypedDict
+from typing import Annotated, Any
 
 import typer
 
@@ -17,14 +17,15 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
+from fraclink._cli.command import Keywords
 from fraclink._design import Design
-from fraclink._files import kind_of
-from fraclink._identify import Fit, load_model
-from fraclink._identify.fitting import HeldOut
+from fraclink._files import kind_of, load
+from fraclink._identify import Fit
+from fraclink._law.design import Specification
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink._reading.responses import read_reference
-from fraclink._simulate import Twin, geared
+from fraclink._simulate import geared
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
@@ -44,6 +45,7 @@ ModelFile = Annotated[
     Path | None,
     "Model of identify, or a design; default: the rig's or the design's own",
 ]
+NominalPayload = Annotated[ranges.Payload | None, "Payload; default: nominal"]
 LinkMass = Annotated[float | None, "Mass of the link [kg]; default: the rig's"]
 Gear = Annotated[
     ranges.Positive | None, "Gear ratio to put before the motor; default: the rig's"
@@ -53,19 +55,10 @@ PayloadRange = Annotated[
     typer.Option(metavar="LOW HIGH"),
     "Payload range [kg]; default: the rig's",
 ]
-FilterTime = Annotated[
-    float | None, "δ [s], 0 for none; default: chosen with the controller"
-]
-ModeGain = Annotated[
-    float | None,
-    "Bound on the loop gain at modes 2 and 3 of a link with mass, usually 0.5",
-]
 BoxFlag = Annotated[
     bool,
     "Keep every requirement over all that fit and rig leave open of the arm, not at the model alone",
 ]
-Placement = Annotated[Literal["tustin", "direct"], "Poles of the sampled motor loop"]
-MotorLoopKind = Annotated[Literal["ideal", "sampled"], "Motor loop"]
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None where it is not given, so that it can be refused beside what takes its place
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
@@ -78,9 +71,10 @@ GivenPayload = Annotated[float, "Payload that the law is given [kg]; 0: none"]
 Estimate = Annotated[
     bool, "The law is given the payload that it estimates while the arm moves"
 ]
-HeldOutShare = Annotated[
-    HeldOut | None,
-    "Share at the end that no fit sees; default: 0.4, or more where the arm rests",
+Payloads = Annotated[
+    list[float] | None,
+    typer.Option(metavar="KG"),
+    "Payload of each log [kg], in their order",
 ]
 Columns = Annotated[
     list[str] | None,
@@ -90,69 +84,40 @@ Columns = Annotated[
 ]
 
 
-class LogOptions(TypedDict):
-    """How a log is read where the rig file does not say it."""
-
-    payload: Annotated[ranges.Payload | None, "Payload of the log"]
-    column: Columns
-    keep: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="FROM UNTIL"),
-        "Stretch of the log to read [s from its first sample]; default: all of it",
-    ]
-    resample: Annotated[
-        bool, "Interpolate over gaps, repeated stamps and strong jitter"
-    ]
-    interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"]
-
-
-class DesignRequest(TypedDict):
-    """What a design is asked for; the rig completes it."""
-
-    payloads: PayloadRange
-    gain_crossover: Annotated[
-        ranges.Frequency | None, "Least gain crossover; default: the rig's"
-    ]
-    phase_margin_deg: Annotated[
-        ranges.PhaseMarginDeg | None, "Least phase margin; default: the rig's"
-    ]
-    filter_time: FilterTime
-    mode_gain: ModeGain
-
-
-class ArmOptions(TypedDict):
-    """The arm that a design is run on."""
-
-    payload: Annotated[ranges.Payload | None, "Payload; default: nominal"]
-    link_mass: LinkMass
-    gear: Gear
-    model: ModelFile
+READING = Keywords(read_log, "keep", "resample", "interpolate")
+LOG = Keywords(read_log, "payload", "keep", "resample", "interpolate")
+REQUEST = Keywords(Specification, "payloads", "gain_crossover")
+PhaseMarginDeg = Annotated[
+    ranges.PhaseMarginDeg | None, "Least phase margin; default: the rig's"
+]
 
 
 def as_stated(options: Mapping[str, Any]) -> str:
     """The options that were given, as words of the next command, each behind a space."""
     words: list[str] = []
     for name, value in options.items():
+        if value is None or value is False:
+            continue
         flag = f"--{name.replace('_', '-')}"
-        if name == "column":
-            words += [word for each in value or () for word in (flag, each)]
-        elif value is True:
-            words.append(flag)
-        # Six digits, as people give them: the words are pasted and compared by eye.
-        elif isinstance(value, tuple):
-            words += [flag, *(f"{each:g}" for each in value)]
-        elif value is not None and value is not False:
-            words += [flag, f"{value:g}"]
+        # Of an option that may be repeated each value has its flag.
+        for each in value if isinstance(value, list) else [value]:
+            parts = each if isinstance(each, tuple) else () if each is True else (each,)
+            # Six digits, as people give them: the words are pasted and compared by eye.
+            words += [
+                flag,
+                *(f"{x:g}" if isinstance(x, float) else str(x) for x in parts),
+            ]
     return "".join(f" {shlex.quote(word)}" for word in words)
 
 
-def in_radians(wanted: Mapping[str, Any]) -> dict[str, Any]:
-    """The options of a request as the library takes them: ``phase_margin`` [rad] for
-    the one in degrees.
-    """
-    margin = wanted["phase_margin_deg"]
-    rest = {name: value for name, value in wanted.items() if name != "phase_margin_deg"}
-    return rest | {"phase_margin": None if margin is None else math.radians(margin)}
+def in_radians(angle_deg: float | None) -> float | None:
+    """An angle that may be left out [rad]."""
+    return None if angle_deg is None else math.radians(angle_deg)
+
+
+def in_seconds(time_ms: float | None) -> float | None:
+    """A time that may be left out [s]."""
+    return None if time_ms is None else time_ms / 1e3
 
 
 def load_rig(
@@ -193,11 +158,13 @@ def whole(rig: Rig | RigDraft) -> Rig | None:
 def required_model(rig: Rig) -> LinkModel:
     """Return the rig's model, or FieldError that names the option which gives one."""
     if rig.model is None:
-        allowed, remedy = (
-            "a model of the link",
-            "give --model model.json, or add [model] to the rig file",
+        raise FieldError(
+            "model",
+            None,
+            "missing",
+            allowed="a model of the link",
+            remedy="give --model model.json, or add [model] to the rig file",
         )
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     return rig.model
 
 
@@ -213,7 +180,10 @@ def load_link_model(path: Path | None, rig: Rig | None = None) -> LinkModel | No
     if kind == "fit" and rig is not None:
         return Fit.load(path).loop_model(rig)
     # A design carries the model it was made for: who kept only design.json can go on.
-    return Design.load(path).model if kind == "design" else load_model(path)
+    if kind == "design":
+        return Design.load(path).model
+    found: Fit | LinkModel = load(path, (Fit, LinkModel))
+    return found.model if isinstance(found, Fit) else found
 
 
 def load_doubts(path: Path | None) -> tuple[Finding, ...]:
@@ -234,27 +204,15 @@ def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]
     return (*filter(None, map(made.rig.payloads.doubt, masses)), *made.doubts)
 
 
-def load_design(
-    path: Path, *, gear: float | None = None, model: Path | None = None
-) -> Design:
+def load_design(path: Path, *, gear: float | None = None) -> Design:
     """Return a design whose rig carries the model that it was made for, with a gear
     before the motor.
     """
     made = Design.load(path)
-    # The model of the option, of the rig, of the design, in this order: the twin takes
-    # its damping from it, and a design of a fit may stand on a rig file without one.
-    rig = replace(
-        made.rig, model=load_link_model(model, made.rig) or made.rig.model or made.model
-    )
+    # The twin takes its damping from the rig's model, and a design of a fit may stand
+    # on a rig file without one.
+    rig = replace(made.rig, model=made.rig.model or made.model)
     return replace(made, rig=rig if gear is None else geared(rig, gear))
-
-
-def load_arm(path: Path, options: ArmOptions) -> tuple[Design, Twin]:
-    """Return a design and the twin that it is run on."""
-    made = load_design(path, gear=options["gear"], model=options["model"])
-    return made, Twin.from_rig(
-        made.rig, payload=options["payload"], link_mass=options["link_mass"]
-    )
 
 
 def reference_of(
@@ -290,7 +248,9 @@ def refuse_beside(option: str, instead: str, **given: object) -> None:
     for name, value in given.items():
         if value is not None:
             shown = str(value) if isinstance(value, Path) else value
-            remedy = f"leave out --{name.replace('_', '-')} or {option}"
+            remedy = f"leave out --{name.replace('_', '-')}"
+            if option.startswith("--"):
+                remedy += f" or {option}"
             raise FieldError(
                 name, shown, f"given beside {option}", allowed=instead, remedy=remedy
             )
@@ -300,15 +260,37 @@ def load_log(
     name: str,
     rig: Rig | RigDraft,
     column: list[str] | None = None,
-    payload: float | None = None,
     **options: Any,
 ) -> Experiment:
     """Return the log of a file, or the bundled one."""
-    columns = parse_columns(column) if column else rig.log
     # The columns stand for the rig: --column replaces its [log] as a whole.
-    return read_log(
-        log_path(name), rig=None, columns=columns, payload=payload, **options
-    )
+    columns = parse_columns(column) if column else rig.log
+    return read_log(log_path(name), columns=columns, **options)
+
+
+def load_logs(
+    names: list[str],
+    rig: Rig | RigDraft,
+    payloads: list[float] | None,
+    column: list[str] | None = None,
+    **options: Any,
+) -> list[Experiment]:
+    """Return several logs, each with its payload."""
+    # In the order of the logs: a mass that went to another log would tie ω₀ to the
+    # wrong payload and look like physics.
+    if payloads and len(payloads) != len(names):
+        raise FieldError(
+            "payload",
+            len(payloads),
+            "not one for each log",
+            allowed=f"{len(names)} values",
+            remedy="repeat --payload",
+        )
+    masses: list[float | None] = list(payloads) if payloads else [None] * len(names)
+    return [
+        load_log(name, rig, column, payload=mass, **options)
+        for name, mass in zip(names, masses, strict=True)
+    ]
 
 
 def log_path(name: str) -> Path:
@@ -322,24 +304,22 @@ def told_or_estimated(
     made: Design, told: float, estimate: bool
 ) -> float | PayloadEstimator:
     """What `simulate` takes for --told and --estimate; FieldError where both are given."""
+    if not estimate:
+        return told
     # A payload of 0 is none, so that --told 0 beside --estimate is no contradiction.
-    if estimate and told:
-        allowed, remedy = (
-            "one of --told and --estimate",
-            "leave --told out to have the payload estimated",
-        )
-        raise FieldError(
-            "told", told, "given beside --estimate", allowed=allowed, remedy=remedy
-        )
-    return made.estimator() if estimate else told
+    refuse_beside("--estimate", "the payload that the law estimates", told=told or None)
+    return made.estimator()
 
 
 def named_channels(input: str | None, output: str | None) -> tuple[str, str]:
     """Both columns of a recording; FieldError where one of them is not named."""
     for name, column in {"input": input, "output": output}.items():
         if column is None:
-            remedy = "a recording needs both, anything else none of them"
             raise FieldError(
-                name, None, "missing", allowed="the name of a column", remedy=remedy
+                name,
+                None,
+                "missing",
+                allowed="the name of a column",
+                remedy="a recording needs both, anything else none of them",
             )
     return str(input), str(output)

@@ -5,22 +5,19 @@ and a picture.
 from __future__ import annotations
 
 import shlex
-import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from fraclink._arm.log_columns import ColumnStatement
 from fraclink._cli.app import group
-from fraclink._cli.command import Answer, Writes, command
-from fraclink._cli.console import tell
-from fraclink._cli.options import LogName, log_path
-from fraclink.errors import FieldError
-from fraclink.logs._guess import Question
-from fraclink.logs._start import START_FILES, Start
-from fraclink.logs._start import start as start_from
-from fraclink.logs._weighing import ABSENT, answered
+from fraclink._cli.command import Answer, Keywords, Writes, command
+from fraclink._cli.console import ask, interactive, tell
+from fraclink._cli.options import LogName, in_seconds, log_path
+from fraclink._reading.reading import read_log
+from fraclink.logs import Question, Start
+from fraclink.logs import start as start_from
+from fraclink.logs._start import START_FILES
 from fraclink.view._figures import fit_figure
 from fracsys.checks import Between, Payload
 
@@ -29,6 +26,7 @@ __all__ = ["start"]
 app = group()
 
 _PICTURE = "fit.svg"
+FILLING = Keywords(read_log, "resample", "interpolate")
 
 
 @command(app)
@@ -51,11 +49,8 @@ def start(
         "Sampling period of a log without stamps",
     ] = None,
     payload: Annotated[Payload | None, "Payload of the log, if it is known"] = None,
-    resample: Annotated[
-        bool, "Interpolate over gaps, repeated stamps and strong jitter"
-    ] = False,
-    interpolate: Annotated[bool, "Fill missing cells, at most 1 % of a column"] = False,
     force: bool = False,
+    **filling: Annotated[Any, FILLING],
 ) -> Answer:
     """Guess columns, units and sign of a log, say why, and fit a first model; asks what
     it cannot know.
@@ -65,13 +60,12 @@ def start(
     found = start_from(
         log_path(log),
         column=column or (),
-        period=None if period_ms is None else period_ms / 1e3,
+        period=in_seconds(period_ms),
         payload=payload,
-        resample=resample,
-        interpolate=interpolate,
+        **filling,
         # A script cannot answer: it gets the error with the option that decides
         # instead.
-        ask=_ask if sys.stdin.isatty() and sys.stderr.isatty() else None,
+        ask=_ask if interactive() else None,
     )
     written = found.save(out, force=force)
     # Also of a fit that failed: the picture shows why.
@@ -107,28 +101,14 @@ def _ask(question: Question) -> str:
     choices = ", ".join(question.choices)
     column = question.part == "column"
     tell(
-        f"  one of: {choices}; or {ABSENT}, where the log does not hold it"
+        f"  one of: {choices}; or none, where the log does not hold it"
         if column
         else f"  such as: {choices}"
     )
-    while True:
-        sys.stderr.write(f"[{question.default}] > " if question.default else "> ")
-        sys.stderr.flush()
-        line = sys.stdin.readline()
-        if not line:
-            raise FieldError(
-                "answer",
-                "(end of input)",
-                "missing",
-                allowed="an answer",
-                remedy=f"or give {question.option}",
-            )
-        text = line.strip() or question.default
-        try:
-            # Tried on an empty statement: what cannot be read is asked for again, not
-            # found out at the end.
-            answered(ColumnStatement(question.role), question, text)
-        except FieldError as error:
-            tell(str(error))
-        else:
-            return text
+
+    def understood(text: str) -> str:
+        # What cannot be read is asked for again, not found out at the end.
+        question.statement(text)
+        return text
+
+    return ask("", understood, option=question.option)

@@ -38,11 +38,6 @@ def studio(
         int, Between(0, 65535), "Port to listen on; 0 takes a free one"
     ] = 0,
     open: Annotated[bool, "Open the page in a browser"] = True,
-    host: Annotated[str, "Address to listen on"] = "127.0.0.1",
-    unsafe_remote: Annotated[
-        bool,
-        "Allow an address that others can reach: the token then crosses the network unencrypted",
-    ] = False,
 ) -> Answer:
     """Open a study in a page on this machine: drag the loop, see the arm; Keep writes
     the commands' files.
@@ -58,18 +53,16 @@ def studio(
             raise
         raise MissingExtraError(error.name, "studio") from error
     if place is not None and not place.exists():
-        allowed, remedy = (
-            "a folder, a log or a design that is there",
-            "check the name, or leave it out",
-        )
         raise FieldError(
-            "place", str(place), "no such file", allowed=allowed, remedy=remedy
+            "place",
+            str(place),
+            "no such file",
+            allowed="a folder, a log or a design that is there",
+            remedy="check the name, or leave it out",
         )
     session = serve(
         lambda: _opened(place, rig, out),
-        host=host,
         port=port,
-        unsafe_remote=unsafe_remote,
         open_page=open,
         say=emit,
     )

@@ -5,7 +5,6 @@ watched afterwards.
 from __future__ import annotations
 
 import math
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,8 +14,8 @@ from fraclink._arm.experiment import Experiment
 from fraclink._cli.app import group
 from fraclink._cli.boards import Address, KeyFile, UnsafeRemote, connection_of
 from fraclink._cli.command import Answer, command
-from fraclink._cli.console import tell
-from fraclink._cli.options import PayloadRange, load_rig
+from fraclink._cli.console import ask, interactive, tell
+from fraclink._cli.options import PayloadRange, in_seconds, load_rig
 from fraclink._files import checked_path, load, output_path
 from fraclink.errors import FieldError
 from fraclink.lab._run import RealtimeRun
@@ -73,10 +72,9 @@ def tune(
     out: Annotated[Path, "Folder for the results"] = Path("tuned"),
     resume: Annotated[
         bool,
-        "Go on behind the last stage that is whole; with another --payload of the range, move it",
+        "Move the law that is there, with a --payload of its range",
     ] = False,
     yes: Annotated[bool, "Do not ask before the arm moves"] = False,
-    moves: Annotated[bool, "Make the first moves under the new law"] = True,
     unsafe_remote: UnsafeRemote = False,
     key_file: KeyFile = None,
     force: bool = False,
@@ -86,8 +84,8 @@ def tune(
 
     Limits and payload that are not given are asked for; without them nothing moves. The
     plan is shown first. Ctrl-C, a limit, a lost link or a wrong sign switches the drive
-    off; the record is kept, and --resume goes on. The arm needs its own watchdog and an
-    emergency stop.
+    off; the record is kept. --resume moves the law that is there with another payload.
+    The arm needs its own watchdog and an emergency stop.
 
     $ fraclink tune --io udp:127.0.0.1:5005 --payload 0.030
     """
@@ -98,11 +96,9 @@ def tune(
         "voltage": voltage,
         "payload": payload,
     }
-    stated, before = None if rig is None else load_rig(rig), None
+    stated = None if rig is None else load_rig(rig)
     if resume and (out / FILES[0]).is_file():
         known: Tuning = load(out / FILES[0], Tuning)
-        # The payload that was measured, to tell whether another one is moved now.
-        before = known.payload
         given, payloads, stated = (
             _as_before(known, given),
             payloads or known.payloads,
@@ -125,22 +121,20 @@ def tune(
         limits,
         carried,
         payloads,
-        None if period_ms is None else period_ms / 1e3,
+        in_seconds(period_ms),
         stated,
     )
     connection = connection_of(io, unsafe_remote, key_file)
     # On standard error, so that it is read although the result goes to a pipe.
     tell(plan.text)
-    if resume and before not in (None, carried):
+    if resume:
         tell(
             f"of these only the wiring and the first moves, with {1e3 * carried:.3g} g"
         )
     if not yes and not _confirmed():
         return Answer(text="nothing was moved", passed=False)
     # Every stage is told as it begins: a motor that turns must not come as a surprise.
-    found = tune_arm(
-        connection, plan, out=out, resume=resume, force=force, moves=moves, begin=tell
-    )
+    found = tune_arm(connection, plan, out=out, resume=resume, force=force, begin=tell)
     written = tuple(out / name for name in FILES if (out / name).is_file())
     return Answer(
         found, found.passed, written=written, following=_following(found, io, out)
@@ -148,7 +142,7 @@ def tune(
 
 
 def _following(found: Tuning, io: str, out: Path) -> str:
-    if found.passed or (found.has_law and found.verdict.reality.state == "not run"):
+    if found.passed or (found.has_law and found.verdict.arm.state == "not run"):
         following = f"fraclink run-realtime {out / 'design.json'} --io {io}"
         if found.next_move is None:
             return following
@@ -157,9 +151,8 @@ def _following(found: Tuning, io: str, out: Path) -> str:
             f"{following} --payload {payload:g} --amplitude {amplitude:.3f} "
             f"--move-time {duration:.3f}"
         )
-    # What ended early goes on with the stages that are whole.
     if found.stopped:
-        return f"fraclink tune --io {io} --out {out} --resume"
+        return f"fraclink tune --io {io} --out {out} --force"
     # A law whose first moves are not what was promised is not one to go on with, proof
     # or not.
     return f"fraclink diagnose {out / 'log.npz'}"
@@ -190,39 +183,31 @@ def _asked(name: str, value: float | None) -> float:
     """
     if value is not None:
         return value
-    question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
     option = f"--{name.replace('_', '-')}"
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        allowed, remedy = "a number: nothing moves without it", f"give {option}"
-        raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
-    while True:
-        # Outside the `try`: an input that has ended is a FieldError, which is a
-        # ValueError, too, and would be asked again for ever.
-        answer = _line(question)
-        try:
-            return float(answer)
-        except ValueError:
-            tell("a number, please")
+    if not interactive():
+        raise FieldError(
+            name,
+            None,
+            "missing",
+            allowed="a number: nothing moves without it",
+            remedy=f"give {option}",
+        )
+    question = _LIMITS.get(name, "Which mass does the tip carry now [kg]?")
+    return ask(question, float, option=option)
 
 
 def _confirmed() -> bool:
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        allowed, remedy = "an answer, or --yes", "give --yes where nobody can be asked"
-        raise FieldError("yes", False, "not confirmed", allowed=allowed, remedy=remedy)
-    # A bare Enter is a no: what moves a machine needs a word.
-    return _line("Go ahead? [no]").lower() in ("y", "yes")
-
-
-def _line(question: str) -> str:
-    sys.stderr.write(f"{question} > ")
-    sys.stderr.flush()
-    line = sys.stdin.readline()
-    if not line:
-        allowed, remedy = "an answer", "give the options"
+    if not interactive():
         raise FieldError(
-            "answer", "(end of input)", "missing", allowed=allowed, remedy=remedy
+            "yes",
+            False,
+            "not confirmed",
+            allowed="an answer, or --yes",
+            remedy="give --yes where nobody can be asked",
         )
-    return line.strip()
+    # A bare Enter is a no: what moves a machine needs a word.
+    answer = ask("Go ahead?", str.lower, default="no", option="--yes")
+    return answer in ("y", "yes")
 
 
 @command(app)
@@ -247,12 +232,12 @@ def watch(
     # A run's lost samples are filled in up to 1 %, as of any log.
     log = found.experiment() if isinstance(found, RealtimeRun) else found
     if not isinstance(log, Experiment):
-        allowed, remedy = (
-            "a run in real time, or a log",
-            "record one: `fraclink run-realtime --out realtime.npz`",
-        )
         raise FieldError(
-            "record", str(record), "neither", allowed=allowed, remedy=remedy
+            "record",
+            str(record),
+            "neither",
+            allowed="a run in real time, or a log",
+            remedy="record one: `fraclink run-realtime --out realtime.npz`",
         )
     seen = watch_arm(log, load(place, Tuning))
     following = (

@@ -1,53 +1,52 @@
-"""What a user asks of a finished design: where the phase goes, how margins move, what
-it tolerates.
-
-Also the closed-loop poles, and the controllers that the paper printed.
+"""What a user asks of a design: where the phase goes, how margins move with the payload,
+the loop gain at higher modes; and what else could be asked for.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink._arm.controller import Controller
-from fraclink._law.design import Design, Requirement
+from fraclink._arm.link import LinkModel
+from fraclink._arm.rig import Rig
+from fraclink._design.procedure import link_of, request_of
+from fraclink._design.rows import specification
+from fraclink._design.search import Search, Solution
+from fraclink._display import displayed
+from fraclink._law.design import Design, Requirement, Specification
 from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements
 from fraclink.errors import FieldError
 from fracsys.checks import (
     Between,
     Frequency,
     Payload,
+    PhaseMargin,
     checked,
     checked_series,
 )
 from fracsys.checks.equality import compared
+from fracsys.checks.rules import rule
+
+if TYPE_CHECKING:
+    from fraclink._identify import Fit
 
 __all__ = [
-    "PRINTED",
+    "FeasibilityMap",
     "MarginCurve",
     "PhaseShare",
-    "VibrationMode",
-    "axis_of",
+    "feasibility_map",
     "margin_curve",
     "mode_gains",
     "phase_budget",
-    "spillover",
 ]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-# (58) from the fractional model and (59) from the integer one, as section 7.1 prints
-# them.
-PRINTED: dict[str, Controller] = {
-    "(58)": Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2),
-    "(59)": Controller(gain=0.241, order=0.65, filter_time=0.16, filter_order=2),
-}
 GainLimit = Annotated[float, Between(0.0, 1e3, low_open=True)]
 CurveKind = Literal["ideal", "motor", "loop", "sampled"]
 
@@ -185,66 +184,12 @@ def axis_of(field: str, values: ArrayLike, annotation: object) -> Real:
     """One number or a list of them as an array of shape (N,), N > 0, each in the range
     of its annotation.
     """
-    single = isinstance(values, int | float | np.number) and not isinstance(
-        values, bool
-    )
-    axis = checked_series(
-        field, [values] if single else values, remedy="give one axis of numbers"
-    )
+    axis = checked_series(field, np.atleast_1d(np.asarray(values)))
     if axis.size == 0:
         raise FieldError(
             field, 0, "without values", allowed="one or more", remedy="give numbers"
         )
-    # The annotation's own range: a series is then refused in the words of the single
-    # number.
-    (bounds,) = (
-        item
-        for item in getattr(annotation, "__metadata__", ())
-        if isinstance(item, Between)
-    )
-    for value in axis:
-        bounds.check(field, float(value))
-    return axis
-
-
-@checked(prefix="mode.")
-@dataclass(frozen=True)
-class VibrationMode:
-    """A higher mode of a distributed link: ω_i [rad/s], damping ratio, static share in
-    the tip estimate.
-    """
-
-    frequency: Frequency
-    damping_ratio: Annotated[float, Between(0.0, 1.0, low_open=True)]
-    share: float = 1.0
-
-
-@checked
-def spillover(
-    design: Design, modes: Sequence[VibrationMode], *, limit: GainLimit = MODE_LIMIT
-) -> tuple[Requirement, ...]:
-    """Return the loop gain at each higher mode against `limit`: below one it cannot be
-    destabilised by phase.
-
-    A mode adds ``share/(1 - (ω/ω_i)² + 2jζω/ω_i)`` to the tip estimate, ``share/(2ζ)``
-    at its peak; the loop gain there is ``|Ĉ M| share/(2ζ)``.
-    """
-    loop = design.full_loop
-    found = []
-    for number, mode in enumerate(modes, start=2):
-        w, zeta = mode.frequency, mode.damping_ratio
-        # Above the first mode the lumped link is gone (G → 0): what the mode is
-        # multiplied with is Ĉ·M alone.
-        rest = math.exp(float((loop.outer_log(w) + loop.motor_log(w)).real))
-        # At the peak 1 − (ω/ω_i)² is 0 and 2jζ is left; the phase is nobody's to know,
-        # so the size alone is judged.
-        value = rest * abs(mode.share) / (2.0 * zeta)
-        found.append(
-            Requirement.at_most(
-                f"loop gain at mode {number}", limit, value, "", design.payloads[0]
-            )
-        )
-    return tuple(found)
+    return np.array([rule(annotation).check(field, float(value)) for value in axis])
 
 
 @checked
@@ -272,7 +217,11 @@ def mode_gains(
     """
     loop = design.full_loop
     modes = higher_modes(
-        design.model, design.rig, loop, design.payloads, damping_ratio=damping_ratio
+        design.model,
+        design.rig,
+        loop,
+        np.geomspace(*design.payloads, 3),
+        damping_ratio=damping_ratio,
     )
     return (
         ()
@@ -281,4 +230,61 @@ def mode_gains(
     )
 
 
-# ---- poles ------------------------------------------------------------------------------------------------
+@displayed
+@compared
+@dataclass(frozen=True, eq=False)
+class FeasibilityMap:
+    """Which crossovers [rad/s] and phase margins [rad] can be had together.
+
+    ``noise_gain``, shape (len(phase_margin), len(gain_crossover)), is the least with
+    which `design` meets both; NaN where it meets none.
+    """
+
+    gain_crossover: Real
+    phase_margin: Real
+    noise_gain: Real
+
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """Where a controller keeps every row."""
+        return np.isfinite(self.noise_gain)
+
+
+def feasibility_map(
+    model: LinkModel | Fit,
+    rig: Rig,
+    *,
+    gain_crossovers: ArrayLike,
+    phase_margins: ArrayLike,
+    **wanted: Unpack[Specification],
+) -> FeasibilityMap:
+    """Return the noise gain of `design` for every pair of crossover [rad/s] and phase
+    margin [rad], with whatever else is `wanted`; its law is not looked at.
+
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> axes = {"gain_crossovers": [12.0, 40.0], "phase_margins": [fl.deg(50)]}
+    >>> feasibility_map(rig.model, rig, **axes).feasible.tolist()
+    [[True, False]]
+    """
+    crossovers = axis_of("gain_crossovers", gain_crossovers, Frequency)
+    angles = axis_of("phase_margins", phase_margins, PhaseMargin)
+    request = request_of(link_of(model, rig), rig, specification(wanted), False)
+    noise = np.full((angles.size, crossovers.size), np.nan)
+    for column, crossover in enumerate(crossovers):
+        found: Solution | None = None
+        for row in np.argsort(angles):
+            cell = request.asking(
+                gain_crossover=float(crossover), phase_margin=float(angles[row])
+            )
+            if found is None:
+                search = Search(cell, cell.first_links, cell.filter_orders[-1])
+                start = search.first()
+            else:  # from the last cell, and at all links that were worst there
+                search, start = replace(found.search, request=cell), found.x
+            found = search.over_links(start[:, None])
+            if found.slack > 0.0:
+                break  # nor is there one with a larger margin
+            found = found.quieter()
+            noise[row, column] = found.noise_gain
+    return FeasibilityMap(crossovers, angles, noise)

@@ -12,13 +12,11 @@ from fraclink._arm.fractional_pid import FractionalPid, PidOrder
 from fraclink._design.pid_search import (
     PidProblem,
     best_of,
-    crossover_grid,
     itae,
     searched,
 )
 from fraclink._design.pid_tuning import PERIODS, PidTuning
 from fraclink._identify.structure_fit import StructureFit
-from fraclink._law.requirement import LEAST_SHARE
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
 from fracsys._fractional import FractionalTransferFunction
@@ -28,7 +26,6 @@ from fracsys.checks import Between, Duration, Frequency, PhaseMargin, checked
 
 __all__ = ["tune_pid"]
 
-FILTER = 20.0  # 1/(ω_c T_f): the filter costs the derivative 3° at the crossover
 HORIZON = 40.0  # of ITAE, times 1/ω_c: six periods of an oscillation at the crossover
 # Of a law's phase margin: its own tolerance of 0.5°, and what 1.5 periods of delay
 # leave out of the hold.
@@ -40,6 +37,7 @@ SENSITIVITY = (
 # With λ below a half an error lasts as t^(−λ) beyond every horizon, which ITAE does not
 # see.
 _INTEGRAL_ORDERS, _DERIVATIVE_ORDERS = (0.5, 1.6), (0.1, 1.6)
+_SLOPES = (-1.5, 0.25)  # of arg L over ln ω, where it is free
 
 Form = Literal["PI", "PD", "PID"]
 
@@ -87,11 +85,12 @@ def tune_pid(
         bound on Ms = max |1/(1 + L)|; 2 where it is left out together with
         `gain_crossover`.
     flat_phase
-        False leaves the slope of the phase to ITAE, too.
+        whether the phase is flat at the crossover, against changes of the gain; False
+        leaves its slope to ITAE, too.
     form
         "PI", "PD" or "PID". With two gains, flat phase determines the order.
     integral_order, derivative_order
-        λ and μ where they are given; 1 and 1 make an ordinary PID.
+        orders λ and μ where they are given; 1 and 1 make an ordinary PID.
     filter_time
         T_f [s]; 1/(20 ω_c) when left out.
     period
@@ -144,19 +143,14 @@ def tune_pid(
         derivative_order=derivative_order,
         filter_time=filter_time,
     )
-    crossovers = (
-        [gain_crossover]
-        if gain_crossover is not None
-        else list(crossover_grid(problem))
-    )
-    found = searched(problem, crossovers)
+    found = searched(problem)
     if not found.count:
-        raise _infeasible(problem, crossovers)
+        raise _infeasible(problem)
     # One horizon for all candidates: with 40/ω_c of each its own, a slow loop would be
     # given more time to be late in, and its ITAE could not be compared with a fast
     # one's.
     length = HORIZON / float(np.max(found.crossover)) if horizon is None else horizon
-    best = best_of(problem, found, length, free=gain_crossover is None)
+    best = best_of(problem, found, length)
     made = PidTuning(
         plant=own,
         controller=best.controller(0),
@@ -220,9 +214,9 @@ def _of_law(made: PidTuning) -> tuple[Finding, ...]:
     return (
         Finding(
             "W404",
-            # As W404 judges a design: below half of the margin it is another loop than
-            # the one asked for.
-            "error" if kept < LEAST_SHARE * made.phase_margin else "warning",
+            # With less than half of the margin it is another loop than the one asked
+            # for: gauge, motor and damping are known to 5 % each at best.
+            "error" if kept < 0.5 * made.phase_margin else "warning",
             "the shipped law keeps less phase margin than was asked for",
             evidence,
             "take a shorter period, or ask for a slower gain crossover",
@@ -295,7 +289,7 @@ def _plant_of(plant: Any) -> FractionalTransferFunction:
             str(own),
             "unstable: it has a pole with Re s >= 0 beside the origin",
             allowed="a stable plant, or one with integrators",
-            remedy="close an inner loop first, and tune for what that makes of it",
+            remedy="stabilise it first, and tune for the closed loop",
         )
     # The sign of the gain at rest: with gains of C that are >= 0, a plant of negative
     # gain closes a positive feedback.
@@ -343,6 +337,15 @@ def _problem(
             allowed="False",
             remedy="give flat_phase=False (--no-flat-phase), or leave the order free",
         )
+    usual = (
+        _INTEGRAL_ORDERS if integral else (1.0, 1.0),
+        _DERIVATIVE_ORDERS if derivative else (1.0, 1.0),
+    )
+    ends = (
+        span if order is None else (order, order)
+        for span, (_, order, _) in zip(usual, orders, strict=True)
+    )
+    free = integral and derivative and not flat_phase
     return PidProblem(
         plant=plant,
         phase_margin=phase_margin,
@@ -351,26 +354,23 @@ def _problem(
         flat=flat_phase,
         gain_margin=gain_margin,
         max_sensitivity=max_sensitivity,
-        integral_orders=_ends(integral_order, _INTEGRAL_ORDERS),
-        derivative_orders=_ends(derivative_order, _DERIVATIVE_ORDERS),
+        spans=(
+            *ends,
+            _SLOPES if free else (0.0, 0.0),
+            _crossovers(plant, gain_crossover),
+        ),
         filter_time=filter_time,
-        filter_ratio=FILTER,
-        crossovers=_crossovers(plant, gain_crossover),
     )
-
-
-def _ends(given: float | None, usual: tuple[float, float]) -> tuple[float, float]:
-    return usual if given is None else (given, given)
 
 
 def _crossovers(
     plant: FractionalTransferFunction, given: float | None
 ) -> tuple[float, float]:
-    """Range of ω_c: the one that is given, or three decades below where the delay alone
-    turns by 180°.
+    """Range of ln ω_c: the one that is given, or three decades below where the delay
+    alone turns by 180°.
     """
     if given is not None:
-        return given, given
+        return math.log(given), math.log(given)
     delay = plant.delay
     if not delay:
         raise FieldError(
@@ -382,10 +382,11 @@ def _crossovers(
         )
     # Above π/τ the delay alone takes 180°. Three decades down no plant is left whose
     # delay decides anything.
-    return 1e-3 * math.pi / delay, math.pi / delay
+    high = math.log(math.pi / delay)
+    return high - math.log(1e3), high
 
 
-def _infeasible(problem: PidProblem, crossovers: list[float]) -> InfeasibleError:
+def _infeasible(problem: PidProblem) -> InfeasibleError:
     """The error, with the nearest phase margin for which there is a controller."""
     asked = problem.phase_margin
     more = "another crossover, another form, or flat_phase=False (--no-flat-phase) leaves more room"
@@ -396,7 +397,7 @@ def _infeasible(problem: PidProblem, crossovers: list[float]) -> InfeasibleError
         np.radians(np.arange(5.0, 150.0, 2.5)), key=lambda angle: abs(angle - asked)
     )
     for angle in steps:
-        if searched(replace(problem, phase_margin=float(angle)), crossovers[::4]).count:
+        if searched(replace(problem, phase_margin=float(angle)), every=4).count:
             explanation = f"no {_words(problem)} with gains >= 0 meets it in a stable loop; {more}"
             return InfeasibleError(
                 "phase_margin", explanation, {"phase_margin": float(angle)}

@@ -7,17 +7,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.fractional_pid import FractionalPid
-from fraclink._display import displayed
-from fraclink._files import document, load, save
+from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
+from fraclink._files import Saved, document
 from fraclink._law.fractional_pid import discretize_pid, pid_response
 from fraclink._law.law import Law, LawInputs
+from fraclink._law.requirement import Requirement
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
@@ -37,7 +37,7 @@ LAW_BAND = (
     50.0,
 )  # of the law's fit below and above ω_c: what a loop is judged by lies inside
 SPAN = 25.0  # of the sampled plant's modes, times the horizon: exact from ω_c/1000 on
-_EXACT = 1e-6  # relative: what was asked for is met to rounding and search
+_FLAT = 1e-6  # [rad] of phase over ln ω: rounding and search
 
 
 class PidStep(NamedTuple):
@@ -53,11 +53,10 @@ class PidStep(NamedTuple):
 @displayed
 @document(
     "pid-tuning",
-    period=lambda made: made.period,
     summary=lambda made: {"passed": made.passed, "controller": made.controller.formula},
 )
 @dataclass(frozen=True)
-class PidTuning:
+class PidTuning(Saved):
     """A fractional PID and the plant it was tuned for: the result of `tune_pid`.
 
     Attributes
@@ -142,32 +141,32 @@ class PidTuning:
         )
 
     @property
-    def kept(self) -> tuple[tuple[str, float, float, bool], ...]:
-        """Each requirement: its name, what was asked for, what was achieved, and
-        whether it is kept.
-        """
-        found = self.margins
-        rows = [("phase margin [rad]", self.phase_margin, found.phase_margin, 1)]
-        if self.gain_crossover is not None:
-            rows.append(
-                ("gain crossover [rad/s]", self.gain_crossover, found.gain_crossover, 0)
-            )
-        if self.gain_margin is not None:
+    def requirements(self) -> tuple[Requirement, ...]:
+        """Each requirement with what was achieved."""
+        found, gain = self.margins, self.margins.gain_margin
+        at_least = {
+            "phase margin": ("rad", self.phase_margin, found.phase_margin),
+            "gain crossover": ("rad/s", self.gain_crossover, found.gain_crossover),
             # A loop that becomes unstable with less gain has a margin below one: what
             # is asked for is a factor either way.
-            nearest = found.gain_margin
-            rows.append(
-                ("gain margin", self.gain_margin, max(nearest, 1.0 / nearest), 1)
-            )
-        if self.max_sensitivity is not None:
-            rows.append(
-                ("sensitivity peak", self.max_sensitivity, found.sensitivity_peak, -1)
-            )
-        if self.flat_phase:
-            rows.append(("slope of the phase [rad]", 0.0, self.phase_slope, 0))
+            "gain margin": ("", self.gain_margin, max(gain, 1.0 / gain)),
+        }
+        slope = _FLAT if self.flat_phase else None
+        at_most = {
+            "sensitivity peak": ("", self.max_sensitivity, found.sensitivity_peak),
+            "slope of the phase": ("rad", slope, abs(self.phase_slope)),
+        }
         return tuple(
-            (name, asked, got, _is_kept(asked, got, sense))
-            for name, asked, got, sense in rows
+            Requirement(
+                name,
+                wanted,
+                achieved,
+                unit,
+                math.nan,
+                "at least" if name in at_least else "at most",
+            )
+            for name, (unit, wanted, achieved) in (at_least | at_most).items()
+            if wanted is not None
         )
 
     @property
@@ -175,17 +174,47 @@ class PidTuning:
         """Whether the closed loop is stable and every requirement is kept, and no
         finding is an error.
         """
-        held = all(kept for *_, kept in self.kept)
+        held = all(requirement.passed for requirement in self.requirements)
         return self.stable and held and not errors_of(self.findings)
 
-    def __str__(self) -> str:
-        rows = [
-            f"{name}: asked {asked:.5g}, achieved {got:.5g}{'' if kept else ', FAILED'}"
-            for name, asked, got, kept in self.kept
-        ]
-        value = f"ITAE {self.itae:.5g} s² over {self.horizon:.4g} s"
-        return "\n".join(
-            [self.controller.formula, *rows, value, *map(str, self.findings)]
+    def overview(self) -> Overview:
+        """The controller, what was asked of it and achieved, and its step."""
+        found, c = self.margins, self.controller
+        figures = {
+            "gain_crossover": found.gain_crossover,
+            "phase_margin": found.phase_margin,
+            "gain_margin": found.gain_margin,
+            "sensitivity_peak": found.sensitivity_peak,
+        }
+        rows = (
+            Row("controller", "", c),
+            Row("stable", "", self.stable),
+            *(Row(name, "", value) for name, value in figures.items()),
+            Row("", "gain margin", found.gain_margin),
+            Row("", "sensitivity peak Ms", found.sensitivity_peak),
+            Row("itae", "ITAE", self.itae, "s²"),
+            Row("horizon", "over", self.horizon, "s"),
+        )
+        # Of an arm's requirement the payload is stated at which it is worst.
+        requirements = Table.of(
+            "requirements", (requirement.rows for requirement in self.requirements)
+        ).columns("requirement", "", "required", "achieved", "verdict")
+        notes = [] if self.stable else ["the closed loop is not stable"]
+        if self.delay:
+            notes.append(
+                f"{quantity(self.delay, 'ms')} of the delay in the loop are those of the sampling"
+            )
+        # A reader of arms' certificates must not take this verdict for one.
+        notes.append(
+            "computed, not proved: a certificate knows the loop of an arm only"
+        )
+        return Overview(
+            c.formula,
+            state_of(self.passed),
+            rows,
+            (requirements,),
+            self.findings,
+            tuple(notes),
         )
 
     def law(
@@ -195,7 +224,7 @@ class PidTuning:
         output_limit: float | None = None,
         measurement_limit: float | None = None,
         order: int | None = None,
-        precision: Literal["single", "double"] = "double",
+        precision: Literal["single", "double"] = "single",
     ) -> Law:
         """Return the law that runs the controller, by `fraclink.extend.discretize_pid`.
 
@@ -284,22 +313,6 @@ class PidTuning:
             time_response(system, pressed, time[1]).output for system in (closed, outer)
         ]
         return PidStep(time, *answers)
-
-    def save(self, path: Path | str) -> None:
-        """Write the tuning to one JSON file."""
-        save(self, path, force=True)
-
-    @staticmethod
-    def load(path: Path | str) -> PidTuning:
-        """Read a tuning back; FileFormatError where the file is not one, or was edited."""
-        return load(path, PidTuning)
-
-
-def _is_kept(asked: float, got: float, sense: int) -> bool:
-    # Absolute below one, as a slope of 0 rad is asked for: relative room of nothing is
-    # nothing.
-    room = _EXACT * max(1.0, abs(asked))
-    return abs(got - asked) <= room if sense == 0 else sense * (got - asked) >= -room
 
 
 def _run(

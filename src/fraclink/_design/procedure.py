@@ -1,17 +1,15 @@
 """`design`: from a specification to a design, or to the reason why there is none.
 
 The solver meets every row of the requirements at every arm that is asked for. Beside it
-stands the procedure as it was published, with its closed form (section 6, (54)–(57)).
+stands the procedure as it was published (section 6, (54)–(57)).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from fraclink._arm.box import ParameterBox, in_loop
 from fraclink._arm.draft import doubts_of
@@ -19,25 +17,27 @@ from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
 from fraclink._arm.rig import Rig
 from fraclink._design.box_cost import cost_of_box
-from fraclink._design.measured import requirements_of
-from fraclink._design.published import improper, is_published, published
-from fraclink._design.request import Request, Solved
-from fraclink._design.solver import RESERVE, Goal
+from fraclink._design.published import published
+from fraclink._design.request import Request
+from fraclink._design.rows import RESERVE, specification
+from fraclink._design.search import Solution, solved
 from fraclink._law.design import Design, Requirement, Specification
-from fraclink._law.rows import key_of
-from fraclink.errors import FieldError, InfeasibleError
-from fracsys.checks import checked_between, checked_noun
+from fraclink.errors import InfeasibleError
+from fracsys.checks import Between, checked_choice, checked_noun
 
 if TYPE_CHECKING:
     from fraclink._identify import Fit
 
-__all__ = ["design", "request_of"]
+__all__ = ["design", "link_of", "request_of"]
 
-Real = NDArray[np.float64]
+Goal = Literal["noise", "settling", "margin"]
 
-# Rows that the engine measures a little short, or that the law loses, are asked for
-# with that much more in reserve: the law's own error is nearly the same in each round.
+# What the law loses is asked for with that much more in reserve: its own error is
+# nearly the same in each round.
 _ROUNDS = 4
+# Of the fastest, or of the largest margin: the last tenth costs most, as the fastest
+# loop has no filter at all. (A tenth is what the published procedure gives its filter.)
+_SHARES = 0.9, 0.75, 0.5
 # Beyond the edge, relative, by which an offer may exceed it to pass with its law.
 _LOOSER = (0.0, 0.01, 0.1)
 _BOX = "ParameterBox.of(model, rig), or True for it"
@@ -47,38 +47,26 @@ def design(
     model: LinkModel | Fit,
     rig: Rig,
     *,
-    payloads: tuple[float, float] | None = None,
-    natural_frequencies: tuple[float, float] | None = None,
-    gain_crossover: float | None = None,
-    phase_margin: float | None = None,
-    margins: Literal["loop", "ideal"] = "loop",
-    filter_time: float | None = None,
-    filter_order: int | None = None,
-    inner: Literal["ideal", "sampled"] = "ideal",
-    placement: Literal["tustin", "direct"] = "tustin",
-    max_sensitivity: float | None = None,
-    noise_gain: float | None = None,
-    settling_time: float | None = None,
-    mode_gain: float | None = None,
     box: ParameterBox | bool | None = None,
     goal: Goal | None = None,
     procedure: Literal["solver", "published"] = "solver",
     law: bool = True,
     nearest: bool = True,
+    **wanted: Unpack[Specification],
 ) -> Design:
     """Design ``C(s) = 1 + k_d s^β/(1 + δs)^n`` that keeps every requirement at every
     payload of a range.
 
     Where no such C keeps the bound at the link's second mode, a notch there is a factor
-    of its second term. k_d, β and δ are chosen so that the goal is best while every row is kept: what is
-    asked for here, and what any loop needs (nothing crosses beyond the motor loop,
-    moves do not ring, the empty gripper is stable, noise leaves half of the voltage,
-    the law as it ships keeps the margins). Nothing asked for, the design is the fastest
-    that keeps all of this at Ms <= 2, for everything that fit and rig leave open.
+    of its second term. k_d, β and δ are chosen so that noise is least while every row is
+    kept: what is asked for here, and what any loop needs (nothing crosses beyond the
+    motor loop, moves do not ring, the empty gripper is stable, noise leaves half of the
+    voltage, the law as it ships keeps the margins). Nothing asked for, the design is the
+    fastest that keeps all of this at Ms <= 2, for everything that fit and rig leave open.
 
-    The result has the controller and the table of requirements with what is achieved.
-    It does not pass where the fit failed a gate, or where model or payloads contradict
-    the rig (W105, W106).
+    The result has the controller and the table of requirements with what is achieved;
+    it passed where the worst row did. Where the fit failed a gate, or model or payloads
+    contradict the rig (W105, W106), its ``doubts`` say so, and it does not pass.
 
     Parameters
     ----------
@@ -88,39 +76,6 @@ def design(
         the gauge.
     rig
         motor loop, sampling period, payloads and stiffness.
-    payloads
-        (lightest, heaviest) [kg], > 0; the rig's own when neither range is given.
-    natural_frequencies
-        (low, high) ω₀ [s^(-λ/2)] instead of payloads.
-    gain_crossover
-        smallest ω_c [rad/s], > 0; with neither it nor `settling_time` the highest is
-        looked for, and nine tenths of it kept with the least noise.
-    phase_margin
-        smallest φ_m [rad], 0 < φ_m < π; ``deg(50)`` for 50 degrees; with neither it nor
-        `max_sensitivity` Ms is 2 at most.
-    margins
-        "loop": filter, motor loop, half a sample of hold and the computation delay are
-        part of the loop. "ideal": the paper's reading, Ĉ·G alone (published procedure).
-    filter_time
-        δ [s] >= 0; zero for none; chosen when left out.
-    filter_order
-        n, 1 or 2; chosen when left out.
-    inner
-        "ideal" (M(s) of eq. (21)) or "sampled" (the PID at the control period, on the
-        motor). The law is judged with the sampled one in either case.
-    placement
-        for the sampled motor loop: "tustin" discretises (19), (20); "direct" places its
-        poles in z.
-    max_sensitivity
-        bound on Ms = max 1/|1 + L|, > 1.
-    noise_gain
-        bound on the motor reference's RMS for white gauge noise of RMS one, > 0.
-    settling_time
-        bound on 2π/ω_c [s], > 0.
-    mode_gain
-        bound on the loop gain at the higher modes of the link, > 0. Below one no phase
-        of the mode can destabilise it. Where the model knows a second mode or the rig
-        the link's mass, the bound is 0.5 unless another is given.
     box
         arms that must keep every requirement: a `ParameterBox`; True for
         ``ParameterBox.of(model, rig)``, the fit's intervals and at least the rig's
@@ -128,19 +83,22 @@ def design(
         crossover or a margin is asked for. Finding W407 says what it costs, and of
         which parameter. The design remembers it, and `certify` proves it.
     goal
-        "noise": least noise at the motor reference; "settling": highest crossover;
-        "margin": largest phase margin. "noise" where a crossover is asked for, else
-        "settling".
+        "settling": the highest crossover, where none is asked for; "margin": the largest
+        phase margin. A tenth of either is given for less noise. "noise": the least, with
+        what is asked for.
     procedure
         "published": the paper's closed form instead (section 6, eqs. (54)–(57)), which
-        meets the crossover at the heaviest payload and the margin at the lightest with
-        equality, with a filter that costs 10 % of the margin, and knows no other
-        requirement.
+        reads Ĉ·G alone, meets the crossover at the heaviest payload and the margin at
+        the lightest with equality, with a filter that costs 10 % of the margin, and
+        knows no other requirement.
     law
         whether to fit the law that ships, too: its margins are requirements like any
         other. Without it nothing is said of the law.
     nearest
         False: a refusal does not look for the nearest request that passes.
+    wanted
+        what is asked for, by the names of `Specification`, such as ``gain_crossover``
+        [rad/s] and ``phase_margin`` [rad].
 
     Raises
     ------
@@ -156,282 +114,242 @@ def design(
     >>> from fraclink._arm.rig import Rig
     >>> rig = Rig.named("paper-2023")
     >>> wanted = {"gain_crossover": 12.0, "phase_margin": deg(50)}
-    >>> found = design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
-    >>> round(found.controller.order, 2), found.passed
-    (1.67, True)
+    >>> made = design(rig.model, rig, payloads=(0.020, 0.040), **wanted)
+    >>> round(made.controller.derivative_order, 1), made.passed
+    (1.7, True)
     >>> paper = design(rig.model, rig, **wanted, filter_time=0.0, procedure="published")
-    >>> round(paper.controller.gain, 6), round(paper.controller.order, 6), paper.passed
-    (0.069876, 0.612197, True)
+    >>> round(paper.controller.derivative_order, 3), paper.margins_kind
+    (0.237, 'ideal')
     """
-    spec = Specification(
-        payloads=payloads,
-        natural_frequencies=natural_frequencies,
-        gain_crossover=gain_crossover,
-        phase_margin=phase_margin,
-        margins=margins,
-        filter_time=filter_time,
-        filter_order=filter_order,
-        inner=inner,
-        placement=placement,
-        max_sensitivity=max_sensitivity,
-        noise_gain=noise_gain,
-        settling_time=settling_time,
-        mode_gain=mode_gain,
+    spec = specification(wanted)
+    checked_choice(
+        "procedure",
+        procedure,
+        ("solver", "published"),
+        remedy="leave it out for a design that keeps every row",
     )
-    link = _link_of(model, rig)
+    link = link_of(model, rig)
     try:
-        if is_published(procedure, spec, box):
-            made = published(link, rig, spec)
-            made = made.warned_of_law() if law else made
+        if procedure == "published":
+            made = published(link, rig, spec, box)
+            made = made.with_law() if law else made
         else:
-            made = _solved(link, rig, spec, box, goal, law=law, nearest=nearest)
+            request = request_of(link, rig, spec, box)
+            speed = request.speed is not None
+            made = _solved(
+                request, goal or ("noise" if speed else "settling"), law, nearest
+            )
     except InfeasibleError as error:
         # A payload in grams or the model of another arm is refused for reasons that
         # hide the cause.
-        doubts = "; ".join(
-            finding.message for finding in doubts_of(rig, link, payloads or ())
-        )
+        doubts = [one.message for one in doubts_of(rig, link, spec.get("payloads", ()))]
         if not doubts:
             raise
-        explanation = f"{error.explanation}; but {doubts}"
-        raise InfeasibleError(error.condition, explanation, error.nearest) from error
+        sentence = f"{'; '.join(doubts)}; and so {error.explanation}"
+        raise InfeasibleError(error.condition, sentence, error.nearest) from error
     return made.doubted(getattr(model, "findings", ()))
-
-
-# ---- the solver ---------------------------------------------------------------------------------------------
-
-
-def _solved(
-    link: LinkModel,
-    rig: Rig,
-    spec: Specification,
-    box: ParameterBox | bool | None,
-    goal: Goal | None,
-    *,
-    law: bool,
-    nearest: bool,
-) -> Design:
-    """The design of a specification; InfeasibleError where there is none, with the
-    nearest one that there is.
-    """
-    request = request_of(link, rig, spec, box, goal)
-    made, slack = _best(request, law=law)
-    if _kept(made):
-        return _with_cost(made)
-    condition, sentence = _in_the_way(request, made, slack)
-    # where what is not the user's is missed, no other request of his is known to pass
-    near = nearest and slack < math.inf
-    raise InfeasibleError(
-        condition, sentence, _offer(request, made, law=law) if near else {}
-    )
 
 
 def request_of(
     link: LinkModel,
     rig: Rig,
-    spec: Specification,
+    spec: Mapping[str, Any],
     box: ParameterBox | bool | None,
-    goal: Goal | None = None,
 ) -> Request:
     """Return what the solver is asked: every number settled, FieldError for what
     contradicts the arm.
     """
     known = with_payload(link, rig)
-    speed = spec.gain_crossover is not None or spec.settling_time is not None
-    margin = spec.phase_margin is not None or spec.max_sensitivity is not None
-    if box is None and not speed and not margin:
+    asked = {"gain_crossover", "settling_time", "phase_margin", "max_sensitivity"}
+    if box is None and not asked & set(spec):
         box = True  # nothing asked: what fit and rig leave open is kept, too
-    arms = None
-    if box:
-        arms = (
-            ParameterBox.of(known, rig)
-            if box is True
-            else checked_noun("box", box, ParameterBox, remedy=_BOX)
-        )
-    request = Request(
-        known, rig, spec, arms, goal or ("noise" if speed else "settling")
-    )
-    request.check()
-    return request
+    arms = ParameterBox.of(known, rig) if box is True else None
+    if box and arms is None:
+        arms = checked_noun("box", box, ParameterBox, remedy=_BOX)
+    return Request.of(known, rig, spec, arms)
 
 
-def _best(request: Request, *, law: bool) -> tuple[Design, float]:
-    """The design of a request, with more in reserve until the engine
-    and the law that ships find every row kept; the nearest one where none keeps them,
-    and the slack that it needs.
+def _solved(request: Request, goal: Goal, law: bool, nearest: bool) -> Design:
+    """The design of a request; InfeasibleError where there is none, with the nearest
+    one that there is.
     """
-    solved = request.solved()
-    for turn in range(_ROUNDS):
-        made = _design_of(request, solved)
-        if solved.solution.slack > 0.0:
+    made, solution = _best(request, goal, law, patient=True)
+    if not made.missed and made.box is None:
+        return made
+    if not made.missed:
+        return replace(made, findings=(*made.findings, cost_of_box(made)))
+    condition, sentence = _in_the_way(solution, made)
+    # where what is not the user's is missed, no other request of his is known to pass
+    near = nearest and solution.eases
+    offer = _offer(request, solution, goal, law) if near else {}
+    raise InfeasibleError(condition, sentence, offer)
+
+
+def _best(
+    request: Request, goal: Goal, law: bool, *, patient: bool
+) -> tuple[Design, Solution]:
+    """The design of a request, and where its search ended: with a quiet second mode, or
+    else with one whose phase keeps it from -1.
+    """
+    # of a mode that the user bounds, or that the model does not know, nothing is loud
+    known = request.model.second_mode is not None and "mode_gain" not in request.spec
+    if known:
+        made, solution = _reserved(request, goal, law, patient=False)
+        if not made.missed:
+            return made, solution
+        request = replace(request, loud=True)
+    return _reserved(request, goal, law, patient=patient)
+
+
+def _reserved(
+    request: Request, goal: Goal, law: bool, *, patient: bool
+) -> tuple[Design, Solution]:
+    """The design of a request, with more in reserve until the law that ships keeps every
+    row, too; the nearest one where none does.
+    """
+    for asked in _asked(request, goal):
+        solution = solved(asked, patient=patient)
+        made = _design_of(solution)
+        for _ in range(_ROUNDS if law and solution.slack == 0.0 else 0):
+            made = made.with_law()
+            reserves = _lost_by_law(made)
+            tighter = solution.tightened(reserves) if reserves else solution
+            if not reserves or tighter.slack > 0.0:
+                break
+            solution, made = tighter, _design_of(tighter)
+        if not made.missed:
             break
-        made = made.with_law() if law else made
-        if turn == _ROUNDS - 1:
-            break
-        reserves = _missed(request, made)
-        if not reserves:
-            break
-        tighter = request.tightened(solved, reserves)
-        if tighter.solution.slack > 0.0:
-            break
-        solved = tighter
-    return made, solved.solution.slack
+    return made, solution
 
 
-def _kept(made: Design) -> bool:
-    """Whether every row is kept; what a fit or a rig leaves in doubt is another matter."""
-    return all(item.passed for item in made.requirements)
+def _asked(request: Request, goal: Goal) -> list[Request]:
+    """The request for nine tenths of the highest crossover, or of the largest margin,
+    that there is, and for less where the law does not keep that; itself for no goal, or
+    where no loop keeps the other rows.
+    """
+    if goal == "noise":
+        return [request]
+    key = "phase_margin" if goal == "margin" else "gain_crossover"
+    most = math.pi if goal == "margin" else request.highest
+    best = solved(request.aiming(key, most), patient=True)
+    reached, least = most * math.exp(-best.rows.easing), request.arms.resonance
+    if goal == "margin":
+        reached, least = math.degrees(most * (1.0 - best.rows.easing)), 0.0
+    if not best.eases or reached <= least:
+        return [request]
+    values = [_floored(share * reached) for share in _SHARES]
+    if goal == "margin":
+        values = [math.radians(value) for value in values]
+    return [request.asking(**{key: value}) for value in values]
 
 
-def _missed(request: Request, made: Design) -> dict[str, float]:
-    """By how much more than asked for each row that is missed has to be aimed at."""
-    found: dict[str, float] = {}
-    for item in made.requirements:
-        if item.passed:
-            continue
-        key = key_of(item)
-        if key == "delay_margin":
-            more = -item.slack * request.highest
-            found["phase_margin"] = max(found.get("phase_margin", 0.0), more)
-            continue
-        if key == "law_margin" or (key == "law_modulus" and item.achieved <= 0.0):
-            key = "phase_margin"
-        if item.unit == "rad" or key == "damping":
-            found[key] = max(found.get(key, 0.0), -1.05 * item.slack + RESERVE)
-        elif item.achieved > 0.0 and math.isfinite(item.achieved):
-            ratio = abs(math.log(item.achieved / item.wanted))
-            found[key] = max(found.get(key, 0.0), 1.5 * ratio + RESERVE)
-    return found
+def _lost_by_law(made: Design) -> dict[str, float]:
+    """By how much more each row has to be kept that the law loses, relative."""
+    margin, modulus = made.requirements[-2:]
+    lost: dict[str, float] = {}
+    if not margin.passed:
+        lost["phase_margin"] = 1.05 * abs(margin.slack / made.phase_margin) + RESERVE
+    if not modulus.passed and modulus.achieved > 0.0:
+        more = 1.5 * math.log(modulus.wanted / modulus.achieved)
+        lost["max_sensitivity"] = more + RESERVE
+    return lost
 
 
-def _design_of(request: Request, solved: Solved) -> Design:
-    """The design of a solution, with every row as the engine measures it."""
-    controller, (low, high) = solved.controller, request.natural_frequencies
-    loop = request.arms[0].loop(controller, request.rig)
-    reached = solved.problem.wanted.gain_crossover
-    if reached is None:
-        reached = float(loop.margins([low])[0][0])
-    if request.gain_crossover is None:
-        reached = _floored(reached)
-    findings = doubts_of(request.rig, request.model, request.payloads)
-    if not controller.is_strictly_proper:
-        findings = (*findings, improper(controller))
+def _design_of(solution: Solution) -> Design:
+    """The design of a solution, with every row."""
+    request, controller = solution.search.request, solution.controller
+    low, high = request.natural_frequencies
+    reached, upper = solution.crossovers
+    asked = request.speed or _floored(reached)
     return Design(
         model=request.model,
         rig=request.rig,
         controller=controller,
-        requirements=requirements_of(request, solved, reached),
+        requirements=tuple(item for _, item in solution.measured),
         margins_kind="loop",
         payloads=request.payloads,
         natural_frequencies=(low, high),
-        gain_crossover=reached,
+        gain_crossover=asked,
         phase_margin=request.phase_margin,
-        chi=controller.gain * reached**controller.order,
-        gain_crossover_upper=float(loop.margins([high])[0][0]),
-        findings=findings,
+        chi=controller.derivative_gain * asked**controller.derivative_order,
+        gain_crossover_upper=upper,
+        findings=doubts_of(request.rig, request.model, request.payloads),
         box=request.box,
     )
 
 
-def _with_cost(made: Design) -> Design:
-    """The design with what its box costs."""
-    if made.box is None:
-        return made
-    cost = cost_of_box(
-        made.model, made.rig, made.controller, made.natural_frequencies, made.box
-    )
-    return replace(made, findings=(*made.findings, cost))
-
-
-def _in_the_way(request: Request, made: Design, slack: float) -> tuple[str, str]:
+def _in_the_way(solution: Solution, made: Design) -> tuple[str, str]:
     """(the row that is missed by most, the sentence that says by how much).
 
     The nearest controller gives of everything that was asked for, so that its figure is
     the best one only together with what the other rows give.
     """
-    failed = [item for item in made.requirements if not item.passed]
-    worst = max(failed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3))
+    worst = max(
+        made.missed, key=lambda item: abs(item.slack) / max(abs(item.wanted), 1e-3)
+    )
     wanted, achieved = worst.shown
-    most = "at most" if worst.bound == "at least" else "at least"
-    if slack == math.inf:
-        most = "no controller was found with more than"
-        if worst.bound == "at most":
-            most = "no controller was found with less than"
+    resonance = solution.search.request.arms.resonance
+    more, most = "more", "at most"
+    if worst.bound == "at most":
+        more, most = "less", "at least"
+    said = f"{most} {achieved}"
+    if worst.name == "gain crossover" and not worst.achieved:
+        said = f"no loop was found that crosses beyond the resonance ({resonance:.3g} rad/s at the heaviest)"
+    elif not solution.eases:
+        said = f"no controller was found with {more} than {achieved}"
     given = [
         f"{item.name} of {item.shown[1]} instead of {item.shown[0]}"
-        for item in failed
-        if item is not worst and _own_key(request, item) is not None
+        for item in made.missed
+        if item is not worst and item.name != "gain margin" and solution.eases
     ]
     even = f", even with a {' and a '.join(given)}" if given else ""
-    late = made.model.gauge_delay
-    crossing = made.gain_crossover_upper
-    why = ""
-    if late > 0.0 and math.degrees(late * crossing) > 5.0:
-        why = (
-            f": the gauge is {1e3 * late:.3g} ms late, which costs "
-            f"{math.degrees(late * crossing):.0f}° at {crossing:.3g} rad/s"
-        )
+    late, crossing = made.model.gauge_delay, made.gain_crossover_upper or resonance
+    lost = math.degrees(late * crossing)
+    why = (
+        f": the gauge is {1e3 * late:.3g} ms late, which costs {lost:.0f}° at {crossing:.3g} rad/s"
+        if lost > 5.0
+        else ""
+    )
     return worst.name, (
-        f"at {1e3 * worst.at_payload:.3g} g {most} {achieved} where {wanted} is asked for{even}{why}"
+        f"at {1e3 * worst.at_payload:.3g} g {said} where {wanted} is asked for{even}{why}"
     )
 
 
-def _offer(request: Request, made: Design, *, law: bool) -> dict[str, float]:
+def _offer(
+    request: Request, solution: Solution, goal: Goal, law: bool
+) -> dict[str, float]:
     """The nearest request in the user's own quantities, rounded inwards to three
     digits; empty where none near passes when it is followed.
     """
     for share in _LOOSER:
-        values: dict[str, Any] = {}
-        for item in made.requirements:
-            key = _own_key(request, item)
-            if key is None or not math.isfinite(item.achieved) or item.achieved <= 0.0:
-                continue
-            if item.passed and share == 0.0:
-                continue
-            asked = item.bound == "at least"
-            if item.passed and key not in values and item.slack > share * item.wanted:
-                continue
-            edge = (
-                min(item.achieved, item.wanted)
-                if asked
-                else max(item.achieved, item.wanted)
-            )
-            value = _rounded(
-                key, edge * (1.0 - share if asked else 1.0 + share), down=asked
-            )
-            known = values.get(key)
-            worse = known is None or (value < known if asked else value > known)
-            if worse:
-                values[key] = value
+        values: dict[str, float] = {}
+        for row, item in solution.measured:
+            implied = row.key == "phase_margin" and row.key not in request.spec
+            near = not item.passed or item.slack < share * item.wanted
+            near = near and 0.0 < item.achieved < math.inf
+            if row.key in request.soft and near and not implied:
+                value = _eased(item, share)
+                most = min if item.bound == "at least" else max
+                values[row.key] = most(value, values.get(row.key, value))
         if not values:
             continue
-        try:
-            spec = replace(request.spec, **values)
-            trial, _ = _best(request.asking(spec), law=law)
-        except FieldError:
-            return {}
-        if _kept(trial):
+        trial, _ = _best(request.asking(**values), goal, law, patient=True)
+        if not trial.missed:
             return values
     return {}
 
 
-def _own_key(request: Request, item: Requirement) -> str | None:
-    """The user's own quantity behind a requirement, None where there is none."""
-    key = key_of(item)
-    if key == "phase_margin" and request.spec.phase_margin is None:
-        return None
-    if key == "gain_crossover" and request.gain_crossover is None:
-        return None
-    return key if key in (*request.soft, "settling_time") else None
-
-
-def _rounded(key: str, value: float, *, down: bool) -> float:
-    """The value with three digits, rounded to the side on which it is easier to meet;
-    an angle in degrees.
+def _eased(item: Requirement, share: float) -> float:
+    """What is achieved or wanted, whichever is less to ask for, and a share less;
+    rounded to three digits, an angle in degrees.
     """
-    if key == "phase_margin":
-        return math.radians(_floored(math.degrees(value)))
-    return _floored(value) if down else -_floored(-value)
+    least = item.bound == "at least"
+    edge = (min if least else max)(item.achieved, item.wanted)
+    if not least:
+        return -_floored(-edge * (1.0 + share))
+    if item.unit == "rad":
+        return math.radians(_floored(math.degrees(edge * (1.0 - share))))
+    return _floored(edge * (1.0 - share))
 
 
 def _floored(value: float) -> float:
@@ -440,14 +358,14 @@ def _floored(value: float) -> float:
     >>> _floored(11.567), _floored(-0.12345)
     (11.5, -0.124)
     """
-    if value == 0.0:
+    if not value:
         return 0.0
     digit = 10.0 ** (2 - math.floor(math.log10(abs(value))))
     whole = math.floor(value * digit * (1.0 + math.copysign(1e-12, value)))
     return float(f"{whole / digit:.3g}")
 
 
-def _link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
+def link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     """The link of a model or a fit, with the gauge that the control loop has."""
     checked_noun("rig", rig, Rig, remedy="Rig.named or Rig.load make one")
     # A fit knows what it could not show; anything else that carries a model is taken at
@@ -460,13 +378,8 @@ def _link_of(model: LinkModel | Fit, rig: Rig) -> LinkModel:
     link = checked_noun(
         "model", found, LinkModel, remedy="give a fit, fit.model, or rig.model"
     )
-    checked_between(
-        "order",
-        link.order,
-        1.0,
-        2.0,
-        "(λ)",
-        open_low=True,
-        remedy="λ is 2 for a classical link",
+    order = Between(
+        1.0, 2.0, "(λ)", low_open=True, remedy="λ is 2 for a classical link"
     )
+    order.check("order", link.order)
     return in_loop(link, rig)

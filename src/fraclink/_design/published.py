@@ -1,188 +1,275 @@
-"""The procedure as it was published (section 6, (54)–(57)): crossover and margin met
-with equality, for who asks for it.
+"""The procedure as it was published (section 6, (54)–(57)): crossover and margin of
+Ĉ·G met with equality, for who asks for it.
+
+Magnitude at the heaviest payload gives ``k_d = χ/ω_c^β`` (54). The phase of (55) is
+linear in β and gives ``β(ω̄_c) = (2/π)(φ_m - π - arg G(jω̄_c; ω̄₀))``; its magnitude
+then leaves one equation in ω̄_c alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox
 from fraclink._arm.controller import Controller
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.link import LinkModel
-from fraclink._arm.loop import Loop, worst_margins
+from fraclink._arm.loop import Loop, with_payload, worst_margins
 from fraclink._arm.rig import Rig
-from fraclink._design.equations import (
-    MARGIN_SHARE,
-    Task,
-    attempt,
-    candidates,
-    reason,
-    task_of,
-)
-from fraclink._law.design import Design, Requirement, Specification
-from fraclink._law.modes import MODE_LIMIT, higher_modes, mode_requirements, ringing
-from fraclink._law.rows import row
+from fraclink._design.request import Request
+from fraclink._design.search import Search, Solution
+from fraclink._law.design import Design, Requirement
 from fraclink.errors import FieldError, InfeasibleError
 from fraclink.findings import Finding
-from fracsys.checks import checked_choice
+from fracsys._sweep import bracketed_roots
 
-__all__ = ["improper", "is_published", "published"]
+__all__ = ["ClosedForm", "published"]
+
+Real = NDArray[np.float64]
+
+_SHARE = 0.1  # of the phase margin, what the filter may cost (section 6, step 5)
+_GRID = 240  # trial values of ω̄_c, among which a change of sign is looked for
+_KNOWN = {
+    "payloads",
+    "natural_frequencies",
+    "gain_crossover",
+    "phase_margin",
+    "filter_time",
+    "filter_order",
+    "motor_loop",
+    "placement",
+}
 
 
-def is_published(
-    procedure: str, spec: Specification, box: ParameterBox | bool | None
-) -> bool:
-    """Whether the closed form is asked for; FieldError for what it does not know."""
-    checked_choice(
-        "procedure",
-        procedure,
-        ("solver", "published"),
-        remedy="leave it out for a design that keeps every row",
+@dataclass(frozen=True)
+class ClosedForm:
+    """One solution of (54), (55), whether or not it is admissible."""
+
+    order: float  # β
+    gain: float  # k_d
+    upper: float  # ω̄_c [rad/s]
+    chi: float
+    slope_low: (
+        float  # d ln|L| / d ln ω at (ω₀ low, ω_c): negative means right of the peak
     )
-    if procedure != "published" and spec.margins == "loop":
-        return False
-    bounds = ("max_sensitivity", "noise_gain", "settling_time", "mode_gain")
-    given = [name for name in bounds if getattr(spec, name) is not None]
-    given += ["box"] if box else []
-    if given:
-        raise FieldError(
-            given[0],
-            "given",
-            "unknown to the published procedure, which has crossover and margin alone",
-            allowed="the solver, on the loop that runs",
-            remedy='leave out procedure="published" and margins="ideal", or the bound',
-        )
-    return True
+    slope_high: float  # the same at (ω₀ high, ω̄_c)
+
+    def violated(self, link_order: float) -> str | None:
+        """Name the first condition of Theorem 1 that fails, None where all are met.
+
+        Right of the peak of |L| is the exact condition: the denominator of (49) is
+        minus the slope times a positive factor, so its sign is what makes ω_c rise and
+        φ_m fall with ω₀. (39) is only sufficient.
+        """
+        # β < λ is a condition of Theorem 1, and β < 2 what a controller may have: with
+        # λ = 2 they are one.
+        if self.order <= 0.0:
+            return "β > 0"
+        if self.order >= min(link_order, 2.0):
+            return "β < λ" if link_order < 2.0 else "β < 2"
+        if self.slope_low >= 0.0:
+            return "gain crossover right of the peak at the heaviest payload"
+        if self.slope_high >= 0.0:
+            return "gain crossover right of the peak at the lightest payload"
+        return None
 
 
-def published(link: LinkModel, rig: Rig, spec: Specification) -> Design:
+def published(
+    model: LinkModel,
+    rig: Rig,
+    spec: Mapping[str, Any],
+    box: ParameterBox | bool | None,
+) -> Design:
     """The closed form of a specification, met with equality."""
-    task = task_of(link, rig, spec)
-    found = attempt(task)
-    if found is None:
-        raise InfeasibleError(*reason(task, candidates(task)), {})
-    solution, order = found
-    controller = task.controller(solution, order)
+    unknown = sorted(set(spec) - _KNOWN) + (["box"] if box else [])
+    missing = [key for key in ("gain_crossover", "phase_margin") if key not in spec]
+    for field in unknown + missing:
+        raise FieldError(
+            field,
+            "given" if field in unknown else None,
+            "unknown to the published procedure"
+            if field in unknown
+            else "missing for the published procedure",
+            allowed="crossover and margin, and nothing else",
+            remedy='leave out procedure="published" for the solver, which needs none and knows all',
+        )
+    ideal = {"motor_loop": "ideal", "placement": "tustin", **spec}
+    request = Request.of(with_payload(model, rig), rig, ideal, None)
+    solution, order = _admissible(request)
+    low, high = request.natural_frequencies
+    loop = replace(Loop.ideal(request.model), gain=solution.gain, order=solution.order)
+    time = spec.get("filter_time")
+    if time is None:
+        time = _filter_afterwards(request, loop, order, solution.upper)
+    controller = Controller(
+        derivative_gain=solution.gain,
+        derivative_order=solution.order,
+        filter_time=time,
+        filter_order=order,
+        link=request.model.at_payload(rig.payloads.nominal),
+        motor_loop=request.motor_loop,
+        period=rig.period,
+    )
+    (crossover, slow), (margin, close) = worst_margins(loop, low, high)
+    payload_at = request.model.payload_at
+    asked = spec["gain_crossover"], spec["phase_margin"]
     return Design(
-        model=link,
+        model=model,
         rig=rig,
         controller=controller,
-        requirements=_requirements(task, controller),
-        margins_kind=task.margins,
-        payloads=task.payloads,
-        natural_frequencies=(task.low, task.high),
-        gain_crossover=task.gain_crossover,
-        phase_margin=task.phase_margin,
+        requirements=(
+            Requirement(
+                "gain crossover",
+                asked[0],
+                crossover,
+                "rad/s",
+                payload_at(slow),
+                "at least",
+            ),
+            Requirement(
+                "phase margin", asked[1], margin, "rad", payload_at(close), "at least"
+            ),
+        ),
+        margins_kind="ideal",
+        payloads=request.payloads,
+        natural_frequencies=(low, high),
+        gain_crossover=asked[0],
+        phase_margin=asked[1],
         chi=solution.chi,
         gain_crossover_upper=solution.upper,
-        findings=_findings(task, controller, solution.upper),
-    )
-
-
-def _requirements(task: Task, controller: Controller) -> tuple[Requirement, ...]:
-    """Return crossover and margin with their worst values over the payload range."""
-    loop = task.loop(controller)
-    (crossover, at_crossover), (margin, at_margin) = worst_margins(
-        loop, task.low, task.high
-    )
-    where = task.model.payload_at
-    return (
-        row("gain_crossover").measured(
-            task.gain_crossover, crossover, where(at_crossover)
+        findings=(
+            *doubts_of(rig, model, request.payloads),
+            *_not_looked_at(request, controller),
         ),
-        row("phase_margin").measured(task.phase_margin, margin, where(at_margin)),
     )
 
 
-def _findings(task: Task, controller: Controller, upper: float) -> tuple[Finding, ...]:
-    """Findings of a design: what contradicts the rig, and what is less than it seems
-    (W401 …).
-
-    `upper` is the crossover of the lightest payload [rad/s].
-    """
-    found = list(doubts_of(task.rig, task.model, task.payloads))
-    # The lag at ω̄_c, where the phase margin is met: at ω_c the filter would look
-    # cheaper than it is.
-    cost = controller.filter_order * math.atan(controller.filter_time * upper)
-    if task.filter_time is not None and cost > MARGIN_SHARE * task.phase_margin * (
-        1.0 + 1e-2
-    ):
-        margin = task.phase_margin
-        found.append(
-            Finding(
-                "W401",
-                "warning",
-                "the filter costs more than 10 % of the phase margin",
-                {
-                    "filter_time": controller.filter_time,
-                    "cost_rad": cost,
-                    "phase_margin_rad": margin,
-                },
-                "leave filter_time out to have it chosen by the rule",
-            )
-        )
-    if not controller.is_strictly_proper:
-        found.append(improper(controller))
-    # At the heaviest payload: the bound (39) rises with ω₀, but the crossover is asked
-    # for at ω_c only there.
-    sufficient = Loop.ideal(task.model).sufficient(task.low)
-    if task.gain_crossover <= sufficient:
-        found.append(
-            Finding(
-                "W403",
-                "info",
-                "condition (39) does not hold; the exact condition of Theorem 1 does, and it is what counts",
-                {"gain_crossover": task.gain_crossover, "condition_39": sufficient},
-            )
-        )
-    return (
-        *found,
-        *_ringing(task, controller),
-        *_spillover(task, controller),
-    )
-
-
-def _ringing(task: Task, controller: Controller) -> tuple[Finding, ...]:
-    """W409 where the moves of the loop ring; the paper's reading has no loop that runs."""
-    if task.margins == "ideal":
-        return ()
-    ends = {task.model.payload_at(w0): w0 for w0 in (task.low, task.high)}
-    return ringing(task.full_loop(controller), ends)
-
-
-def _spillover(task: Task, controller: Controller) -> tuple[Finding, ...]:
-    """W405 where the loop reaches a higher mode."""
-    loop = task.full_loop(controller)
-    modes = higher_modes(task.model, task.rig, loop, task.payloads)
-    if modes is None:
-        return ()
-    number, worst = max(
-        mode_requirements(modes, loop, MODE_LIMIT), key=lambda pair: pair[1].achieved
-    )
-    if worst.passed:
-        return ()
-    return (
-        Finding(
+def _not_looked_at(request: Request, controller: Controller) -> Iterator[Finding]:
+    """W405: the rows that the procedure does not know and that its loop misses."""
+    gain = math.log(
+        controller.derivative_gain
+    ) + controller.derivative_order * math.log(request.reference)
+    x = [
+        gain,
+        controller.derivative_order,
+        math.log(max(controller.filter_time, 1e-12)),
+    ]
+    search = Search(request, request.first_links, controller.filter_order)
+    measured = Solution(search, np.array(x)).measured
+    missed = "; ".join(str(item) for _, item in measured if not item.passed)
+    if missed:
+        yield Finding(
             "W405",
-            "warning" if worst.achieved >= 1.0 else "info",
-            f"the loop gain at mode {number} of the link is high: above 1, stability depends on the phase at "
-            "a mode that is not modelled",
-            {
-                "loop_gain": worst.achieved,
-                "limit": MODE_LIMIT,
-                "payload_kg": worst.at_payload,
-            },
-            "ask for mode_gain=0.5 (--mode-gain 0.5), which lengthens the filter",
-        ),
-    )
+            "warning",
+            f"the loop that runs misses what the published procedure does not look at: {missed}",
+            {},
+            'leave out procedure="published"',
+        )
 
 
-def improper(controller: Controller) -> Finding:
-    return Finding(
-        "W402",
-        "info",
-        "Ĉ is not strictly proper (condition (32)): gauge noise is not filtered",
-        {"order": controller.order, "filter_time": controller.filter_time},
-        "the sampling bounds it; give filter_time, or leave it out to have it chosen",
+def _solutions(request: Request, order: int) -> Iterator[ClosedForm]:
+    """Every solution of (54), (55) with ω̄_c above 0.9 ω_c, lowest ω̄_c first."""
+    bare = replace(Loop.ideal(request.model), filter_order=order)
+    low, high = request.natural_frequencies
+    crossover, margin = request.spec["gain_crossover"], request.spec["phase_margin"]
+    at_low = bare.log(crossover, low)
+
+    def terms(upper: Real) -> tuple[Real, Real, Real]:
+        """(residual of the magnitude of (55), β, ln χ) at trial values of ω̄_c."""
+        at_high = bare.log(upper, high)
+        # arg L = −π + φ_m at ω̄_c, and arg (jω)^β is βπ/2 at every ω: linear in β, no
+        # branch to choose, as `bare.log` has the unwrapped phase.
+        beta = 2.0 / math.pi * (margin - math.pi - at_high.imag)
+        chi = -at_low.real
+        # ln|L(jω̄_c)| with k_d from (54): ln χ + β ln(ω̄_c/ω_c) + ln|G|. Its zero is the
+        # second crossing.
+        residual = chi + beta * (np.log(upper) - np.log(crossover)) + at_high.real
+        return np.asarray(residual), np.asarray(beta), np.asarray(chi)
+
+    # Far above the mode |L| ∝ ω₀² ω^(β−λ), so between the payloads the crossing moves
+    # by (ω̄₀/ω₀)^(2/(λ−β)): the square of the ratio for λ − β = 1. The factor 50 leaves
+    # room for flatter slopes.
+    top = min(bare.highest, 50.0 * crossover * (high / low) ** 2)
+    grid = np.geomspace(0.9 * crossover, max(top, 1.1 * crossover), _GRID)
+    residual = terms(grid)[0]
+    for i in np.nonzero((residual[:-1] > 0.0) != (residual[1:] > 0.0))[0]:
+        upper = bracketed_roots(lambda x: terms(x)[0], grid[i], grid[i + 1])
+        _, beta, log_chi = (float(x) for x in terms(upper))
+        loop = replace(bare, order=beta)
+        yield ClosedForm(
+            order=beta,
+            gain=math.exp(log_chi) / crossover**beta,
+            upper=float(upper),
+            chi=math.exp(log_chi),
+            slope_low=float(loop.slope(crossover, low).real),
+            slope_high=float(loop.slope(upper, high).real),
+        )
+
+
+def _admissible(request: Request) -> tuple[ClosedForm, int]:
+    """The admissible solution and its n; InfeasibleError where there is none."""
+    low, high = request.natural_frequencies
+    asked = request.spec["gain_crossover"], request.spec["phase_margin"]
+    own, found = request.spec.get("filter_order"), []
+    for order in (own,) if own else (1, 2):
+        for solution in _solutions(request, order):
+            violated = solution.violated(request.model.order)
+            found.append((solution, violated))
+            # With n = 1 and β ≥ 1 the noise gain of Ĉ would grow without bound: the
+            # next n is taken instead.
+            if violated or (own is None and order == 1 and solution.order >= 1.0):
+                continue
+            loop = replace(
+                Loop.ideal(request.model), gain=solution.gain, order=solution.order
+            )
+            reached = [value for value, _ in worst_margins(loop, low, high)]
+            # A solution meets its own equations to rounding only.
+            if all(x >= y * (1.0 - 1e-9) for x, y in zip(reached, asked, strict=True)):
+                return solution, order
+    if not found:
+        sentence = "no ω̄_c solves equation (55) for this phase margin"
+        raise InfeasibleError("phase margin unreachable", sentence, {})
+    # Of several the one in the middle of 0 < β < 2 is the closest to being one.
+    best, violated = min(found, key=lambda pair: abs(pair[0].order - 1.0))
+    if violated is None:
+        violated = "phase margin at the other gain crossing"
+    needed = Loop.ideal(request.model).sufficient(low)
+    sentence = (
+        f"equation (55) asks for β = {best.order:.6g}; condition (39) asks for a crossover of more than "
+        f"{needed:.6g} rad/s"
     )
+    raise InfeasibleError(f"phase margin unreachable ({violated})", sentence, {})
+
+
+def _filter_afterwards(request: Request, loop: Loop, n: int, upper: float) -> float:
+    """δ [s] with which the filtered loop keeps exactly 90 % of the margin at the
+    lightest payload.
+
+    The crossing moves down with the filter; both move together: δ(ω) follows from the
+    phase, and the magnitude is one equation in ω (eq. (57) and the criterion after it).
+    """
+    high = request.natural_frequencies[1]
+    kept = (1.0 - _SHARE) * request.spec["phase_margin"]
+
+    def lag(frequency: Real) -> Real:
+        return np.asarray(loop.log(frequency, high).imag + math.pi - kept)
+
+    def level(frequency: Real) -> Real:
+        # Clipped: beyond a quarter turn per pole no filter takes that much.
+        turned = np.clip(lag(frequency) / n, 0.0, 0.45 * math.pi)
+        return np.asarray(loop.log(frequency, high).real + n * np.log(np.cos(turned)))
+
+    # Below ω̄_c the unfiltered loop lags less and is louder: walk down until the filter
+    # can take enough of it. Steps of 1 %, down to 13 % of ω̄_c: no filter of a tenth of
+    # the margin moves the crossing that far.
+    steps: Real = upper * np.power(0.99, np.arange(1.0, 201.0))
+    enough = (lag(steps) >= 0.45 * math.pi * n) | (level(steps) > 0.0)
+    low = steps[int(np.argmax(enough))] if enough.any() else steps[-1]
+    crossing = bracketed_roots(level, low, upper)
+    return math.tan(float(lag(crossing)) / n) / float(crossing)

@@ -1,551 +1,197 @@
-"""One bounded problem: the parameters of Ĉ against every row at every arm.
+"""Towards rows that must be kept, by steps that are the shortest to keep them to first
+order.
 
-k_d, β, δ and a notch at the second mode are chosen so that a goal (least noise, highest
-crossover, largest margin) is best while every row is kept at every link of every arm;
-arms are taken in as one of them turns out to be worse than those that are in. A slack
-on what was asked for makes a request that nothing meets end at the nearest one. Figures
-and gradients come from `figures`, sequential quadratic programming does the rest.
+A row may be soft: what was asked for, and may be eased, or a goal that is set out of
+reach and eased as little as can be. Each step is a least distance problem, solved as a
+non-negative least squares problem (Lawson and Hanson, Solving Least Squares Problems,
+chapter 23); a weight between the rows and the length of the step is raised where it did
+what the gradients said, and lowered where not, as in Levenberg and Marquardt's method.
 """
 
 from __future__ import annotations
 
-import contextlib
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
-from fraclink._arm.loop import Loop
-from fraclink._design.descent import Astray, Kept, Rows, descended
-from fraclink._design.figures import Trial
-from fraclink._design.sheet import Outer, Sheet
-from fraclink._law.rows import DAMPING
-
-__all__ = ["EMPTY", "LAW", "MODEL", "Goal", "Problem", "Rows", "Solution", "Wanted"]
+__all__ = ["KEPT", "Rows", "eased", "least_distance", "lowest"]
 
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Goal = Literal["noise", "settling", "margin"]
 
-# What a link of a sheet has to keep: everything; the margins less the law's tolerance,
-# as its motor loop runs sampled; stability alone, as the gripper is empty.
-MODEL, LAW, EMPTY = 0, 1, 2
-
-# What is aimed at beyond each row: the table's cubics and the solver's own tolerance
-# must not cost a row that the engine measures afterwards.
-RESERVE = 2e-4
-_EMPTY_MARGIN = math.radians(2.0)  # aimed at where stability is all that is asked
-# ln of the most that a slack may give, and how far beyond every row a search aims that
-# is content with keeping them
-_LARGEST, _BEYOND = 3.0, 0.02
-# A search that converges measures the rows twenty to sixty times; one that does not is
-# at a kink, where more trials of its line search help nothing.
-_STEPS, _RUNS, _TRIALS = 60, 2, 150
-# of the slack, in the scale of the goal's logarithm: far above any multiplier of a
-# bound that can be met
-_PENALTY = 100.0
-# Runs towards the rows alone, and a move of a parameter behind which no other begins.
-_PARTS, _STILL = 6, 0.02
-_MISSED = 1e-4  # of a row: half of what is kept in reserve
-# ln δ [s]: ten periods of the slowest arm, and below every control period
-_LONGEST, _SHORTEST = math.log(1.0), math.log(1e-4)
-_WIDTH, _DEPTH = 0.3, 0.1  # of a notch to begin from: ζ of its poles, and of its zeros
-_LEAST_ORDER = 0.05  # β → 0 is a constant Ĉ, which (28) forbids
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What a problem asks of its loops; frequencies in rad/s, angles in radians, None
-    for what is not asked.
-
-    ``highest`` is where nothing may cross any more; ``allowance`` what the law may cost
-    of the margin and ``modulus`` its least |1 + L|; ``noise_voltage`` the share of the
-    voltage limit; ``damping`` whether the vibration must be damped.
-    """
-
-    gain_crossover: float | None
-    phase_margin: float
-    highest: float
-    allowance: float
-    modulus: float
-    max_sensitivity: float | None = None
-    noise_gain: float | None = None
-    mode_gain: float | None = None
-    noise_voltage: float | None = None
-    damping: bool = False
-    filter_time: float | None = None
-    link_order: float = 2.0
-    # the user's own: what the slack may give
-    soft: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Where the solver stopped: parameters, n, slack (0 where every row is kept), goal."""
-
-    x: Real
-    filter_order: int
-    slack: float
-    goal: float
-
-
-class _Table:
-    """Rows as they are gathered."""
-
-    def __init__(self, problem: Problem, links: int) -> None:
-        self.problem, self.links = problem, links
-        self.parts: list[tuple[Real, Real, NDArray[np.int64]]] = []
-        self.keys: list[str] = []
-
-    def add(
-        self,
-        key: str,
-        value: Real,
-        gradient: Real,
-        which: NDArray[np.bool_],
-        *,
-        goal: Real | float = 0.0,
-        slack: Real | float = 0.0,
-    ) -> None:
-        """Add the rows `key` of the links `which`; values (K,) or (K, count)."""
-        count, size = value[which].size, gradient.shape[0]
-        if not count:
-            return
-        full = np.zeros((size + 2, count))
-        full[:size] = gradient[:, which].reshape(size, count)
-        soft = key in self.problem.wanted.soft
-        for place, column in ((size, goal), (size + 1, slack if soft else 0.0)):
-            wide = np.reshape(
-                column, np.shape(column) + (1,) * (value.ndim - np.ndim(column))
-            )
-            full[place] = np.broadcast_to(wide, value.shape)[which].ravel()
-        ids = np.flatnonzero(which)
-        kept = value[which].ravel() - self.problem.reserves.get(key, 0.0)
-        self.parts.append((kept, full, np.repeat(ids, count // ids.size)))
-        self.keys += count * [key]
-
-    def rows(self) -> Rows:
-        """Return what was gathered."""
-        value, gradient, link = zip(*self.parts, strict=True)
-        soft = np.array([key in self.problem.wanted.soft for key in self.keys])
-        return Rows(
-            np.concatenate(value),
-            np.concatenate(gradient, axis=1),
-            soft,
-            np.concatenate(link),
-            self.keys,
-        )
+KEPT = 2e-5  # of a row, relative: a tenth of what the rows keep in reserve
+# In a step, a row that may not be eased weighs so much more than one that may.
+_FIRST, _DEAR, _NEAR = 1e6, 1e3, 10.0
+# From a start ten to twenty steps do; a search that takes more is at a kink.
+_STEPS = 40
+_ASIDE = 0.03  # of a row, relative: how far a step may miss one that was kept
+# of what is eased against the length of a step: hardly more than a step within its
+# bounds that is as good
+_EASED = 100.0
+# A step in each parameter, at most (all are logarithms or orders, of which the rows are
+# smooth functions up to about one), and where a search ends
+_RADIUS, _STILL = 1.0, 1e-4
+_FINE = 1e-4  # of a cost, absolute: where its descent ends
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
-    """Rows over a sheet of loops; `loops` are those of the sheet's arms, k = 1 and β =
-    0.
+class Rows:
+    """Values that must not be negative (M,), their gradients (P, M), and which of them
+    may be eased.
     """
 
-    sheet: Sheet
-    loops: Sequence[Loop]
-    wanted: Wanted
-    goal: Goal
-    reference: float
-    filter_order: int
-    notch: tuple[float, float] | None = None  # interval of its frequency [rad/s]
-    reserves: dict[str, float] = field(default_factory=dict)
-    patient: bool = False  # whether it meets the rows before it looks at the goal
-
-    def outer(self, x: Real) -> Outer:
-        """Return Ĉ of the parameters."""
-        return Outer(np.asarray(x), self.reference, self.filter_order)
-
-    def widened(self, x: Real) -> Real:
-        """Return parameters to begin from, with those of a notch where one is sought:
-        in the middle of its interval, a tenth deep and a third wide.
-        """
-        if self.notch is None or x.size == self.size:
-            return x
-        centre = 0.5 * (math.log(self.notch[0]) + math.log(self.notch[1]))
-        return np.array([*x, centre, math.log(_WIDTH), math.log(_DEPTH)])
+    value: Real
+    gradient: Real
+    soft: NDArray[np.bool_]
 
     @property
-    def size(self) -> int:
-        """Number of parameters of Ĉ."""
-        return 3 if self.notch is None else 6
+    def easing(self) -> float:
+        """By how much the soft rows have to be eased."""
+        return -float(np.min(self.value[self.soft], initial=0.0))
 
-    def rows(
-        self,
-        x: Real,
-        goal: float | None,
-        slack: float = 0.0,
-        *,
-        sheet: Sheet | None = None,
-    ) -> Rows:
-        """Return every row at a trial Ĉ, with those of a goal where one is given.
+    @property
+    def missed(self) -> float:
+        """By how much a row is missed that may not be eased."""
+        return max(-float(np.min(self.value[~self.soft], initial=0.0)) - KEPT, 0.0)
 
-        The slack lowers what was asked for by e^−slack, or raises it by e^slack.
+    @property
+    def slack(self) -> float:
+        """Both as one number, zero where every row is kept; what may not be eased comes
+        first.
         """
-        sheet = self.sheet if sheet is None else sheet
-        wanted, table = self.wanted, _Table(self, len(sheet))
-        trial = Trial(sheet, self.outer(x))
-        model, empty = sheet.kind == MODEL, sheet.kind == EMPTY
-        less = np.where(sheet.kind == LAW, wanted.allowance, 0.0)[:, None]
-        # ---- the margins at the crossings
-        margin, _ = trial.margins()
-        share = math.exp(-slack) if "phase_margin" in wanted.soft else 1.0
-        least = share * wanted.phase_margin
-        kept = margin.value - least + less - RESERVE
-        table.add("phase_margin", kept, margin.gradient, ~empty, slack=least)
-        if self.goal == "margin" and goal is not None:
-            kept = margin.value - goal + less - RESERVE
-            table.add("goal", kept, margin.gradient, ~empty, goal=-1.0)
-        kept = margin.value - _EMPTY_MARGIN
-        table.add("empty", kept, margin.gradient, empty)
-        # ---- the crossover, on both sides
-        places = []
-        if wanted.gain_crossover is not None:
-            lower = math.exp(-slack) if "gain_crossover" in wanted.soft else 1.0
-            places.append(("gain_crossover", lower * wanted.gain_crossover))
-        if self.goal == "settling" and goal is not None:
-            places.append(("goal", math.exp(goal)))
-        for key, place in places:
-            level, along = trial.loudest(place)
-            column = {"goal": along} if key == "goal" else {"slack": -along}
-            table.add(key, level.value - RESERVE, level.gradient, model, **column)
-        level, _ = trial.loudest(wanted.highest)
-        kept = -level.value - RESERVE
-        table.add("highest_crossover", kept, -level.gradient, ~empty)
-        # ---- the distance from -1
-        distance = trial.distances()
-        if self.patient or "law_modulus" in self.reserves:
-            kept = distance.value - math.log(wanted.modulus) - RESERVE
-            table.add("law_modulus", kept, distance.gradient, ~empty)
-        if wanted.max_sensitivity is not None:
-            soft = slack if "max_sensitivity" in wanted.soft else 0.0
-            kept = distance.value + math.log(wanted.max_sensitivity) + soft - RESERVE
-            table.add("max_sensitivity", kept, distance.gradient, model, slack=1.0)
-        # ---- noise
-        if sheet.noise_w.shape[1]:
-            gain, volts = trial.noise()
-            noisy = model & (sheet.weight.sum(axis=1) > 0.0)
-            if self.goal == "noise" and goal is not None:
-                table.add("goal", goal - gain.value, -gain.gradient, noisy, goal=1.0)
-            for key, bound, figure in (
-                ("noise_gain", wanted.noise_gain, gain),
-                ("noise_voltage", wanted.noise_voltage, volts),
-            ):
-                if bound is not None:
-                    soft = slack if key in wanted.soft else 0.0
-                    kept = math.log(bound) + soft - figure.value - RESERVE
-                    table.add(key, kept, -figure.gradient, noisy, slack=1.0)
-        # ---- higher modes
-        if wanted.mode_gain is not None and sheet.modes_w.shape[1]:
-            loud = trial.modes()
-            soft = slack if "mode_gain" in wanted.soft else 0.0
-            kept = math.log(wanted.mode_gain) + soft - loud.value - RESERVE
-            # the modes of an arm are the same for each of its links
-            first = model & (np.diff(sheet.arm, prepend=-1) != 0)
-            table.add("mode_gain", kept, -loud.gradient, first, slack=1.0)
-        # ---- ringing
-        if wanted.damping:
-            value, gradient = self._damping(trial, sheet)
-            kept = value - DAMPING * (1.0 + 20.0 * RESERVE)
-            table.add("damping", kept, gradient, model)
-        return table.rows()
+        return self.easing + _FIRST * self.missed
 
-    def _damping(self, trial: Trial, sheet: Sheet) -> tuple[Real, Real]:
-        """The damping ratio of the least damped vibration of each link near its
-        resonance, 1 where none is.
-        """
-        value, gradient = np.ones(len(sheet)), np.zeros((self.size, len(sheet)))
-        distance = np.abs(
-            1.0 + np.exp(np.minimum(trial.log.real, 50.0) + 1j * trial.log.imag)
-        )
-        model = sheet.kind == MODEL
-        for arm in np.unique(sheet.arm[model]):
-            # the damping is least at one end of the payloads
-            own = np.flatnonzero(model & (sheet.arm == arm))[[0, -1]]
-            loop, d, w = self.loops[arm], distance[own], sheet.w[own]
-            low, high = (
-                share * np.asarray(loop.peak(sheet.natural_frequency[own]))[:, None]
-                for share in (0.3, 4.0)
+    @property
+    def near(self) -> float:
+        """Both, as a step weighs them that is judged by them."""
+        return self.easing + _NEAR * self.missed
+
+    def beside(self, other: Rows) -> bool:
+        """Whether these rows are better than others in one of the two."""
+        less = other.easing - 0.1 * self.missed
+        return self.missed < 0.99 * other.missed or self.easing < less
+
+    def step(self, low: Real, high: Real) -> tuple[Real, float]:
+        """(the step within bounds, the slack that it leaves to first order)."""
+        size, count = self.gradient.shape
+        # columns: the step, the easing, and what is missed
+        system = np.zeros((count + 2 * size + 2, size + 2))
+        system[:count, :size] = self.gradient.T
+        system[:count, size] = np.where(self.soft, 1.0 / _EASED, 0.0)
+        system[:count, size + 1] = np.where(self.soft, 0.0, 1.0 / (_EASED * _DEAR))
+        system[count:-2, :size] = np.vstack([np.eye(size), -np.eye(size)])
+        system[-2:, size:] = np.eye(2)
+        least = np.concatenate([-self.value, low, -high, [0.0, 0.0]])
+        answer = least_distance(system, least)
+        step = answer[:size]
+        easing, missed = answer[size:] / _EASED
+        slack = float(easing + _NEAR * missed / _DEAR)
+        return np.clip(step, low, high), slack
+
+
+def least_distance(rows: Real, least: Real) -> Real:
+    """Return the shortest y with ``rows @ y >= least``.
+
+    >>> least_distance(np.array([[1.0, 0.0], [1.0, 1.0]]), np.array([1.0, 3.0])).round(9)
+    array([1.5, 1.5])
+    """
+    system = np.vstack([rows.T, least])
+    aim = np.zeros(len(system))
+    aim[-1] = 1.0
+    residual = system @ nnls(system, aim)[0] - aim
+    return np.asarray(-residual[:-1] / residual[-1])
+
+
+def eased(
+    rows_at: Callable[[Real], list[Rows]],
+    starts: Real,
+    low: Real,
+    high: Real,
+    *,
+    idle: float = 0.1,
+) -> tuple[Real, Rows]:
+    """Return the parameters where the slack is least, and their rows: from some starts
+    (P, S) at once, the first that keep every row.
+
+    Every four steps the worse half of the starts is left. The search ends where five
+    steps gain less than the share `idle` of what is left.
+    """
+    x = np.clip(starts, low[:, None], high[:, None])
+    rows, radius = rows_at(x), np.full(x.shape[1], _RADIUS)
+    left: list[list[Rows]] = [[] for _ in rows]
+    best = min(zip(rows, x.T.copy(), strict=True), key=lambda pair: pair[0].slack)
+    near = [best[0].near]
+    for turn in range(_STEPS):
+        going = np.flatnonzero(radius > _STILL)
+        ranks = np.argsort([rows[start].slack for start in going], kind="stable")
+        going = going[ranks][: max(len(rows) >> (turn // 4), 1)]
+        idling = turn > 5 and near[-6] - near[-1] < idle * near[-1]
+        if not going.size or best[0].slack <= KEPT or idling:
+            break
+        trial, hoped = x[:, going], np.zeros(going.size)
+        for k, start in enumerate(going):
+            at, old = x[:, start], rows[start]
+            reach = radius[start]
+            step, least = old.step(
+                np.maximum(low - at, -reach), np.minimum(high - at, reach)
             )
-            dent = np.zeros(d.shape, dtype=bool)
-            dent[:, 1:-1] = (d[:, 1:-1] <= d[:, :-2]) & (d[:, 1:-1] < d[:, 2:])
-            dent &= (w > low) & (w < high)
-            # a weak loop hardly moves the link's own pole
-            dent[np.arange(own.size), np.argmin(np.abs(w - low / 0.3), axis=1)] = True
-            row, column = np.nonzero(dent)
-            # from the table: how far beside the axis the root of 1 + 1/L is, to first
-            # order
-            back = np.exp(-trial.log[own][row, column])
-            beside = (1.0 + back) / (back * trial.slope[own][row, column])
-            beside = beside * np.minimum(1.0, 0.2 / np.maximum(np.abs(beside), 1e-300))
-            root = w[row, column] * (1.0 + beside)
-            w0 = sheet.natural_frequency[own][row]
-            change, rate = np.full(root.size, np.inf), np.ones_like(root)
-            for _ in range(8 if root.size else 0):
-                step = 1e-6 * np.abs(root)
-                points = np.stack([root, root + step, root - step])
-                outer = np.exp(trial.outer.log(points))
-                here, above, below = 1.0 / (outer * loop(points, w0))
-                rate = (above - below) / (2.0 * step)
-                change = (1.0 + here) / rate
-                root = root - change * np.minimum(
-                    1.0, 0.1 * np.abs(root) / np.maximum(np.abs(change), 1e-300)
-                )
-                if np.all(np.abs(change) < 1e-7 * np.abs(root)):
-                    break
-            size = np.abs(root)
-            ratio = root.imag / size
-            fine = (np.abs(change) < 1e-6 * size) & (size > low[row, 0])
-            fine &= size < high[row, 0]
-            # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
-            moved = -trial.outer.gradient(root) / rate
-            slope = moved.imag / size
-            slope -= root.imag * (np.conj(root) * moved).real / size**3
-            for k in np.flatnonzero(fine):
-                link = own[row[k]]
-                if ratio[k] < value[link]:
-                    value[link], gradient[:, link] = ratio[k], slope[:, k]
-        return value, gradient
+            trial[:, k], hoped[k] = at + step, old.near - least
+        for k, (start, new) in enumerate(zip(going, rows_at(trial), strict=True)):
+            old = rows[start]
+            best = min(best, (new, trial[:, k]), key=lambda pair: pair[0].slack)
+            fine = all(new.beside(other) for other in (*left[start], old))
+            if fine and new.missed <= max(old.missed, _ASIDE):
+                left[start].append(old)
+                more = 2.0 if old.near - new.near > 0.5 * hoped[k] else 1.0
+                radius[start] = min(more * radius[start], _RADIUS)
+                x[:, start], rows[start] = trial[:, k], new
+            else:
+                radius[start] = 0.25 * float(np.max(np.abs(trial[:, k] - x[:, start])))
+            if hoped[k] < KEPT:
+                radius[start] = 0.0
+        near.append(min(near[-1], *(rows[start].near for start in going)))
+    return best[1], best[0]
 
-    def merits(self, x: Real) -> Real:
-        """By how much each of many Ĉ (P, M) keeps the row that it misses most, negative
-        where it misses one; on the table's own points, by what matters far off.
-        """
-        wanted, count, ends = self.wanted, x.shape[1], len(self.sheet)
-        sheet = self.sheet.rows(np.tile(np.arange(ends), count))
-        trial = Trial(sheet, self.outer(np.repeat(x, ends, axis=1)))
-        margin, last, distance = trial.coarse()
-        least = np.where(sheet.kind == LAW, wanted.allowance, 0.0)
-        kept = np.where(
-            sheet.kind == EMPTY,
-            margin - _EMPTY_MARGIN,
-            (margin + least) / wanted.phase_margin - 1.0,
+
+def lowest(
+    costs_and_rows: Callable[[Real], tuple[Rows, Rows]],
+    start: Real,
+    low: Real,
+    high: Real,
+) -> tuple[Real, bool]:
+    """Return where the largest of some costs is least while rows are kept, by sequential
+    quadratic programming, and whether it got there; both keep their number. What it ends
+    at may miss rows.
+    """
+
+    @lru_cache(maxsize=1)
+    def at(parameters: bytes) -> tuple[Rows, Rows]:
+        return costs_and_rows(np.frombuffer(parameters))
+
+    # the last unknown is the largest cost
+    def kept(z: Real) -> Real:
+        costs, rows = at(z[:-1].tobytes())
+        return np.concatenate([rows.value, z[-1] - costs.value])
+
+    def slopes(z: Real) -> Real:
+        costs, rows = at(z[:-1].tobytes())
+        largest = np.repeat([0.0, 1.0], [rows.value.size, costs.value.size])
+        moved = np.concatenate([rows.gradient, -costs.gradient], axis=1)
+        return np.column_stack([moved.T, largest])
+
+    direction = np.append(np.zeros(start.size), 1.0)
+    with np.errstate(all="ignore"):
+        largest = float(np.max(at(start.tobytes())[0].value))
+        end = minimize(
+            lambda z: (z[-1], direction),
+            np.append(start, largest),
+            jac=True,
+            method="SLSQP",
+            bounds=[*zip(low, high, strict=True), (None, None)],
+            constraints={"type": "ineq", "fun": kept, "jac": slopes},
+            options={"maxiter": _STEPS, "ftol": _FINE},
         )
-        model = sheet.kind == MODEL
-
-        def also(value: Real, which: NDArray[np.bool_]) -> None:
-            np.minimum(kept, value, out=kept, where=which)
-
-        also(np.log(wanted.highest / np.maximum(last, 1e-3)), sheet.kind != EMPTY)
-        if wanted.gain_crossover is not None:
-            lowest = wanted.gain_crossover * math.exp(-_LARGEST)
-            also(np.log(np.maximum(last, lowest) / wanted.gain_crossover), model)
-        also(distance - math.log(wanted.modulus), sheet.kind != EMPTY)
-        if wanted.max_sensitivity is not None:
-            also(distance + math.log(wanted.max_sensitivity), model)
-        if wanted.noise_gain is not None:
-            noise = trial.noise_level()
-            also(math.log(wanted.noise_gain) - noise, model & (sheet.weight[:, 0] > 0))
-        if wanted.mode_gain is not None:
-            also(math.log(wanted.mode_gain) - trial.mode_level(), model)
-        # what is asked for may be given, stability may not
-        unstable = (margin <= 0.0) | (last > wanted.highest) & (sheet.kind != EMPTY)
-        kept = np.where(unstable, kept - _LARGEST, kept)
-        return np.min(kept.reshape(count, ends), axis=1, out=np.empty(count))
-
-    # ---- the problem itself
-
-    def bounds(self) -> list[tuple[float, float]]:
-        """Return the interval of every parameter, the goal's and the slack's last."""
-        highest = min(self.wanted.link_order, float(self.filter_order)) - 0.02
-        if self.wanted.filter_time == 0.0:
-            highest = min(self.wanted.link_order, 2.0) - 0.02
-        delta = (
-            (_SHORTEST, _LONGEST)
-            if self.wanted.filter_time is None
-            else (math.log(max(self.wanted.filter_time, 1e-12)),) * 2
-        )
-        found = [(-16.0, 16.0), (_LEAST_ORDER, highest), delta]
-        if self.notch is not None:
-            low, high = self.notch
-            found += [
-                (math.log(low), math.log(high)),
-                (math.log(0.05), math.log(1.0)),
-                (math.log(1e-2), 0.0),
-            ]
-        goal = {
-            "noise": (-14.0, 14.0),
-            "settling": (math.log(1e-3), math.log(self.wanted.highest)),
-            "margin": (0.0, math.pi),
-        }[self.goal]
-        return [*found, goal, (0.0, _LARGEST)]
-
-    def start_goal(self, x: Real) -> float:
-        """The goal that parameters have."""
-        trial = Trial(self.sheet, self.outer(x))
-        if self.goal == "noise":
-            return float(
-                np.max(trial.noise()[0].value[self.sheet.weight.sum(axis=1) > 0])
-            )
-        margin, last = trial.margins()
-        if self.goal == "margin":
-            return max(float(np.min(margin.value)), 0.0)
-        return math.log(max(float(np.min(last[self.sheet.kind == MODEL])), 1e-2))
-
-    def solve(self, x: Real) -> Solution:
-        """Return where sequential quadratic programming stops from `x`; a patient one
-        first goes towards the rows alone, and from there along them to the goal.
-        """
-        if not self.patient:
-            return self._penalised(x)
-        with np.errstate(all="ignore"):
-            x, slack = self._towards_rows(x)
-            goal = self.start_goal(x)
-        if slack > 0.0:
-            return Solution(x, self.filter_order, slack, goal)
-        best = self._penalised(x)
-        return best if best.slack == 0.0 else replace(best, x=x, slack=0.0, goal=goal)
-
-    def _penalised(self, x: Real) -> Solution:
-        """Where a search of goal and slack at once stops, the slack dear."""
-        limits = self.bounds()
-        low, high = np.array(limits).T
-        x = np.clip(x, low[:-2], high[:-2])
-        with np.errstate(all="ignore"):
-            goal = float(np.clip(self.start_goal(x), low[-2], high[-2]))
-            first = self.rows(x, goal)
-            miss = max(0.0, -float(np.min(first.value[first.soft], initial=0.0)))
-        free = np.flatnonzero(high > low)
-        direction = np.zeros(low.size)
-        direction[-2:] = 1.0 if self.goal == "noise" else -1.0, _PENALTY
-        z0 = np.clip(np.array([*x, goal, min(miss, 1.0)]), low, high)
-        last: dict[bytes, Rows] = {}
-        trials = 0
-
-        def rows(part: Real) -> Rows:
-            nonlocal trials
-            key = part.tobytes()
-            if key not in last:
-                trials += 1
-                if trials > _TRIALS:
-                    raise Astray
-                last.clear()
-                z = z0.copy()
-                z[free] = part
-                last[key] = self.rows(z[:-2], float(z[-2]), float(z[-1]))
-            return last[key]
-
-        z, least = z0.copy(), -math.inf
-        # Trial steps may go far astray; what comes of them is judged afterwards. A
-        # second run, with a curvature of its own, where the first left a slack.
-        with np.errstate(all="ignore"):
-            for _ in range(_RUNS):
-                try:
-                    found = minimize(
-                        lambda part: (
-                            float(np.dot(direction[free], part)),
-                            direction[free],
-                        ),
-                        z[free],
-                        jac=True,
-                        bounds=[limits[i] for i in free],
-                        constraints={
-                            "type": "ineq",
-                            "fun": lambda part: rows(part).value,
-                            "jac": lambda part: rows(part).gradient[free].T,
-                        },
-                        method="SLSQP",
-                        options={"maxiter": _STEPS, "ftol": 1e-6},
-                    )
-                except Astray:
-                    break
-                z[free] = found.x
-                z = np.clip(z, low, high)
-                goal, slack = float(z[-2]), float(z[-1])
-                least = float(np.min(self.rows(z[:-2], goal, slack).value))
-                if least >= -_MISSED and slack <= _MISSED:
-                    break
-        if not least >= -_MISSED:  # a row is missed that the slack may not give
-            slack = math.inf
-        elif slack <= _MISSED:
-            slack = 0.0
-        return Solution(z[:-2], self.filter_order, slack, goal)
-
-    def _towards_rows(self, x: Real) -> tuple[Real, float]:
-        """(parameters, slack) that miss the rows least; the first that keep all of them
-        where some do.
-        """
-        limits = [*self.bounds()[:-2], (-_BEYOND, _LARGEST)]
-        low, high = np.array(limits).T
-        x = np.clip(x, low[:-1], high[:-1])
-        best, least = x, math.inf
-
-        def judge(x: Real, found: Rows, slack: float) -> None:
-            nonlocal best, least
-            need = self._needed(x, found, slack)
-            if need < least:
-                best, least = x.copy(), need
-                if least <= 0.0:
-                    raise Kept
-
-        def rows(z: Real) -> Rows:
-            found = self.rows(z[:-1], None, float(z[-1]))
-            judge(z[:-1], found, float(z[-1]))
-            return found
-
-        try:
-            first = self.rows(x, None)
-            judge(x, first, 0.0)
-            if np.min(first.value[~first.soft]) < -_MISSED:
-                x = self._towards_own_rows(x)
-                judge(x, self.rows(x, None), 0.0)
-            slack = min(least, 1.0)
-            for _ in range(_PARTS):
-                z = descended(np.array([*x, slack]), rows, limits, skipped=x.size)
-                now = (best, least) if least < math.inf else (z[:-1], float(z[-1]))
-                if np.max(np.abs(now[0] - x)) < _STILL:
-                    break
-                x, slack = now
-        except Kept:
-            return best, 0.0
-        return (best, least) if least < math.inf else (x, math.inf)
-
-    def _needed(self, x: Real, found: Rows, slack: float) -> float:
-        """The slack with which parameters keep every row, infinite where none is known:
-        to first order from the rows at some slack, and then measured.
-        """
-        rate = found.gradient[-1]
-        if np.min(found.value[rate == 0.0], initial=0.0) < -_MISSED:
-            return math.inf
-        given = rate > 0.0
-        need = slack - float(np.min(found.value[given] / rate[given], initial=math.inf))
-        if need <= 0.0 and slack <= 0.0:
-            return need
-        need = max(need, 0.0)
-        if need > _LARGEST:
-            return math.inf
-        kept = np.min(self.rows(x, None, need).value) >= -_MISSED
-        return need if kept else math.inf
-
-    def _towards_own_rows(self, x: Real) -> Real:
-        """Parameters that miss least of what any loop needs, whatever was asked for."""
-        limits = [*self.bounds()[:-2], (-_BEYOND, math.inf)]
-        best, least = x, math.inf
-
-        def rows(z: Real) -> Rows:
-            nonlocal best, least
-            found = self.rows(z[:-1], None)
-            own = ~found.soft
-            slope = found.gradient[:, own]
-            slope[-1] = 1.0
-            worst = -float(np.min(found.value[own]))
-            if worst < least:
-                best, least = z[:-1].copy(), worst
-                if least <= 0.0:
-                    raise Kept
-            kept = found.value[own] + z[-1]
-            return Rows(kept, slope, found.soft[own], found.link[own], [])
-
-        miss = -float(np.min(self.rows(x, None).value))
-        with contextlib.suppress(Kept):
-            descended(np.array([*x, miss]), rows, limits, skipped=x.size)
-        return best
-
-    def with_sheet(self, sheet: Sheet) -> Problem:
-        """Return the problem over other links."""
-        return replace(self, sheet=sheet)
+    return np.clip(end.x[:-1], low, high), bool(end.success)

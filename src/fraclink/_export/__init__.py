@@ -8,7 +8,7 @@ from fraclink._export.board import export_arm_firmware
 from fraclink._export.c import export_c
 from fraclink._export.claims import Claim, Proof
 from fraclink._export.fmu import export_fmu
-from fraclink._export.replay import Replay, replay, replay_log
+from fraclink._export.replay import Replay, replay_log
 
 __all__ = [
     "Claim",
@@ -17,6 +17,5 @@ __all__ = [
     "export_arm_firmware",
     "export_c",
     "export_fmu",
-    "replay",
     "replay_log",
 ]

@@ -105,9 +105,12 @@ def export_reference(
     """
     place = output_path(path, force=force)
     if place.suffix not in (".csv", ".h"):
-        allowed, remedy = ".csv or .h", "end the name in .csv, or in .h for C"
         raise FieldError(
-            "out", place.name, "of another kind", allowed=allowed, remedy=remedy
+            "out",
+            place.name,
+            "of another kind",
+            allowed=".csv or .h",
+            remedy="end the name in .csv, or in .h for C",
         )
     # The last row lies at or behind the end of the motion, where the reference rests.
     # Pieces of 0.1 and 0.2 s last 3.0000000000000004 periods of 0.1 s: without the 1e-9

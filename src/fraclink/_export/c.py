@@ -4,6 +4,7 @@ and a page to read.
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -12,7 +13,7 @@ from pathlib import Path
 from fraclink import _kernels
 from fraclink._certify import Certificate
 from fraclink._design import Design
-from fraclink._export.claims import CommandBounds, Proof, claims_text, worst_case
+from fraclink._export.claims import Proof, claims_text
 from fraclink._export.data import (
     data_header,
     exact_flags,
@@ -93,7 +94,8 @@ def export_c(
     >>> import tempfile
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> folder = Path(tempfile.mkdtemp())
     >>> [path.name for path in export_c(law, folder, precision="single")]
     ['law.h', 'law.c', 'law_data.h', 'law_selftest.c', 'README.md', 'law.json']
@@ -182,77 +184,6 @@ def _proved(
     return proof, logs
 
 
-# What each field of the law's limits is: its unit, and what happens at it.
-_LIMITS = {
-    "sum_limit": (
-        "rad",
-        "largest credible correction and feed-forward; beyond, the states are healed",
-    ),
-    "correction_limit": ("rad", "largest state of the correction"),
-    "forward_limit": ("rad/s²", "largest state of the feed-forward"),
-    "angle_limit": ("rad", "encoder and reference beyond it are not credible"),
-    "angle_step": ("rad", "largest credible change of the encoder in a period"),
-    "torque_limit": ("N·m", "gauge readings beyond it are not credible"),
-    "torque_step": ("N·m", "largest credible change of the gauge in a period"),
-    "torque_trip": ("N·m", "a link that pushes more is blocked: hold"),
-    "torque_block": (
-        "N·m",
-        "a link that pushes more and does not swing back is blocked: hold",
-    ),
-    "reference_step": (
-        "rad",
-        "the reference is followed at no more than this in a period",
-    ),
-    "reference_rate": (
-        "1",
-        "part of a jump of the reference that is followed in a period",
-    ),
-    "acceleration_limit": ("rad/s²", "largest acceleration that is fed forward"),
-    "payload_limit": (
-        "kg",
-        "a payload beyond it is not credible, and as one that is not given",
-    ),
-    "scale_step": (
-        "1",
-        "largest change of the feed-forward's scale in a period, 1 for the nominal payload",
-    ),
-    "motor_limit": ("rad", "range of the motor reference"),
-    "motor_step": ("rad", "largest change of the motor reference in a period"),
-    "fade_step": (
-        "1",
-        "fade of the correction in a period, once the gauge is given up",
-    ),
-    "residual_angle": ("rad", "motor farther from its model is a fault: off"),
-    "frozen_angle": (
-        "rad",
-        "an encoder that stands still while the motor model moves this far is frozen",
-    ),
-    "stuck_torque": (
-        "N·m",
-        "a gauge that stands still while the model's torque moves this far is stuck",
-    ),
-    "wiring_energy": (
-        "rad²",
-        "sum of squared motor steps from which the wiring test decides",
-    ),
-    "bad_limit": ("periods", "rejected samples in a row before the reaction"),
-    "missed_limit": ("periods", "missed periods in a row that are ridden through"),
-    "residual_limit": (
-        "periods",
-        "periods in a row away from the motor model before switching off",
-    ),
-    "stuck_limit": (
-        "periods",
-        "periods in a row of a gauge that stands still before it is given up",
-    ),
-    "frozen_limit": (
-        "periods",
-        "periods in a row of a frozen encoder before switching off",
-    ),
-    "block_limit": ("periods", "periods in a row above `torque_block` before holding"),
-}
-
-
 def _for_one_design(law: Law) -> str:
     flags = exact_flags(law)
     if not flags:
@@ -265,48 +196,35 @@ def _for_one_design(law: Law) -> str:
     )
 
 
-def _rounding(bounds: CommandBounds, proof: Proof | None) -> str:
-    if proof is not None and proof["rounding"].status == "proved":
-        # a sharper bound stands among the claims; two for one thing would confuse
-        return ""
-    return f"| rounding of Ĉe for \\|e\\| ≤ {bounds.error:g} rad, all times | ≤ {bounds.rounding:.2e} rad |\n"
-
-
-# Of a PID: the guards that can act, and what they mean there. The rest belongs to
-# motor, gauge and link.
-_OF_PID = {
-    "angle_limit": "reference and measurement beyond it are not credible",
-    "sum_limit": "largest credible value of the filter 1 + Ĉ; beyond, its states are healed",
-    "correction_limit": "largest state of the filter",
-    "motor_limit": "range of the filtered error and of the reference together",
-    "bad_limit": _LIMITS["bad_limit"][1],
-    "missed_limit": _LIMITS["missed_limit"][1],
-}
+# Of a PID: the guards that can act. The rest belongs to motor, gauge and link.
+_OF_PID = (
+    "angle_limit",
+    "sum_limit",
+    "correction_limit",
+    "motor_limit",
+    "bad_limit",
+    "missed_limit",
+)
+# The header is the only list of meanings.
+_FIELD = re.compile(r"^    \w+ (\w+); +/\* (.+?) \*/$", re.MULTILINE)
 
 
 def _limit_rows(law: Law) -> list[str]:
-    limits = asdict(law.limits)
-    if law.has_gauge:
-        return [
-            f"| `{key}` | {value:.6g} | {' | '.join(_LIMITS[key])} |"
-            for key, value in limits.items()
-        ]
-    units = {
-        key: "periods" if _LIMITS[key][0] == "periods" else "of the measurement"
-        for key in _OF_PID
-    }
+    parameters = law_source("law.h").decode().partition("} law_params;")[0]
+    meanings = dict(_FIELD.findall(parameters))
     return [
-        f"| `{key}` | {limits[key]:.6g} | {units[key]} | {text} |"
-        for key, text in _OF_PID.items()
+        f"| `{key}` | {value:.6g} | {meanings[key]} |"
+        for key, value in asdict(law.limits).items()
+        if key in meanings and (law.has_gauge or key in _OF_PID)
     ]
 
 
 def _connected(law: Law) -> str:
-    if law.drive is None:
+    if law.motor_loop is None:
         return "no motor loop: `motor_reference` goes to the drive's own position servo, `voltage` stays 0"
     if law.has_gauge:
-        return f"motor loop closed by the law, voltage within ±{law.drive.voltage_limit:g} V"
-    return f"fractional PID, output within ±{law.drive.voltage_limit:g}, integral with anti-windup"
+        return f"motor loop closed by the law, voltage within ±{law.motor_loop.voltage_limit:g} V"
+    return f"fractional PID, output within ±{law.motor_loop.voltage_limit:g}, integral with anti-windup"
 
 
 def _called(law: Law) -> str:
@@ -324,7 +242,7 @@ the measurement and of the output."""
 The first `law_step` with a credible encoder starts at the measured angle, without a bump. Outputs take
 effect one period after the samples (the design counts on it). A trip is left by `law_init` only. Before
 the first enabling, run the wiring test `law_check_wiring` (see law.h) while the motor turns by
-{law.wiring_angle():.2f} rad or more within {law.limits.block_limit * law.period / 3:.2f} s: a gauge wired
+{law.wiring_angle:.2f} rad or more within {law.wiring_time:.2f} s: a gauge wired
 backwards destabilises the arm, and no other check finds it."""
 
 
@@ -342,16 +260,8 @@ def readme(law: Law, *, name: str, data: str, proof: Proof | None = None) -> str
     """Return the text of the exported README.md; with `proof`, its claims are those of
     this very folder.
     """
-    bounds = worst_case(law)
     params, state = _kernels.law_sizes(law.precision == "single")
     flag = " -DLAW_SINGLE" if law.precision == "single" else ""
-    # A bound in doubles is right in practice and no proof: the page says which one it
-    # is.
-    made = (
-        "ball arithmetic"
-        if bounds.rigorous
-        else "double precision; python-flint was not installed"
-    )
     limits = "\n".join(_limit_rows(law))
     return f"""# Control law, period {law.period * 1e3:g} ms, {law.precision} precision
 
@@ -370,7 +280,7 @@ cc -std=c99 -ffp-contract=off{
 must print `hash {
         expected(
             law
-        ).hash:08X}`. Run it on the target too, with the target's compiler and flags.
+        ):08X}`. Run it on the target too, with the target's compiler and flags.
 {
         _for_one_design(law)
     }Never use `-ffast-math` (refused) and never let the compiler fuse multiply and add: both change what was
@@ -394,8 +304,8 @@ if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 | parameters (flash) | {params} |
 
 ## Limits, computed from the largest move and the sensors
-| field | value | unit | meaning |
-|---|---|---|---|
+| field | value | meaning |
+|---|---|---|
 {limits}
 
 ## How exact
@@ -404,6 +314,5 @@ if (output.mode == LAW_OFF) {{ /* switch the drive off */ }}
 | C = 1 + Ĉ against the design, {law.band[0]:g} to {law.band[1]:g} rad/s | {
         law.correction_error[0]:.3f} dB, {law.correction_error[1]:.3f}° |
 {_forward_row(law)}| Ĉ at constant input | exactly 0 |
-| worst-case gain, \\|Ĉe\\| ≤ gain · max\\|e\\| ({made}) | {bounds.gain:.9g} |
-{_rounding(bounds, proof)}
+
 {claims_text(law, proof)}"""

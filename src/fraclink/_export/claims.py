@@ -1,5 +1,4 @@
-"""What is claimed of an exported law: its worst-case bounds, and claims, each proved or
-not.
+"""What is claimed of an exported law: claims, each proved or not.
 
 The provers themselves are a package of their own, `fraclink_prove`; reading a proof
 needs only this module.
@@ -7,181 +6,16 @@ needs only this module.
 
 from __future__ import annotations
 
-import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import Literal
 
 from fraclink._files import from_plain, read_json, write_json
 from fraclink._law import Law
 
-__all__ = ["Claim", "CommandBounds", "Proof", "claims_text", "worst_case"]
-
-
-@dataclass(frozen=True)
-class CommandBounds:
-    """gain: |Ĉe| ≤ gain · max|e| for every error signal [rad/rad] (l1 norm of the exact
-    coefficients).
-
-    rounding: largest distance of the computed correction from the exact one while nothing is limited, for
-    |e| ≤ `error` [rad]: one-step rounding errors times the l1 norms from where they enter to the output.
-    rigorous: the sums were made in ball arithmetic, else in plain double precision.
-    """
-
-    gain: float
-    rounding: float
-    error: float
-    rigorous: bool
-
-
-def worst_case(law: Law, *, error: float = 0.5) -> CommandBounds:
-    """Return the worst-case bounds of the correction for errors up to `error` [rad].
-
-    With the modes apart, the impulse response of Ĉ is h[0] = d, h[k] = Σ g (p − 1)
-    p^(k−2) + ...; its sum of moduli is taken to N and closed with the geometric tail Σ
-    |g(p − 1)| |p|^(N−1)/(1 − |p|).
-    """
-    c = law.coefficients
-    n, m = len(law.correction.poles), len(law.correction.pair_poles)
-    real = np.asarray(c["real"]).reshape(-1, 2)[:n].tolist()
-    pair = np.asarray(c["pair"]).reshape(-1, 4)[:m].tolist()
-    poles: list[complex] = [pole for pole, _ in real] + [
-        complex(a, b) for a, b, _, _ in pair
-    ]
-    gains: list[complex] = [gain for _, gain in real] + [
-        complex(a, b) for _, _, a, b in pair
-    ]
-    direct = float(c["direct"])  # type: ignore[arg-type]
-    slowest = max((abs(p) for p in poles), default=0.0)
-    # e^(−40) = 4e-18 of the slowest mode: what is left is below the last bit of a
-    # double. The cap ends the sum of a pole such as 0.99997 early, which costs
-    # sharpness and no rigour, since the tail is added as a bound.
-    count = (
-        3 if slowest == 0 else min(200_000, max(50, math.ceil(-40 / math.log(slowest))))
-    )
-    gain, rigorous = _ball_norm(direct, poles, gains, count)
-    return CommandBounds(
-        gain, _rounding(law, direct, poles, gains, error), error, rigorous
-    )
-
-
-_GONE = 80.0  # |p|^k = e^(-80): 1e-35
-
-
-def _ball_norm(
-    direct: float, poles: list[complex], gains: list[complex], count: int
-) -> tuple[float, bool]:
-    try:
-        from flint import acb, arb, ctx
-    except ImportError:
-        return _plain_norm(direct, poles, gains, count), False
-    # A rectangle around a complex number grows by a factor √2 each time it is turned,
-    # half a bit: more bits while a pair lives, and it is let go once no double sees it.
-    lives = max(
-        (math.ceil(-_GONE / math.log(abs(p))) for p in poles if isinstance(p, complex)),
-        default=0,
-    )
-    before, ctx.prec = ctx.prec, 106 + (lives + 1) // 2
-    try:
-        # The coefficients are doubles: each is an exact ball, so that the norm is that
-        # of the shipped numbers and not of the design they were rounded from.
-        p, g = [acb(x) for x in poles], [acb(x) for x in gains]
-        total = abs(arb(direct))
-        power = list(g)  # g p^(k-1)
-        previous, tail = arb(direct), arb(0)
-        before_it = power
-        for k in range(count):
-            if lives and k == lives:
-                pairs = [isinstance(x, complex) for x in poles]
-                dropped = zip(before_it, power, p, pairs, strict=True)
-                # `previous` holds what the pairs were in it: that is counted, too
-                tail += sum(
-                    (abs(w) + _rest(x, y) for w, x, y, pair in dropped if pair), arb(0)
-                )
-                power, p = (
-                    [x for x, pair in zip(each, pairs, strict=True) if not pair]
-                    for each in (power, p)
-                )
-                ctx.prec = 106
-            level = sum((x.real for x in power), arb(0))
-            total += abs(level - previous)  # (1 − z⁻¹) of the inner response
-            previous, before_it = level, power
-            power = [x * y for x, y in zip(power, p, strict=True)]
-        tail += sum((_rest(x, y) for x, y in zip(power, p, strict=True)), arb(0)) + abs(
-            previous
-        )
-        # float() rounds to nearest, perhaps below the ball's upper end: one unit in the
-        # last place more is above.
-        return math.nextafter(float((total + tail).upper()), math.inf), True
-    finally:
-        ctx.prec = before
-
-
-def _rest(power: Any, pole: Any) -> Any:
-    """What a mode still adds to the sum of |h[k] − h[k−1]|: Σ |g p^j (p − 1)| ≤ 2 |g
-    p^k|/(1 − |p|).
-    """
-    return abs(power) * 2 / (1 - abs(pole))
-
-
-def _plain_norm(
-    direct: float, poles: list[complex], gains: list[complex], count: int
-) -> float:
-    # The same sum without balls: at most 200 000 terms in doubles are off by 2e-11 of
-    # their sum, for which the factor 1 + 1e-9 stands.
-    k = np.arange(count)
-    inner = np.zeros(count + 1)
-    inner[0] = direct
-    tail = 0.0
-    for pole, gain in zip(poles, gains, strict=True):
-        inner[1:] += (gain * np.power(complex(pole), k)).real
-        tail += 2 * abs(gain) * abs(pole) ** count / (1 - abs(pole))
-    return float(np.abs(np.diff(inner, prepend=0.0)).sum() + tail + abs(inner[-1])) * (
-        1 + 1e-9
-    )
-
-
-def _rounding(
-    law: Law, direct: float, poles: list[complex], gains: list[complex], error: float
-) -> float:
-    """Sum over the modes of (largest one-step rounding) × (l1 norm from the state to
-    the output).
-    """
-    unit = 2.0**-24 if law.precision == "single" else 2.0**-53
-    # The law stores changes of the error, e[k] − e[k−1]: as large as twice the error.
-    change = 2 * error
-    # the change of the error is rounded once, and so is each product and each partial
-    # sum of the output
-    total = abs(direct) * change * unit
-    partial = abs(direct) * change
-    for pole, gain in zip(poles, gains, strict=True):
-        # a mode that leaks slowly without turning holds e minus its average: at most 2
-        # max|e|, which is `change`
-        steady = isinstance(pole, float) and pole >= 0
-        size = change if steady else change / (1 - abs(pole))
-        # p·state is rounded, and its sum with the change: u(2|p| size + change). A pair
-        # makes two products and their difference of each part, hence 3, and has two
-        # parts.
-        step = (
-            (abs(pole) * size * 3 + change)
-            * unit
-            * (1 if isinstance(pole, float) else 2)
-        )
-        total += abs(gain) * step / (1 - abs(pole)) + abs(gain) * size * unit
-        partial += abs(gain) * size
-    # Every partial sum of the output is rounded; none is larger than the sum of the
-    # moduli.
-    terms = len(poles) + 1
-    # a change that is rounded by u·change acts through the whole filter without its
-    # difference
-    static = abs(direct) + sum(
-        abs(g) / (1 - abs(p)) for p, g in zip(poles, gains, strict=True)
-    )
-    return total + terms * partial * unit + static * change * unit
+__all__ = ["Claim", "Proof", "claims_text"]
 
 
 KIND, FORMAT = "proof", 1
@@ -293,8 +127,8 @@ def claims_text(law: Law, proof: Proof | None) -> str:
     built = "For this `law.c`, compiled as ISO C99 without fast-math and with contraction off:"
     if proof is None:
         voltage = (
-            f" and `voltage` within ±{law.drive.voltage_limit:g} V"
-            if law.drive is not None
+            f" and `voltage` within ±{law.motor_loop.voltage_limit:g} V"
+            if law.motor_loop is not None
             else ""
         )
         claimed = (

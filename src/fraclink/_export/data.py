@@ -176,9 +176,9 @@ def exact_sizes(law: Law) -> tuple[int, int]:
     """Return the bytes of (parameters, state) of a build with `exact_flags`."""
     modes = _modes(law)
     width = 4 if law.precision == "single" else 8
-    # 21 reals behind the modes and 14 words in front (56 bytes): law_state of law.h,
+    # 22 reals behind the modes and 14 words in front (56 bytes): law_state of law.h,
     # which test_export_readme compares with sizeof.
-    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 21
+    states = modes["real"] + modes["forward"] + 2 * modes["pair"] + 22
     return layout.exact_header(law.block, law.precision, modes)[0], 56 + width * states
 
 

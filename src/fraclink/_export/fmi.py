@@ -86,15 +86,15 @@ VARIABLES: tuple[Variable, ...] = (
     Variable(
         "reason",
         "output",
-        "why a mode above run was entered, LAW_... in law.h",
+        ", ".join(f"{number} {name}" for number, name in enumerate(REASONS)),
         largest=len(REASONS) - 1,
     ),
-    # 1023: all ten bits of law.h.
+    # 2047: all eleven bits of law.h.
     Variable(
         "flags",
         "output",
         "bits of the last period, LAW_FLAG_... in law.h",
-        largest=1023,
+        largest=2047,
     ),
     # The time and the payload, an input, stand behind the outputs, as they came later: a value reference
     # that somebody's importer has stored must stay.
@@ -161,13 +161,14 @@ class FmuModel:
 
     `name` is the model's C identifier, `token` ties the description to
     the library, `period` [s] is the only communication step, `digest` identifies the
-    law, `variables` are `VARIABLES` or those of a PID, in the same order.
+    law, `connected` says which output to use, `variables` are `VARIABLES` or those of a PID, in the same order.
     """
 
     name: str
     token: str
     period: float
     digest: str
+    connected: str
     variables: tuple[Variable, ...] = VARIABLES
 
     @property
@@ -178,7 +179,10 @@ class FmuModel:
             if self.variables is VARIABLES
             else "Fractional PID"
         )
-        return f"{what}, one step each period of {self.period:g} s; law {self.digest}"
+        return (
+            f"{what}, one step each period of {self.period:g} s; {self.connected}; "
+            f"law {self.digest}"
+        )
 
     @property
     def interface(self) -> dict[str, str]:

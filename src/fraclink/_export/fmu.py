@@ -1,18 +1,16 @@
-"""Export the law as an FMU for co-simulation, FMI 3.0: sources, libraries made of
-them, a page.
+"""Export the law as an FMU for co-simulation, FMI 3.0: sources, and libraries made of
+them.
 """
 
 from __future__ import annotations
 
 import io
 import os
-import re
 import shutil
 import subprocess
 import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from fraclink._export.data import data_header, identifier, law_source
@@ -25,7 +23,7 @@ from fraclink._export.fmi import (
     token_of,
 )
 from fraclink._files import atomic_write, output_path
-from fraclink._law import MODES, REASONS, Law
+from fraclink._law import Law
 from fraclink._law.block import Precision
 from fraclink.errors import FieldError
 from fracsys.checks import checked, checked_noun
@@ -33,7 +31,6 @@ from fracsys.checks import checked, checked_noun
 __all__ = [
     "SUFFIXES",
     "compiled",
-    "documentation",
     "export_fmu",
     "found",
     "platform_of",
@@ -85,7 +82,8 @@ def export_fmu(
 
     >>> import fraclink as fl, tempfile
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> export_fmu(law, Path(tempfile.mkdtemp()) / "arm_law.fmu", compilers=()).name
     'arm_law.fmu'
     """
@@ -104,10 +102,11 @@ def export_fmu(
     # law is refused by the FMU itself at instantiation.
     sources, token = _sources(shipped, name)
     listed = VARIABLES if shipped.has_gauge else PID_VARIABLES
-    model = FmuModel(name, token, shipped.period, shipped.digest, listed)
+    model = FmuModel(
+        name, token, shipped.period, shipped.digest, _connected(shipped), listed
+    )
     parts = {f"sources/{file}": text.encode() for file, text in sources.items()}
     parts |= {file: text.encode() for file, text in descriptions(model).items()}
-    parts["documentation/index.html"] = documentation(model, shipped).encode()
     for compiler in compilers:
         platform = platform_of(compiler)
         if platform not in PLATFORMS:
@@ -131,6 +130,13 @@ def export_fmu(
     with atomic_write(place, "wb") as out:
         out.write(_zipped(parts))
     return place
+
+
+def _connected(law: Law) -> str:
+    if law.motor_loop is None:
+        return "connect motor_reference to the drive's own position servo"
+    limit = f"within ±{law.motor_loop.voltage_limit:g}"
+    return f"connect voltage, {limit} V" if law.has_gauge else f"output {limit}"
 
 
 def _sources(law: Law, name: str) -> tuple[dict[str, str], str]:
@@ -266,70 +272,3 @@ def compiled(sources: Mapping[str, str], compiler: str) -> bytes:
                 remedy="install another one, or export sources only",
             )
         return library.read_bytes()
-
-
-_STYLE = (
-    "body { font: 16px/1.5 system-ui, sans-serif; max-width: 50rem; margin: 2rem auto; padding: 0 1rem; } "
-    "th { text-align: left; } th, td { padding: .1rem .9rem .1rem 0; vertical-align: baseline; }"
-)
-# The header is the only list of flags: a page that had its own would miss the next one.
-_FLAG = re.compile(r"#define LAW_FLAG_(\w+) (\d+)U +/\* (.+?) \*/")
-
-
-def documentation(model: FmuModel, law: Law) -> str:
-    """Return the page as HTML, complete in itself."""
-    flags = _FLAG.findall(law_source("law.h").decode())
-    servo = _connected(law)
-    variables = [
-        (v.name, v.causality, v.unit or "–", v.description) for v in model.variables
-    ]
-    return f"""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>{escape(model.name)}</title>
-<style>{_STYLE}</style></head><body>
-<h1>{escape(model.name)}</h1>
-<p>{escape(model.description)}; {law.precision} precision.</p>
-<h2>Connect it</h2>
-<ul>
-<li>The communication step is {model.period!r} s, constant. Another step is an error.</li>
-<li>Outputs answer the inputs at the beginning of a step: the importer sees them one period later, which is
-the delay that the design counts on. No output depends on an input at the same instant.</li>
-<li>Before the first step {_resting(law)}.</li>
-<li>{servo}</li>
-</ul>
-{_table(("variable", "", "unit", ""), variables)}
-<h2>mode</h2>
-{_table(("value", "name"), enumerate(MODES))}
-<h2>reason</h2>
-{_table(("value", "what"), enumerate(REASONS))}
-<h2>flags</h2>
-<p>Bits of the last period; they add up.</p>
-{_table(("bit", "name", "what"), ((bit, name, what) for name, bit, what in flags))}
-</body></html>
-"""
-
-
-def _connected(law: Law) -> str:
-    if law.drive is None:
-        return "The robot has a motor loop: connect <code>motor_reference</code>, not <code>voltage</code>."
-    limit = f"within ±{law.drive.voltage_limit:g}"
-    if not law.has_gauge:
-        return f"A fractional PID: connect <code>output</code>, {limit}."
-    return f"The law closes the motor loop: connect <code>voltage</code>, {limit} V."
-
-
-def _resting(law: Law) -> str:
-    if law.has_gauge:
-        return "the arm is taken to rest at <code>motor_angle</code>"
-    return "the controller is at rest, and its filter empty"
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    lines = [
-        "<table>",
-        "<tr>" + "".join(f"<th>{escape(cell)}</th>" for cell in head) + "</tr>",
-    ]
-    lines += [
-        "<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>"
-        for row in rows
-    ]
-    return "\n".join([*lines, "</table>"])

@@ -15,19 +15,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import Recording
+from fraclink._display import Overview, Row, displayed, number, state_of
 from fraclink._export.data import data_header, identifier, law_source
 from fraclink._export.fmu import complaint, found
 from fraclink._files import checked_path
 from fraclink._law import Law
 from fraclink.errors import FieldError
-from fracsys.checks import checked_between, checked_noun, checked_series
+from fracsys.checks import checked_noun
 from fracsys.checks.equality import compared
 
-__all__ = ["Replay", "replay", "replay_log"]
+__all__ = ["Replay", "replay_log"]
 
 Real = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ int main(void)
 
 
 @compared
+@displayed
 @dataclass(frozen=True, eq=False)
 class Replay:
     """What the exported law and the package's law gave for the same log; signals have
@@ -89,131 +91,20 @@ class Replay:
         """Whether every output of every period agrees to the last bit."""
         return self.first_difference is None
 
-
-def replay(
-    folder: Path | str,
-    law: Law,
-    *,
-    reference: ArrayLike,
-    reference_acceleration: ArrayLike,
-    motor_angle: ArrayLike,
-    torque: ArrayLike,
-    payload: float = 0.0,
-    name: str = "law_data",
-    compiler: str = "cc",
-    allow_changed: bool = False,
-) -> Replay:
-    """Compile the law exported to `folder`, run the log through it and compare it with
-    `law`, period by period.
-
-    The C of the folder is compiled and run on this computer.
-
-    Parameters
-    ----------
-    folder, law
-        the export, and the law that it is compared with.
-    reference, reference_acceleration, motor_angle, torque
-        signals at the law's period, shape (N,) [rad], [rad/s²], [rad], [N·m].
-    payload
-        that the law is given [kg]; 0 for none.
-    name
-        of the block.
-    compiler
-        a C compiler on the PATH.
-    allow_changed
-        whether law.c, law.h or the header of the block may differ from what `export_c`
-        writes.
-
-    Raises
-    ------
-    FieldError
-        the folder holds no export, its block is not that of `law`, its files were
-        changed, or the compiler fails.
-
-    >>> import fraclink as fl, tempfile
-    >>> from fraclink._export import export_c, replay
-    >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
-    >>> folder = tempfile.mkdtemp()
-    >>> _ = export_c(law, folder)
-    >>> rest = np.zeros(100)
-    >>> replay(folder, law, reference=rest, reference_acceleration=rest, motor_angle=rest, torque=rest).passed
-    True
-    """
-    identifier("name", name)
-    checked_noun("law", law, Law, remedy="Law.load reads the folder's law.json")
-    place = checked_path("folder", folder).resolve()
-    signals = _signals(
-        reference=reference,
-        reference_acceleration=reference_acceleration,
-        motor_angle=motor_angle,
-        torque=torque,
-    )
-    # One payload for the whole log: logs do not hold one for each sample.
-    given = np.full(
-        signals[0].shape, checked_between("payload", payload, 0.0, 1e9, "kg")
-    )
-    # A row for each period, as the program below reads them: five doubles at a time
-    # from its standard input. Neither text nor a file comes between, so that no digit
-    # is lost.
-    rows = np.ascontiguousarray(np.column_stack([*signals, given]))
-    # First whose law it is, then whether its C is ours: "another law" is the plainer
-    # answer where both are so. Nothing is compiled before.
-    _check_block(place, law, name)
-    if not allow_changed:
-        _check_unchanged(place, law, name)
-    output = _compiled(place, law, name, compiler, rows.tobytes())
-    got = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
-    _, own = law.run(law.initial_state(), *rows.T)
-    wanted = np.column_stack(
-        [
-            own.motor_reference,
-            own.voltage,
-            own.tip_estimate,
-            own.error,
-            own.mode,
-            own.flags,
-        ]
-    )
-    # Fewer rows: the program ended early, as law_init refused the block.
-    if got.shape != wanted.shape:
-        raise FieldError(
-            "firmware",
-            got.shape,
-            "incomplete",
-            allowed=f"{wanted.shape}",
-            remedy="export the law again",
+    def overview(self) -> Overview:
+        """Whether they agree, and where they first do not."""
+        agreed = f"{len(self.mode)} periods agree to the last bit"
+        differs = (
+            f"first difference in period {self.first_difference}, "
+            f"largest {number(self.largest_difference, 3)}"
         )
-    # A comparison of values: NaN would differ from itself, but the law gives none; −0
-    # and 0 are the same command.
-    differs = np.flatnonzero(np.any(got != wanted, axis=1))
-    return Replay(
-        motor_reference=got[:, 0].copy(),
-        voltage=got[:, 1].copy(),
-        tip_estimate=got[:, 2].copy(),
-        mode=got[:, 4].copy(),
-        flags=got[:, 5].copy(),
-        first_difference=int(differs[0]) if differs.size else None,
-        largest_difference=float(np.max(np.abs(got - wanted), initial=0.0)),
-    )
-
-
-def _signals(**given: ArrayLike) -> list[Real]:
-    """The four columns; FieldError where one is none, or of another length than the
-    first.
-    """
-    columns = [checked_series(field, values) for field, values in given.items()]
-    for field, column in zip(given, columns, strict=True):
-        if column.shape != columns[0].shape:
-            allowed = f"{columns[0].size} samples, as many as the reference has"
-            raise FieldError(
-                field,
-                column.size,
-                "of another length",
-                allowed=allowed,
-                remedy="cut or extend",
-            )
-    return columns
+        rows = (
+            Row("first_difference", "", self.first_difference),
+            Row("largest_difference", "", self.largest_difference),
+            Row("periods", "", len(self.mode)),
+            Row("last_mode", "", int(self.mode[-1])),
+        )
+        return Overview(agreed if self.passed else differs, state_of(self.passed), rows)
 
 
 def replay_log(
@@ -224,27 +115,44 @@ def replay_log(
     allow_changed: bool = False,
 ) -> Replay:
     """Run the sensors of a log through the law exported to `folder` and through the
-    package's, and compare.
+    package's, and compare them period by period.
 
-    The motor's own path is the reference, with acceleration 0, so that the guards see a
-    motor that follows. A `Recording` is for the law of a fractional PID: its input is
-    the reference, its output the measurement. The law is the folder's law.json. Raises
-    FieldError where its period [s] is not that of the log, or where the C of the folder
-    was changed, unless `allow_changed`: it is compiled and run on this computer.
+    The C of the folder is compiled and run on this computer. The law is the folder's
+    law.json. The motor's own path is the reference, with acceleration 0, so that the
+    guards see a motor that follows.
+
+    Parameters
+    ----------
+    folder
+        of `export_c`.
+    log
+        at the law's period; a `Recording` for the law of a fractional PID: its input is
+        the reference, its output the measurement.
+    compiler
+        a C compiler on the PATH.
+    allow_changed
+        whether law.c, law.h or the header of the block may differ from what `export_c`
+        writes.
+
+    Raises
+    ------
+    FieldError
+        the folder holds no export, its files were changed, the log is of another period
+        [s] or of another kind than the law, or the compiler fails.
+
+    >>> import fraclink as fl, tempfile
+    >>> from fraclink.extend import replay_log
+    >>> rig = fl.Rig.named("paper-2023")
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> folder = tempfile.mkdtemp()
+    >>> _ = fl.export_c(fl.discretize(controller, rig.period, order=4), folder)
+    >>> replay_log(folder, fl.read_log(fl.bundled_log("prbs_30g"), rig=rig)).passed
+    True
     """
     if not isinstance(log, Recording):
         checked_noun("log", log, Experiment, remedy="read_log makes one")
-    place = checked_path("folder", folder)
-    law_file = place / "law.json"
-    if not law_file.is_file():
-        raise FieldError(
-            "firmware",
-            str(place),
-            "not an export",
-            allowed="a folder of export_c",
-            remedy="export the law",
-        )
-    law = Law.load(law_file)
+    place = checked_path("folder", folder).resolve()
+    law, name = _exported(place)
     # Stamps in decimals leave a period that is off by a part in 10⁹; a millionth is no
     # other rate, and in an hour 4 ms.
     if abs(log.period - law.period) > 1e-6 * law.period:
@@ -255,38 +163,74 @@ def replay_log(
             allowed=f"{law.period} s",
             remedy="resample the log",
         )
-    # The block's name was free at the export. The header is known by the digest in its
-    # first comment, which stands in no other file.
-    headers = [
-        file.stem
-        for file in sorted(place.glob("*.h"))
-        if f"law {law.digest}" in file.read_text("utf-8")
-    ]
     reference, measured, torque = _sensors(law, log)
-    return replay(
-        place,
-        law,
-        reference=reference,
-        reference_acceleration=np.zeros_like(reference),
-        motor_angle=measured,
-        torque=torque,
-        name=headers[0] if headers else "law_data",
-        compiler=compiler,
-        allow_changed=allow_changed,
+    none = np.zeros_like(reference)
+    # A row for each period, as the program below reads them: five doubles at a time
+    # from its standard input. Neither text nor a file comes between, so that no digit
+    # is lost.
+    rows = np.column_stack([reference, none, measured, torque, none])
+    if not allow_changed:
+        _check_unchanged(place, law, name)
+    output = _compiled(place, law, name, compiler, rows.tobytes())
+    replayed = np.frombuffer(output, dtype=np.float64).reshape(-1, 6)
+    _, own = law.run(law.initial_state(), *rows.T)
+    names = ("motor_reference", "voltage", "tip_estimate", "error", "mode", "flags")
+    expected = np.column_stack([getattr(own, signal) for signal in names])
+    # Fewer rows: the program ended early, as law_init refused the block.
+    if replayed.shape != expected.shape:
+        raise FieldError(
+            "firmware",
+            replayed.shape,
+            "incomplete",
+            allowed=f"{expected.shape}",
+            remedy="export the law again",
+        )
+    # A comparison of values: NaN would differ from itself, but the law gives none; −0
+    # and 0 are the same command.
+    differs = np.flatnonzero(np.any(replayed != expected, axis=1))
+    signals = dict(zip(names, replayed.T.copy(), strict=True))
+    del signals["error"]
+    return Replay(
+        **signals,
+        first_difference=int(differs[0]) if differs.size else None,
+        largest_difference=float(np.max(np.abs(replayed - expected), initial=0.0)),
+    )
+
+
+def _exported(place: Path) -> tuple[Law, str]:
+    """The law of an export, and the name of its block, which was free: its header is
+    known by the digest in its first comment, which stands in no other file.
+    """
+    if not all((place / file).is_file() for file in ("law.json", "law.c")):
+        raise FieldError(
+            "firmware",
+            str(place),
+            "not an export",
+            allowed="a folder of export_c",
+            remedy="export the law first",
+        )
+    law = Law.load(place / "law.json")
+    for file in sorted(place.glob("*.h")):
+        if f"law {law.digest}" in file.read_text("utf-8"):
+            return law, identifier("name", file.stem)
+    raise FieldError(
+        "firmware",
+        str(place),
+        "the export of another law",
+        allowed=f"law {law.digest[:16]}...",
+        remedy="export this law, in the precision it has",
     )
 
 
 def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
     """Reference, motor angle (of a PID: its measurement) and torque."""
     if isinstance(log, Recording) == law.has_gauge:
-        given = "a recording" if isinstance(log, Recording) else "an arm's log"
-        remedy = "the law of an arm takes an Experiment, that of a fractional PID a Recording (--input, --output)"
         raise FieldError(
             "log",
-            given,
+            "a recording" if isinstance(log, Recording) else "an arm's log",
             "of another kind than the law",
             allowed="its own",
-            remedy=remedy,
+            remedy="the law of an arm takes an Experiment, that of a fractional PID a Recording (--input, --output)",
         )
     if isinstance(log, Recording):
         return log.input, log.output, np.zeros_like(log.output)
@@ -296,26 +240,6 @@ def _sensors(law: Law, log: Experiment | Recording) -> tuple[Real, Real, Real]:
     # loop is small, and the guards see a motor that follows; the two commands are
     # compared, not judged.
     return log.motor_angle, log.motor_angle, torque
-
-
-def _check_block(place: Path, law: Law, name: str) -> None:
-    header = place / f"{name}.h"
-    if not (header.is_file() and (place / "law.c").is_file()):
-        raise FieldError(
-            "firmware",
-            str(place),
-            "not an export",
-            allowed="a folder of export_c",
-            remedy="export the law first",
-        )
-    if f"law {law.digest}" not in header.read_text(encoding="utf-8"):
-        raise FieldError(
-            "firmware",
-            str(place),
-            "the export of another law",
-            allowed=f"law {law.digest[:16]}...",
-            remedy="export this law, in the precision it has",
-        )
 
 
 def _check_unchanged(place: Path, law: Law, name: str) -> None:
@@ -370,13 +294,12 @@ def _compiled(place: Path, law: Law, name: str, compiler: str, log: bytes) -> by
         if said := complaint(
             [*command, source.name, "law.c", "-o", program.name], Path(scratch)
         ):
-            allowed, remedy = "C99", "export the law again"
             raise FieldError(
                 "firmware",
                 said,
                 "refused by the compiler",
-                allowed=allowed,
-                remedy=remedy,
+                allowed="C99",
+                remedy="export the law again",
             )
         return subprocess.run(  # noqa: S603
             [program], input=log, capture_output=True, check=True

@@ -20,31 +20,26 @@ arrays are members that `numpy.load` opens.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import hashlib
 import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast, overload
+from typing import Any, Self, TypeVar, overload
 
-import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import __version__
-from fraclink._files.codec import Storage, codec_of, stored_as
+from fraclink._files.codec import Arrays, from_plain, plain
 from fraclink._files.containers import (
     JSON_LIMIT,
     array_digest,
     atomic_write,
     broken,
     checked_path,
-    edited,
-    existing_file,
-    guarded,
+    first_bytes,
     header_of,
     json_text,
-    misfit,
     output_path,
     parse_json,
     read_archive,
@@ -53,21 +48,13 @@ from fraclink._files.containers import (
     write_archive,
     write_text,
 )
-from fraclink._files.kinds import (
-    HOMES,
-    Document,
-    document,
-    document_of,
-    document_of_class,
-    registered,
-)
+from fraclink._files.kinds import class_of, document, document_of
 from fraclink.errors import FieldError, FileFormatError, SizeError
 
 __all__ = [
-    "HOMES",
+    "Saved",
     "atomic_write",
     "check_ending",
-    "checked_envelope",
     "checked_path",
     "document",
     "from_plain",
@@ -78,9 +65,7 @@ __all__ = [
     "read_json",
     "save",
     "sha256_of",
-    "stored_as",
     "write_json",
-    "write_npz",
     "write_text",
 ]
 
@@ -89,6 +74,9 @@ U = TypeVar("U")
 UNITS = "SI, radians"
 _ENDINGS = {".json", ".npz", ".toml", ".csv"}
 _ZIP = b"PK"  # how every zip archive begins
+# The keys of a document: its digest covers whatever else a file holds.
+_ENVELOPE = {"fraclink", "format", "tool", "units", "period", "sources"}
+_ENVELOPE |= {"summary", "arrays", "sha256", "content"}
 
 
 def save(value: object, path: Path | str, *, force: bool = False) -> Path:
@@ -122,22 +110,17 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     ...     fl.load(fl.save(log, f"{folder}/log.npz")).output.tolist()
     [0.0, 0.01]
     """
-    found = document_of(value)
-    # First, as it may refuse: nothing is encoded, and no file of that name is touched.
-    found.before_save(value)
+    file_format = document_of(type(value))
     place = output_path(path, force=force)
-    found = _fitting(found, place)
-    container = found.container
-    if found.own:
+    container = check_ending(type(value), place)
+    if file_format.own:
         getattr(value, "save")(place)  # noqa: B009
-        return place
-    if container == "toml":
-        write_text(place, getattr(value, "to_toml")())  # noqa: B009
         return place
     # Encoded whole before the file is opened: a value that does not fit leaves nothing
     # behind.
-    envelope, arrays = _enveloped(value, found)
-    if container == "npz":
+    arrays: Arrays | None = {} if container == "npz" else None
+    envelope = _enveloped(value, file_format, arrays)
+    if arrays is not None:
         with atomic_write(place, "wb") as stream:
             write_archive(stream, json.dumps(envelope, allow_nan=False), arrays)
         return place
@@ -145,64 +128,56 @@ def save(value: object, path: Path | str, *, force: bool = False) -> Path:
     # What `load` would refuse is not written: a result that cannot be read back is lost
     # in silence.
     if len(text) > JSON_LIMIT:
-        allowed, remedy = (
-            f"<= {JSON_LIMIT} bytes, which can be read back",
-            "save a shorter one",
-        )
+        allowed = f"<= {JSON_LIMIT} bytes, which can be read back"
+        problem, remedy = "too large to save", "save a part of it"
+        if file_format.container == "either":
+            remedy += ", or end its name in .npz"
         raise SizeError(
-            found.kind, len(text), "too large to save", allowed=allowed, remedy=remedy
+            file_format.kind, len(text), problem, allowed=allowed, remedy=remedy
         )
     write_text(place, text)
     return place
 
 
-def check_ending(cls: type, place: Path) -> None:
-    """Raise FieldError where `save` would refuse a value of that class for the ending
-    of the name.
+def check_ending(cls: type, place: Path) -> str:
+    """Return the container, json, npz or toml, of a value of that class.
 
-    For work that cannot be repeated, such as the motion of an arm: a wrong name is
-    found before it.
+    Raises FieldError where the ending of the name promises another one: for work that
+    cannot be repeated, such as the motion of an arm, before the work. A name without an
+    ending, or with a person's own, is taken as it is.
     """
-    _fitting(document_of_class(cls), place)
-
-
-def _fitting(found: Document, place: Path) -> Document:
-    """The document in the container that the ending of the name asks for."""
-    if found.container == "either":
-        found = dataclasses.replace(
-            found, container="npz" if place.suffix == ".npz" else "json"
-        )
-    # Only endings that promise another container are refused; a name without one, or
-    # with a person's own, is taken as it is, since `load` looks at the first bytes.
-    if place.suffix in _ENDINGS - {f".{found.container}"}:
-        allowed, remedy = (
-            f".{found.container}, the ending of a {found.kind}",
-            "change the ending",
-        )
+    file_format = document_of(cls)
+    container = file_format.container
+    if container == "either":
+        container = "npz" if place.suffix == ".npz" else "json"
+    if place.suffix in _ENDINGS and place.suffix != f".{container}":
         raise FieldError(
-            "out", place.name, "of another kind of file", allowed=allowed, remedy=remedy
+            "out",
+            place.name,
+            "of another kind of file",
+            allowed=f".{container}, the ending of a {file_format.kind}",
+            remedy="change the ending",
         )
-    return found
+    return container
 
 
 def _enveloped(
-    value: object, found: Document
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    arrays: dict[str, NDArray[Any]] = {}
-    storage = Storage(found.hex_floats, arrays if found.container == "npz" else None)
-    content = codec_of(found.cls).encode(value, "", storage)
+    value: object, file_format: document, arrays: Arrays | None
+) -> dict[str, Any]:
+    content = plain(
+        value, type(value), hex_floats=file_format.hex_floats, arrays=arrays
+    )
+    members = {} if arrays is None else arrays
     optional = {
-        "period": found.period(value),
-        "sources": dict(found.sources(value)),
-        "summary": codec_of(Any).encode(found.summary(value), "summary", Storage()),
-        "arrays": {name: array_digest(values) for name, values in arrays.items()},
+        "period": file_format.period(value),
+        "sources": dict(file_format.sources(value)),
+        "summary": plain(file_format.summary(value), Any),
+        "arrays": {name: array_digest(values) for name, values in members.items()},
     }
-    head = _head(found.kind, found.version)
+    head = _head(file_format.kind, file_format.version)
     head |= {key: item for key, item in optional.items() if item not in (None, {})}
-    return head | {
-        "sha256": _digest(head | {"content": content}),
-        "content": content,
-    }, arrays
+    digest = _digest(head | {"content": content})
+    return head | {"sha256": digest, "content": content}
 
 
 def _head(kind: str, version: int) -> dict[str, Any]:
@@ -215,25 +190,9 @@ def _digest(data: Mapping[str, Any]) -> str:
     """
     # Without the tool's version two releases give one digest to one result; sorted keys
     # and no blanks make it independent of who wrote the file.
-    covered = {
-        key: value for key, value in data.items() if key not in ("sha256", "tool")
-    }
+    covered = {key: data[key] for key in data if key not in ("sha256", "tool")}
     text = json.dumps(covered, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("ascii")).hexdigest()
-
-
-_ENVELOPE = {
-    "fraclink",
-    "format",
-    "tool",
-    "units",
-    "period",
-    "sources",
-    "summary",
-    "arrays",
-    "sha256",
-    "content",
-}
 
 
 @overload
@@ -254,60 +213,83 @@ def load(path: Path | str, kind: type[Any] | tuple[type, ...] | None = None) -> 
     Traceback (most recent call last):
     fraclink.errors.FileFormatError: file: ...
     """
-    place, wanted = (
-        checked_path("path", path),
-        (kind if isinstance(kind, tuple) else (kind,) if kind else ()),
-    )
+    place = checked_path("path", path)
+    wanted = kind if isinstance(kind, tuple) else (kind,) if kind else ()
     if place.suffix == ".toml":
-        found = registered("rig", wanted, place)
-        return getattr(found.cls, "load")(place)  # noqa: B009
+        return getattr(_expected("rig", wanted, place), "load")(place)  # noqa: B009
     data, arrays = _read(place)
-    found = registered(data.get("fraclink"), wanted, place)
-    if found.own:
-        return getattr(found.cls, "load")(place)  # noqa: B009
-    content = _content(data, arrays, found, place)
-    return codec_of(found.cls).decode(content, "", Storage(found.hex_floats, arrays))
+    cls = _expected(data.get("fraclink"), wanted, place)
+    file_format = document_of(cls)
+    if file_format.own:
+        return getattr(cls, "load")(place)  # noqa: B009
+    try:
+        _check_version(data.get("format"), (file_format.version,))
+        _check_digest(data, arrays, place)
+        content = data["content"]
+        return from_plain(
+            cls, content, hex_floats=file_format.hex_floats, arrays=arrays
+        )
+    except RecursionError as error:
+        raise broken(
+            "a file of fraclink", place, "nested too deeply", "make it again"
+        ) from error
 
 
-def from_plain(kind: type[T], data: Any, path: str = "") -> T:
-    """Return the `kind` that plain JSON holds; FileFormatError names the place, below
-    `path`.
-    """
-    hint: Any = kind
-    return cast(T, codec_of(hint).decode(data, path, Storage()))
+class Saved:
+    """A result that has a file of its own."""
+
+    def save(self, path: Path | str) -> None:
+        """Write this to one file, complete or not at all; `load` reads back an equal
+        one. SizeError where the file could not be read back.
+        """
+        save(self, path, force=True)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read what `save` wrote; FileFormatError where the file is another, damaged or
+        edited.
+        """
+        return load(path, cls)
+
+
+def _expected(kind: object, wanted: tuple[type, ...], place: Path) -> type:
+    """The class of a kind of file, which must be one of those wanted, if any are."""
+    kinds = {document_of(cls).kind: cls for cls in wanted}
+    # JSON may hold a list here, which no dict can be asked for.
+    cls = kinds.get(str(kind)) if wanted else class_of(kind)
+    if cls is None:
+        allowed = " or ".join(kinds) or "a file that fraclink wrote"
+        problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
+        name = place.name
+        raise FileFormatError("file", name, problem, allowed=allowed, remedy=remedy)
+    return cls
 
 
 def kind_of(path: Path | str) -> str:
     """Return the kind in the envelope of a file; an empty text where it is damaged or
     foreign.
     """
-    place = Path(path)
+    place, start = Path(path), b""
     if place.suffix == ".toml":
         return "rig"
-    if not place.is_file():
-        return ""
-    start = b""
-    with contextlib.suppress(OSError), place.open("rb") as stream:
+    with contextlib.suppress(FileFormatError):
         # Kind and format stand in front of everything in what `save` writes: 200 bytes
         # tell a folder's files apart, however large they are.
-        start = stream.read(200)
+        start = first_bytes(place, "a file of fraclink", 200)
     # In an archive the same text is the member "about", whose beginning is enough.
     if start.startswith(_ZIP):
         start = header_of(place)[:200].encode("utf-8", "replace")
-    found = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
-    return found.group(1).decode() if found else ""
+    envelope = re.match(rb'\s*\{\s*"fraclink":\s*"([\w-]+)"', start)
+    return envelope.group(1).decode() if envelope else ""
 
 
 def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Return the object of a document and its arrays, JSON or NPZ by the file's first
     bytes.
     """
-    what, archive = "a file of fraclink", False
+    what = "a file of fraclink"
     arrays: dict[str, NDArray[Any]] = {}
-    existing_file(place, what)
-    with contextlib.suppress(OSError), place.open("rb") as stream:
-        archive = stream.read(2) == _ZIP
-    if archive:
+    if first_bytes(place, what, 2) == _ZIP:
         text, arrays = read_archive(place, what)
     else:
         text = read_text(place, what)
@@ -315,21 +297,6 @@ def _read(place: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     if not isinstance(data, dict) or "fraclink" not in data:
         raise broken(what, place, "not written by fraclink", "give another file")
     return data, arrays
-
-
-def _content(
-    data: dict[str, Any],
-    arrays: Mapping[str, NDArray[Any]],
-    found: Document,
-    place: Path,
-) -> Any:
-    """Return the content, after the digest of what was written has been compared."""
-    # The version first: another format may count its digest otherwise.
-    _check_version(data.get("format"), (found.version,))
-    if "content" not in data:
-        raise misfit("content", "(nothing)", "missing", "content and sha256")
-    _check_digest(data, arrays, place)
-    return data["content"]
 
 
 def _check_version(version: object, versions: tuple[int, ...]) -> None:
@@ -347,23 +314,21 @@ def _check_version(version: object, versions: tuple[int, ...]) -> None:
 def _check_digest(
     data: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], place: Path
 ) -> None:
-    # A key that the digest covers and no release writes: the file was made by something
-    # else.
-    if unknown := sorted(set(data) - _ENVELOPE):
-        raise misfit(
-            unknown[0], data[unknown[0]], "an unknown key", ", ".join(sorted(_ENVELOPE))
-        )
-    actual = {name: array_digest(values) for name, values in arrays.items()}
-    if data.get("arrays", {}) != actual:
-        raise misfit(
-            "arrays",
-            ", ".join(actual),
-            "changed after they were written",
-            "the arrays as written",
-        )
-    digest = guarded(lambda: _digest(data), "sha256")
-    if data.get("sha256") != digest:
-        raise edited(place, data.get("sha256"), digest)
+    digests = {name: array_digest(values) for name, values in arrays.items()}
+    unknown = sorted(set(data) - _ENVELOPE)
+    stated, expected = data.get("sha256"), _digest(data)
+    field, problem = "", ""
+    if unknown:  # the digest covers it, and no release writes it
+        field, problem = unknown[0], "an unknown key"
+    elif "content" not in data:
+        field, problem = "content", "missing"
+    elif data.get("arrays", {}) != digests or stated != expected:
+        field = "arrays" if stated == expected else "sha256"
+        problem = f"{place.name} was changed after it was written, and holds nothing that was computed any more"
+    if field:
+        remedy = "make the file again; to try another value, give it to the command or the function"
+        value, allowed = data.get(field), f"{expected}, that of its content"
+        raise FileFormatError(field, value, problem, allowed=allowed, remedy=remedy)
 
 
 # --- files that a class writes itself: an envelope without a digest ---------
@@ -385,43 +350,11 @@ def read_json(
     """Read back what `write_json` wrote, after checking its kind and its format's
     version.
     """
-    data = parse_json(read_text(path, f"a {kind} file"), source=Path(path).name)
-    return checked_envelope(data, kind, versions, Path(path))
-
-
-def write_npz(
-    path: Path | str,
-    kind: str,
-    version: int,
-    about: Mapping[str, Any],
-    arrays: Mapping[str, NDArray[Any]],
-) -> None:
-    """Write arrays with their envelope (`kind`, `version`, `about`) in one step;
-    `about` holds no NaN.
-    """
-    header = json.dumps(_head(kind, version) | dict(about), allow_nan=False)
-    plain = {
-        # Little-endian, whatever the machine: a file is compared by its bytes.
-        name: np.asarray(values).astype(
-            "<u4" if np.asarray(values).dtype == np.uint32 else "<f8", order="C"
-        )
-        for name, values in arrays.items()
-    }
-    with atomic_write(path, "wb") as stream:
-        write_archive(stream, header, plain)
-
-
-def checked_envelope(
-    data: object, kind: str, versions: tuple[int, ...], place: Path
-) -> dict[str, Any]:
-    """Return the object of a saved result after checking its kind and its format's
-    version.
-    """
-    found = data.get("fraclink") if isinstance(data, dict) else None
-    if not isinstance(data, dict) or found != kind:
-        problem, remedy = f"of kind {found!r}", f"give a {kind} file"
-        raise FileFormatError(
-            "file", str(place), problem, allowed=f"kind {kind!r}", remedy=remedy
-        )
+    place = Path(path)
+    data, _ = _read(place)
+    if data["fraclink"] != kind:
+        problem, remedy = f"of kind {data['fraclink']!r}", f"give a {kind} file"
+        allowed, value = f"kind {kind!r}", str(place)
+        raise FileFormatError("file", value, problem, allowed=allowed, remedy=remedy)
     _check_version(data.get("format"), versions)
     return data

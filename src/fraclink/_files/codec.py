@@ -12,505 +12,335 @@
     dataclass, NamedTuple   an object with a key for each field
     A | B            the first that fits; of several dataclasses with "type": the class's name
 
-What does not fit its hint raises FileFormatError with the field's path, whatever the
-file held: a reader of files meets every possible value, and a constructor fed with them
-may raise anything.
+The hints are those that `fracsys.checks` checks arguments by; here they are read with
+the two forms in which a file gives values. What does not fit raises Refused, whatever
+the file held: a reader of files meets every possible value, and a constructor fed with
+them may raise anything.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import functools
-import json
 import math
 import re
-import types
-from collections import abc
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, Protocol, Union, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._files.containers import guarded, misfit
-from fraclink.errors import FileFormatError
-from fracsys.checks import unaliased
+from fraclink.errors import FieldError, FileFormatError
+from fracsys.checks import Between, Parameter, parameters, rule
+from fracsys.checks.ranges import Form, Refused, Rule, number
+from fracsys.checks.rules import REQUIRED
 
-__all__ = ["Storage", "codec_of", "stored_as"]
+__all__ = ["Reading", "faults_of", "from_plain", "plain", "suggestion"]
+
+T = TypeVar("T")
+Arrays = dict[str, NDArray[Any]]
 
 _WORDS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
 # float.fromhex takes "12" for 18: only what float.hex writes is read.
 _HEX = re.compile(r"-?0x[01]\.[0-9a-f]{1,13}p[+-][0-9]{1,4}")
-
-
-@dataclasses.dataclass(frozen=True)
-class Storage:
-    """How a document keeps reals and arrays: `arrays` are the members of an archive,
-    None for JSON alone.
-    """
-
-    hex_floats: bool = False
-    arrays: dict[str, NDArray[Any]] | None = None
-
-
-class Codec(Protocol):
-    """Turns the values of one type into plain JSON and back; `path` names the field in
-    errors.
-    """
-
-    def encode(self, value: Any, path: str, storage: Storage, /) -> Any: ...
-    def decode(self, data: Any, path: str, storage: Storage, /) -> Any: ...
-
-
-def _child(path: str, key: object) -> str:
-    return f"{path}.{key}" if path else str(key)
-
-
-class _Scalar:
-    """bool, int, str and None: what JSON has itself. A bool is no int here, and a numpy
-    scalar is written.
-    """
-
-    def __init__(self, *kinds: type) -> None:
-        self.kinds = kinds
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        return self.decode(
-            value.item() if isinstance(value, np.generic) else value, path, storage
-        )
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        # Not isinstance: True is an int to Python, and to no other reader of the file.
-        if type(data) not in self.kinds:
-            expected = " or ".join(kind.__name__ for kind in self.kinds)
-            raise misfit(path, data, f"of type {type(data).__name__}", expected)
-        return data
-
-
-class _Float:
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if isinstance(value, bool) or not isinstance(
-            value, int | float | np.integer | np.floating
-        ):
-            raise misfit(path, value, "not a number", "a real number")
-        number = self._made(float, value, path)
-        # JSON has no word for them, and a reader of another language would stop at NaN:
-        # they are texts.
-        if not math.isfinite(number):
-            return str(number)
-        return number.hex() if storage.hex_floats else number
-
-    def decode(self, data: Any, path: str, storage: Storage) -> float:
-        if isinstance(data, str) and data in _WORDS:
-            return _WORDS[data]
-        if storage.hex_floats and isinstance(data, str) and _HEX.fullmatch(data):
-            return self._made(float.fromhex, data, path)
-        if not storage.hex_floats and type(data) in (int, float):
-            return self._made(float, data, path)
-        allowed = (
-            "a hexadecimal real such as 0x1.8p+1"
-            if storage.hex_floats
-            else "a real number"
-        )
-        raise misfit(path, data, "not a number", allowed)
-
-    @staticmethod
-    def _made(make: Callable[[Any], float], value: Any, path: str) -> float:
-        try:
-            return make(value)
-        except OverflowError as error:
-            raise misfit(
-                path, value, "beyond the largest float", "a real number"
-            ) from error
-
-
-class _Complex:
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if not isinstance(value, complex | np.complexfloating):
-            raise misfit(path, value, "not a complex number", "a complex number")
-        return _PAIR.encode((value.real, value.imag), path, storage)
-
-    def decode(self, data: Any, path: str, storage: Storage) -> complex:
-        return complex(*_PAIR.decode(data, path, storage))
-
-
-class _Bytes:
-    def encode(self, value: Any, path: str, storage: Storage) -> str:
-        if not isinstance(value, bytes):
-            raise misfit(path, value, "not bytes", "bytes")
-        return value.hex()
-
-    def decode(self, data: Any, path: str, storage: Storage) -> bytes:
-        if not isinstance(data, str) or not re.fullmatch("([0-9a-f]{2})*", data):
-            raise misfit(
-                path,
-                data,
-                "not hexadecimal text",
-                "two lower-case hexadecimal digits a byte",
-            )
-        return bytes.fromhex(data)
-
-
-class _Plain:
-    """Hints `Any` and `object`: whatever JSON holds itself, non-finite reals as words,
-    tuples as lists.
-    """
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if isinstance(value, Mapping):
-            return {
-                str(key): self.encode(item, _child(path, key), storage)
-                for key, item in value.items()
-            }
-        if isinstance(value, list | tuple):
-            return [self.encode(item, path, storage) for item in value]
-        if isinstance(value, float | np.floating):
-            return _FLOAT.encode(value, path, Storage())
-        return _Scalar(bool, int, str, type(None)).encode(value, path, storage)
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        return data
-
-
-class _Word:
-    """``Literal[...]``."""
-
-    def __init__(self, words: tuple[Any, ...]) -> None:
-        self.words = words
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        return self.decode(value, path, storage)
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        # 1 == True in Python: the type has to be the word's as well.
-        if not any(type(data) is type(word) and data == word for word in self.words):
-            raise misfit(path, data, "unknown", ", ".join(map(str, self.words)))
-        return data
-
-
-class _Array:
-    """A numpy array; complex ones have a last axis [re, im] in JSON."""
-
-    def __init__(self, dtype: Any) -> None:
-        self.dtype = np.dtype(dtype)
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        values = np.asarray(value)
-        if values.dtype != self.dtype or not values.ndim:
-            found = f"{values.dtype} of shape {values.shape}"
-            raise misfit(
-                path,
-                found,
-                "an array of another type",
-                f"{self.dtype}, at least one axis",
-            )
-        if storage.arrays is not None:
-            storage.arrays[path] = values
-            return {"array": path}
-        if self.dtype.kind == "c":
-            values = np.stack([values.real, values.imag], axis=-1)
-        return _PLAIN.encode(values.tolist(), path, storage)
-
-    def decode(self, data: Any, path: str, storage: Storage) -> NDArray[Any]:
-        if (
-            isinstance(data, dict)
-            and set(data) == {"array"}
-            and storage.arrays is not None
-        ):
-            data = storage.arrays.get(str(data["array"]))
-        values = data if isinstance(data, np.ndarray) else self._unlisted(data, path)
-        if values.dtype != self.dtype:
-            raise misfit(
-                path, str(values.dtype), "an array of another type", str(self.dtype)
-            )
-        values.flags.writeable = False
-        return values
-
-    def _unlisted(self, data: Any, path: str) -> NDArray[Any]:
-        if not isinstance(data, list):
-            raise misfit(path, data, "not an array", "a list of numbers")
-        # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true and
-        # false.
-        item = codec_of({"f": float, "c": float, "b": bool}.get(self.dtype.kind, int))
-        try:
-            found = np.array(_leaves(data, item, path))
-            if self.dtype.kind == "c":
-                found = (
-                    found.astype(float)
-                    .reshape(-1, 2)
-                    .view(complex)
-                    .reshape(found.shape[:-1] or (0,))
-                )
-            values = found.astype(self.dtype)
-        except (ValueError, OverflowError, IndexError) as error:
-            if isinstance(error, FileFormatError):
-                raise
-            raise misfit(
-                path, str(error), "not an array", f"equal rows of {self.dtype}"
-            ) from error
-        # astype wraps round: 300 as an unsigned byte would be 44.
-        if self.dtype.kind in "iu" and not np.array_equal(values, found):
-            raise misfit(path, "an integer", "out of range", str(self.dtype))
-        return values
-
-
-def _leaves(data: Any, item: Codec, path: str) -> Any:
-    if isinstance(data, list):
-        return [_leaves(part, item, path) for part in data]
-    return item.decode(data, path, Storage())
-
-
-class _Sequence:
-    """list[T] and tuple[T, ...], one codec repeated; tuple[A, B, C], one for each
-    place.
-    """
-
-    def __init__(
-        self, make: Callable[..., Any], items: tuple[Any, ...], *, repeated: bool
-    ) -> None:
-        self.make, self.items, self.repeated = make, items, repeated
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        return [
-            codec.encode(item, place, storage)
-            for codec, item, place in self._each(value, path)
-        ]
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        return self.make(
-            codec.decode(item, at, storage)
-            for codec, item, at in self._each(data, path)
-        )
-
-    def _each(self, values: Any, path: str) -> list[tuple[Codec, Any, str]]:
-        if not isinstance(values, list | tuple):
-            raise misfit(path, values, "not a list", "a list")
-        items = self.items * len(values) if self.repeated else self.items
-        if len(values) != len(items):
-            raise misfit(
-                path, values, f"not {len(items)} values", f"a list of {len(items)}"
-            )
-        places = enumerate(zip(items, values, strict=True))
-        return [(codec_of(hint), value, _child(path, i)) for i, (hint, value) in places]
-
-
-class _Table:
-    """Mapping[K, V]; keys that are no texts are written as JSON themselves."""
-
-    def __init__(self, key: Any, item: Any) -> None:
-        self.key, self.item = key, item
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if not isinstance(value, Mapping):
-            raise misfit(path, value, "not a mapping", "a mapping")
-        key, item = codec_of(self.key), codec_of(self.item)
-        words = (key.encode(k, path, Storage()) for k in value)
-        names = [word if isinstance(word, str) else json.dumps(word) for word in words]
-        pairs = zip(names, value.values(), strict=True)
-        return {
-            name: item.encode(held, _child(path, name), storage) for name, held in pairs
-        }
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        if not isinstance(data, dict):
-            raise misfit(path, data, "not a table", "a table")
-        item = codec_of(self.item)
-        return {
-            self._key(k, path): item.decode(v, _child(path, k), storage)
-            for k, v in data.items()
-        }
-
-    def _key(self, text: str, path: str) -> Any:
-        if self.key in (int, float) and text not in _WORDS:
-            try:
-                return codec_of(self.key).decode(json.loads(text), path, Storage())
-            except ValueError as error:
-                raise misfit(path, text, "not a key", self.key.__name__) from error
-        return codec_of(self.key).decode(text, path, Storage())
-
-
-class _Choice:
-    """A | B | None: the first that fits; dataclasses among several carry their class's
-    name as "type".
-    """
-
-    def __init__(self, hints: tuple[Any, ...]) -> None:
-        classes: list[Any] = [
-            hint
-            for hint in hints
-            if dataclasses.is_dataclass(hint) and hint not in _HOOKS
-        ]
-        self.named: dict[str, Any] = (
-            {kind.__name__: kind for kind in classes} if len(classes) > 1 else {}
-        )
-        # None first: what is left out is the commonest, and nothing else reads null.
-        hints = tuple(hint for hint in hints if hint not in self.named.values())
-        self.hints = sorted(hints, key=lambda hint: hint is not type(None))
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        name = type(value).__name__
-        if self.named.get(name) is type(value):
-            return {"type": name} | codec_of(self.named[name]).encode(
-                value, path, storage
-            )
-        return self._first("encode", value, path, storage)
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        if self.named and isinstance(data, dict) and "type" in data:
-            name = _Word(tuple(self.named)).decode(
-                data["type"], _child(path, "type"), storage
-            )
-            rest = {key: value for key, value in data.items() if key != "type"}
-            return codec_of(self.named[name]).decode(rest, path, storage)
-        return self._first("decode", data, path, storage)
-
-    def _first(self, step: str, value: Any, path: str, storage: Storage) -> Any:
-        failure = misfit(
-            path, value, "unknown", ", ".join(self.named) or "another value"
-        )
-        for hint in self.hints:
-            try:
-                return getattr(codec_of(hint), step)(value, path, storage)
-            except FileFormatError as error:
-                # of the last: with `X | None` the one that names what is wrong inside X
-                failure = error
-        raise failure
-
-
-class _Fields:
-    """A dataclass or NamedTuple as an object; its constructor checks the values again.
-
-    Fields with ``init=False`` or ``metadata={"stored": False}`` are left out.
-    """
-
-    def __init__(self, kind: Any) -> None:
-        self.kind = kind
-        if dataclasses.is_dataclass(kind):
-            stored = [
-                f
-                for f in dataclasses.fields(kind)
-                if f.init and f.metadata.get("stored", True)
-            ]
-            missing = dataclasses.MISSING
-            self.names = [f.name for f in stored]
-            self.required = [
-                f.name
-                for f in stored
-                if f.default is missing and f.default_factory is missing
-            ]
-        else:
-            self.names = list(kind._fields)
-            self.required = [
-                name for name in kind._fields if name not in kind._field_defaults
-            ]
-
-    @functools.cached_property
-    def hints(self) -> dict[str, Any]:
-        """Resolved on first use: hints may name classes of modules that are loaded
-        later.
-        """
-        found = get_type_hints(self.kind)
-        return {name: found[name] for name in self.names}
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if type(value) is not self.kind:
-            raise misfit(
-                path, type(value).__name__, "of another type", self.kind.__name__
-            )
-        return {
-            name: codec_of(hint).encode(
-                getattr(value, name), _child(path, name), storage
-            )
-            for name, hint in self.hints.items()
-        }
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        if not isinstance(data, dict):
-            raise misfit(path, data, "not a table", self.kind.__name__)
-        # Unknown keys first: a misspelt one is missing as well, and its own spelling
-        # says why.
-        for key in [*data, *self.required]:
-            if key not in self.hints:
-                raise misfit(
-                    _child(path, key),
-                    data[key],
-                    "an unknown key",
-                    ", ".join(self.hints),
-                )
-            if key not in data:
-                raise misfit(
-                    _child(path, key), "(nothing)", "missing", ", ".join(self.hints)
-                )
-        values = {
-            k: codec_of(self.hints[k]).decode(v, _child(path, k), storage)
-            for k, v in data.items()
-        }
-        return guarded(lambda: self.kind(**values), path)
-
-
-@dataclasses.dataclass(frozen=True)
-class _Hook:
-    """A class that writes and reads itself."""
-
-    kind: type
-    write: Callable[[Any], Any]
-    read: Callable[[Any], Any]
-
-    def encode(self, value: Any, path: str, storage: Storage) -> Any:
-        if not isinstance(value, self.kind):
-            raise misfit(
-                path, type(value).__name__, "of another type", self.kind.__name__
-            )
-        return _PLAIN.encode(self.write(value), path, Storage())
-
-    def decode(self, data: Any, path: str, storage: Storage) -> Any:
-        return guarded(lambda: self.read(data), path)
-
-
-_HOOKS: dict[Any, _Hook] = {}
-_FLOAT, _PLAIN = _Float(), _Plain()
-_PAIR = _Sequence(tuple, (float, float), repeated=False)
-_SIMPLE: dict[Any, Codec] = {
-    float: _FLOAT,
-    complex: _Complex(),
-    bytes: _Bytes(),
-    Any: _PLAIN,
-    object: _PLAIN,
-    **{kind: _Scalar(kind) for kind in (bool, int, str, type(None))},
-}
-
-
-def stored_as(
-    kind: type, *, write: Callable[[Any], Any], read: Callable[[Any], Any]
-) -> None:
-    """Let `kind`, which is no plain dataclass, be stored as what `write` returns and
-    `read` takes.
-    """
-    _HOOKS[kind] = _Hook(kind, write, read)
+_REAL, _FINITE = number(Between(finite=False)), number()
+_AGAIN = "make the file again"
 
 
 @functools.cache
-def codec_of(hint: Any) -> Codec:
-    """Return the codec of a type hint; TypeError for a hint that no file can hold."""
-    if hint in _HOOKS or hint in _SIMPLE:
-        return _HOOKS.get(hint) or _SIMPLE[hint]
-    hint = unaliased(hint)
-    origin, args = get_origin(hint), get_args(hint)
-    if origin is Literal:
-        return _Word(args)
-    if origin in (Union, types.UnionType):
-        return _Choice(args)
-    if origin is np.ndarray:
-        return _Array(get_args(args[1])[0])
-    if origin is tuple:
-        repeated = args[1:] == (...,)
-        return _Sequence(tuple, args[:1] if repeated else args, repeated=repeated)
-    if origin in (list, abc.Sequence):
-        return _Sequence(list if origin is list else tuple, args, repeated=True)
-    if origin in (dict, abc.Mapping):
-        return _Table(*args)
-    if isinstance(hint, type) and (
-        dataclasses.is_dataclass(hint) or hasattr(hint, "_field_defaults")
-    ):
-        return _Fields(hint)
-    raise TypeError(f"no file can hold a field of type {hint!r}")
+def _stored(kind: Any) -> dict[str, Parameter]:
+    """The fields of a class that its file has: those with
+    ``metadata={"stored": False}`` are left out.
+    """
+    fields = dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ()
+    left_out = {each.name for each in fields if not each.metadata.get("stored", True)}
+    known = parameters(kind)
+    return {name: known[name] for name in known if name not in left_out}
+
+
+class _Plain(Form):
+    """A form in which some kinds of values have functions of (rule, value) of their own:
+    a file has no word for an array or an infinite number.
+    """
+
+    own: Mapping[Any, Callable[[Rule, Any], Any]]
+
+    def __call__(self, rule: Rule, value: Any) -> Any:
+        own = self.own.get(rule.kind)
+        return rule.convert(value, self) if own is None else own(rule, value)
+
+
+class _Writing(_Plain):
+    """Values as JSON has them; with `arrays`, these are put aside as members of an
+    archive.
+    """
+
+    def __init__(self, *, hex_floats: bool = False, arrays: bool = False) -> None:
+        self.hex_floats, self.arrays = hex_floats, arrays
+        self.own = {
+            float: self.real,
+            complex: self.pair,
+            bytes: lambda rule, value: rule.convert(value, self).hex(),
+            np.ndarray: self.array,
+            Any: self.anything,
+            type: self.fields,
+        }
+
+    def real(self, rule: Rule, value: Any) -> float | str:
+        plain: float = _REAL.convert(value, self)
+        # JSON has no word for them, and a reader of another language would stop at NaN:
+        # they are texts.
+        if not math.isfinite(plain):
+            return str(plain)
+        return plain.hex() if self.hex_floats else plain
+
+    def pair(self, rule: Rule, value: Any) -> list[float | str]:
+        if not isinstance(value, complex | np.complexfloating):
+            raise _misfit(value, "not a complex number", rule)
+        return [self.real(rule, value.real), self.real(rule, value.imag)]
+
+    def array(self, rule: Rule, value: Any) -> Any:
+        values = np.asarray(value)
+        if values.dtype != rule.of or not values.ndim:
+            shape = f"{values.dtype} of shape {values.shape}"
+            expected = f"{rule.of}, at least one axis"
+            raise Refused(shape, "an array of another type", expected, _AGAIN)
+        if self.arrays:
+            return values
+        if values.dtype.kind == "c":
+            values = np.stack([values.real, values.imag], axis=-1)
+        return _Writing().anything(rule, values.tolist())
+
+    def anything(self, rule: Rule, value: Any) -> Any:
+        """Whatever JSON holds itself, non-finite reals as words, tuples as lists."""
+        value = value.item() if isinstance(value, np.generic) else value
+        if isinstance(value, Mapping):
+            return {str(k): self.entry(rule, item, k) for k, item in value.items()}
+        if isinstance(value, list | tuple):
+            return [self.anything(rule, item) for item in value]
+        if isinstance(value, float):
+            return _Writing().real(rule, value)
+        if isinstance(value, bool | int | str | None):
+            return value
+        raise _misfit(type(value).__name__, "without a form in a file", rule)
+
+    def fields(self, rule: Rule, value: Any) -> Any:
+        kind: Any = rule.of
+        fields = _stored(kind)
+        if type(value) is not kind:
+            raise _misfit(type(value).__name__, "of another type", rule)
+        content = {"type": kind.__name__} if rule.named else {}
+        for name, field in fields.items():
+            content[name] = self.entry(field.rule, getattr(value, name), name)
+        return content
+
+
+class Reading(_Plain):
+    """Values as JSON has them, or as an archive with `arrays` does."""
+
+    def __init__(
+        self, *, hex_floats: bool = False, arrays: Mapping[str, Any] | None = None
+    ) -> None:
+        self.hex_floats, self.arrays = hex_floats, arrays or {}
+        self.own = {
+            float: self.real,
+            complex: self.pair,
+            bytes: self.bytes,
+            np.ndarray: self.array,
+            type: self.fields,
+        }
+
+    def real(self, rule: Rule, data: Any) -> float:
+        if isinstance(data, str) and data in _WORDS:
+            return _WORDS[data]
+        if self.hex_floats and isinstance(data, str) and _HEX.fullmatch(data):
+            return float(_made(lambda: float.fromhex(data)))
+        if self.hex_floats or type(data) not in (int, float):
+            raise _misfit(data, "not a number", rule)
+        return float(_FINITE.convert(data, self))
+
+    def pair(self, rule: Rule, data: Any) -> complex:
+        if not isinstance(data, list) or len(data) != 2:
+            raise _misfit(data, "not a pair [re, im]", rule)
+        return complex(self.real(rule, data[0]), self.real(rule, data[1]))
+
+    def bytes(self, rule: Rule, data: Any) -> bytes:
+        if not isinstance(data, str) or not re.fullmatch("([0-9a-f]{2})*", data):
+            raise _misfit(data, "not hexadecimal text", rule)
+        return bytes.fromhex(data)
+
+    def array(self, rule: Rule, data: Any) -> NDArray[Any]:
+        if isinstance(data, dict) and set(data) == {"array"}:
+            data = self.arrays.get(str(data["array"]))
+        values = _unlisted(rule, data) if isinstance(data, list) else data
+        if not isinstance(values, np.ndarray) or values.dtype != rule.of:
+            raise _misfit(type(data).__name__, f"not an array of {rule.of}", rule)
+        values.flags.writeable = False
+        return values
+
+    def keys(self, kind: type) -> dict[str, Parameter]:
+        """The fields of a class by their keys in the file."""
+        return _stored(kind)
+
+    def fields(self, rule: Rule, data: Any) -> Any:
+        """The instance that a table holds; every fault of it is found at once."""
+        kind, name = rule.of, rule.of.__name__
+        if not isinstance(data, Mapping) or (rule.named and data.get("type") != name):
+            raise _misfit(data, "not a table", rule)
+        table = {k: v for k, v in data.items() if not (rule.named and k == "type")}
+        known, values, faults = self.keys(kind), {}, []
+        # Unknown keys first: a misspelt one is missing as well, and its own spelling
+        # says why.
+        for key in [*(key for key in table if key not in known), *known]:
+            try:
+                if key not in known:
+                    raise _unknown(key, table[key], known)
+                if key in table:
+                    values[known[key].name] = self(known[key].rule, table[key])
+                elif known[key].default is REQUIRED:
+                    raise _missing(key, known[key].rule)
+            except Refused as refused:
+                refused.keys.append(key)
+                faults.append(refused)
+        if faults:
+            together = Refused(data, "with faults", rule.expected, _AGAIN)
+            together.inner = faults
+            raise together
+        # The constructor checks the values against each other.
+        return _made(lambda: kind(**values))
+
+
+def _unknown(key: str, value: object, known: Iterable[str]) -> Refused:
+    remedy = suggestion(key, known) or "remove it"
+    return Refused(value, "an unknown key", ", ".join(known), remedy)
+
+
+def _missing(key: str, rule: Rule) -> Refused:
+    expected = "a table" if rule.kind is type else rule.expected
+    return Refused("(nothing)", "missing", expected, f"add {key} = …")
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """``did you mean 'x'?`` for the nearest known word, or nothing where none is near."""
+    original = {name.lower(): name for name in known}
+    # Half of the letters in common: enough for a slip of the keys or a missing unit,
+    # too little for another word.
+    near = difflib.get_close_matches(word.lower(), original, n=1, cutoff=0.5)
+    return f"did you mean {original[near[0]]!r}?" if near else ""
+
+
+def _unlisted(rule_: Rule, data: list[Any]) -> NDArray[Any]:
+    dtype = rule_.of
+    # Each leaf by itself: np.array makes texts of [1, "a"], and numbers of true.
+    leaf = rule({"f": float, "c": float, "b": bool}.get(dtype.kind, int))
+    decimal = Reading()
+
+    def leaves(part: Any) -> Any:
+        return [*map(leaves, part)] if isinstance(part, list) else decimal(leaf, part)
+
+    numbers = leaves(data)
+
+    def array() -> NDArray[Any]:
+        if dtype.kind != "c":
+            return np.array(numbers, dtype)
+        pairs = np.array(numbers, float)
+        return pairs.reshape(-1, 2).view(complex).reshape(pairs.shape[:-1] or (0,))
+
+    return np.asarray(_made(array))
+
+
+def _misfit(value: object, problem: str, rule: Rule) -> Refused:
+    return Refused(value, problem, rule.expected, _AGAIN, is_type=True)
+
+
+def _made(make: Callable[[], Any]) -> Any:
+    """Return what `make` returns; whatever it raises over the values of a file becomes
+    Refused.
+    """
+    try:
+        return make()
+    except Refused:
+        raise
+    except FieldError as error:
+        refused = Refused(error.value, error.problem, error.allowed, error.remedy)
+        refused.keys += [error.field] if error.field else []
+        raise refused from error
+    except Exception as error:  # a constructor that meets unforeseen values
+        raise Refused(
+            f"{type(error).__name__}: {error}", "damaged", "a file of fraclink", _AGAIN
+        ) from error
+
+
+def faults_of(
+    refused: Refused, path: str = "", error: type[FieldError] = FileFormatError
+) -> list[FieldError]:
+    """Return an error for each fault of a file, named by its path from `path` on."""
+    for key in map(str, reversed(refused.keys)):
+        # The errors of a part name the part already.
+        inside = not path or key.startswith(f"{path}.")
+        path = key if inside else f"{path}.{key}"
+    if refused.inner:
+        return [each for r in refused.inner for each in faults_of(r, path, error)]
+    allowed, remedy = refused.expected, refused.remedy
+    if error is FileFormatError:  # nobody wrote it by hand
+        remedy = _AGAIN
+    field, value = path or "content", refused.value
+    return [error(field, value, refused.problem, allowed=allowed, remedy=remedy)]
+
+
+def plain(
+    value: Any, kind: Any, *, hex_floats: bool = False, arrays: Arrays | None = None
+) -> Any:
+    """Return a value of type `kind` as JSON holds it.
+
+    With `arrays`, its arrays are put there, by their path in the value.
+    """
+    form = _Writing(hex_floats=hex_floats, arrays=arrays is not None)
+    members: Arrays = {} if arrays is None else arrays
+    try:
+        return _put_aside(form(rule(kind), value), "", members)
+    except Refused as refused:
+        raise faults_of(refused)[0] from None
+
+
+def _put_aside(tree: Any, path: str, arrays: Arrays) -> Any:
+    """The tree without its arrays; Refused for what no file can hold."""
+    if isinstance(tree, dict) and all(isinstance(key, str) for key in tree):
+        return {
+            key: _put_aside(item, f"{path}.{key}" if path else key, arrays)
+            for key, item in tree.items()
+        }
+    if isinstance(tree, list | tuple):
+        return [_put_aside(x, f"{path}.{k}", arrays) for k, x in enumerate(tree)]
+    if isinstance(tree, np.ndarray):
+        arrays[path] = tree
+        return {"array": path}
+    if not isinstance(tree, bool | int | float | str | None):
+        raise Refused(
+            type(tree).__name__,
+            "without a file format",
+            "numbers, texts, arrays and results made of them",
+            _AGAIN,
+        )
+    return tree
+
+
+def from_plain(
+    kind: type[T],
+    data: Any,
+    path: str = "",
+    *,
+    hex_floats: bool = False,
+    arrays: Mapping[str, Any] | None = None,
+) -> T:
+    """Return the `kind` that plain JSON, and the arrays of an archive, hold.
+
+    FileFormatError names the place in the data, below `path`.
+    """
+    form = Reading(hex_floats=hex_floats, arrays=arrays)
+    try:
+        value: T = form(rule(kind), data)
+    except Refused as refused:
+        raise faults_of(refused, path)[0] from None
+    return value

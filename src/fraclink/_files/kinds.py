@@ -1,98 +1,54 @@
-"""Which classes have a file: those that say so by `document`, and every other public
-one, JSON or NPZ.
+"""Which classes have a file: those that say so by `document`, and every other one of
+fraclink with fields, JSON or NPZ.
 
-A class that `document` names has a format of its own, with a version. The
-other public results (margins of a matrix, a step response, tolerances …) are written by
-their fields, under the class's name.
+A class that `document` names has a format of its own, with a version. The other results
+(margins, a step response, metrics …) are written by their fields, under the class's
+name.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
+import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from fraclink.errors import FieldError, FileFormatError
+from fraclink.errors import FieldError
 
-__all__ = ["HOMES", "Document", "document", "document_of", "registered"]
+__all__ = ["class_of", "document", "document_of"]
 
 T = TypeVar("T")
 Container = Literal["json", "npz", "toml", "either"]
-# Whose public classes may be saved.
+# Whose public names bring in every class of a result.
 PACKAGES = (
     "fraclink",
     "fracsys",
     *(f"fraclink.{name}" for name in ("extend", "logs", "lab", "trials", "view")),
 )
-# Kind -> module that defines its class, so that reading one file imports what that file
-# needs and no more.
-HOMES = {
-    **dict.fromkeys(("campaign", "sweep"), "fraclink.trials._campaign"),
-    "certificate": "fraclink._certify",
-    "comparison": "fraclink.trials._tournament",
-    "design": "fraclink._law.design",
-    "fault-campaign": "fraclink.trials._faults",
-    **dict.fromkeys(("driven-link", "fit", "structure-fit"), "fraclink._identify"),
-    "realtime-run": "fraclink.lab._run",
-    "served-arm": "fraclink.lab._arm",
-    "run": "fraclink._simulate",
-    "fractional-pid": "fraclink._arm.fractional_pid",
-    "log": "fraclink._arm.experiment",
-    "margins": "fraclink._arm.controller",
-    "model": "fraclink._arm.link",
-    "law": "fraclink._law",
-    "pid-tuning": "fraclink._design.pid_tuning",
-    **dict.fromkeys(("frequency-response", "recording"), "fraclink._arm.recording"),
-    "reference": "fraclink._arm.controller",
-    "rig": "fraclink._arm.rig",
-    "shaped-move": "fraclink._simulate.shaped_move",
-    "study": "fraclink.trials._study",
-    **dict.fromkeys(
-        ("tuning", "tuned-link", "tuned-motor", "watch", "wiring"),
-        "fraclink.lab._watch",
-    ),
-}
+
+_DOCUMENTS: dict[type, document] = {}
+
+
+def _period_of(value: Any) -> float | None:
+    period = getattr(value, "period", None)
+    return None if period is None else float(period)
+
+
+def _sources_of(value: Any) -> dict[str, str]:
+    digest = getattr(value, "sha256", "")
+    return {value.source: digest} if digest else {}
+
+
+def _verdict_of(value: Any) -> dict[str, bool]:
+    return {"passed": value.passed} if hasattr(value, "passed") else {}
 
 
 @dataclasses.dataclass(frozen=True)
-class Document:
-    """What `document` states about a class."""
-
-    cls: type
-    kind: str
-    version: int
-    container: Container
-    hex_floats: bool
-    period: Callable[[Any], float | None]
-    sources: Callable[[Any], Mapping[str, str]]
-    summary: Callable[[Any], Mapping[str, Any]]
-    before_save: Callable[[Any], None]
-    own: bool
-
-
-# Public classes that are no values: an open connection, an arm that moves.
-_NO_VALUES = {"Callback", "Serial", "SimulatedArm", "Udp"}
-
-_BY_KIND: dict[str, Document] = {}
-_BY_CLASS: dict[type, Document] = {}
-
-
-def document(
-    kind: str,
-    *,
-    version: int = 1,
-    container: Container = "json",
-    hex_floats: bool = False,
-    period: Callable[[Any], float | None] = lambda value: None,
-    sources: Callable[[Any], Mapping[str, str]] = lambda value: {},
-    summary: Callable[[Any], Mapping[str, Any]] = lambda value: {},
-    before_save: Callable[[Any], None] = lambda value: None,
-    own: bool = False,
-) -> Callable[[type[T]], type[T]]:
+class document:
     """Register a frozen dataclass as a document of `kind`; put this decorator above
     ``@dataclass``.
 
@@ -102,66 +58,85 @@ def document(
     Parameters
     ----------
     kind
-        the word in the file; add it to `HOMES` above.
+        the word in the file.
     version
         of the content's format.
     container
-        "json", or "npz" for signals, whose arrays become members of the archive.
+        "json", or "npz" for signals, whose arrays become members of the archive; the
+        name's ending decides between them where it is "either".
     hex_floats
         whether reals are written as 0x1.8p+1, for readers that must not depend on a
         decimal parser.
     period
-        the sampling period of a value [s], for the envelope; None where it has none.
+        the sampling period of a value [s], for the envelope; by default its own, or
+        None.
     sources
-        what a value was made from: name -> SHA-256.
+        what a value was made from: name -> SHA-256; by default the file that its
+        `source` names.
     summary
         what people and other programs want to read in the file and what follows from
-        the content, such as a verdict's sentence: under the digest, not read back.
-    before_save
-        raises where a value must not be saved.
+        the content, such as a verdict's sentence: under the digest, not read back. By
+        default whether it passed.
     own
         whether the class's methods `save` and `load` write and read the file
         themselves.
     """
 
-    def register(cls: type[T]) -> type[T]:
-        hooks = (period, sources, summary, before_save)
-        made = Document(cls, kind, version, container, hex_floats, *hooks, own)
-        _BY_KIND[kind] = _BY_CLASS[cls] = made
+    kind: str
+    version: int = 1
+    container: Container = "json"
+    hex_floats: bool = False
+    period: Callable[[Any], float | None] = _period_of
+    sources: Callable[[Any], Mapping[str, str]] = _sources_of
+    summary: Callable[[Any], Mapping[str, Any]] = _verdict_of
+    own: bool = False
+
+    def __call__(self, cls: type[T]) -> type[T]:
+        """Return the class, registered."""
+        _DOCUMENTS[cls] = self
         return cls
 
-    return register
+
+def document_of(cls: type) -> document:
+    """Return the document of a class; FieldError for one whose values have no file."""
+    if cls not in _DOCUMENTS:
+        # The object itself, not its name: a user's class called Design is no result of
+        # fraclink. A study is a folder of files, and its remarks the file of that kind.
+        kind = _kind(cls.__name__)
+        if not _is_result(cls) or _registered(kind):
+            raise FieldError(
+                "value",
+                cls.__name__,
+                "without a file format",
+                allowed="a result of fraclink",
+                remedy="save what a public function returned",
+            )
+        own = hasattr(cls, "save") and hasattr(cls, "load")
+        document(kind, container="either", own=own)(cls)
+    return _DOCUMENTS[cls]
 
 
-def document_of(value: object) -> Document:
-    """The document of a value's class; FieldError for one that has no file."""
-    return document_of_class(type(value))
+def class_of(kind: object) -> type | None:
+    """Return the class of a kind of file, None where there is none.
 
-
-def document_of_class(cls: type) -> Document:
-    """The document of a class; FieldError for one whose values have no file."""
-    if (
-        cls not in _BY_CLASS
-    ):  # of a room below this one, or of none: the refusal names all there are
-        for home in filter(_installed, sorted(set(HOMES.values()))):
-            import_module(home)
-    found = _BY_CLASS.get(cls) or _plain(cls)
-    if found is None:
-        allowed = ", ".join(sorted(item.__name__ for item in _BY_CLASS))
-        remedy = "save one of these, or another public result"
-        raise FieldError(
-            "value",
-            cls.__name__,
-            "without a file format",
-            allowed=allowed,
-            remedy=remedy,
-        )
-    return found
-
-
-def _installed(module: str) -> bool:
-    """Whether the package of a module is here: a copy of the core has no satellites."""
-    return find_spec(module.rpartition(".")[0]) is not None
+    The word comes from a file that may be hostile: it is compared with those of the
+    classes, and never itself imported.
+    """
+    # Importing every package takes a second: only for a kind of which no class is
+    # loaded.
+    for import_all in (False, True):
+        for package in filter(find_spec, PACKAGES if import_all else ()):
+            module = import_module(package)
+            for name in module.__all__:
+                # a copy of the core lends no names of the packages around it
+                with contextlib.suppress(ModuleNotFoundError):
+                    getattr(module, name)
+        for cls in _results():
+            if _kind(cls.__name__) == kind and not _registered(kind):
+                document_of(cls)
+        if matching := _registered(kind):
+            return matching
+    return None
 
 
 def _kind(name: str) -> str:
@@ -169,71 +144,23 @@ def _kind(name: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", name).lower()
 
 
-def _public(name: str | Callable[[str], bool]) -> list[Any]:
-    """The public values of that name, in any package that is installed.
+def _registered(kind: object) -> type | None:
+    matching = (cls for cls, each in _DOCUMENTS.items() if each.kind == kind)
+    return next(matching, None)
+
+
+def _is_result(cls: type) -> bool:
+    """Whether a class with fields is fraclink's own."""
+    own = cls.__module__.partition(".")[0] in ("fraclink", "fracsys")
+    return own and (dataclasses.is_dataclass(cls) or hasattr(cls, "_fields"))
+
+
+def _results() -> list[type]:
+    """The classes of results in every module that is loaded.
 
     By name and at call time: this floor knows nothing of those above it.
     """
-    wanted = name.__eq__ if isinstance(name, str) else name
-    values = []
-    for package in PACKAGES:
-        if find_spec(package) is not None:
-            module = import_module(package)
-            values += [getattr(module, key) for key in module.__all__ if wanted(key)]
-    return values
-
-
-def _plain(cls: type) -> Document | None:
-    """The document of a public class that names no format; None for what is no value."""
-    # The object itself, not its name: a user's class called Design is no result of
-    # fraclink.
-    if cls not in _public(cls.__name__) or cls.__name__ in _NO_VALUES:
-        return None
-    if not dataclasses.is_dataclass(cls) and not hasattr(cls, "_fields"):
-        return None
-    kind = _kind(cls.__name__)
-    if (
-        cls not in _BY_CLASS and kind in _BY_KIND
-    ):  # a part of it has that name: a study is a folder of files
-        return None
-    if cls not in _BY_CLASS:
-        own = hasattr(cls, "save") and hasattr(cls, "load")
-        document(kind, container="either", own=own)(cls)
-    return _BY_CLASS[cls]
-
-
-def registered(kind: object, wanted: tuple[type, ...], place: Path) -> Document:
-    """Return the document of a kind, whose module is imported where that has not
-    happened.
-    """
-    # The word comes from a file that may be hostile: it selects a module from a list
-    # and is never itself imported.
-    if (
-        isinstance(kind, str)
-        and kind not in _BY_KIND
-        and kind in HOMES
-        and _installed(HOMES[kind])
-    ):
-        import_module(HOMES[kind])
-    if isinstance(kind, str) and kind not in _BY_KIND:
-        # Functions stand in the packages as well: `design` reads as the kind of
-        # `Design`.
-        for value in _public(lambda name: _kind(name) == kind):
-            if isinstance(value, type):
-                _plain(value)
-    # JSON may hold a list here, which no dict can be asked for.
-    found = _BY_KIND.get(kind) if isinstance(kind, str) else None
-    allowed = ", ".join(sorted({*HOMES, *_BY_KIND}))
-    # Whatever else may be saved is of no use to who expected one kind: the answer names
-    # that.
-    if found is not None and wanted and found.cls not in wanted:
-        allowed = " or ".join(
-            _BY_CLASS[cls].kind if cls in _BY_CLASS else cls.__name__ for cls in wanted
-        )
-        found = None
-    if found is None:
-        problem, remedy = f"of kind {str(kind)[:40]!r}", "give another file"
-        raise FileFormatError(
-            "file", place.name, problem, allowed=allowed, remedy=remedy
-        )
-    return found
+    own = ("fraclink", "fracsys")
+    modules = [module for name, module in sys.modules.items() if name.startswith(own)]
+    values = [value for module in modules for value in vars(module).values()]
+    return [each for each in values if isinstance(each, type) and _is_result(each)]

@@ -5,7 +5,7 @@ one of them.
 """
 
 from fraclink._arm.recording import FrequencyResponse, Recording
-from fraclink._identify.compare import Comparison, Contest, compare_structures, identify
+from fraclink._identify.compare import Comparison, compare_structures, identify
 from fraclink._identify.driven import DrivenLinkFit, identify_driven_link
 from fraclink._identify.excitation import ExperimentDesign, design_experiment
 from fraclink._identify.fit import (
@@ -13,18 +13,14 @@ from fraclink._identify.fit import (
     Fit,
     aic,
     bic,
-    coincidence_text,
-    frequency_text,
-    load_model,
-    save_model,
+    coincidence,
 )
 from fraclink._identify.fitting import simulated_torque
-from fraclink._identify.modal import SpectrumFit
 from fraclink._identify.motor import MotorFit, identify_motor
 from fraclink._identify.payloads import JointFit, LikelihoodRatio, identify_payloads
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink._identify.spectrum import frequency_response, identify_frequency_response
+from fraclink._identify.spectrum import frequency_response
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import identify_structure
 from fraclink._identify.validation import LogValidation, Validation
@@ -32,7 +28,6 @@ from fraclink._identify.validation import LogValidation, Validation
 __all__ = [
     "SYMBOLS",
     "Comparison",
-    "Contest",
     "DrivenLinkFit",
     "ExperimentDesign",
     "Fit",
@@ -44,23 +39,18 @@ __all__ = [
     "MotorFit",
     "Recording",
     "ResidualTests",
-    "SpectrumFit",
     "StructureFit",
     "Validation",
     "aic",
     "bic",
-    "coincidence_text",
+    "coincidence",
     "compare_structures",
     "design_experiment",
     "frequency_response",
-    "frequency_text",
     "identify",
     "identify_driven_link",
-    "identify_frequency_response",
     "identify_motor",
     "identify_payloads",
     "identify_structure",
-    "load_model",
-    "save_model",
     "simulated_torque",
 ]

@@ -5,16 +5,16 @@ that choice.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import FRACTIONAL, STRUCTURES, VISCOUS, LinkModel
 from fraclink._arm.link import structure as structure_row
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import document
-from fraclink._identify.fit import Fit, _parameters, _share, coincidence_text
+from fraclink._identify.fit import Fit, coincidence
 from fraclink._identify.fitting import (
     HeldOut,
     Stiffness,
@@ -42,31 +42,6 @@ _WORSE = 1.0
 Criteria = Mapping[str, tuple[float, float]]
 
 
-@dataclass(frozen=True)
-class Contest:
-    """Which of two structures with equally many parameters a log supports.
-
-    Parameters
-    ----------
-    first, second
-        the structures.
-    advantage
-        of the second: twice the difference of the log-likelihoods, noise of any colour
-        allowed for. Below 8 the log cannot tell.
-    """
-
-    first: str
-    second: str
-    advantage: float
-
-    @property
-    def preferred(self) -> str | None:
-        """The better one, None where they cannot be distinguished."""
-        if abs(self.advantage) < _DECISIVE:
-            return None
-        return self.second if self.advantage > 0 else self.first
-
-
 @displayed
 @document(
     "comparison",
@@ -88,8 +63,6 @@ class Comparison:
         white) is within 8 of the lowest, the one with the fewest parameters, then with
         the lowest criterion. One without damping is not preferred where a damped one of
         these predicts the held-out part better (Diebold and Mariano's test).
-    contest
-        fractional against viscous damping, which have as many parameters.
     verdict
         what may be concluded, in words.
     undecided
@@ -101,7 +74,6 @@ class Comparison:
     fits: Mapping[str, Fit]
     without_delay: Mapping[str, Fit]
     preferred: str
-    contest: Contest
     verdict: str
     undecided: tuple[str, ...] = ()
     vetoed: tuple[str, ...] = ()
@@ -110,16 +82,31 @@ class Comparison:
         for name in ("fits", "without_delay"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
-    def __repr__(self) -> str:
-        return f"Comparison({', '.join(self.fits)}: {self.verdict.partition('.')[0]})"
+    @property
+    def table(self) -> Table:
+        """The fits beside one another: parameters with their errors, then criteria."""
+        left_out = ("gain", "offset")
+        records = (
+            (row for row in fit.rows if row.key not in left_out)
+            for fit in self.fits.values()
+        )
+        return Table.of("", records)
 
-    def __str__(self) -> str:
-        lines = [
-            f"{'*' if name == self.preferred else ' '} {name:7} {_share(fit.heldout_nmse)}, "
-            f"AIC {fit.aic:.1f}: {_parameters(fit)}"
-            for name, fit in self.fits.items()
-        ]
-        return "\n".join([*lines, *coincidence_text(self.fits), self.verdict])
+    def overview(self) -> Overview:
+        """The fits beside one another, and which of them is to be used."""
+        rows = (
+            Row("preferred", "", self.preferred),
+            Row("verdict", "", self.verdict),
+            Row("fits", "", self.fits),
+        )
+        found = dict.fromkeys(f for fit in self.fits.values() for f in fit.findings)
+        return Overview(
+            self.verdict,
+            rows=rows,
+            tables=(self.table,),
+            findings=tuple(found),
+            notes=coincidence(self.fits),
+        )
 
     @property
     def best(self) -> Fit:
@@ -202,12 +189,12 @@ def identify(
     held = {"order", "damping_order"} & set(fixed or {})
     names = [row.name for row in STRUCTURES.values() if held <= set(row.free)]
     if structure is not None and structure not in STRUCTURES and "/" in structure:
-        allowed, remedy = (
-            ", ".join(STRUCTURES),
-            "identify_structure(log, formula) fits any other",
-        )
         raise FieldError(
-            "structure", structure, "a formula", allowed=allowed, remedy=remedy
+            "structure",
+            structure,
+            "a formula",
+            allowed=", ".join(STRUCTURES),
+            remedy="identify_structure(log, formula) fits any other",
         )
     if structure is not None:
         names = [structure_row(structure).name]
@@ -222,40 +209,36 @@ def identify(
             for name in names
         ]
         return min(fits, key=lambda fit: fit.aic)
-    criteria, errors = criteria_of(search)
-    vetoed = vetoed_structures(search, criteria, log)
-    preferred = preferred_structure(criteria, vetoed)
-    undecided = _undecided(search, criteria, preferred, vetoed)
+    choice = Choice.of(search, log)
     best = fit_from(
         search,
-        preferred,
+        choice.preferred,
         log,
         stiffness=stiffness,
         details=details,
-        errors=errors[preferred],
+        errors=choice.errors[choice.preferred],
     )
-    if vetoed:
-        finding = Finding(
+    return replace(best, findings=(*best.findings, *_of_the_choice(choice, best)))
+
+
+def _of_the_choice(choice: Choice, best: Fit) -> Iterator[Finding]:
+    if choice.vetoed:
+        yield Finding(
             "W327",
             "info",
-            f"{' and '.join(vetoed)} would do for the fitted part, but {preferred} predicts the held-out part better",
+            f"{' and '.join(choice.vetoed)} would do for the fitted part, but "
+            f"{best.structure} predicts the held-out part better",
             {"heldout_nmse": best.heldout_nmse or 0.0},
             "nothing; record a longer log if the structure matters",
         )
-        best = replace(best, findings=(*best.findings, finding))
-    if not undecided:
-        return best
-    gaps = {
-        f"AIC of {name} above": _gap(criteria, name, preferred) for name in undecided
-    }
-    finding = Finding(
-        "W322",
-        "info",
-        f"this log cannot tell {best.structure} from {' and '.join(undecided)}: the simplest is used",
-        gaps,
-        "record a longer log, or with more motion, if the structure matters",
-    )
-    return replace(best, findings=(*best.findings, finding))
+    if choice.undecided:
+        yield Finding(
+            "W322",
+            "info",
+            f"this log cannot tell {best.structure} from {' and '.join(choice.undecided)}: the simplest is used",
+            {f"AIC of {name} above": choice.gap(name) for name in choice.undecided},
+            "record a longer log, or with more motion, if the structure matters",
+        )
 
 
 @checked
@@ -302,9 +285,7 @@ def compare_structures(
     search = make_search(
         log, heldout=heldout, stiffness=stiffness, fixed=fixed, guess=None, hold=hold
     )
-    criteria, errors = criteria_of(search)
-    vetoed = vetoed_structures(search, criteria, log)
-    preferred = preferred_structure(criteria, vetoed)
+    choice = Choice.of(search, log)
 
     def fitted(name: str, like: Fit | None) -> Fit:
         return fit_from(
@@ -313,14 +294,15 @@ def compare_structures(
             log,
             stiffness=stiffness,
             details=details,
-            errors=errors[name],
+            errors=choice.errors[name],
             like=like,
         )
 
     # The second mode is in the log and not in the structure: it is sought once.
-    best = fitted(preferred, None)
+    best = fitted(choice.preferred, None)
     fits = {
-        name: best if name == preferred else fitted(name, best) for name in STRUCTURES
+        name: best if name == choice.preferred else fitted(name, best)
+        for name in STRUCTURES
     }
     still = {}
     if "delay" not in search.fixed:
@@ -341,20 +323,40 @@ def compare_structures(
             # costs as much without a delay.
             for name in (VISCOUS, FRACTIONAL)
         }
-    undecided = _undecided(search, criteria, preferred, vetoed)
-    contest = Contest(FRACTIONAL, VISCOUS, _gap(criteria, FRACTIONAL, VISCOUS))
-    verdict = _verdict(fits, still, preferred, undecided, vetoed, criteria)
-    return Comparison(fits, still, preferred, contest, verdict, undecided, vetoed)
+    verdict = _verdict(fits, still, choice)
+    return Comparison(
+        fits, still, choice.preferred, verdict, choice.undecided, choice.vetoed
+    )
 
 
-def _gap(criteria: Criteria, name: str, other: str) -> float:
-    """By how much a structure is above another one in both criteria, below it in both;
-    0 if they differ.
-    """
-    # Where one criterion speaks for each, the log has not decided: the gap is the
-    # smaller one of two that agree.
-    gaps = [a - b for a, b in zip(criteria[name], criteria[other], strict=True)]
-    return max(min(gaps), 0.0) + min(max(gaps), 0.0)
+@dataclass(frozen=True)
+class Choice:
+    """The structure that a log supports, with what it rests on."""
+
+    criteria: Criteria
+    errors: Mapping[str, Uncertainty]
+    preferred: str
+    undecided: tuple[str, ...]
+    vetoed: tuple[str, ...]
+
+    @classmethod
+    def of(cls, search: Search, log: Experiment) -> Choice:
+        """The choice for the log of a search."""
+        criteria, errors = criteria_of(search)
+        vetoed = vetoed_structures(search, criteria, log)
+        preferred = preferred_structure(criteria, vetoed)
+        undecided = _undecided(search, criteria, preferred, vetoed)
+        return cls(criteria, errors, preferred, undecided, vetoed)
+
+    def gap(self, name: str) -> float:
+        """By how much a structure is above the one to use in both criteria, below it in
+        both; 0 if they differ.
+        """
+        # Where one criterion speaks for each, the log has not decided: the gap is the
+        # smaller one of two that agree.
+        pairs = zip(self.criteria[name], self.criteria[self.preferred], strict=True)
+        gaps = [a - b for a, b in pairs]
+        return max(min(gaps), 0.0) + min(max(gaps), 0.0)
 
 
 def criteria_of(search: Search) -> tuple[Criteria, Mapping[str, Uncertainty]]:
@@ -441,38 +443,30 @@ def _undecided(
 # --- the verdict in words ---------------------------------------------------------------------------------
 
 
-def _verdict(
-    fits: Mapping[str, Fit],
-    still: Mapping[str, Fit],
-    preferred: str,
-    undecided: tuple[str, ...],
-    vetoed: tuple[str, ...],
-    criteria: Criteria,
-) -> str:
-    choice = _choice(fits, preferred, undecided, criteria)
-    if vetoed:
+def _verdict(fits: Mapping[str, Fit], still: Mapping[str, Fit], choice: Choice) -> str:
+    sentences = [_sentence(fits, choice)]
+    if choice.vetoed:
         names = " and ".join(
-            f"{name} (NMSE {fits[name].heldout_nmse:.4g})" for name in vetoed
+            f"{name} (NMSE {fits[name].heldout_nmse:.4g})" for name in choice.vetoed
         )
-        choice += f" {names} would do for the fitted part, but predicts the held-out part worse."
-    return " ".join([choice, *_of_the_delay(fits, still), *_of_the_parameters(fits)])
+        sentences.append(
+            f"{names} would do for the fitted part, but predicts the held-out part worse."
+        )
+    return " ".join(
+        [*sentences, *_of_the_delay(fits, still), *_of_the_parameters(fits)]
+    )
 
 
-def _choice(
-    fits: Mapping[str, Fit],
-    preferred: str,
-    undecided: tuple[str, ...],
-    criteria: Criteria,
-) -> str:
+def _sentence(fits: Mapping[str, Fit], choice: Choice) -> str:
     """The structure that is used and how sure that is: one sentence, so that it cannot
     contradict itself.
     """
-    best = fits[preferred]
+    preferred, best = choice.preferred, fits[choice.preferred]
     held = (
         "" if best.heldout_nmse is None else f"; held-out NMSE {best.heldout_nmse:.4g}"
     )
-    if undecided:
-        others = " and ".join(undecided)
+    if choice.undecided:
+        others = " and ".join(choice.undecided)
         colour = " under a residual of this colour" if best.errors_allow_colour else ""
         reason = "the fewest parameters, then the lowest AIC"
         return f"This log cannot tell {preferred} from {others}{colour}; {preferred} is used ({reason}){held}."
@@ -486,11 +480,11 @@ def _choice(
         if best.errors_allow_colour
         else "AIC"
     )
-    gaps = {name: _gap(criteria, name, preferred) for name in rivals}
-    other = min(gaps, key=lambda name: gaps[name])
-    if gaps[other] <= 0:
+    other = min(rivals, key=choice.gap)
+    gap = choice.gap(other)
+    if gap <= 0:
         return f"{preferred} is preferred: no other structure has a clearly lower {criterion}{held}."
-    return f"{preferred} is preferred: its {criterion} is {gaps[other]:.1f} below that of {other}{held}."
+    return f"{preferred} is preferred: its {criterion} is {gap:.1f} below that of {other}{held}."
 
 
 def _of_the_delay(fits: Mapping[str, Fit], still: Mapping[str, Fit]) -> list[str]:

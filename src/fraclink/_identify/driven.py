@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, fields, replace
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.recording import FrequencyResponse
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, number
 from fraclink._files import document
 from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structures import Weighting, identify_structure
@@ -36,39 +36,35 @@ Band = tuple[float, float]
 # says that it is 2.
 _ORDERS = (1.0, 2.2)
 _POSITIVE = (1e-12, 1e12)  # inertia, friction and stiffness, and the amplifier's gain
-# Motor (1) and link (10), with (s/z)^λ multiplied out: as polynomials in s and s^λ
-# their coefficients are straight, and no start value is needed.
-_TOP = {"motor_angle": "A*({link} + 1)", "torque": "k*{link}"}
-_BOTTOM = "((s**2 + B*s)*({link} + 1) + m*{link})*exp(-T*s)"
+# Motor (1) and link (10): gain, friction and m are straight in numerator and denominator.
+_BOTTOM = "((s**2 + B*s)*((s/z)**l + 1) + m*(s/z)**l)*exp(-T*s)"
+_STRUCTURES = {
+    "motor_angle": f"A*((s/z)**l + 1)/{_BOTTOM}",
+    "torque": f"k*(s/z)**l/{_BOTTOM}",
+}
 _BEYOND = (
     3.0  # times the band: a peak that it misses is sought there, so that it can be said
 )
 _GRID = 3000
 _LEAST_OCTAVES = 2  # anti-resonance and peak, and lines on either side of them
-# of a residual's power with its neighbour line: half of it would be a missed mode's
-_SHARED = 0.5
 _AROUND = 3  # lines on either side of a place that the response is said to show
 
 
-@displayed
 @document(
     "driven-link",
-    sources=lambda found: (
-        {found.fit.source: found.fit.sha256} if found.fit.sha256 else {}
-    ),
-    summary=lambda found: {"passed": found.passed},
+    version=2,
 )
-@dataclass(frozen=True)
-class DrivenLinkFit:
+@dataclass(frozen=True, eq=False, repr=False)
+class DrivenLinkFit(StructureFit):
     """A link and its motor, fitted to a frequency response from voltage to motor angle
     or to torque.
 
     Parameters
     ----------
-    fit
-        the structure with its parameters: ``l`` λ, ``z`` anti-resonance [rad/s], ``B``
-        ν/J [1/s], ``m`` c/J [1/s²], ``T`` delay [s], and ``A`` K/J [rad/(s²·V)], or
-        ``k`` A·c for a torque.
+    parameters
+        ``l`` λ, ``z`` anti-resonance [rad/s], ``B`` ν/J [1/s], ``m`` c/J [1/s²], ``T``
+        delay [s], and ``A`` K/J [rad/(s²·V)], or ``k`` A·c for a torque; all else as in
+        `StructureFit`.
     output
         "motor_angle" or "torque".
     peak
@@ -83,24 +79,32 @@ class DrivenLinkFit:
     See `identify_driven_link`.
     """
 
-    fit: StructureFit
-    output: Output
-    peak: float | None
-    findings: tuple[Finding, ...] = ()
+    output: Output = "motor_angle"
+    peak: float | None = None
 
     __made_by__ = "fraclink.extend.identify_driven_link(response)"
+    _labels: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "l": ("λ", ""),
+        "z": ("anti-resonance (motor held)", "rad/s"),
+        "m": ("c/J", "1/s²"),
+        "B": ("ν/J", "1/s"),
+        "A": ("K/J", "rad/(V·s²)"),
+        "k": ("K c/J", ""),
+        "T": ("delay", "ms"),
+    }
 
-    @property
-    def passed(self) -> bool:
-        """Whether the response determines link and motor: no finding of severity
-        "error".
-        """
-        return not errors_of(self.findings)
-
-    @property
-    def parameters(self) -> Mapping[str, float]:
-        """Those of the fit."""
-        return self.fit.parameters
+    def overview(self) -> Overview:
+        """Link and motor, and how well each figure is known."""
+        whole = super().overview()
+        rows = (
+            Row("output", "", self.output),
+            Row("order", "", self.order),
+            Row("anti_resonance", "", self.anti_resonance),
+            Row("peak", "peak", self.peak, "rad/s"),
+            *whole.rows,
+        )
+        headline = f"error {number(100 * self.nmse, 2)} %"
+        return replace(whole, headline=headline, rows=rows)
 
     @property
     def order(self) -> float:
@@ -132,15 +136,14 @@ class DrivenLinkFit:
                 f"{finding.code}: {finding.message}"
                 for finding in errors_of(self.findings)
             )
-            remedy = "measure a band that shows anti-resonance and peak, and fit again"
             raise FieldError(
                 "fit",
                 gates,
                 "not passed",
                 allowed="a fit without errors",
-                remedy=remedy,
+                remedy="measure a band that shows anti-resonance and peak, and fit again",
             )
-        values, intervals = self.parameters, self.fit.intervals
+        values, intervals = self.parameters, self.intervals
         rows = []
         if "l" in intervals:
             order = (min(intervals["l"].low, 2.0), min(intervals["l"].high, 2.0))
@@ -258,14 +261,9 @@ def _holds(
 ) -> bool:
     try:
         lines = measured.between(*part)
-        found = _fitted(lines, output, weighting, details=False)
+        return _fitted(lines, output, weighting, details=False).passed
     except (FieldError, NotConvergedError):
         return False  # too few lines for the parameters, or nothing fits them
-    # A resonance that the model misses moves neighbouring lines alike; noise does not.
-    real, imaginary = np.split(found.fit.measured - found.fit.predicted, 2)
-    left = real + 1j * imaginary
-    shared = np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real
-    return found.passed and bool(shared < _SHARED)
 
 
 def _of_the_rest(part: Band, band: Band) -> Finding:
@@ -290,45 +288,29 @@ def _fitted(
     weighting: Weighting | None,
     details: bool,
 ) -> DrivenLinkFit:
-    straight = _structure(output, "s**l/w")
-    gain = "A" if output == "motor_angle" else "k"
-    limits = {"l": _ORDERS, **dict.fromkeys((gain, "B", "m"), _POSITIVE)}
-    # Straight in 1/w, so that its start is found by linear least squares; z then has an
-    # interval of its own.
-    first = identify_structure(
-        measured,
-        straight,
-        bounds={**limits, "w": _POSITIVE},
-        weighting=weighting,
-        details=False,
-    )
-    # z and λ depend on each other in w = z^λ: an interval of w would be as wide as λ
-    # makes it, and say little of z.
-    start = {name: value for name, value in first.parameters.items() if name != "w"}
-    start["z"] = first.parameters["w"] ** (1.0 / first.parameters["l"])
-    start["l"] = min(max(start["l"], _ORDERS[0]), _ORDERS[1])
     low, high = measured.band
-    # So wide that an anti-resonance outside of the band can be found there and
-    # reported, not pressed to its edge.
-    bounds = {**limits, "z": (low / 30, high * 30)}
-    start["z"] = min(max(start["z"], bounds["z"][0]), bounds["z"][1])
-    structure = _structure(output, "(s/z)**l")
+    gain = "A" if output == "motor_angle" else "k"
+    bounds = {
+        "l": _ORDERS,
+        # So wide that an anti-resonance outside of the band can be found there and
+        # reported, not pressed to its edge.
+        "z": (low / 30, high * 30),
+        **dict.fromkeys((gain, "B", "m"), _POSITIVE),
+    }
     fit = identify_structure(
         measured,
-        structure,
-        start=start,
+        _STRUCTURES[output],
         bounds=bounds,
         weighting=weighting,
         details=details,
     )
     peak = _peak(fit, output, measured.band)
-    return DrivenLinkFit(
-        fit, output, peak, (*_of_the_band(fit, measured, output, peak), *fit.findings)
+    parts = {each.name: getattr(fit, each.name) for each in fields(fit)}
+    parts["findings"] = (
+        *_of_the_band(fit, measured, output, peak),
+        *fit.findings,
     )
-
-
-def _structure(output: Output, link: str) -> str:
-    return f"{_TOP[output]}/{_BOTTOM.partition('*exp')[0]}*exp(-T*s)".format(link=link)
+    return DrivenLinkFit(**parts, output=output, peak=peak)
 
 
 def _peak(fit: StructureFit, output: Output, band: tuple[float, float]) -> float | None:

@@ -5,16 +5,18 @@ well enough?
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import cont2discrete, lfilter
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import prbs
 from fraclink._arm.rig import Motor
+from fraclink._display import Overview, Row, displayed, number
+from fraclink._identify.problem import inverted
 from fraclink._identify.shape import COORDINATE, Window, columns_of, mask_of, shape_of
 from fraclink.errors import InfeasibleError
 from fracsys.checks import Between, checked
@@ -22,7 +24,7 @@ from fracsys.checks.equality import compared
 
 Reals = NDArray[np.float64]
 
-# Of the resonance, for the PRBS's bit or the multisine's centre.
+# Of the resonance: centres of the bands that are tried.
 _BANDS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 _LEAST_SAMPLES, _MOST_SAMPLES = (
     200,
@@ -36,6 +38,7 @@ Deflection = Annotated[
 ]
 
 
+@displayed
 @compared
 @dataclass(frozen=True, eq=False)
 class ExperimentDesign:
@@ -43,12 +46,10 @@ class ExperimentDesign:
 
     Parameters
     ----------
-    kind
-        "prbs" or "multisine".
     amplitude
-        largest motor angle asked for [rad].
+        motor angle asked for, in either direction [rad].
     bit
-        duration of a PRBS bit [s], else None.
+        duration of a bit of the random sequence [s].
     band
         (low, high) where its power lies [rad/s].
     duration
@@ -65,9 +66,8 @@ class ExperimentDesign:
         the motion itself, shape (N,) [s], [rad].
     """
 
-    kind: str
     amplitude: float
-    bit: float | None
+    bit: float
     band: tuple[float, float]
     duration: float
     standard_error: float
@@ -76,6 +76,19 @@ class ExperimentDesign:
     limit: str
     time: Reals = field(repr=False)
     motor_angle: Reals = field(repr=False)
+
+    def overview(self) -> Overview:
+        """What moves, how far, how long, and how sure λ will be."""
+        rows = (
+            Row("amplitude", "amplitude", self.amplitude, "rad"),
+            Row("bit", "bit", self.bit, "s"),
+            Row("band", "band", self.band, "rad/s", digits=3),
+            Row("duration", "duration", self.duration, "s"),
+            Row("standard_error", "standard error of λ", self.standard_error),
+            Row("peak_deflection", "peak deflection", self.peak_deflection, "rad"),
+            Row("peak_voltage", "peak voltage", self.peak_voltage, "V"),
+        )
+        return Overview(f"PRBS of {number(self.duration)} s", rows=rows)
 
 
 @checked
@@ -86,13 +99,12 @@ def design_experiment(
     noise: Annotated[float, Between(1e-12, 1e6, "N·m")],
     period: Annotated[float, Between(1e-6, 1.0, "s")],
     duration: Annotated[float, Between(0.0, 1e6, "s", low_open=True)] = 20.0,
-    kind: Literal["prbs", "multisine"] = "prbs",
     motor: Motor | None = None,
     deflection_limit: Deflection = math.inf,
-    inner_pole: Annotated[float, Between(0.1, 1e6, "rad/s")] = 80.0,
+    motor_loop_pole: Annotated[float, Between(0.1, 1e6, "rad/s")] = 80.0,
 ) -> ExperimentDesign:
-    """Choose amplitude and band of an excitation for a wanted standard error of λ,
-    within limits.
+    """Choose amplitude and band of a random binary sequence for a wanted standard error
+    of λ, within limits.
 
         s.e.(λ) = σ √[(JᵀJ)⁻¹]_λλ,    J = ∂(output)/∂(λ, ω₀, delay, gain, offset) ∝ amplitude
 
@@ -109,15 +121,12 @@ def design_experiment(
         standard deviation of the gauge, white [N·m].
     period, duration
         of the sampling and of the log [s]; 200 to 1e6 samples.
-    kind
-        "prbs" (±amplitude, tried with several bit lengths) or "multisine" (flat in a
-        band around the resonance, phases with a low crest factor).
     motor
         gives the voltage limit and what the motion costs, V = (θm'' + Bθm')/A + Γ/(nK);
         friction is left to the compensation.
     deflection_limit
         largest |θm − θt| [rad].
-    inner_pole
+    motor_loop_pole
         double pole of the motor loop that follows the reference [rad/s].
 
     Raises
@@ -137,16 +146,16 @@ def design_experiment(
         "duration", duration
     )
     wanted = standard_error
-    tried = [
-        _unit(model, bit, band, motion, noise, period, motor)
-        for bit, band, motion in _motions(kind, model, period, duration, inner_pole)
+    units = [
+        _unit(model, share, noise, period, duration, motor, motor_loop_pole)
+        for share in _BANDS
     ]
-    found = [_scaled(unit, wanted, deflection_limit, motor) for unit in tried]
+    found = [_scaled(unit, wanted, deflection_limit, motor) for unit in units]
     allowed = [design for design, reached in found if reached]
     if allowed:
         # The smallest motion that does: it wears the arm least and bends the link least
         # out of its straight range.
-        return replace(min(allowed, key=lambda design: design.amplitude), kind=kind)
+        return min(allowed, key=lambda design: design.amplitude)
     best = min(
         (design for design, _ in found), key=lambda design: design.standard_error
     )
@@ -162,106 +171,30 @@ def design_experiment(
     )
 
 
-def _motions(
-    kind: str, model: LinkModel, period: float, duration: float, inner_pole: float
-) -> Sequence[tuple[float | None, tuple[float, float], Reals]]:
-    """(bit, band, motion of amplitude 1 after the motor loop) for every band that is
-    tried.
-    """
-    resonance = abs(model.pole)
-    time: Reals = np.asarray(
-        period * np.arange(round(duration / period) + 1), dtype=np.float64
-    )
-    result: list[tuple[float | None, tuple[float, float], Reals]] = []
-    for share in _BANDS:
-        centre = share * resonance
-        if kind == "prbs":
-            # Half a period of the centre a bit: power then lies from the lowest line to
-            # 0.44/bit, where it has fallen by half. Whole samples: the controller that
-            # plays it can change its reference at a sample only.
-            bit = max(round(math.pi / centre / period), 2) * period
-            # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its
-            # last bit is answered.
-            path = prbs(
-                1.0,
-                bit,
-                bits=max(int((duration - 0.5) / bit), 1),
-                register=9,
-                start=0.2,
-            )
-            band = (2 * math.pi / duration, 0.44 * 2 * math.pi / bit)
-            result.append((bit, band, _followed(path.angle(time), period, inner_pole)))
-        else:
-            band = (0.5 * centre, 2.0 * centre)
-            result.append(
-                (None, band, _followed(_multisine(time, band), period, inner_pole))
-            )
-    return result
-
-
-def _multisine(time: Reals, band: tuple[float, float]) -> Reals:
-    """Unit-peak multisine with Schroeder's phases, faded in over a second so that it
-    starts at rest.
-    """
-    span = time[-1]
-    lines = np.arange(
-        math.ceil(band[0] * span / 2 / math.pi),
-        math.floor(band[1] * span / 2 / math.pi) + 1,
-    )
-    lines = lines[lines > 0]
-    # Schroeder's phases sweep the lines in time: a peak of 1.7 times the RMS where
-    # equal phases give √(2N).
-    phases = (
-        -math.pi
-        * np.arange(lines.size)
-        * (np.arange(lines.size) - 1)
-        / max(lines.size, 1)
-    )
-    wave = np.zeros_like(time)
-    for line, phase in zip(lines, phases, strict=True):
-        wave += np.cos(2 * math.pi * line * time / span + phase)
-    # 3t² − 2t³: the slope begins and ends at zero, and so the motor's speed does not
-    # jump.
-    wave *= np.clip(time, 0, 1) ** 2 * (3 - 2 * np.clip(time, 0, 1))
-    return np.asarray(wave / np.max(np.abs(wave)))
-
-
-def _followed(reference: Reals, period: float, pole: float) -> Reals:
-    """The reference, held between samples, after 1/(1 + s/pole)²."""
-    # The double pole by its exact solution over a period, whatever the period is.
-    fade, level, slope = math.exp(-pole * period), 0.0, 0.0
-    result = np.empty_like(reference)
-    for k, target in enumerate(reference):
-        result[k] = level
-        gap = level - target
-        push = slope + pole * gap
-        level = target + (gap + push * period) * fade
-        slope = (push - pole * (gap + push * period)) * fade
-    return result
-
-
-@dataclass(frozen=True, eq=False)
-class _Unit:
-    """What a motion of amplitude 1 does."""
-
-    bit: float | None
-    band: tuple[float, float]
-    motion: Reals
-    period: float
-    error: float
-    deflection: float
-    voltage: float | None
-
-
 def _unit(
     model: LinkModel,
-    bit: float | None,
-    band: tuple[float, float],
-    motion: Reals,
+    share: float,
     noise: float,
     period: float,
+    duration: float,
     motor: Motor | None,
-) -> _Unit:
+    motor_loop_pole: float,
+) -> ExperimentDesign:
+    """What a random sequence of amplitude 1 does whose band is a share of the resonance."""
+    samples = round(duration / period) + 1
+    time = np.asarray(period * np.arange(samples), dtype=np.float64)
+    # Half a period of the centre a bit: power then lies from the lowest line to
+    # 0.44/bit, where it has fallen by half. Whole samples: the controller that plays it
+    # can change its reference at a sample only.
+    bit = max(round(math.pi / (share * abs(model.pole)) / period), 2) * period
+    # 0.2 s of rest before it, for the offset, and 0.3 s after it, so that its last bit
+    # is answered.
+    bits = max(int((duration - 0.5) / bit), 1)
+    reference = prbs(1.0, bit, bits=bits, register=9, start=0.2).angle(time)
+    # The motor loop follows it, held between samples, as 1/(1 + s/pole)².
+    loop = ([1.0], [motor_loop_pole**-2, 2 / motor_loop_pole, 1.0])
+    numerator, denominator, _ = cont2discrete(loop, period)
+    motion = np.asarray(lfilter(numerator[0], denominator, reference))
     window = Window(motion, np.zeros_like(motion), period, "first")
     kernel = window.kernel(abs(model.pole), longest_delay=2 * period)
     # Without its damping: λ alone is asked for, and a fit of λ beside μ would need
@@ -273,12 +206,8 @@ def _unit(
     columns = columns_of(kernel, shape_of(fractional), mask)
     scaled = np.vstack([model.stiffness * columns, np.ones(motion.size)])
     scaled[0] /= model.stiffness  # the gain's own derivative
-    size = np.linalg.norm(scaled, axis=1)
-    # Columns of length one: derivatives by λ and by the offset differ by orders of
-    # magnitude.
-    inverse = np.linalg.inv((scaled / size[:, None]) @ (scaled / size[:, None]).T)
     # Row 0 is the gain's, row 1 that of λ.
-    error = noise * math.sqrt(inverse[1, 1]) / float(size[1])
+    inverse = inverted(scaled @ scaled.T)[0]
     voltage = None
     if motor is not None:
         # Differences of the motion after the motor's loop: it has a double pole, so
@@ -287,35 +216,40 @@ def _unit(
         load = model.stiffness * columns[0] / (motor.gear_ratio * motor.torque_constant)
         drive = (np.gradient(speed, period) + motor.decay * speed) / motor.gain + load
         voltage = float(np.max(np.abs(drive)))
-    return _Unit(
-        bit, band, motion, period, error, float(np.max(np.abs(columns[0]))), voltage
+    return ExperimentDesign(
+        amplitude=1.0,
+        bit=bit,
+        band=(2 * math.pi / duration, 0.44 * 2 * math.pi / bit),
+        duration=period * (time.size - 1),
+        standard_error=noise * math.sqrt(inverse[1, 1]),
+        peak_deflection=float(np.max(np.abs(columns[0]))),
+        peak_voltage=voltage,
+        limit="none",
+        time=time,
+        motor_angle=motion,
     )
 
 
 def _scaled(
-    unit: _Unit, wanted: float, deflection_limit: float, motor: Motor | None
+    unit: ExperimentDesign, wanted: float, deflection_limit: float, motor: Motor | None
 ) -> tuple[ExperimentDesign, bool]:
     """The motion at the amplitude that meets the request, or at the largest the limits
     admit.
     """
-    needed = unit.error / wanted
-    most = {"deflection": deflection_limit / unit.deflection}
-    if motor is not None and unit.voltage:
-        most["voltage"] = motor.voltage_limit / unit.voltage
+    most = {"deflection": deflection_limit / unit.peak_deflection}
+    if motor is not None and unit.peak_voltage:
+        most["voltage"] = motor.voltage_limit / unit.peak_voltage
     # The limit that binds first is the one that is named.
     limit = min(most, key=lambda name: most[name])
+    needed = unit.standard_error / wanted
     reached = needed <= most[limit]
-    amplitude = needed if reached else most[limit]
-    return ExperimentDesign(
-        kind="",
+    amplitude = min(needed, most[limit])
+    return replace(
+        unit,
         amplitude=amplitude,
-        bit=unit.bit,
-        band=unit.band,
-        duration=unit.period * (unit.motion.size - 1),
-        standard_error=unit.error / amplitude,
-        peak_deflection=amplitude * unit.deflection,
-        peak_voltage=None if unit.voltage is None else amplitude * unit.voltage,
+        standard_error=unit.standard_error / amplitude,
+        peak_deflection=amplitude * unit.peak_deflection,
+        peak_voltage=unit.peak_voltage and amplitude * unit.peak_voltage,
         limit="none" if reached else limit,
-        time=np.asarray(unit.period * np.arange(unit.motion.size), dtype=np.float64),
-        motor_angle=amplitude * unit.motion,
+        motor_angle=amplitude * unit.motor_angle,
     ), reached

@@ -2,9 +2,8 @@
 that Python would run.
 
 The text is parsed, every piece is compared with the few that a fractional transfer
-function is made of, and what is left is walked by three algebras: arrays of complex
-numbers (many parameter vectors at once), quotients of such arrays (to find coefficients
-by linear least squares), and exact transfer functions.
+function is made of, and what is left is walked by two algebras: arrays of complex
+numbers (many parameter vectors at once) and exact transfer functions.
 """
 
 from __future__ import annotations
@@ -13,7 +12,8 @@ import ast
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -79,6 +79,12 @@ class Expression:
             all="ignore"
         ):  # a candidate may overflow: its cost is infinite, and it is dropped
             return np.asarray(walk(self.tree, leaves), dtype=np.complex128)
+
+    @cached_property
+    def quotient(self) -> tuple[Expression, Expression]:
+        """Numerator and denominator, as the text divides them."""
+        top, bottom = _divided(self.tree)
+        return replace(self, tree=top), replace(self, tree=bottom)
 
     def function(self, values: Mapping[str, float]) -> FractionalTransferFunction:
         """The exact transfer function; FieldError where there is none for these values
@@ -146,6 +152,48 @@ def _delayed(exponent: FractionalTransferFunction) -> FractionalTransferFunction
     return (s**0).delayed(-slope.numerator[0].coefficient if slope.numerator else 0.0)
 
 
+# --- numerator and denominator ------------------------------------------------------------------------------
+
+_ONE = ast.Constant(1.0)
+
+
+def _divided(node: ast.expr) -> tuple[ast.expr, ast.expr]:
+    """Numerator and denominator of a tree; what is no quotient stands over one."""
+    if isinstance(node, ast.UnaryOp):
+        top, bottom = _divided(node.operand)
+        return ast.UnaryOp(node.op, top), bottom
+    if not isinstance(node, ast.BinOp):
+        return node, _ONE
+    top, bottom = _divided(node.left)
+    if isinstance(node.op, ast.Pow):
+        power = node.right
+        if not _names(power) and (number := _constant(power)) < 0.0:
+            # (s + 1)^−1 has its root in the denominator.
+            top, bottom, power = bottom, top, ast.Constant(-number)
+        return _power(top, power), _power(bottom, power)
+    other, divisor = _divided(node.right)
+    if isinstance(node.op, ast.Mult):
+        return _product(top, other), _product(bottom, divisor)
+    if isinstance(node.op, ast.Div):
+        return _product(top, divisor), _product(bottom, other)
+    # A common denominator is kept and not squared: the equations would have roots that
+    # G has not.
+    if ast.dump(bottom) == ast.dump(divisor):
+        return ast.BinOp(top, node.op, other), bottom
+    left, right = _product(top, divisor), _product(other, bottom)
+    return ast.BinOp(left, node.op, right), _product(bottom, divisor)
+
+
+def _power(base: ast.expr, exponent: ast.expr) -> ast.expr:
+    return base if base is _ONE else ast.BinOp(base, ast.Pow(), exponent)
+
+
+def _product(left: ast.expr, right: ast.expr) -> ast.expr:
+    if left is _ONE or right is _ONE:
+        return left if right is _ONE else right
+    return ast.BinOp(left, ast.Mult(), right)
+
+
 # --- parsing ------------------------------------------------------------------------------------------------
 
 
@@ -162,18 +210,17 @@ def parse_expression(text: str) -> Expression:
     ('sin(s)', 'a function that is not known')
     """
     if not isinstance(text, str) or not text.strip() or len(text) > _LONGEST:
-        allowed, remedy = (
-            f"a text of 1 to {_LONGEST} characters",
-            'write it as in "k/(T*s**a + 1)"',
-        )
-        problem = (
+        raise FieldError(
+            "expression",
+            text,
             "no text"
             if not isinstance(text, str)
             else "empty"
             if not text.strip()
-            else "too long"
+            else "too long",
+            allowed=f"a text of 1 to {_LONGEST} characters",
+            remedy='write it as in "k/(T*s**a + 1)"',
         )
-        raise FieldError("expression", text, problem, allowed=allowed, remedy=remedy)
     try:
         # Parsed as Python and never run as Python: `_check` compares every node with
         # the few kinds that a transfer function is made of, and refuses any other by
@@ -185,12 +232,12 @@ def parse_expression(text: str) -> Expression:
             if isinstance(error, SyntaxError) and error.offset
             else ""
         )
-        problem, remedy = (
-            f"not a formula{where}",
-            "check brackets and operators; a product needs its *",
-        )
         raise FieldError(
-            "expression", text, problem, allowed=_FORMS, remedy=remedy
+            "expression",
+            text,
+            f"not a formula{where}",
+            allowed=_FORMS,
+            remedy="check brackets and operators; a product needs its *",
         ) from error
     # A number is a transfer function, too, but a text without s is nearly always a
     # slip.
@@ -201,13 +248,12 @@ def parse_expression(text: str) -> Expression:
     _check(tree, 0)
     roles = _roles(tree)
     if len(roles) > _MOST:
-        allowed, remedy = f"<= {_MOST} parameters", "write known values as numbers"
         raise FieldError(
             "expression",
             len(roles),
             "too many parameters",
-            allowed=allowed,
-            remedy=remedy,
+            allowed=f"<= {_MOST} parameters",
+            remedy="write known values as numbers",
         )
     # After the checks, so that an error quotes what was written and not what became of
     # it.
@@ -249,13 +295,15 @@ def _refused(node: ast.expr, problem: str, remedy: str) -> FieldError:
 
 
 def _not_a_number(text: str, error: ArithmeticError | None = None) -> FieldError:
-    problem = (
+    return FieldError(
+        "expression",
+        text,
         "a division by zero"
         if isinstance(error, ZeroDivisionError)
-        else "no finite real number"
+        else "no finite real number",
+        allowed=_FORMS,
+        remedy="write numbers and powers whose value is real and finite",
     )
-    remedy = "write numbers and powers whose value is real and finite"
-    return FieldError("expression", text, problem, allowed=_FORMS, remedy=remedy)
 
 
 def _constant(node: ast.expr) -> float:
@@ -308,12 +356,13 @@ def _check(node: ast.expr, depth: int) -> None:
         ):
             raise _refused(node, "a division by zero", "divide by another number")
     elif isinstance(node, ast.BinOp):
-        remedy = (
+        raise _refused(
+            node,
+            "an operator that is not known",
             "write a power as s**0.5"
             if isinstance(node.op, ast.BitXor)
-            else "write it with + - * / **"
+            else "write it with + - * / **",
         )
-        raise _refused(node, "an operator that is not known", remedy)
     else:
         raise _refused(
             node, "a piece that is not known", "write it with + - * / ** and exp(-T*s)"
@@ -345,9 +394,10 @@ def _check_power(node: ast.BinOp, depth: int) -> None:
     # of s.
     power = None if _names(node.right) else _constant(node.right)
     if power is None or not power.is_integer() or abs(power) > _LARGEST_POWER:
-        remedy = "no quotient of powers of s is equal to it; multiply out, or use powers of s alone"
         raise _refused(
-            node, "a power of a sum that is not a whole number up to 8", remedy
+            node,
+            "a power of a sum that is not a whole number up to 8",
+            "no quotient of powers of s is equal to it; multiply out, or use powers of s alone",
         )
 
 

@@ -8,7 +8,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -17,11 +16,10 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import in_loop
 from fraclink._arm.link import FRACTIONAL, LinkModel, structure
-from fraclink._display import displayed
-from fraclink._files import document, load, save
+from fraclink._display import Overview, Row, displayed, number
+from fraclink._files import Saved, document
 from fraclink._identify.problem import Interval
 from fraclink._identify.residual import ResidualTests
-from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 from fracsys.checks.equality import compared
 
@@ -30,13 +28,10 @@ if TYPE_CHECKING:
     from fraclink._arm.rig import Rig
     from fraclink._identify.validation import Validation
 
-_SAMPLES_MOST = (
-    300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
-)
 SYMBOLS = {
-    "natural_frequency": ("ω₀", "s^(-λ/2)"),
+    "natural_frequency": ("ω₀", "s^(−λ/2)"),
     "order": ("λ", ""),
-    "damping": ("μ", "s^(α-λ)"),
+    "damping": ("μ", "s^(α−λ)"),
     "damping_order": ("α", ""),
 }
 
@@ -79,29 +74,16 @@ def bic(mse: float, samples: int, parameters: int) -> float:
     )
 
 
-def _check_size(fit: Fit) -> None:
-    # Before anything is written: a file that `load` would refuse is worth less than
-    # none.
-    if fit.samples > _SAMPLES_MOST:
-        remedy = (
-            "fit a part of the log, or keep the link alone with save(fit.model, path)"
-        )
-        problem, most = "too many to save with their residual", f"<= {_SAMPLES_MOST}"
-        raise SizeError("samples", fit.samples, problem, allowed=most, remedy=remedy)
-
-
 @displayed
 @document(
     "fit",
     version=2,
-    period=lambda fit: fit.period,
-    sources=lambda fit: {fit.source: fit.sha256} if fit.sha256 else {},
-    summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
-    before_save=_check_size,
+    container="either",
+    summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit:
+class Fit(Saved):
     """One structure fitted to one log.
 
         output(t) = gain · y(t − delay) + offset,    Y = (s^λ/(s^λ + μ s^α + ω₀²)) Θm
@@ -139,7 +121,9 @@ class Fit:
         criteria of the fitted samples, eq. (18); k counts the structure's own
         parameters.
     heldout_mse, heldout_nmse
-        the same over the samples held out; None where none were.
+        the same over the samples held out, up to the last one at which the model
+        predicts more than the noise (mse): a ring-down that has sunk into it tells
+        nothing. None where that leaves none.
     standard_errors
         of the free parameters inside their limits, in their units. Where the residual
         is coloured they come from the sandwich estimate, see `errors_allow_colour`.
@@ -180,8 +164,8 @@ class Fit:
     >>> fit.structure, round(fit.model.order, 2), fit.samples, fit.passed
     ('UD-FOM', 1.92, 5001, True)
     >>> print(fit)  # doctest: +ELLIPSIS
-    UD-FOM: ω₀ = ..., λ = 1.9...
-    delay ... ms, offset ...; error ... % (NMSE), held-out error ... %; AIC ...
+    ✓ passed: UD-FOM swings at 11.8... rad/s (1.89 Hz) with 30 g, ...
+    ...
     """
 
     structure: str
@@ -227,19 +211,52 @@ class Fit:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-    def __repr__(self) -> str:
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What was found, each with its standard error."""
+        errors, unit = self.standard_errors, OUTPUT_UNITS[self.output_kind]
+        link = (
+            Row(
+                f"model.{name}",
+                symbol,
+                self._stated(name),
+                dimension,
+                errors.get(name),
+                5,
+            )
+            for name, (symbol, dimension) in SYMBOLS.items()
+        )
         return (
-            f"Fit({self.structure}: {_parameters(self)}; {_share(self.heldout_nmse)})"
+            Row("structure", "structure", self.structure),
+            *link,
+            Row("model.stiffness", "", self.model.stiffness),
+            Row("model.payload", "", self.model.payload),
+            Row("delay", "gauge delay", self.delay, "ms", errors.get("delay"), 3),
+            Row("gain", "gain", self.gain, f"{unit}/rad", errors.get("gain")),
+            Row("offset", "offset", self.offset, unit, errors.get("offset")),
+            Row("mse", "", self.mse),
+            Row("nmse", "", self.nmse),
+            Row("aic", "AIC", self.aic, digits=6),
+            Row("bic", "", self.bic),
+            Row("heldout_nmse", "held-out error", self.heldout_nmse, "%", digits=3),
         )
 
-    def __str__(self) -> str:
-        figures = (
-            f"delay {1e3 * self.delay:.3g} ms, offset {self.offset:.3g}; "
-            f"error {100 * self.nmse:.3g} % (NMSE), {_share(self.heldout_nmse)}; AIC {self.aic:.1f}"
-        )
-        head = f"{self.structure}: {_parameters(self)}"
-        return "\n".join(
-            [head, figures, *_second_mode(self.model), *map(str, self.findings)]
+    def _stated(self, name: str) -> float | None:
+        """A parameter of the link; None where this structure has none of the kind."""
+        value: float = getattr(self.model, name)
+        absent = value == 0 or (name == "damping_order" and self.model.damping == 0)
+        # ω₀ = 0 is a bound at which a fit with damping may end, and no frequency.
+        held = name not in structure(self.structure).free or name == "natural_frequency"
+        return None if absent and held else value
+
+    def overview(self) -> Overview:
+        """The link in words, its parameters, and how well they predict."""
+        return Overview(
+            f"{self.structure} {self.model.sentence}; {_share(self.heldout_nmse)}",
+            "passed" if self.passed else "not shown",
+            self.rows,
+            findings=self.findings,
+            notes=coincidence({self.structure: self}),
         )
 
     @property
@@ -286,93 +303,33 @@ class Fit:
         >>> import fraclink as fl
         >>> fit = fl.identify(fl.read_log(fl.bundled_log("prbs_30g")))
         >>> fit.validate(fl.read_log(fl.bundled_log("pulse_30g")))
-        Validation(the model predicts the other log: error 1.33 % (NMSE))
+        Validation(✓ passed: the model predicts the other log: error 1.33 % (NMSE))
         """
         found: Validation = self._validated(logs)
         return found
-
-    def save(self, path: Path | str) -> None:
-        """Write the fit as JSON, complete or not at all; `load` reads back an equal
-        one.
-
-        Raises
-        ------
-        SizeError
-            the log is so long that the file could not be read back.
-        """
-        save(self, path, force=True)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Fit:
-        """Read a fit that `save` wrote; raises FileFormatError where the file is
-        another or damaged.
-        """
-        return load(path, cls)
-
-
-def save_model(model: LinkModel, path: Path | str) -> None:
-    """Write a link model made by hand as JSON; `load_model` reads it back equal."""
-    save(model, path, force=True)
-
-
-def load_model(path: Path | str) -> LinkModel:
-    """Read a link model from the file of a fit or of a link model; FileFormatError for
-    any other.
-    """
-    found: Fit | LinkModel = load(path, (Fit, LinkModel))
-    return found.model if isinstance(found, Fit) else found
 
 
 # --- a fit in words ---------------------------------------------------------------------------------------
 
 
+OUTPUT_UNITS = {"torque": "N·m", "deflection": "rad"}
+
+
 def _share(value: float | None) -> str:
     return (
-        "nothing held out" if value is None else f"held-out error {100 * value:.3g} %"
+        "nothing held out"
+        if value is None
+        else f"held-out error {number(100 * value, 2)} %"
     )
 
 
-def _parameters(fit: Fit) -> str:
-    """Every free parameter with its standard error, in its unit."""
-    parts = []
-    for name in structure(fit.structure).free:
-        symbol, unit = SYMBOLS[name]
-        error = fit.standard_errors.get(name)
-        # Six digits, as λ = 1.92314 ± 0.00012 needs them; two of the error.
-        value = f"{symbol} = {getattr(fit.model, name):.6g}" + (
-            "" if error is None else f" ± {error:.2g}"
-        )
-        parts.append(f"{value} {unit}".rstrip())
-    return ", ".join(parts)
-
-
-def _second_mode(model: LinkModel) -> list[str]:
-    if model.second_mode is not None:
-        mode = model.second_mode
-        return [
-            f"second mode at {mode.frequency:.4g} rad/s, gain {mode.gain:.3g}, ζ {mode.damping_ratio:.2g}"
-        ]
-    return (
-        []
-        if model.unseen_up_to is None
-        else [f"no second mode up to {model.unseen_up_to:.4g} rad/s"]
-    )
-
-
-def frequency_text(fit: Fit) -> str:
-    """Return ω₀ for a table; a dash where it ended at its bound, zero, and is no
-    natural frequency.
-    """
-    return f"{fit.model.natural_frequency:.4f}" if fit.model.natural_frequency else "–"
-
-
-def coincidence_text(fits: Mapping[str, Fit]) -> list[str]:
+def coincidence(fits: Mapping[str, Fit]) -> tuple[str, ...]:
     """Return what the dash of a table means: s²/(s² + μ s^α) is s^(2−α)/(s^(2−α) + μ),
     one model.
     """
-    return [
+    return tuple(
         f"– {name} ended at ω₀ = 0: it is {FRACTIONAL} with "
         f"λ = 2 − α = {2.0 - fit.model.damping_order:.4f}, ω₀ = √μ = {math.sqrt(fit.model.damping):.4f}."
         for name, fit in fits.items()
         if not fit.model.natural_frequency
-    ]
+    )

@@ -36,7 +36,7 @@ from fraclink._identify.shape import (
 from fraclink._identify.uncertainty import Uncertainty, link_intervals, uncertainty
 from fraclink.errors import LogError
 from fraclink.findings import errors_of
-from fracsys.checks import Array, Between, checked, checked_between, checked_choice
+from fracsys.checks import Array, Between, checked, checked_choice
 
 _FIXABLE: dict[str, tuple[float, float]] = {
     "gain": (-1e12, 1e12),
@@ -100,9 +100,9 @@ def make_search(
 ) -> Search:
     """Check what is fixed and cut the fitted part off the log."""
     values = {
-        checked_choice("fixed", name, _FIXABLE): checked_between(
-            f"fixed[{name!r}]", value, *_FIXABLE[name], remedy="give another value"
-        )
+        checked_choice("fixed", name, _FIXABLE): Between(
+            *_FIXABLE[name], remedy="give another value"
+        ).check(f"fixed[{name!r}]", value)
         for name, value in (fixed or {}).items()
     }
     if stiffness is not None and log.output_kind == "torque":
@@ -154,10 +154,12 @@ def _check_motion(window: Window) -> None:
         )
     for name, values in (("motor_angle", window.angle), ("output", window.output)):
         if np.ptp(values) == 0:
-            problem = "constant over the fitted part"
-            remedy = "check the wiring, or fit a part in which the arm moves"
             raise LogError(
-                name, float(values[0]), problem, allowed="a motion", remedy=remedy
+                name,
+                float(values[0]),
+                "constant over the fitted part",
+                allowed="a motion",
+                remedy="check the wiring, or fit a part in which the arm moves",
             )
 
 
@@ -245,7 +247,7 @@ def predicted_output(
 ) -> NDArray[np.float64]:
     """The output over all of the log, of which the search saw the first part only."""
     whole = fitted_window(log, log.output.size, search.window.hold)
-    kernel = whole.kernel(search.lowest, longest_delay=search.longest_delay)
+    kernel = search.kernel_of(whole)
     return np.asarray(
         solution.gain * columns_of(kernel, solution.shape)[0] + solution.offset
     )
@@ -333,12 +335,16 @@ def _figures(
     # Powers about the offset: a gauge that is off by a volt explains nothing by being
     # constant.
     squares, powers = residual**2, (log.output - solution.offset) ** 2
-    mse, held, held_power = float(np.mean(squares[:count])), None, 0.0
-    if count < residual.size:
-        held, held_power = (
-            float(np.mean(squares[count:])),
-            float(np.mean(powers[count:])),
-        )
+    mse = float(np.mean(squares[:count]))
+    # Behind the last sample at which the model predicts more than the fitted part's
+    # error, a ring-down has sunk into the noise: no error there tells of the model.
+    motion = (log.output - residual - solution.offset) ** 2
+    end = int(np.flatnonzero(motion >= mse).max(initial=-1)) + 1
+    held, held_power = (
+        (float(np.mean(squares[count:end])), float(np.mean(powers[count:end])))
+        if end > count
+        else (None, 0.0)
+    )
     return {
         "fitted_samples": count,
         "mse": mse,

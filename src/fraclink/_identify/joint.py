@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.link_problem import quadratic_of
-from fraclink._identify.problem import Quadratic, descend
+from fraclink._identify.problem import Problem, Quadratic, descend
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -27,9 +27,13 @@ from fraclink._identify.shape import (
     Vector,
     damping_and_square,
     largest_ratio,
+    link_parameters,
 )
 from fraclink._identify.uncertainty import uncertainty
 from fraclink.errors import NotConvergedError
+
+# The parameters of θ in the order of `link_parameters`.
+_PLACES = ("frequency", "order", "damping", "damping_order", "delay")
 
 
 @dataclass(frozen=True)
@@ -66,70 +70,44 @@ class Coordinates:
     def shape(self, theta: Vector, log: int) -> tuple[Shape, NDArray[np.float64]]:
         """The shape of a log and its derivative by θ, shapes (5,) and (5, size)."""
         at = {name: self.index(name, log) for name in self.names}
-        order = float(theta[at["order"]]) if "order" in at else 2.0
-        other = float(theta[at["damping_order"]]) if "damping_order" in at else 1.0
-        damping = math.exp(theta[at["damping"]]) if "damping" in at else 0.0
-        delay = float(theta[at["delay"]]) if "delay" in at else self.fixed_delay or 0.0
+        own = {name: float(theta[k]) for name, k in at.items()}
+        order, other = own.get("order", 2.0), own.get("damping_order", 1.0)
+        damping = math.exp(own["damping"]) if "damping" in own else 0.0
+        delay = own.get("delay", self.fixed_delay or 0.0)
+        log_resonance = own["frequency"]
+        if self.payloads is not None:
+            square = math.exp(log_resonance) / self.payloads[log]
+            log_resonance = _log_resonance(square, order, damping, other)
+        sine = math.sin(other * math.pi / 2)
+        ratio = damping * sine * math.exp((other - order) * log_resonance) / 2
+        shape = np.array([order, log_resonance, ratio, other, delay])
+        values, slopes = (part[0] for part in link_parameters(shape[None]))
+        # Of the parameters by the shape, in logarithms where θ has these; what is wanted
+        # is its inverse.
+        slopes[2] /= damping or 1.0
+        slopes[0] = slopes[0] / values[0] if self.payloads else np.eye(5)[1]
+        columns = [_PLACES.index(name) for name in self.names]
         rates = np.zeros((5, self.size))
-        for i, name in ((0, "order"), (3, "damping_order"), (4, "delay")):
-            if name in at:
-                rates[i, at[name]] = 1.0
-        log_resonance, by = self._resonance(theta, log, at, order, damping, other)
-        for name, value in by.items():
-            rates[1, at[name]] += value
-        ratio = 0.0
-        if damping > 0:
-            sine, cosine = math.sin(other * math.pi / 2), math.cos(other * math.pi / 2)
-            ratio = damping * sine * math.exp((other - order) * log_resonance) / 2
-            rates[2] = ratio * (other - order) * rates[1]
-            rates[2, at["damping"]] += ratio
-            if "damping_order" in at:
-                rates[2, at["damping_order"]] += ratio * (
-                    math.pi / 2 * cosine / sine + log_resonance
-                )
-        return np.array([order, log_resonance, ratio, other, delay]), rates
+        rates[:, list(at.values())] = np.linalg.inv(slopes)[:, columns]
+        return shape, rates
 
-    def _resonance(
-        self,
-        theta: Vector,
-        log: int,
-        at: dict[str, int],
-        order: float,
-        damping: float,
-        other: float,
-    ) -> tuple[float, dict[str, float]]:
-        """ln Ω and its derivatives by the log's parameters."""
-        value = float(theta[at["frequency"]])
-        if self.payloads is None:
-            return value, {"frequency": 1.0}
-        square = math.exp(value) / self.payloads[log]
-        cosine, sine = math.cos(other * math.pi / 2), math.sin(other * math.pi / 2)
-        # The undamped link's Ω: within some percent of the root, as the damping of an
-        # arm is weak.
-        log_resonance = math.log(square) / order
-        for _ in range(40):  # Newton on Ω^λ − κ/m − μ Ω^α cos(απ/2), in ln Ω
-            moving, friction = (
-                math.exp(order * log_resonance),
-                damping * math.exp(other * log_resonance),
-            )
-            slope = order * moving - other * friction * cosine
-            step = (moving - square - friction * cosine) / slope
-            # On a sum of exponentials a step from the left overshoots: half an e-fold
-            # keeps it in reach.
-            log_resonance -= min(max(step, -0.5), 0.5)
-            if abs(step) < 1e-14:
-                break
-        # The implicit function theorem on the equation just solved: ∂ ln Ω/∂x =
-        # −(∂f/∂x)/(∂f/∂ ln Ω), the latter being `slope`.
-        by = {
-            "frequency": square / slope,
-            "order": -log_resonance * moving / slope,
-            "damping": friction * cosine / slope,
-            "damping_order": friction
-            * (log_resonance * cosine - math.pi / 2 * sine)
-            / slope,
-        }
-        return log_resonance, {name: rate for name, rate in by.items() if name in at}
+
+def _log_resonance(square: float, order: float, damping: float, other: float) -> float:
+    """ln Ω of Ω^λ = ω₀² + μ Ω^α cos(απ/2), by Newton's method in ln Ω."""
+    cosine = math.cos(other * math.pi / 2)
+    # The undamped link's Ω: within some percent of the root, as the damping of an arm
+    # is weak.
+    place = math.log(square) / order
+    for _ in range(40):
+        moving, friction = math.exp(order * place), damping * math.exp(other * place)
+        slope = order * moving - other * friction * cosine
+        step = (moving - square - friction * cosine) / slope
+        # On a sum of exponentials a step from the left overshoots: half an e-fold keeps
+        # it in reach.
+        place -= min(max(step, -0.5), 0.5)
+        if abs(step) < 1e-14:
+            break
+    return place
 
 
 def start_of(coordinates: Coordinates, alone: Sequence[Solution]) -> Vector:
@@ -189,8 +167,8 @@ def weight_of(search: Search, solution: Solution) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class JointProblem:
-    """The least-squares problem of all logs; a `Problem` in θ."""
+class JointProblem(Problem):
+    """The least-squares problem of all logs, in θ."""
 
     coordinates: Coordinates
     searches: Sequence[Search]
@@ -198,12 +176,12 @@ class JointProblem:
 
     @cached_property
     def low(self) -> Vector:
-        """As of `Problem`."""
+        """See `Problem`."""
         return self._limits(0)
 
     @cached_property
     def high(self) -> Vector:
-        """As of `Problem`."""
+        """See `Problem`."""
         return self._limits(1)
 
     def _limits(self, end: int) -> Vector:
@@ -216,23 +194,27 @@ class JointProblem:
 
     @cached_property
     def reach(self) -> Vector:
-        """As of `Problem`; Ω is known well before."""
+        """See `Problem`: Ω is known well before."""
         own = self.coordinates
         result = np.full(own.size, math.inf)
         if "damping" in own.names:
             result[[own.index("damping", i) for i in range(own.logs)]] = 1.0
         return result
 
-    def clip(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
-        """As of `Problem`."""
-        return np.clip(places, self.low, self.high)
+    @property
+    def samples(self) -> int:
+        """See `Problem`."""
+        return sum(search.window.samples for search in self.searches)
 
-    def costs(self, places: NDArray[np.float64]) -> Vector:
-        """As of `Problem`."""
-        return self.quadratic(places).cost
+    @property
+    def power(self) -> float:
+        """See `Problem`."""
+        outputs = (search.window.output for search in self.searches)
+        pairs = zip(self.weights, outputs, strict=True)
+        return float(sum(weight * (y @ y) for weight, y in pairs))
 
     def quadratic(self, places: NDArray[np.float64]) -> Quadratic:
-        """As of `Problem`, of all logs weighted; the cost is infinite outside of what a
+        """See `Problem`: of all logs weighted; the cost is infinite outside of what a
         link can be.
         """
         parts = []
@@ -256,8 +238,10 @@ class JointProblem:
         """The best θ and the normal matrix there."""
         found = descend(self, theta[None, :])
         if not math.isfinite(found.costs[0]):
-            remedy = "fit each log alone first, they may not belong together"
             raise NotConvergedError(
-                "the joint fit", reached=math.inf, wanted=0.0, remedy=remedy
+                "the joint fit",
+                reached=math.inf,
+                wanted=0.0,
+                remedy="fit each log alone first, they may not belong together",
             )
         return found.places[0], self.quadratic(found.places).normal[0]

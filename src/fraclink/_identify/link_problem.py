@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import structure
-from fraclink._identify.problem import Quadratic, reduced
+from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.search import Search, Solution
 from fraclink._identify.shape import (
     ALPHA_LIMITS,
@@ -47,7 +47,7 @@ def quadratic_of(
 
 
 @dataclass(frozen=True, eq=False)
-class LinkProblem:
+class LinkProblem(Problem):
     """A search's problem around a solution: the `free` coordinates of a shape, all
     others as they are there.
 
@@ -102,7 +102,7 @@ class LinkProblem:
 
     @cached_property
     def low(self) -> Reals:
-        """As of `Problem`."""
+        """See `Problem`."""
         low = self.solution.lower.copy()
         if self.turned:
             low[3] = (1 - ALPHA_LIMITS[1]) * self._slope
@@ -110,16 +110,21 @@ class LinkProblem:
 
     @cached_property
     def high(self) -> Reals:
-        """As of `Problem`."""
+        """See `Problem`."""
         high = self.solution.upper.copy()
         if self.turned:
             high[3] = 1.0
         return high[list(self.free)]
 
     @property
-    def reach(self) -> Reals:
-        """As of `Problem`."""
-        return np.full(len(self.free), math.inf)
+    def samples(self) -> int:
+        """See `Problem`."""
+        return self.search.window.samples
+
+    @property
+    def power(self) -> float:
+        """See `Problem`."""
+        return float(self.search.window.output @ self.search.window.output)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,7 +156,7 @@ class LinkProblem:
         return shapes, chain[:, :, list(self.free)]
 
     def clip(self, places: Reals) -> Reals:
-        """As of `Problem`; beyond the largest damping ratio ω₀² would be negative."""
+        """See `Problem`: beyond the largest damping ratio ω₀² would be negative."""
         places = np.clip(places, self.low, self.high)
         if self.turned and 3 in self.free:
             double, column = 2 * places[:, self.free.index(2)], self.free.index(3)
@@ -164,12 +169,12 @@ class LinkProblem:
         return places
 
     def costs(self, places: Reals) -> Reals:
-        """As of `Problem`."""
+        """See `Problem`."""
         own = self.search
         return own.kernel.costs(self.expanded(places)[0], own.gain, own.offset)
 
     def quadratic(self, places: Reals) -> Quadratic:
-        """As of `Problem`."""
+        """See `Problem`."""
         own = self.search
         return quadratic_of(own.kernel, *self.expanded(places), own.gain, own.offset)
 

@@ -11,16 +11,16 @@ and (A, B, C, 1/J) follow from linear equations.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Annotated
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize
 
+from fraclink._display import Overview, Row, displayed, number
 from fraclink._identify.residual import long_run_covariance
 from fraclink.errors import LogError
 from fraclink.findings import Finding
@@ -39,6 +39,7 @@ _NMSE_MOST = 0.5
 _SIGN = 3.0
 
 
+@displayed
 @dataclass(frozen=True)
 class MotorFit:
     """The motor as its log shows it.
@@ -60,13 +61,17 @@ class MotorFit:
     inertia
         J [kg·m²], given or identified from the torque, else None.
     standard_errors
-        of gain, decay, coulomb_voltage (and inertia), autocorrelation allowed for.
+        of gain, decay, coulomb_voltage (and inertia, spring), autocorrelation allowed
+        for.
     nmse
         unexplained share of the accelerations' mean square [1].
     windows
         how many stretches of motion in one direction the fit rests on.
     findings
         codes W33x; one of severity "error" means that the motor must not be used.
+    spring
+        k/J of a spring that pulls the motor to one angle, e.g. a cable [1/s²]; None
+        where none was sought.
     """
 
     gain: float
@@ -80,11 +85,40 @@ class MotorFit:
     nmse: float
     windows: int
     findings: tuple[Finding, ...] = ()
+    spring: float | None = None
 
     @property
     def passed(self) -> bool:
         """Whether the model explains the motion: no finding of severity "error"."""
         return not any(finding.severity == "error" for finding in self.findings)
+
+    def overview(self) -> Overview:
+        """The motor's figures, each with its standard error."""
+        errors = self.standard_errors
+        rows = (
+            Row("gain", "K/J", self.gain, "rad/(V·s²)", errors["gain"]),
+            Row("decay", "ν/J", self.decay, "1/s", errors["decay"]),
+            Row(
+                "coulomb_voltage",
+                "Coulomb friction",
+                self.coulomb_voltage,
+                "V",
+                errors["coulomb_voltage"],
+            ),
+            Row("coulomb_torque", "Coulomb torque", self.coulomb_torque, "N·m"),
+            Row("dead_zone", "dead zone", self.dead_zone, "V"),
+            Row("delay", "delay", self.delay, "ms", digits=3),
+            Row("inertia", "inertia J", self.inertia, "kg·m²", errors.get("inertia")),
+            Row("spring", "spring k/J", self.spring, "1/s²", errors.get("spring")),
+            Row("nmse", "error (NMSE)", self.nmse, "%", digits=3),
+            Row("windows", "", self.windows),
+        )
+        return Overview(
+            f"motor K/J = {number(self.gain)} rad/(V·s²), ν/J = {number(self.decay)} 1/s",
+            "passed" if self.passed else "not shown",
+            rows,
+            findings=self.findings,
+        )
 
 
 @checked
@@ -97,8 +131,8 @@ def identify_motor(
     inertia: Annotated[float, Between(0.0, 1e6, "kg·m²", low_open=True)] | None = None,
     delay: float | None = None,
     dead_zone: float | None = None,
-    window: float | None = None,
     starts: Sequence[int] = (),
+    spring: bool = False,
 ) -> MotorFit:
     """Identify the motor of eq. (1) with friction from voltage and angle; no guess is
     needed.
@@ -124,11 +158,12 @@ def identify_motor(
         J where it is known and no torque was recorded, for the Coulomb torque [kg·m²].
     delay, dead_zone
         where they are known [s], [V]; searched for otherwise.
-    window
-        length of a bump [s]; 30 samples or 80 ms by default.
     starts
         samples at which another recording begins, in one that was put together: no bump
         lies across one.
+    spring
+        whether a spring may pull the motor to some angle, k (θm − θ₀) on the right: a
+        cable, or an arm whose plane is tilted.
 
     Raises
     ------
@@ -161,25 +196,18 @@ def identify_motor(
         dead_zone = Between(0.0, 0.99 * float(np.max(np.abs(u))), "V").check(
             "dead_zone", dead_zone
         )
-    if window is not None:
-        window = Between(0.0, longest, "s", low_open=True).check("window", window)
     # 80 ms: friction, backlash and the encoder average out, and a move of a tenth of a
     # second still holds a bump. Fewer than 30 samples would not follow the bump's
     # second derivative.
-    half = max(15, round((0.04 if window is None else window / 2) / period))
-    bumps = _Bumps(angle, load, period, half, starts)
+    half = max(15, round(0.04 / period))
+    bumps = _Bumps(angle, load, period, half, starts, spring)
     if bumps.places.size < _LEAST_WINDOWS:
-        allowed = f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s"
-        problem, remedy = (
-            "too little motion in one direction",
-            "drive further, with voltages of both signs",
-        )
         raise LogError(
             "motor_angle",
             int(bumps.places.size),
-            problem,
-            allowed=allowed,
-            remedy=remedy,
+            "too little motion in one direction",
+            allowed=f">= {_LEAST_WINDOWS} stretches of {2 * half * period:.3g} s",
+            remedy="drive further, with voltages of both signs",
         )
     best_delay, best_zone = _search(bumps, u, period, delay, dead_zone)
     return _judged(_result(bumps, u, best_delay, best_zone, inertia))
@@ -200,22 +228,24 @@ def _judged(fit: MotorFit) -> MotorFit:
         # A gain of zero or below is impossible however badly it is known: nothing can
         # be commanded with it.
         if value < -_SIGN * error or (name == "gain" and value <= 0):
-            problem = (
-                f"{symbol} of an impossible sign, with a standard error of {error:.3g}"
+            raise LogError(
+                name,
+                value,
+                f"{symbol} of an impossible sign, with a standard error of {error:.3g}",
+                allowed=">= 0",
+                remedy="check the sign of voltage and angle, the period, and give the link's torque if there is one",
             )
-            remedy = "check the sign of voltage and angle, the period, and give the link's torque if there is one"
-            raise LogError(name, value, problem, allowed=">= 0", remedy=remedy)
     findings = []
     if fit.inertia is not None and "inertia" in fit.standard_errors:
         # What is fitted is 1/J, whose error is that of J over its square.
         error = fit.standard_errors["inertia"] / fit.inertia**2
         if 1 / fit.inertia < -_SIGN * error:
-            problem = (
-                f"J of an impossible sign, 1/J with a standard error of {error:.3g}"
-            )
-            remedy = "check the sign and the unit of the link's torque, and that it is of this motor"
             raise LogError(
-                "inertia", fit.inertia, problem, allowed="> 0", remedy=remedy
+                "inertia",
+                fit.inertia,
+                f"J of an impossible sign, 1/J with a standard error of {error:.3g}",
+                allowed="> 0",
+                remedy="check the sign and the unit of the link's torque, and that it is of this motor",
             )
         if 1 / fit.inertia < _SIGN * error:
             findings.append(
@@ -253,8 +283,9 @@ class _Bumps:
         period: float,
         half: int,
         starts: Sequence[int] = (),
+        spring: bool = False,
     ) -> None:
-        self.period, self.half = period, half
+        self.period, self.half, self.spring = period, half, spring
         width = half * period
         x = np.arange(-half, half + 1) / half
         # By parts: ∫ φ θ'' = ∫ φ'' θ and ∫ φ θ' = −∫ φ' θ, as φ and its slope vanish at
@@ -289,6 +320,7 @@ class _Bumps:
             None if load is None else np.correlate(load, _BUMP(x), "valid") * period
         )
         self.load = None if weighted is None else weighted[self.places]
+        self.angle = (np.correlate(angle, _BUMP(x), "valid") * period)[self.places]
 
     def driven(self, u: Reals, delay: float) -> Reals:
         """∫ φ(t) u(t − τ) dt of a held voltage, exact for every τ."""
@@ -319,7 +351,7 @@ class _Bumps:
         )
 
     def matrix(self, u: Reals, delay: float, zone: float) -> Reals:
-        """Columns of A, B, C (and 1/J)."""
+        """Columns of A, B, C (and 1/J) (and k/J, and k θ₀/J)."""
         columns = [
             self.driven(np.sign(u) * np.maximum(np.abs(u) - zone, 0), delay),
             -self.velocity,
@@ -327,6 +359,8 @@ class _Bumps:
         ]
         if self.load is not None:
             columns.append(-self.load)
+        if self.spring:
+            columns += [-self.angle, np.full(self.sign.size, self.area)]
         return np.column_stack(columns)
 
     def cost(self, u: Reals, delay: float, zone: float) -> float:
@@ -338,42 +372,37 @@ class _Bumps:
 def _search(
     bumps: _Bumps, u: Reals, period: float, delay: float | None, dead_zone: float | None
 ) -> tuple[float, float]:
-    # A grid first: the narrowing that follows only goes downhill. Up to eight samples:
-    # computation, filter and a bus; half a sample, as the cost bends at every whole
-    # one.
+    """Delay and dead zone of the least cost: on a grid, then downhill from its best."""
+    # Up to eight samples: computation, filter and a bus; half a sample, as the cost
+    # bends at every whole one.
     delays = np.arange(0, 8.01, 0.5) * period if delay is None else np.array([delay])
     # Half of the usual voltage: a dead zone beyond would have left the motor at rest.
     top = 0.5 * float(np.median(np.abs(u[u != 0]))) if np.any(u) else 0.0
     zones = np.linspace(0, top, 9) if dead_zone is None else np.array([dead_zone])
-    costs = np.array([[bumps.cost(u, d, z) for z in zones] for d in delays])
-    i, j = np.unravel_index(int(np.argmin(costs)), costs.shape)
-    best_delay, best_zone = float(delays[i]), float(zones[j])
-    for _ in range(4):  # each in turn; they hardly move each other
-        if delay is None:
-            best_delay = _narrowed(
-                partial(_at_delay, bumps, u, best_zone), best_delay, 0.5 * period
-            )
-        if dead_zone is None and top > 0:
-            best_zone = _narrowed(
-                partial(bumps.cost, u, best_delay), best_zone, top / 8
-            )
-    return best_delay, best_zone
+    steps = np.array([0.5 * period, top / 8 or 1.0])
 
+    def cost(place: Reals) -> float:
+        return bumps.cost(u, *(place * steps).tolist())
 
-def _at_delay(bumps: _Bumps, u: Reals, zone: float, delay: float) -> float:
-    return bumps.cost(u, delay, zone)
-
-
-def _narrowed(cost: Callable[[float], float], centre: float, reach: float) -> float:
-    low = max(centre - reach, 0.0)
-    found = minimize_scalar(
+    grid = np.array([[d, z] for d in delays for z in zones]) / steps
+    best = grid[np.argmin([cost(place) for place in grid])]
+    free = np.array([delays.size > 1, zones.size > 1])
+    # The bounds are the neighbours on the grid; the edges (no delay, no dead zone) are
+    # places, too.
+    bounds = np.stack([np.where(best > 0, best - free, best), best + free], axis=1)
+    found = minimize(
         cost,
-        bounds=(low, centre + reach),
-        method="bounded",
-        options={"xatol": 1e-4 * reach},
+        best,
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={
+            "xatol": 1e-4,
+            "fatol": math.inf,
+            "initial_simplex": best + np.array([[0, 0], [0.5, 0], [0, 0.5]]) * free,
+        },
     )
-    # The edge itself (no delay, no dead zone) is never tried by the bounded search.
-    return low if cost(low) <= found.fun else float(found.x)
+    place = best if cost(best) <= found.fun else found.x
+    return float(place[0] * steps[0]), float(place[1] * steps[1])
 
 
 def _result(
@@ -405,6 +434,8 @@ def _result(
         # found.
         inertia = 1 / float(values[3])
         errors["inertia"] = math.sqrt(max(covariance[3, 3], 0)) * inertia**2
+    if bumps.spring:
+        errors["spring"] = math.sqrt(max(covariance[-2, -2], 0))
     return MotorFit(
         gain=gain,
         decay=decay,
@@ -416,6 +447,7 @@ def _result(
         standard_errors=errors,
         nmse=float(np.sum(error**2) / np.sum(bumps.acceleration**2)),
         windows=int(bumps.places.size),
+        spring=float(values[-2]) if bumps.spring else None,
     )
 
 
@@ -433,16 +465,12 @@ def _channels(
     samples = columns["motor_angle"].size
     for name, values in columns.items():
         if values.size != samples or samples < _LEAST_SAMPLES:
-            allowed, remedy = (
-                f">= {_LEAST_SAMPLES} samples, all alike",
-                "cut them to their common span",
-            )
             raise LogError(
                 name,
                 values.size,
                 "too short or of another length",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=f">= {_LEAST_SAMPLES} samples, all alike",
+                remedy="cut them to their common span",
             )
         if not np.all(np.isfinite(values)):
             raise LogError(

@@ -14,8 +14,9 @@ from scipy.special import gammaincc
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
 from fraclink._arm.link import structure as structure_row
+from fraclink._display import Overview, Row, Table, displayed
 from fraclink._identify.compare import criteria_of, preferred_structure
-from fraclink._identify.fit import aic
+from fraclink._identify.fit import SYMBOLS, aic
 from fraclink._identify.fitting import Stiffness, make_search
 from fraclink._identify.joint import Coordinates, JointProblem, start_of, weight_of
 from fraclink._identify.search import Search, Solution
@@ -55,6 +56,7 @@ class LikelihoodRatio:
         return self.p_value >= 0.05
 
 
+@displayed
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
 class JointFit:
@@ -102,8 +104,32 @@ class JointFit:
     verdict: str
     predicted: tuple[NDArray[np.float64], ...]
 
-    def __repr__(self) -> str:
-        return f"JointFit({self.structure} of {len(self.models)} logs: {self.verdict})"
+    def overview(self) -> Overview:
+        """The link of every payload, and how much the common parameters cost."""
+        free = structure_row(self.structure).free
+        records = (
+            (
+                Row("payload", "payload", model.payload, "g"),
+                *(
+                    Row(name, SYMBOLS[name][0], getattr(model, name), digits=6)
+                    for name in free
+                ),
+                Row("mse", "MSE together", together),
+                Row("alone_mse", "MSE alone", alone),
+            )
+            for model, together, alone in zip(
+                self.models, self.mse, self.alone_mse, strict=True
+            )
+        )
+        rows = (
+            Row("structure", "", self.structure),
+            Row("common", "", self.common),
+            Row("standard_errors", "", self.standard_errors),
+            Row("stiffness", "stiffness c", self.stiffness, "N·m/rad"),
+            Row("p_value", "chance of a larger difference", self.test.p_value),
+            Row("verdict", "", self.verdict),
+        )
+        return Overview(self.verdict, rows=rows, tables=(Table.of("logs", records),))
 
 
 @checked
@@ -134,8 +160,8 @@ def identify_payloads(
         of "order", "damping", "damping_order", "delay"; all of the structure's own by
         default.
     tied
-        ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of an own ω₀ for
-        each.
+        several logs: ω₀_i = sqrt(c/(m_i L²)), eq. (5), through one stiffness instead of
+        an own ω₀ for each.
     length
         L [m], only to report c from c/L² where tied.
     stiffness
@@ -241,14 +267,12 @@ def _check(logs: Sequence[Experiment], tied: bool) -> None:
         )
     payloads = [log.payload for log in logs]
     if tied and (None in payloads or len(set(payloads)) < 2):
-        allowed = "a mass for every log, two of them different"
-        remedy = "state payload= when reading the logs"
         raise LogError(
             "payload",
             str(payloads),
             "missing or all the same",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="a mass for every log, two of them different",
+            remedy="state payload= when reading the logs",
         )
 
 

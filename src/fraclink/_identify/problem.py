@@ -15,20 +15,22 @@ responses) is the problem's own affair.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "PERFECT",
     "QUANTILE",
     "Descent",
     "Interval",
     "Problem",
     "Quadratic",
     "descend",
+    "descend_within_samples",
     "interval_ends",
     "inverted",
     "reduced",
@@ -44,6 +46,7 @@ _UNSEEN = 1e-10
 # Down by ten and up by eight, so that no damping that failed is tried again.
 _FASTER, _SLOWER = 0.1, 8.0
 _STUCK = 1e9  # damping at which a step is none
+PERFECT = 1e-16  # of the power: a cost below is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,37 +62,52 @@ class Quadratic:
     offset: Reals
 
 
-class Problem(Protocol):
+class Problem(ABC):
     """A least-squares problem in a box of p coordinates."""
 
     @property
+    @abstractmethod
     def low(self) -> Reals:
         """Lower limits (p,)."""
-        ...
 
     @property
+    @abstractmethod
     def high(self) -> Reals:
         """Upper limits (p,)."""
-        ...
+
+    @property
+    @abstractmethod
+    def samples(self) -> int:
+        """Numbers that were measured."""
+
+    @property
+    @abstractmethod
+    def power(self) -> float:
+        """The sum of their squares."""
+
+    @property
+    def precision(self) -> float:
+        """The share of a cost that a step must gain for its descent to go on."""
+        return 1e-10
 
     @property
     def reach(self) -> Reals:
         """The longest step (p,) that a quadratic model serves: of a logarithm 1, where
         the parameter itself would reach zero.
         """
-        ...
+        return np.full(self.low.size, math.inf)
 
     def clip(self, places: Reals) -> Reals:
         """The nearest admissible places."""
-        ...
+        return np.clip(places, self.low, self.high)
 
     def costs(self, places: Reals) -> Reals:
         """Costs (M,) at places (M, p); infinite where a candidate has no response."""
-        ...
+        return self.quadratic(places).cost
 
+    @abstractmethod
     def quadratic(self, places: Reals) -> Quadratic:
         """Costs and quadratic models at places (M, p)."""
-        ...
 
 
 def reduced(
@@ -152,22 +170,34 @@ class Descent:
     converged: Bits
     evaluations: int
 
+    @classmethod
+    def together(cls, parts: Sequence[Descent]) -> Descent:
+        """The ends of several."""
+        return cls(
+            np.concatenate([part.places for part in parts]),
+            np.concatenate([part.costs for part in parts]),
+            np.concatenate([part.converged for part in parts]),
+            sum(part.evaluations for part in parts),
+        )
+
 
 def descend(
     problem: Problem,
     places: Reals,
     *,
     iterations: int = 100,
-    ended: float = 1e-10,
-    perfect: float = 0.0,
+    box: tuple[Reals, Reals] | None = None,
 ) -> Descent:
-    """Levenberg and Marquardt's descent from every row of `places` at once.
+    """Levenberg and Marquardt's descent from every row of `places` at once, within the
+    problem's limits or within a narrower `box` of each row, (M, p) and (M, p).
 
-    A descent ends where an undamped step would gain less than a share `ended` of its
-    cost (the Newton decrement: a short step says only that the damping is large) or
-    less than `perfect`, the rounding of a perfect fit.
+    A descent ends where an undamped step would gain less than the problem's precision
+    (the Newton decrement: a short step says only that the damping is large) or less
+    than the rounding of a perfect fit.
     """
-    places = problem.clip(np.array(places, dtype=np.float64))
+    shape = np.shape(places)
+    low, high = (np.broadcast_to(x, shape) for x in box or (problem.low, problem.high))
+    places = np.clip(problem.clip(np.array(places, dtype=np.float64)), low, high)
     at = problem.quadratic(places)
     costs, slope, normal = at.cost.copy(), at.slope.copy(), at.normal.copy()
     evaluations, damping = len(places), np.full(len(places), 1e-3)
@@ -178,34 +208,56 @@ def descend(
         if not own.size:
             break
         step, gain = _damped_steps(
-            normal[own], slope[own], damping[own], places[own], problem
+            normal[own],
+            slope[own],
+            damping[own],
+            (places[own] <= low[own]) & (slope[own] < 0)
+            | (places[own] >= high[own]) & (slope[own] > 0),
         )
-        least = np.maximum(ended * costs[own], perfect)
+        step = np.clip(step, -problem.reach, problem.reach)
+        least = np.maximum(problem.precision * costs[own], PERFECT * problem.power)
         settled[own] = gain <= least
-        trial = problem.clip(places[own] + step)
-        cost = problem.costs(trial)
+        trial = np.clip(problem.clip(places[own] + step), low[own], high[own])
+        at = problem.quadratic(trial)
         evaluations += own.size
-        better = cost < costs[own]
+        better = at.cost < costs[own]
         # At its end a descent goes on while that costs one candidate a step.
         moving[own] = np.where(
             better, gain > 0.01 * least, ~settled[own] & (damping[own] < _STUCK)
         )
-        won, lost = own[better], own[~better]
-        damping[won], damping[lost] = (
-            np.maximum(_FASTER * damping[won], 1e-12),
-            _SLOWER * damping[lost],
-        )
-        places[won], costs[won] = trial[better], cost[better]
-        won = won[moving[won]]
-        if won.size:
-            at = problem.quadratic(places[won])
-            slope[won], normal[won] = at.slope, at.normal
-            evaluations += won.size
+        damping[own] *= np.where(better, _FASTER, _SLOWER)
+        won = own[better]
+        places[won], costs[won] = trial[better], at.cost[better]
+        slope[won], normal[won] = at.slope[better], at.normal[better]
     return Descent(places, costs, settled & np.isfinite(costs), evaluations)
 
 
+def descend_within_samples(
+    problem: Problem, place: Reals, k: int, period: float
+) -> Descent:
+    """Descents with coordinate k, a delay, held within the sampling intervals before
+    and behind it.
+
+    A held input jumps, and the response to a jump may begin with a vertical tangent: as
+    a function of the delay the cost has a cusp wherever a sample passes a jump, and is
+    smooth only from a sample (included) back to the one before. A delay on a sample, to
+    1e-9 of the period, belongs to one interval, any other to the two beside it.
+    """
+    delay = place[k] / period
+    whole = np.unique([math.floor(delay + 1e-9), math.ceil(delay - 1e-9)])
+    low, high = (np.tile(x, (whole.size, 1)) for x in (problem.low, problem.high))
+    low[:, k] = np.maximum((whole - 1 + 1e-6) * period, low[:, k])
+    high[:, k] = np.minimum(whole * period, high[:, k])
+    # A delay of none has one place only, where the others are fitted.
+    inside = low[:, k] <= high[:, k]
+    # From the sample itself, where the cost is smooth from below.
+    rows = np.where(np.arange(place.size) == k, high, place)
+    box = low[inside], high[inside]
+    return descend(problem, rows[inside], box=box)
+
+
 def _damped_steps(
-    normal: Reals, slope: Reals, damping: Reals, places: Reals, problem: Problem
+    normal: Reals, slope: Reals, damping: Reals, held: Bits
 ) -> tuple[Reals, Reals]:
     """Damped steps (M, p) and what undamped ones would gain (M,).
 
@@ -214,16 +266,13 @@ def _damped_steps(
     parameters' units, and in the axes of the valley one decomposition serves damped and
     undamped steps.
     """
-    held = ((places <= problem.low) & (slope < 0)) | (
-        (places >= problem.high) & (slope > 0)
-    )
     values, vectors, size = _axes(normal, held)
     along = np.einsum("mpk,mp->mk", vectors, np.where(held, 0.0, slope) / size)
     seen = values > _UNSEEN
     gain = np.where(seen, along**2 / np.maximum(values, _UNSEEN), 0.0).sum(axis=1)
-    step = along / (np.maximum(values, 0.0) + damping[:, None])
-    step = np.einsum("mpk,mk->mp", vectors, step) / size
-    return np.clip(step, -problem.reach, problem.reach), gain
+    # Along what is not seen any step is as good, and rounding would choose it.
+    step = np.where(seen, along / (values + damping[:, None]), 0.0)
+    return np.einsum("mpk,mk->mp", vectors, step) / size, gain
 
 
 def _axes(normal: Reals, held: Bits) -> tuple[Reals, Reals, Reals]:
@@ -294,7 +343,6 @@ def interval_ends(
     problem: Problem,
     best: Reals,
     least: float,
-    samples: int,
     parameters: Parameters,
     inflation: Reals,
 ) -> tuple[Interval, ...]:
@@ -308,7 +356,7 @@ def interval_ends(
     """
     count = len(inflation)
     rows, sign = np.tile(np.arange(count), 2), np.repeat([-1.0, 1.0], count)
-    height = QUANTILE**2 * inflation[rows] / samples
+    height = QUANTILE**2 * inflation[rows] / problem.samples
     centre = parameters(best[None, :])[0][0][rows]
     places = np.repeat(best[None, :], 2 * count, axis=0)
     before, steps, values = places.copy(), np.zeros(places.shape), centre.copy()

@@ -376,7 +376,7 @@ def find_second_mode(
     if high - low < 0.5 or not np.any(residual):
         return None, None
     rest = Window(window.angle, residual, window.period, window.hold)
-    kernel = rest.kernel(math.exp(low), longest_delay=search.longest_delay)
+    kernel = search.kernel_of(rest)
 
     def row(log_frequency: float, ratio: float) -> Vector:
         return np.array([2.0, log_frequency, ratio, 1.0, shape[4]])

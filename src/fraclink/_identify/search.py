@@ -1,12 +1,13 @@
-"""The way to the best fit of a structure, with no guess asked: a scan, then
-Levenberg–Marquardt.
+"""The way to the best fit of a structure, with no guess asked: a scan over all
+frequencies and delays that the log can show, then Levenberg–Marquardt from its valleys.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from fraclink._identify.shape import (
     Shape,
     Window,
     columns_of,
-    delayed,
     embedded,
     free_coordinates,
     largest_ratio,
@@ -30,27 +30,22 @@ from fraclink._identify.shape import (
 from fraclink._kernels import FitProblem
 from fraclink.errors import NotConvergedError
 
-# ζ = 0.13 and a step in ln Ω: neighbours on the grid overlap. Of 160 simulated logs,
-# half of them with more noise than torque, 16 fits end in another valley; with steps of
-# 0.5 it is 23, with a sharper resonance (1.97) 24.
-_SWEEP_ORDER, _SWEEP_STEP = 1.85, 0.2
-_SCAN_ORDER = 1.92  # ζ = 0.065, for the places between them
+# Of the scan: ζ = 0.13 (λ = 1.85) and a step in ln Ω of 1.5 ζ, so that neighbours on
+# the grid overlap.
+_SCAN_ORDER, _SCAN_STEP = 1.85, 0.2
+_FINE_ORDER = 1.92  # ζ = 0.065, for the places between them
+# Delays of the scan and of the starts, as parts of the vibration's period: a descent
+# creeps over an eighth of a period by itself, and a third of one is all that may be.
+_DELAYS = (0.0, 0.12, 0.24)
+_DELAY_LIMITS = (-0.12, 0.35)
+_VALLEYS = 2  # of a broad resonance: the lowest need not be that of a narrow one
+_PLACES = 9  # over all frequencies, where a descent ended at a limit
 # ζ, each a third of the one before, for what rings on from before a cut; steps in ln Ω
 # of a fifth of it, as gain and phase at the cut leave a fifth of the resonance's width.
 _SHARP, _SHARP_VALLEYS = (0.024, 0.008, 0.0027), 3
 _REMEMBERED = 20_000  # samples before the cut; ζ = 0.0027 forgets in 180 periods
+_WORTH = 4.0  # times the least power that is left: no vibration of this log
 _ITERATIONS = 200  # an undamped link on a damped log converges by a third a step
-# Delays that are tried as starts, as parts of the vibration's period: a fit creeps over
-# ± 0.15 by itself. Either of them alone, or neither, loses 3 more of those 160 logs.
-_DELAY_STARTS = (0.12, 0.24)
-_DELAY_LIMITS = (-0.12, 0.35)
-# Delays of other valleys, as parts of the period: on a smooth move λ and the delay
-# trade, and a fit in the valley of the one never sees the other. With the delay held a
-# few steps tell what is worth a fit: on a log with a resonance the cost is a hundred
-# times the least one there.
-_DELAY_VALLEYS, _DELAY_NEAR = (0.0, 0.08, 0.2), 0.04
-_HELD_ITERATIONS, _WORTH = 5, 4.0
-_PLACES = 9  # over the range of frequencies, where a first fit has failed
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +97,13 @@ class Search:
     """Fits of one window; every structure's start is taken from those found before.
 
     `fixed` may hold "gain", "offset", "delay" and model coordinates "order",
-    "damping_order".
+    "damping_order"; `start` is a guess, tried beside the scan.
     """
 
     window: Window
     fixed: Mapping[str, float]
     start: Shape | None = None
     solutions: dict[str, Solution] = field(default_factory=dict)
-    _kernel: FitProblem | None = None
-    _seed: Shape | None = None
     _evaluations: int = 0
 
     @property
@@ -124,106 +117,39 @@ class Search:
         return self.fixed.get("offset", math.nan)
 
     @property
-    def seed(self) -> Shape:
-        """A point near the resonance: the best of the scan, or the guess that was given
-        if it is better.
-
-        With a free gain a fit from a bad guess ends beside the optimum in one of five
-        cases, with the sign of the gain reversed; from the scan it does not. With a
-        known gain any guess leads there (2000 of 2000 with ω₀ up to three times off),
-        and the scan is saved.
+    def _range(self) -> tuple[float, float]:
+        """Least and largest ln Ω: a little beyond what the log can show, so that a
+        resonance at its end is no limit.
         """
-        if self._seed is None:
-            self._seed = (
-                self.start
-                if self.start is not None and "gain" in self.fixed
-                else self._scan()
-            )
-        return self._seed
+        low, high = self.window.frequency_limits
+        return math.log(low) - 0.5, math.log(high) + 0.3
 
-    @property
-    def wave(self) -> float:
-        """The vibration's period at the seed [s]."""
-        return 2 * math.pi / math.exp(self.seed[1])
-
-    @property
+    @cached_property
     def kernel(self) -> FitProblem:
-        """The kernel on a grid for this resonance; a guess may be three times too high."""
-        if self._kernel is None:
-            self._kernel = self.window.kernel(
-                self.lowest, longest_delay=self.longest_delay
-            )
-        return self._kernel
+        """The kernel for all frequencies and delays that the search may reach."""
+        return self.kernel_of(self.window)
 
-    @property
-    def lowest(self) -> float:
-        """The lowest resonance [rad/s] the grid of rates must serve: a guess may be
-        three times too high.
-        """
-        return math.exp(self.seed[1]) / (3 if self.seed is self.start else 1)
-
-    @property
-    def longest_delay(self) -> float:
-        """The largest delay [s] that the kernel must be able to apply."""
-        fixed = abs(self.fixed.get("delay", 0.0))
+    def kernel_of(self, window: Window) -> FitProblem:
+        """The same kernel for another stretch of the log."""
+        lowest = math.exp(self._range[0])
+        # A hair more than a fit may use (`_DELAY_LIMITS`).
+        longest = max(0.36 * 2 * math.pi / lowest, abs(self.fixed.get("delay", 0.0)))
         span = self.window.samples * self.window.period
-        # A hair more than a fit may use (`_DELAY_LIMITS`), three times that where the
-        # seed is a guess.
-        return max(
-            fixed, min(0.36 * self.wave * (3 if self.seed is self.start else 1), span)
-        )
+        return window.kernel(lowest, longest_delay=min(longest, span))
 
-    def _scan(self) -> Shape:
-        """Sweep ln Ω with a broad resonance, then its neighbourhood with a narrower
-        one, then delays.
+    # --- starts
+
+    def _links(
+        self, places: NDArray[np.float64], order: float, part: float
+    ) -> NDArray[np.float64]:
+        """Undamped links (K, 5) at places of ln Ω, each with a part of its period as
+        the delay.
         """
-        low, high = (math.log(x) for x in self.window.frequency_limits)
-        delay = self.fixed.get("delay", 0.0)
-        points = max(int((high - low) / _SWEEP_STEP), 8)
-        kernel = self.window.kernel(
-            math.exp(low), longest_delay=abs(delay), coarse=True
-        )
-        broad, costs = self._tried(
-            kernel, np.linspace(low, high, points), _SWEEP_ORDER, delay
-        )
-        # Two: the lowest of a broad resonance need not be the lowest of a narrow one,
-        # as in 3 of those 160 logs.
-        near = broad[lowest_valleys(costs, 2)]
-        fine = (
-            near[:, 1:2] + _SWEEP_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
-        ).ravel()
-        narrow, costs = self._tried(kernel, fine, _SCAN_ORDER, delay)
-        if self.start is not None:
-            narrow = np.concatenate([narrow, self.start[None, :]])
-            costs = self._costs(kernel, narrow)
-        best: Shape = narrow[int(np.argmin(costs))]
-        if "delay" in self.fixed:
-            return best
-        # A delay of a quarter of the vibration turns the torque into a velocity: the
-        # scan without it then finds the right frequency with the wrong phase, or
-        # another frequency.
-        late = np.concatenate([delayed(near, part) for part in _DELAY_STARTS])
-        kernel = self.window.kernel(
-            math.exp(low), longest_delay=float(np.max(late[:, 4])), coarse=True
-        )
-        late_costs = self._costs(kernel, late)
-        least = int(np.argmin(late_costs))
-        return (
-            best
-            if float(np.min(costs)) <= late_costs[least]
-            else np.asarray(late[least])
-        )
-
-    def _tried(
-        self,
-        kernel: FitProblem,
-        places: NDArray[np.float64],
-        order: float,
-        delay: float,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        order = self.fixed.get("order", order)
-        rows = np.array([[order, x, 0.0, 1.0, delay] for x in places])
-        return rows, self._costs(kernel, rows)
+        rows = np.zeros((len(places), 5))
+        rows[:, 0], rows[:, 1] = self.fixed.get("order", order), places
+        rows[:, 3] = 1.0
+        rows[:, 4] = self.fixed.get("delay", part * 2 * math.pi * np.exp(-places))
+        return rows
 
     def _costs(
         self, kernel: FitProblem, rows: NDArray[np.float64]
@@ -231,76 +157,35 @@ class Search:
         self._evaluations += len(rows)
         return kernel.costs(rows, self.gain, self.offset)
 
-    def limits(self, *, may_lead: bool) -> tuple[Shape, Shape]:
-        """Lower and upper limits of the coordinates; `may_lead` admits a delay below
-        zero.
+    @cached_property
+    def _scanned(self) -> NDArray[np.float64]:
+        """Undamped links to begin at (K, 5): the valleys of a scan over frequencies and
+        delays, or the guess where it is better, and what rings behind a cut.
         """
-        low, high = (math.log(x) for x in self.window.frequency_limits)
-        shortest = (
-            max(_DELAY_LIMITS[0] * self.wave, -0.9 * self.longest_delay)
-            if may_lead
-            else 0.0
-        )
-        longest = min(_DELAY_LIMITS[1] * self.wave, 0.97 * self.longest_delay)
-        lower = np.array([ORDER_LIMITS[0], low - 0.5, 0.0, ALPHA_LIMITS[0], shortest])
-        # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
-        upper = np.array([ORDER_LIMITS[1], high + 0.3, 0.9, ALPHA_LIMITS[1], longest])
-        return lower, upper
-
-    def free(self, name: str) -> tuple[int, ...]:
-        """Free coordinates of a structure, the delay included unless it is fixed."""
-        names = {0: "order", 3: "damping_order"}
-        own = tuple(
-            i for i in free_coordinates(name) if names.get(i, "") not in self.fixed
-        )
-        return own if "delay" in self.fixed else (*own, 4)
-
-    def solve(self, name: str) -> Solution:
-        """The best fit of a structure; found once."""
-        if name not in self.solutions:
-            found = self._best(name, list(self._starts(name)))
-            if name == FRACTIONAL:
-                # The other structures start from it, and in its valley.
-                found = self._over_the_valleys(found)
-            if "delay" not in self.fixed:
-                if self.window.hold == "zero":
-                    found = self._over_the_jumps(found)
-                elif self.window.is_rough:
-                    found = self._over_the_kinks(found)
-            # The best one need not be the last one: what was tried after it was work,
-            # too.
-            self.solutions[name] = replace(found, evaluations=self._evaluations)
-        return self.solutions[name]
-
-    def _over_the_valleys(self, found: Solution) -> Solution:
-        """The best of a fit and of those from other delays, other vibrations of a cut
-        log, and other frequencies where it ended at a limit.
-        """
-        if "delay" not in self.fixed:
-            found = self._over_the_delays(found)
+        low, high = self._range
+        grid = np.linspace(low, high, max(int((high - low) / _SCAN_STEP), 8))
+        costs = self._costs(self.kernel, self._links(grid, _SCAN_ORDER, 0.0))
+        valleys = grid[lowest_valleys(costs, _VALLEYS)]
+        near = _SCAN_STEP * np.array([-0.4, -0.2, 0.0, 0.2, 0.4])
+        narrow = self._links((valleys[:, None] + near).ravel(), _FINE_ORDER, 0.0)
+        # A delay of a quarter of the vibration turns the torque into a velocity: the
+        # scan without it then finds the right frequency with the wrong phase, or
+        # another frequency.
+        late = [self._links(valleys, _SCAN_ORDER, part) for part in _DELAYS[1:]]
+        rows = np.concatenate([narrow, *late])
+        if self.start is not None:
+            order, place, *_, delay = self.start
+            # Not at 2: on the limit the slope in λ may point outwards, and the descent
+            # would never leave it.
+            order = self.fixed.get("order", min(order, 1.95))
+            rows = np.vstack([rows, [order, place, 0.0, 1.0, delay]])
+        costs = self._costs(self.kernel, rows)
+        own = np.argmin(np.abs(rows[:, 1:2] - valleys), axis=1)
+        best = [rows[own == k][np.argmin(costs[own == k])] for k in range(valleys.size)]
+        starts = [np.array(best)]
         if self.window.angle.size > self.window.samples:
-            found = self._from_places(found, self._sharp())
-        if {0, 1} & {*found.at_bound} or (
-            4 in found.at_bound and found.shape[4] != 0.0
-        ):
-            found = self._from_other_valleys(found)
-        return found
-
-    def _from_other_valleys(self, found: Solution) -> Solution:
-        """The best of a fit that ended at a limit of λ, ω₀ or the delay, and of fits
-        from elsewhere.
-
-        On a noisy log of little motion the scan may take a rate far above the resonance
-        for it. The limits of the delay and the kernel's rates are made for the seed:
-        each place is a seed of its own.
-        """
-        low, high = (math.log(x) for x in self.window.frequency_limits)
-        places = np.linspace(low, high, _PLACES)
-        # λ where it is not free is the structure's own: a link of order 2 begun at 1.92
-        # would keep that.
-        order = _SCAN_ORDER if 0 in found.free else float(found.shape[0])
-        rows = [np.array([order, x, 0.0, 1.0, 0.0]) for x in places]
-        return self._from_places(found, [found.shape, *rows])
+            starts.append(np.array(self._sharp()))
+        return np.concatenate(starts)
 
     def _sharp(self) -> list[Shape]:
         """Places to begin at on a cut log, where a lightly damped link swings by all
@@ -313,18 +198,17 @@ class Search:
         near = replace(
             self.window, angle=self.window.angle[-(self.window.samples + _REMEMBERED) :]
         )
-        kernel = near.kernel(math.exp(low), longest_delay=abs(delay), coarse=True)
+        kernel = near.kernel(math.exp(low), longest_delay=abs(delay))
         bands, width = self._ringing()
-        rows: list[Shape] = []
-        # Each is a seed of its own: the best one of so coarse a row need not be of the
-        # best valley.
+        found: list[Shape] = []
         for ratio in _SHARP:
             order = math.pi / math.acos(-ratio)
             places = np.arange(low, high, ratio / 5)
             apart = np.abs(np.exp(places)[:, None] - bands).min(axis=1)
-            tried, costs = self._tried(kernel, places[apart <= width], order, delay)
-            rows.extend(tried[lowest_valleys(costs, _SHARP_VALLEYS)])
-        return rows
+            rows = self._links(places[apart <= width], order, 0.0)
+            valleys = lowest_valleys(self._costs(kernel, rows), _SHARP_VALLEYS)
+            found.extend(rows[valleys])
+        return found
 
     def _ringing(self) -> tuple[NDArray[np.float64], float]:
         """Frequencies (K,) [rad/s] of the vibration behind a cut, and how far they lie
@@ -335,7 +219,7 @@ class Search:
         low, high = own.frequency_limits
         # Within the log two vibrations are told apart by half a turn.
         spacing = math.pi / (2 * own.samples * own.period)
-        kernel = inside.kernel(low, longest_delay=0.0, coarse=True)
+        kernel = inside.kernel(low, longest_delay=0.0)
         time = own.period * np.arange(own.samples)
         ratio = _SHARP[1]
         order, costs = math.pi / math.acos(-ratio), []
@@ -350,155 +234,104 @@ class Search:
         self._evaluations += len(costs)
         return frequencies[np.array(costs) <= _WORTH * min(costs)], spacing
 
-    def _from_places(self, found: Solution, rows: Iterable[Shape]) -> Solution:
-        """The best of a fit and of those from other places."""
-        kept = self.seed, self._kernel
-        for row in rows:
-            self._seed, self._kernel = row, None
-            other = self._best(found.structure, [row])
-            if other.cost < found.cost * (1 - 1e-9):
-                found, kept = other, (self._seed, self._kernel)
-                self.solutions.clear()
-        self._seed, self._kernel = kept
-        return found
+    # --- descents
 
-    def reconcile(self) -> None:
-        """Fit a structure again from a special case of it that did better.
-
-        On a log without a clear resonance a scan may end in another valley for each
-        structure; a structure that is worse than its own special case would be the
-        search's fault.
-        """
-        for name, special in (
-            (row, other) for row in STRUCTURES for other in special_cases(row)
-        ):
-            inner, outer = self.solve(special), self.solve(name)
-            if outer.cost > inner.cost * (1 + 1e-9) and not {
-                "order",
-                "damping_order",
-            } & set(self.fixed):
-                again = self._best(name, [embedded(inner.shape, name)], may_lead=True)
-                self.solutions[name] = min((outer, again), key=lambda s: s.cost)
-
-    def _over_the_delays(self, found: Solution) -> Solution:
-        """The best of a fit and of two from other delays: those that are lowest with
-        the delay held.
-        """
-        held = mask_of(tuple(i for i in found.free if i != 4))
-        rows = []
-        for delay in (part * self.wave for part in _DELAY_VALLEYS):
-            if abs(delay - found.shape[4]) < _DELAY_NEAR * self.wave:
-                continue
-            start = found.shape.copy()
-            start[4] = min(delay, found.upper[4])
-            status, shape, _, _, cost, evaluations, _ = self.kernel.solve(
-                start[None, :],
-                held,
-                found.lower,
-                found.upper,
-                self.gain,
-                self.offset,
-                _HELD_ITERATIONS,
-            )
-            self._evaluations += evaluations
-            if status != 3 and cost < _WORTH * found.cost:
-                rows.append((cost, tuple(shape.tolist())))
-        if not rows:
-            return found
-        other = self._best(
-            found.structure, [np.array(shape) for _, shape in sorted(rows)[:2]]
+    def free(self, name: str) -> tuple[int, ...]:
+        """Free coordinates of a structure, the delay included unless it is fixed."""
+        names = {0: "order", 3: "damping_order"}
+        own = tuple(
+            i for i in free_coordinates(name) if names.get(i, "") not in self.fixed
         )
-        return other if other.cost < found.cost * (1 - 1e-9) else found
+        return own if "delay" in self.fixed else (*own, 4)
 
-    def _over_the_jumps(self, found: Solution) -> Solution:
-        """Fits within the two nearest sampling intervals of delay.
-
-        A held input jumps, and so does the torque: as a function of the delay the cost
-        jumps wherever a sample passes a jump, and is smooth only from a sample
-        (included) back to the one before.
-        """
-        period, best = self.window.period, found
-        for whole in {
-            math.floor(found.shape[4] / period),
-            math.ceil(found.shape[4] / period - 1e-9),
-        }:
-            start = found.shape.copy()
-            start[4] = whole * period
-            shortest, longest = found.lower[4], found.upper[4]
-            inside = (
-                max((whole - 1 + 1e-6) * period, shortest),
-                min(whole * period, longest),
-            )
-            if inside[0] >= inside[1]:
-                continue
-            best = min(
-                (best, self._best(found.structure, [start], delays=inside)),
-                key=lambda s: s.cost,
-            )
-        return best
-
-    def _over_the_kinks(self, found: Solution) -> Solution:
-        """Fits from the neighbouring half samples of delay, and from delays that are
-        truly negative.
-
-        A straight line averages the noise of two samples, most of it half-way between
-        them, so that a rough angle rewards every half sample of delay. Within a sample
-        such a gain says nothing on which channel is later: the delay is then not let
-        below zero (see `limits`).
-        """
-        rows = []
-        # 0.6 of a sample is just over the crest that half a sample makes; 2.5 is far
-        # beyond the one sample within which a lead says nothing.
-        for shift in (-0.6, 0.6, -2.5):
-            rows.append(found.shape.copy())
-            rows[-1][4] += shift * self.window.period
-        best = min((found, self._best(found.structure, rows[:2])), key=lambda s: s.cost)
-        early = self._best(found.structure, rows[2:], may_lead=True)
-        leads = early.shape[4] < -1.5 * self.window.period and early.cost < best.cost
-        return early if leads else best
-
-    def _best(
-        self,
-        name: str,
-        rows: list[Shape],
-        *,
-        may_lead: bool | None = None,
-        delays: tuple[float, float] | None = None,
-    ) -> Solution:
-        free = self.free(name)
-        lower, upper = self.limits(
-            may_lead=not self.window.is_rough if may_lead is None else may_lead
+    def _delays(self, row: Shape, *, may_lead: bool) -> tuple[float, float]:
+        """Range of the delay beside a row [s]; `may_lead` admits one below zero."""
+        shortest, longest = (x * 2 * math.pi * math.exp(-row[1]) for x in _DELAY_LIMITS)
+        span = self.window.samples * self.window.period
+        return max(shortest, -0.9 * span) if may_lead else 0.0, min(
+            longest, 0.97 * span
         )
-        if "damping_order" in structure(name).free:
-            # As an undamped link with λ near 1 it vibrates far below its poles'
-            # modulus, and hardly at all.
-            lower[1], upper[2] = lower[1] - 3.0, 50.0
-        if delays is not None:
-            lower[4], upper[4] = delays
-        starts = np.array(rows)
-        if "delay" in self.fixed:
-            starts[:, 4] = self.fixed["delay"]
-        starts[:, list(free)] = np.clip(
-            starts[:, list(free)], lower[list(free)], upper[list(free)]
-        )
-        status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
-            starts, mask_of(free), lower, upper, self.gain, self.offset, _ITERATIONS
-        )
-        self._evaluations += evaluations
-        if status == 3:
+
+    def solve(self, name: str) -> Solution:
+        """The best fit of a structure; found once."""
+        if name not in self.solutions:
+            found = self._lowest([self._descended(name, x) for x in self._starts(name)])
+            if name == FRACTIONAL:
+                # The other structures start from it, and in its valley.
+                found = self._lowest([found, *self._from_elsewhere(found)])
+            if "delay" not in self.fixed:
+                found = self._between_samples(found)
+            # The best one need not be the last one: what was tried after it was work,
+            # too.
+            self.solutions[name] = replace(found, evaluations=self._evaluations)
+        return self.solutions[name]
+
+    def _lowest(self, ends: Sequence[Solution]) -> Solution:
+        best = min(ends, key=lambda each: each.cost)
+        if not math.isfinite(best.cost):
             raise NotConvergedError(
-                f"the fit of {name}",
+                f"the fit of {best.structure}",
                 reached=math.inf,
                 wanted=0.0,
                 remedy="examine the log with diagnose",
             )
+        return best
+
+    def _from_elsewhere(self, found: Solution) -> Iterator[Solution]:
+        """Descents from other delays, as on a smooth move λ and the delay trade; and
+        from all over the frequencies where a fit ended at a limit of λ, ω₀ or the delay.
+        """
+        name, place = found.structure, found.shape[1:2]
+        wave = 2 * math.pi * math.exp(-place[0])
+        if "delay" not in self.fixed:
+            for part in _DELAYS:
+                row = self._links(place, found.shape[0], part)[0]
+                # Else its descent would end where this one did.
+                if abs(row[4] - found.shape[4]) > _DELAYS[1] / 2 * wave:
+                    yield self._descended(name, row)
+        if {0, 1} & {*found.at_bound} or (4 in found.at_bound and found.shape[4] != 0):
+            places = np.linspace(*self._range, _PLACES)
+            for row in self._links(places, _FINE_ORDER, 0.0):
+                yield self._descended(name, row)
+
+    def _descended(
+        self, name: str, row: Shape, delays: tuple[float, float] | None = None
+    ) -> Solution:
+        """Where the kernel's descent from a row ends, with the delay in a range; of
+        infinite cost where there is no response.
+        """
+        shortest, longest = delays or self._delays(
+            row, may_lead=not self.window.is_rough
+        )
+        low, high = self._range
+        lower = np.array([ORDER_LIMITS[0], low, 0.0, ALPHA_LIMITS[0], shortest])
+        # ζ up to the kernel's FIT_RATIO_MOST: beyond it there is no vibration.
+        upper = np.array([ORDER_LIMITS[1], high, 0.9, ALPHA_LIMITS[1], longest])
+        if "damping_order" in structure(name).free:
+            # As an undamped link with λ near 1 it vibrates far below its poles'
+            # modulus, and hardly at all.
+            lower[1], upper[2] = lower[1] - 3.0, 50.0
+        free = list(self.free(name))
+        start = row.copy()
+        start[4] = self.fixed.get("delay", row[4])
+        start[free] = np.clip(start[free], lower[free], upper[free])
+        status, shape, gain, offset, cost, evaluations, gram = self.kernel.solve(
+            start[None],
+            mask_of(free),
+            lower,
+            upper,
+            self.gain,
+            self.offset,
+            _ITERATIONS,
+        )
+        self._evaluations += evaluations
         return Solution(
             name,
-            free,
+            tuple(free),
             shape,
             gain,
             offset,
-            cost,
+            math.inf if status == 3 else cost,
             gram,
             lower,
             upper,
@@ -506,16 +339,62 @@ class Search:
             self._evaluations,
         )
 
-    def _starts(self, name: str) -> Iterable[Shape]:
+    def _between_samples(self, found: Solution) -> Solution:
+        """The best of a fit and of those from the sampling intervals about its delay.
+
+        A held input jumps, and so does the torque: as a function of the delay the cost
+        jumps wherever a sample passes a jump, and is smooth only from a sample
+        (included) back to the one before. A straight line averages the noise of two
+        samples, most of it half-way between them, so that a rough angle rewards every
+        half sample of delay. Within a sample such a gain says nothing on which channel
+        is later: of a rough angle the delay is below zero only beyond that.
+        """
+        period, name = self.window.period, found.structure
+        held, ends = self.window.hold == "zero", [found]
+        if not held and not self.window.is_rough:
+            return found
+        shortest, longest = self._delays(found.shape, may_lead=held)
+        first = math.floor(found.shape[4] / period)
+        for k in range(first, first + 3):
+            row = found.shape.copy()
+            row[4] = (k - 0.5) * period
+            inside = (
+                max((k - 1 + 1e-6) * period, shortest),
+                min(k * period, longest),
+            )
+            if inside[0] <= inside[1]:
+                ends.append(self._descended(name, row, inside if held else None))
+        if not held:
+            row = found.shape.copy()
+            row[4] -= 2.5 * period
+            early = self._descended(name, row, self._delays(row, may_lead=True))
+            ends += [early] if early.shape[4] < -1.5 * period else []
+        return min(ends, key=lambda each: each.cost)
+
+    def reconcile(self) -> None:
+        """Fit a structure again from a special case of it that did better.
+
+        On a log without a clear resonance a descent may end in another valley for each
+        structure; a structure that is worse than its own special case would be the
+        search's fault.
+        """
+        if {"order", "damping_order"} & set(self.fixed):
+            return
+        for name, special in (
+            (row, other) for row in STRUCTURES for other in special_cases(row)
+        ):
+            inner, outer = self.solve(special), self.solve(name)
+            if outer.cost > inner.cost * (1 + 1e-9):
+                again = self._descended(name, embedded(inner.shape, name))
+                self.solutions[name] = min((outer, again), key=lambda s: s.cost)
+
+    def _starts(self, name: str) -> Iterator[Shape]:
         """Points to start from; only the undamped fractional link, which fits any
         ring-down, needs a scan.
         """
         free = set(structure(name).free)
         if name == FRACTIONAL:
-            # Not at 2: on the limit the slope in λ may point outwards, and the descent
-            # would never leave it.
-            order = self.fixed.get("order", min(self.seed[0], 1.95))
-            yield np.array([order, self.seed[1], 0.0, 1.0, self.seed[4]])
+            yield from self._scanned
             return
         fractional = self.solve(FRACTIONAL).shape
         # The pole of s^λ + ω₀² lies at the angle π/λ: its damping ratio is −cos(π/λ).
@@ -531,7 +410,7 @@ class Search:
         else:
             yield from self._undamped(fractional)
 
-    def _undamped(self, near: Shape) -> Iterable[Shape]:
+    def _undamped(self, near: Shape) -> Iterator[Shape]:
         # Without damping the phase must fit over the whole log: a dip of the cost every
         # π/T, each is tried.
         spacing = min(
@@ -546,7 +425,7 @@ class Search:
         costs = self._costs(self.kernel, rows)
         yield from rows[np.argsort(costs)[:3]]
 
-    def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterable[Shape]:
+    def _damped(self, name: str, fractional: Shape, ratio: float) -> Iterator[Shape]:
         # Special cases first: a step never raises the cost, so the fit is never worse
         # than any of them.
         others: tuple[float, ...] = (0.4, 1.5)

@@ -56,7 +56,6 @@ HISTORY = 200_000
 # The trapezoid rule in ln(rate) errs like exp(−π²/step): 3e-9 at 0.5, enough to find
 # parameters to 1e-8.
 _STEP = 0.5
-_SCAN_STEP = 1.0  # 5e-5, for the scan only
 _DEPTH = 12.2  # rates down to Ω·e^−12.2: what lies below weighs less than 1e-9
 _REACH = 16.0  # rates above 16/Ts are gone within a sample (e^−16)
 _TAIL = 6.0  # and above 16/Ts·e^6 nothing is left of them
@@ -94,13 +93,6 @@ def embedded(shape: Shape, name: str) -> Shape:
         if shape[0] < 2 and "order" not in structure(name).free
         else shape
     )
-
-
-def delayed(rows: NDArray[np.float64], part: float) -> NDArray[np.float64]:
-    """The rows with a delay of `part` of their vibration's period."""
-    result = rows.copy()
-    result[:, 4] = part * 2 * math.pi / np.exp(rows[:, 1])
-    return result
 
 
 def lowest_valleys(costs: NDArray[np.float64], count: int) -> NDArray[np.int_]:
@@ -290,18 +282,15 @@ class Window:
             return np.diff(self.angle, prepend=self.angle[:1])
         return np.diff(self.angle, append=self.angle[-1:]) / self.period
 
-    def kernel(
-        self, resonance: float, *, longest_delay: float, coarse: bool = False
-    ) -> FitProblem:
+    def kernel(self, resonance: float, *, longest_delay: float) -> FitProblem:
         """The kernel with a grid of rates that serves resonances from `resonance`
         [rad/s] up.
         """
-        step = _SCAN_STEP if coarse else _STEP
-        start = math.log(resonance) - (_DEPTH if not coarse else 8.0)
-        modes = math.ceil((math.log(_REACH / self.period) - start) / step)
+        start = math.log(resonance) - _DEPTH
+        modes = math.ceil((math.log(_REACH / self.period) - start) / _STEP)
         # Sixty rates reach e^30 above the slowest: only a period of twenty million
         # samples would need more.
-        modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / step)
+        modes, tail = min(max(modes, 4), _MODES_MAX - 4), math.ceil(_TAIL / _STEP)
         # Two of the kernel's blocks of eight beyond the longest delay, and as much
         # again for an overshoot.
         pad = math.ceil(longest_delay / self.period) + 32
@@ -312,7 +301,7 @@ class Window:
             self.period,
             held,
             start,
-            step,
+            _STEP,
             modes,
             tail,
             pad,
@@ -325,8 +314,10 @@ def columns_of(kernel: FitProblem, shape: Vector, mask: int = 0) -> NDArray[np.f
     """
     columns = kernel.columns(shape, mask)
     if columns is None:
-        remedy = "give a model with a damping ratio below 0.9"
         raise NotConvergedError(
-            "the vibration pole", reached=math.nan, wanted=0.0, remedy=remedy
+            "the vibration pole",
+            reached=math.nan,
+            wanted=0.0,
+            remedy="give a model with a damping ratio below 0.9",
         )
     return columns

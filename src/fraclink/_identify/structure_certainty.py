@@ -7,23 +7,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._identify.problem import QUANTILE, Interval, interval_ends, inverted
-from fraclink._identify.structure_data import Lines, RecordStart, Samples
-from fraclink._identify.structure_problem import (
-    GENERAL_POINTS,
-    StructureCoordinates,
-    StructureProblem,
+from fraclink._identify.problem import (
+    PERFECT,
+    QUANTILE,
+    Interval,
+    interval_ends,
+    inverted,
 )
-from fraclink._identify.structure_search import PERFECT, Place, StructureSearch
+from fraclink._identify.structure_data import Lines, RecordStart
+from fraclink._identify.structure_problem import GENERAL_POINTS, StructureProblem
+from fraclink._identify.structure_search import Place
 from fraclink._identify.uncertainty import sandwich
 from fraclink.findings import Finding, worst_first
-from fracsys._terms import Term
+from fracsys._loops import log_corners
 
 if TYPE_CHECKING:
     from fraclink._identify.structure_fit import StructureFit
@@ -60,42 +62,54 @@ class Certainty:
 
 
 def certainty_of(
-    search: StructureSearch, data: Samples, best: Place, *, details: bool
+    searched: StructureProblem, best: Place, *, details: bool
 ) -> Certainty:
     """Standard errors that allow for the residual's colour; profile intervals where
     `details` are wanted.
     """
-    own = replace(search.coordinates, projected=False, signs=_signs(best))
+    every = replace(searched, projected=False)
     stuck = tuple(
-        name for name in own.names if _is_at_bound(own, name, best.values[name])
+        name for name in every.names if _is_at_bound(every, name, best.values[name])
     )
     # What is stuck stays there, as the other parameters have it.
-    known = {**own.fixed, **{name: best.values[name] for name in stuck}}
-    own = replace(own, fixed=known)
-    free = own.names
+    known = {**every.fixed, **{name: best.values[name] for name in stuck}}
+    problem = replace(every, fixed=known)
+    free, data = problem.names, problem.data
     if not free:
         return Certainty({}, {}, stuck, (), (), {})
-    problem = StructureProblem(own, data, search.offset)
-    place = np.array([float(own.place(name, best.values[name])) for name in free])
+    place = problem.places_of(best.values)[0]
     rows, residual = problem.linearised(place)
     inverse, _ = inverted(rows @ rows.T)
     blind = _blind(rows, free)
     variance = best.cost / max(data.measured.size - len(rows), 1)
     white = variance * np.diag(inverse)
     wide = white
-    perfect = best.cost <= PERFECT * float(data.measured @ data.measured)
+    perfect = best.cost <= PERFECT * problem.power
     if not perfect:
         # Colour may also narrow an estimate, but the sandwich is too noisy to be
         # believed there.
         wide = np.maximum(
-            np.diag(sandwich(inverse, rows, residual, variance)[0]), white
+            np.diag(
+                sandwich(
+                    inverse,
+                    rows,
+                    residual,
+                    variance,
+                    are_lines=isinstance(data, Lines),
+                )[0]
+            ),
+            white,
         )
     size = np.sqrt(np.diag(inverse))
     related = inverse / np.outer(size, size)
     inflation = np.where(white > 0, wide / np.maximum(white, 1e-300), 1.0)
     intervals = {
         name: _straight_interval(
-            own, name, float(place[k]), QUANTILE * float(wide[k]) ** 0.5
+            problem,
+            name,
+            float(place[k]),
+            QUANTILE * float(wide[k]) ** 0.5,
+            best.values[name],
         )
         for k, name in enumerate(free)
         if name not in blind
@@ -106,30 +120,30 @@ def certainty_of(
         k
         for k, name in enumerate(free)
         if name in intervals
-        and _is_known(own, name, best.values[name], intervals[name])
+        and _is_known(problem, name, best.values[name], intervals[name])
     ]
     if details and best.converged and not perfect and wanted:
-        unit = np.eye(len(free))[wanted]
+        unit = np.eye(place.size)[wanted]
         ends = interval_ends(
             problem,
             place,
             best.cost,
-            data.measured.size,
             lambda x: (x[:, wanted], np.repeat(unit[None], len(x), axis=0)),
             inflation[wanted],
         )
         for k, end in zip(wanted, ends, strict=True):
-            intervals[free[k]] = _in_values(own, free[k], end)
+            intervals[free[k]] = _in_values(problem, free[k], end, best.values[free[k]])
     errors = {
         name: float(wide[k]) ** 0.5
-        * (abs(best.values[name]) if own.is_logarithmic(name) else 1.0)
+        * (abs(best.values[name]) if problem.is_logarithmic(name) else 1.0)
         for k, name in enumerate(free)
         if name in intervals
     }
     undetermined = tuple(
         name
         for name in free
-        if name in blind or not _is_known(own, name, best.values[name], intervals[name])
+        if name in blind
+        or not _is_known(problem, name, best.values[name], intervals[name])
     )
     pairs = {
         (free[i], free[j]): float(related[i, j])
@@ -139,14 +153,10 @@ def certainty_of(
     return Certainty(intervals, errors, stuck, undetermined, blind, pairs, widest)
 
 
-def _signs(best: Place) -> dict[str, float]:
-    return {name: math.copysign(1.0, value) for name, value in best.values.items()}
-
-
-def _is_at_bound(own: StructureCoordinates, name: str, value: float) -> bool:
-    low, high = own.box_of(name)
+def _is_at_bound(problem: StructureProblem, name: str, value: float) -> bool:
+    low, high = problem.box_of(name)
     # Of the range in the coordinate: of 1e-12 to 1e12 that is a factor of 1 + 5e-6.
-    near, place = _AT_BOUND * (high - low), float(own.place(name, value))
+    near, place = _AT_BOUND * (high - low), float(problem.coordinate(name, value))
     return place <= low + near or place >= high - near
 
 
@@ -163,12 +173,12 @@ def _blind(jacobian: Reals, names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _is_known(
-    own: StructureCoordinates, name: str, value: float, interval: Interval
+    problem: StructureProblem, name: str, value: float, interval: Interval
 ) -> bool:
     """Whether an interval says something: closed, and narrower than what people would
     call an order apart.
     """
-    role = own.structure.roles[name]
+    role = problem.structure.roles[name]
     if interval.high_open or (interval.low_open and role != "delay"):
         return False
     # A delay of zero is the usual answer, and its interval begins at that limit: only
@@ -180,17 +190,23 @@ def _is_known(
 
 
 def _straight_interval(
-    own: StructureCoordinates, name: str, centre: float, reach: float
+    problem: StructureProblem, name: str, centre: float, reach: float, value: float
 ) -> Interval:
     """The interval of a cost that is a parabola in the coordinate."""
-    low, high = own.box_of(name)
+    low, high = problem.box_of(name)
     below, above = max(centre - reach, low), min(centre + reach, high)
-    return _in_values(own, name, Interval(below, above, below <= low, above >= high))
+    ends = Interval(below, above, below <= low, above >= high)
+    return _in_values(problem, name, ends, value)
 
 
-def _in_values(own: StructureCoordinates, name: str, ends: Interval) -> Interval:
+def _in_values(
+    problem: StructureProblem, name: str, ends: Interval, value: float
+) -> Interval:
     """The interval of a parameter from that of its coordinate."""
-    low, high = float(own.value(name, ends.low)), float(own.value(name, ends.high))
+    low, high = (
+        float(problem.value(name, end, math.copysign(1.0, value)))
+        for end in (ends.low, ends.high)
+    )
     if low > high:  # of a negative coefficient the larger size is the lower end
         return Interval(high, low, ends.high_open, ends.low_open)
     return Interval(low, high, ends.low_open, ends.high_open)
@@ -199,7 +215,7 @@ def _in_values(own: StructureCoordinates, name: str, ends: Interval) -> Interval
 # --- exchangeable terms -------------------------------------------------------------------------------------
 
 
-def in_order(own: StructureCoordinates, place: Place) -> Place:
+def in_order(own: StructureProblem, place: Place) -> Place:
     """The place with the orders of exchangeable terms falling in the order of the text.
 
     In a2*s**n2 + a1*s**n1 the two terms may change names: which is called n2 is a
@@ -220,7 +236,7 @@ def in_order(own: StructureCoordinates, place: Place) -> Place:
 
 
 def _exchangeable(
-    own: StructureCoordinates, orders: tuple[str, str], others: tuple[str, ...]
+    own: StructureProblem, orders: tuple[str, str], others: tuple[str, ...]
 ) -> bool:
     pairs = [orders, others] if others else [orders]
     if any(own.limits[one] != own.limits[other] for one, other in pairs):
@@ -243,8 +259,8 @@ _WORSE = 4.0  # held-out error over fitted error, both beyond what noise alone l
 # the part of a residual that may be noise where all else is smooth, as of a simulation:
 # no sensor is that quiet.
 _RESOLUTION, _SMOOTH = 1e-6, 0.01
-# of the logarithm of a corner: orders that nearly agree put it beyond any number
-_FAR = 200.0
+_ALIKE = 0.5  # of the power of what lines leave with their neighbours, of noise 0
+_FAR = 700.0  # the largest logarithm of a double
 # a corner may lie outside of the excited band by that factor: its slope reaches in
 _BEYOND = 3.0
 
@@ -343,19 +359,28 @@ def _of_the_error(fit: StructureFit) -> Iterator[Finding]:
 
 def _of_the_residual(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     """A residual that is no noise: what was measured holds more than the structure."""
-    if not isinstance(data, RecordStart) or fit.nmse < _RESOLUTION:
+    if fit.nmse < _RESOLUTION:
         return
-    residual = (fit.measured - fit.predicted)[: fit.fitted]
-    # The second difference of white noise has √6 times its size; the median leaves out
-    # the samples at which the input jumps, 1.48 times it is the standard deviation.
-    noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(residual, 2))))
-    size = float(np.std(residual))
-    if noise < _SMOOTH * size:
+    residual = fit.measured - fit.predicted
+    if isinstance(data, Lines):
+        # A resonance that is missed moves neighbouring lines alike; noise does not.
+        left = residual[: fit.fitted] + 1j * residual[fit.fitted :]
+        alike = float(np.vdot(left[1:], left[:-1]).real / np.vdot(left, left).real)
+        smooth, evidence = alike > _ALIKE, {"alike": alike, "most": _ALIKE}
+    else:
+        rest = residual[: fit.fitted]
+        # The second difference of white noise has √6 times its size; the median leaves
+        # out the samples at which the input jumps, 1.48 times it is the standard
+        # deviation.
+        noise = 1.4826 / math.sqrt(6.0) * float(np.median(np.abs(np.diff(rest, 2))))
+        size = float(np.std(rest))
+        smooth, evidence = noise < _SMOOTH * size, {"noise": noise, "residual": size}
+    if smooth:
         yield Finding(
             "W310",
             "error",
             "what the structure leaves is smooth, not noise: the structure misses part of what was measured",
-            {"noise": noise, "residual": size, "most": _SMOOTH},
+            evidence,
             "take another structure, or give bounds that admit what is missing",
         )
 
@@ -405,16 +430,12 @@ def _cost(fit: StructureFit, data: RecordStart | Lines) -> float:
 def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Finding]:
     low, high = data.band
     G = fit.transfer_function
-    corners = sorted(
-        {
-            float(f"{w:.6g}")
-            for terms in (G.numerator, G.denominator)
-            for w in _corners(terms)
-        }
-    )
-    for corner in (
-        corners if not fit.at_bound else ()
-    ):  # a term that vanished has no corner
+    # A term that vanished has no corner; orders that nearly agree put it beyond any
+    # number.
+    terms = () if fit.at_bound else (G.numerator, G.denominator)
+    logs = [corner for part in terms for corner in log_corners(part)]
+    corners = {float(f"{math.exp(min(x, _FAR)):.6g}") for x in logs}
+    for corner in sorted(corners):
         if not low / _BEYOND <= corner <= high * _BEYOND:
             yield Finding(
                 "W315",
@@ -423,24 +444,3 @@ def _of_the_band(fit: StructureFit, data: RecordStart | Lines) -> Iterator[Findi
                 {"corner": corner, "low": low, "high": high},
                 "excite that frequency: beyond the band the structure is a guess",
             )
-
-
-def _corners(terms: Sequence[Term]) -> list[float]:
-    """Frequencies [rad/s] at which neighbouring terms are equal: corners of the
-    magnitude's asymptotes.
-    """
-    # ln|c s^n| = ln|c| + n ln ω: the largest term at each ω is the upper hull of the
-    # points (n, ln|c|), its corners the slopes between neighbours.
-    rows = sorted((t.order, math.log(abs(t.coefficient))) for t in terms)
-    hull: list[tuple[float, float]] = []
-    for x, y in rows:
-        while len(hull) > 1:
-            (x1, y1), (x2, y2) = hull[-2:]
-            # A point below the line of its neighbours is never the largest term: it
-            # makes no corner.
-            if (y2 - y1) * (x - x1) > (y - y1) * (x2 - x1):
-                break
-            hull.pop()
-        hull.append((x, y))
-    logs = [(y1 - y2) / (x2 - x1) for (x1, y1), (x2, y2) in pairwise(hull) if x2 > x1]
-    return [math.exp(min(max(log, -_FAR), _FAR)) for log in logs]

@@ -1,9 +1,5 @@
 """What a structure is fitted to: the samples of a recording, blocks of them, or the
 lines of a frequency response.
-
-On the line Re s = σ the derivatives of G come with G itself, and their transform back
-is a row of the Jacobian at every sample: no candidate has to be simulated for it. The
-residual of samples is always that of the exact response.
 """
 
 from __future__ import annotations
@@ -19,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from fraclink._arm.recording import Recording
-from fraclink._identify.expression import Expression, Leaves, walk
+from fraclink._identify.expression import Expression
 from fraclink._identify.shape import Hold, chosen_hold, last_of
 from fraclink.errors import FieldError, NotConvergedError
 from fracsys._response import time_response
@@ -35,116 +31,6 @@ Limits = tuple[float, float]
 _HISTORY = 50_000
 
 
-# --- derivatives of an expression -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Dual:
-    """A number, or one at every point, with its derivatives by the parameters."""
-
-    value: Any
-    slopes: Mapping[str, Any]
-
-    __array_ufunc__ = None  # numpy hands `array * dual` to the methods below
-
-    @staticmethod
-    def of(value: Any) -> _Dual:
-        return value if isinstance(value, _Dual) else _Dual(value, {})
-
-    def times(self, factor: Any, value: Any) -> _Dual:
-        """A function of this: its value, and `factor`, its derivative by this."""
-        return _Dual(
-            value, {name: factor * slope for name, slope in self.slopes.items()}
-        )
-
-    def __add__(self, other: Any) -> _Dual:
-        right = _Dual.of(other)
-        slopes = {**self.slopes, **right.slopes}
-        for name in self.slopes.keys() & right.slopes.keys():
-            slopes[name] = self.slopes[name] + right.slopes[name]
-        return _Dual(self.value + right.value, slopes)
-
-    def __mul__(self, other: Any) -> _Dual:
-        right = _Dual.of(other)
-        product = self.value * right.value
-        return self.times(right.value, product) + right.times(self.value, 0.0)
-
-    def __truediv__(self, other: Any) -> _Dual:
-        right = _Dual.of(other)
-        inverse = 1.0 / right.value
-        quotient = self.value * inverse
-        return self.times(inverse, quotient) + right.times(-quotient * inverse, 0.0)
-
-    def __pow__(self, exponent: Any) -> _Dual:
-        power = _Dual.of(exponent)
-        value = self.value**power.value
-        # d(b^p) = p b^(p−1) db + ln b · b^p dp; the logarithm is asked for only where p
-        # is a parameter, as it has none at b = 0.
-        by_base = (
-            self.times(power.value * value / self.value, value)
-            if self.slopes
-            else _Dual(value, {})
-        )
-        return (
-            by_base + power.times(np.log(self.value) * value, 0.0)
-            if power.slopes
-            else by_base
-        )
-
-    def __neg__(self) -> _Dual:
-        return self.times(-1.0, -self.value)
-
-    def __sub__(self, other: Any) -> _Dual:
-        return self + (-_Dual.of(other))
-
-    __radd__ = __add__
-    __rmul__ = __mul__
-
-    def __rsub__(self, other: Any) -> _Dual:
-        return _Dual.of(other) - self
-
-    def __rtruediv__(self, other: Any) -> _Dual:
-        return _Dual.of(other) / self
-
-    def __rpow__(self, other: Any) -> _Dual:
-        return _Dual.of(other) ** self
-
-
-def derivatives(
-    structure: Expression,
-    values: Mapping[str, Any],
-    points: Complexes,
-    names: tuple[str, ...],
-) -> Complexes:
-    """G and ∂G/∂p for the parameters p of `names` at points [rad/s], shape (M, 1 + q,
-    K), for values (M, 1).
-    """
-    # One logarithm for all powers of s, which is the derivative's factor besides:
-    # ds^a/da = ln s · s^a.
-    logarithm = np.log(points)
-
-    def power(order: Any) -> _Dual:
-        own = _Dual.of(order)
-        value = np.exp(own.value * logarithm)
-        return own.times(logarithm * value, value) if own.slopes else _Dual(value, {})
-
-    def exponential(exponent: _Dual) -> _Dual:
-        value = np.exp(exponent.value)
-        return exponent.times(value, value)
-
-    duals = {n: _Dual(v, {n: 1.0} if n in names else {}) for n, v in values.items()}
-    with np.errstate(all="ignore"):
-        found = _Dual.of(
-            walk(structure.tree, Leaves(_Dual(points, {}), power, exponential, duals))
-        )
-    rows = (found.value, *(found.slopes[name] for name in names))
-    count = max(np.shape(v)[0] for v in values.values())
-    return np.stack([np.broadcast_to(r, (count, points.size)) for r in rows], axis=1)
-
-
-# --- what is fitted to ------------------------------------------------------------------------------------
-
-
 class Samples(Protocol):
     """What a structure's problem asks of the data."""
 
@@ -154,17 +40,23 @@ class Samples(Protocol):
         ...
 
     @property
-    def constant(self) -> Reals | None:
-        """What an offset of one adds to `measured`, shape (R,); None where there is no
-        such thing.
-        """
+    def constant(self) -> Reals:
+        """What an offset of one adds to `measured`, shape (R,)."""
         ...
 
-    def columns(
-        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
-    ) -> Reals:
-        """Responses of M candidates and their derivatives by the parameters `names`,
-        shape (M, 1 + q, R); not finite where nothing responds.
+    @property
+    def shortest(self) -> float:
+        """A delay [s] that the data just tell from none."""
+        ...
+
+    @property
+    def tangent(self) -> Samples:
+        """The data of whose responses slopes are differences."""
+        ...
+
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
+        """Responses of M candidates with parameters (M, 1), shape (M, R); not finite
+        where nothing responds.
         """
         ...
 
@@ -195,13 +87,17 @@ class Spectrum:
 class Lines(Spectrum):
     """A frequency response: the input is 1 at every line."""
 
-    constant: None = None
-
     @classmethod
     def of(cls, frequency: Reals, response: Complexes, weight: Reals) -> Lines:
         """Lines in ascending order of ω [rad/s]."""
         one = np.ones(frequency.size, dtype=np.complex128)
         return cls(np.asarray(1j * frequency), one, response, weight)
+
+    def part(self, kept: NDArray[np.bool_]) -> Lines:
+        """The lines that are kept."""
+        return Lines(
+            self.points[kept], self.input[kept], self.output[kept], self.weight[kept]
+        )
 
     @property
     def spectrum(self) -> Spectrum:
@@ -218,18 +114,38 @@ class Lines(Spectrum):
         """Lowest and highest frequency [rad/s] that the data tell of."""
         return float(self.points[0].imag), float(self.points[-1].imag)
 
+    @property
+    def shortest(self) -> float:
+        """As of `Samples`."""
+        return 1.0 / self.band[1]
+
+    @property
+    def tangent(self) -> Samples:
+        """As of `Samples`."""
+        return self
+
     @cached_property
     def measured(self) -> Reals:
         """As of `Samples`."""
         return _stacked(self.weight * self.output)
 
-    def columns(
-        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
-    ) -> Reals:
+    @cached_property
+    def constant(self) -> Reals:
+        """As of `Samples`: none, as an offset is no line of a response."""
+        return np.zeros(self.measured.size)
+
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
         """As of `Samples`."""
-        return _stacked(
-            self.weight * derivatives(structure, values, self.points, names)
-        )
+        return _stacked(self.weight * _of_many(structure, values, self.points))
+
+
+def _of_many(
+    structure: Expression, values: Mapping[str, Any], points: Complexes
+) -> Complexes:
+    """G at points (K,) for parameters (M, 1), shape (M, K)."""
+    count = max(np.shape(value)[0] for value in values.values())
+    found = structure.response(values, points)
+    return np.asarray(np.broadcast_to(found, (count, points.size)))
 
 
 # of the transform: a resonance of ζ = 0.05 is met by three of them in a band of three
@@ -238,9 +154,7 @@ _POINTS = 160
 _DECAY = 5.0  # e^-5 of what a record does not show is left in its transform
 # σ·span of a transform back: less lets a slow end wrap around, more drowns it in what
 # is lost beyond the lines
-_BACK = (1.0, 4.0)
-_WRONG = 1e-2  # of the output: a transform back that misses it by more is not used
-_KEPT = 4  # responses
+_BACK = 4.0
 _EXCITED = 1e-3  # of the largest line: below, the input does not excite
 _BLOCKS = 1000  # of a screen: orders, corners and delays show in its lowest 500 lines
 
@@ -306,98 +220,37 @@ class RecordStart:
         return np.ones(self.output.size)
 
     @property
+    def shortest(self) -> float:
+        """As of `Samples`."""
+        return self.period
+
+    @cached_property
+    def tangent(self) -> Samples:
+        """As of `Samples`: by transforms, of which a hundred take as long as one exact
+        response.
+        """
+        return self if self.exact else Blocks(self, 1)
+
+    @property
     def screen(self) -> Blocks:
         """The recording in blocks, for many candidates at once."""
-        return Blocks(_Transform(self, _BACK[-1], max(self.output.size // _BLOCKS, 1)))
+        return Blocks(self, max(self.output.size // _BLOCKS, 1))
 
-    @cached_property
-    def _transforms(self) -> tuple[_Transform, ...]:
-        return tuple(_Transform(self, decay) for decay in _BACK)
-
-    def columns(
-        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
-    ) -> Reals:
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
         """As of `Samples`; every candidate by its exact response to the held input."""
-        count = max(np.shape(value)[0] for value in values.values())
-        rows = {n: np.broadcast_to(np.ravel(v), (count,)) for n, v in values.items()}
-        return np.array(
-            [
-                self._columns(
-                    structure, {n: float(r[k]) for n, r in rows.items()}, names
-                )
-                for k in range(count)
-            ]
-        )
-
-    def _columns(
-        self, structure: Expression, values: Mapping[str, float], names: tuple[str, ...]
-    ) -> Reals:
-        response = self.response(structure, values)
-        if not names or not np.isfinite(response).all():
-            return np.repeat(response[None, :], 1 + len(names), axis=0)
-        # A held input jumps, and the output is not smooth in a delay.
-        smooth = self.hold == "first" or not any(
-            structure.roles[name] == "delay" for name in names
-        )
-        for transform in self._transforms if smooth and not self.exact else ():
-            each = {name: np.array([[value]]) for name, value in values.items()}
-            found = transform.rows(structure, each, names)[0]
-            # Against the exact response: no error bound of the transform would know of
-            # a pole to the right of the line, or of a response that jumps.
-            missed = found[0] - response
-            if missed @ missed <= _WRONG**2 * (response @ response):
-                return np.concatenate([response[None, :], found[1:]])
-        return np.array(
-            [response, *(self._slope(structure, values, name) for name in names)]
-        )
-
-    def _slope(
-        self, structure: Expression, values: Mapping[str, float], name: str
-    ) -> Reals:
-        """A derivative by a one-sided difference, as a second response would double the
-        cost of a search; the other way where the domain ends.
-        """
-        value, here = values[name], self.response(structure, values)
-        # Responses are known to 1e-12 of their peak, so that slopes are to 1e-6.
-        step = 1e-6 * (abs(value) if structure.roles[name] == "coefficient" else 1.0)
-        # A held input jumps at a sample: up to a delay that ends there the response is
-        # smooth, behind it begins another piece.
-        ahead = -step if structure.roles[name] == "delay" else step
-        for moved in (value + ahead, value - ahead):
-            there = self.response(structure, {**values, name: moved})
-            if np.isfinite(there).all():
-                return np.asarray((there - here) / (moved - value))
-        return np.zeros(here.size)
-
-    def response(self, structure: Expression, values: Mapping[str, float]) -> Reals:
-        """The response of one candidate; the last few are kept, as each is asked for
-        again.
-        """
-        key: tuple[str | float, ...] = (
-            structure.text,
-            *(values[name] for name in structure.names),
-        )
-        if key not in self._latest:
-            if len(self._latest) >= _KEPT:
-                del self._latest[next(iter(self._latest))]
+        names, columns = [*values], np.broadcast_arrays(*values.values())
+        rows = []
+        for row in np.concatenate(columns, axis=1).tolist():
             try:
-                found = time_response(
-                    structure.function(values),
-                    self.whole_input,
-                    self.period,
-                    hold=self.hold,
-                ).output[self.earlier.size :]
-            except (
-                FieldError,
-                NotConvergedError,
-            ):  # improper, a delay below zero, a response beyond doubles
-                found = np.full(self.output.size, np.nan)
-            self._latest[key] = found
-        return self._latest[key]
-
-    @cached_property
-    def _latest(self) -> dict[tuple[str | float, ...], Reals]:
-        return {}
+                function = structure.function(dict(zip(names, row, strict=True)))
+                exact = time_response(
+                    function, self.whole_input, self.period, hold=self.hold
+                ).output
+            # Improper, a delay below zero, a response beyond doubles.
+            except (FieldError, NotConvergedError):
+                exact = np.full(self.whole_input.size, np.nan)
+            rows.append(exact[self.earlier.size :])
+        return np.array(rows)
 
     @cached_property
     def spectrum(self) -> Spectrum:
@@ -467,94 +320,76 @@ def held_transform(
 
 
 @dataclass(frozen=True, eq=False)
-class _Transform:
-    """The transform of a recording's input on the line Re s = `decay`/span, and back in
-    blocks of `width` samples.
+class Blocks:
+    """A recording in blocks of `width` samples, sums of whose means are sums over
+    samples, with what a transform back from the line Re s = σ says that a candidate
+    responds.
     """
 
     data: RecordStart
-    decay: float
-    width: int = 1
-
-    @cached_property
-    def _size(self) -> int:
-        """Twice the samples: what comes behind the end does not wrap around to the
-        beginning.
-        """
-        blocks = -(-2 * self.data.whole_input.size // self.width)
-        return self.width * int(next_fast_len(blocks, real=True))
-
-    @cached_property
-    def _points(self) -> Complexes:
-        count, period = self.data.whole_input.size, self.data.period
-        lines = np.arange(self._size // 2 + 1)
-        return np.asarray(
-            self.decay / (count * period) + 2j * math.pi / (self._size * period) * lines
-        )
-
-    @cached_property
-    def _input(self) -> Complexes:
-        """Transform of the held input, over the period: that of the output's samples,
-        but for G.
-        """
-        own, moved = self.data, self.data.whole_input
-        damped = moved * np.exp(-self.decay / moved.size * np.arange(moved.size))
-        held = held_transform(
-            rfft(damped, self._size),
-            self._points,
-            own.period,
-            own.hold,
-            float(moved[0]),
-        )
-        return np.asarray(held / own.period)
-
-    def rows(
-        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
-    ) -> Reals:
-        """Outputs of candidates (M, 1) and their derivatives, one value for each block,
-        shape (M, 1 + q, N/width).
-        """
-        own, span = self.data, self.data.whole_input.size
-        count, blocks = self._size // self.width // 2, own.output.size // self.width
-        lines = derivatives(structure, values, self._points[:count], names)
-        # To the middle of each block: its mean is there, and not at its first sample.
-        # The first block begins with the first output, behind all that moved it before.
-        middle = span - own.output.size + 0.5 * (self.width - 1)
-        turn = np.exp(2j * math.pi * middle / self._size * np.arange(count))
-        with np.errstate(all="ignore"):
-            found = irfft(
-                lines * (turn * self._input[:count]), self._size // self.width, axis=-1
-            )[..., :blocks]
-        # The transform counts the samples of the coarse grid only, each for a block;
-        # the damping that made it converge is taken off again.
-        times = middle + self.width * np.arange(blocks)
-        return np.asarray(
-            found * (np.exp(self.decay / span * times) / math.sqrt(self.width))
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """A recording in blocks of samples, with what a transform back says that a
-    candidate responds: sums over blocks are sums over samples.
-    """
-
-    transform: _Transform
+    width: int
 
     @cached_property
     def measured(self) -> Reals:
         """As of `Samples`; white noise keeps its variance."""
-        output, width = self.transform.data.output, self.transform.width
+        output, width = self.data.output, self.width
         sums = output[: output.size // width * width].reshape(-1, width).sum(axis=1)
         return np.asarray(sums / math.sqrt(width))
 
     @cached_property
     def constant(self) -> Reals:
         """As of `Samples`."""
-        return np.full(self.measured.size, math.sqrt(self.transform.width))
+        return np.full(self.measured.size, math.sqrt(self.width))
 
-    def columns(
-        self, structure: Expression, values: Mapping[str, Any], names: tuple[str, ...]
-    ) -> Reals:
+    @property
+    def shortest(self) -> float:
         """As of `Samples`."""
-        return self.transform.rows(structure, values, names)
+        return self.data.period
+
+    @property
+    def tangent(self) -> Samples:
+        """As of `Samples`."""
+        return self
+
+    @cached_property
+    def _lines(self) -> tuple[Complexes, Complexes, int]:
+        """Points s, the transform of the held input there, turned to the first block's
+        middle, and the size of the transform back.
+        """
+        own, moved = self.data, self.data.whole_input
+        span, period = moved.size, own.period
+        # Twice the samples: what comes behind the end does not wrap around to the
+        # beginning.
+        blocks = int(next_fast_len(-(-2 * span // self.width), real=True))
+        size = self.width * blocks
+        lines = np.arange(size // 2 + 1)
+        points = np.asarray(
+            _BACK / (span * period) + 2j * math.pi / (size * period) * lines
+        )
+        damped = moved * np.exp(-_BACK / span * np.arange(span))
+        into = held_transform(
+            rfft(damped, size), points, period, own.hold, float(moved[0])
+        )
+        # Over the period: that of the output's samples, but for G.
+        turned = into / period * np.exp(2j * math.pi * self._middle / size * lines)
+        kept = slice(blocks // 2)
+        return points[kept], np.asarray(turned[kept]), blocks
+
+    @property
+    def _middle(self) -> float:
+        """Of the first block, in samples: its mean is there, and not at its first
+        sample.
+        """
+        return self.data.earlier.size + 0.5 * (self.width - 1)
+
+    def response(self, structure: Expression, values: Mapping[str, Any]) -> Reals:
+        """As of `Samples`."""
+        points, into, blocks = self._lines
+        with np.errstate(all="ignore"):
+            found = irfft(_of_many(structure, values, points) * into, blocks, axis=-1)
+        # The damping that made the transform converge is taken off again.
+        times = self._middle + self.width * np.arange(self.measured.size)
+        grown = np.exp(_BACK / self.data.whole_input.size * times)
+        return np.asarray(
+            found[:, : self.measured.size] * (grown / math.sqrt(self.width))
+        )

@@ -7,18 +7,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from types import MappingProxyType
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._display import displayed
-from fraclink._files import document, load, save
+from fraclink._display import Overview, Row, Table, displayed, number, quantity
+from fraclink._files import Saved, document
 from fraclink._identify.expression import parse_expression
 from fraclink._identify.problem import Interval
-from fraclink.errors import SizeError
 from fraclink.findings import Finding, errors_of
 from fracsys._fractional import FractionalTransferFunction
 from fracsys.checks.equality import compared
@@ -27,34 +25,16 @@ __all__ = ["StructureFit"]
 
 Reals = NDArray[np.float64]
 
-_SAMPLES_MOST = (
-    300_000  # 47 bytes a sample, against the 16 MB that a JSON file may have
-)
-
-
-def _check_size(fit: StructureFit) -> None:
-    if fit.predicted.size > _SAMPLES_MOST:
-        allowed, remedy = f"<= {_SAMPLES_MOST}", "fit a part of the recording"
-        raise SizeError(
-            "samples",
-            fit.predicted.size,
-            "too many to save",
-            allowed=allowed,
-            remedy=remedy,
-        )
-
 
 @displayed
 @document(
     "structure-fit",
-    period=lambda fit: fit.period,
-    sources=lambda fit: {fit.source: fit.sha256} if fit.sha256 else {},
-    summary=lambda fit: {"passed": fit.passed, "text": str(fit)},
-    before_save=_check_size,
+    container="either",
+    summary=lambda fit: {"passed": fit.passed, "text": fit.overview().headline},
 )
 @compared
 @dataclass(frozen=True, eq=False, repr=False)
-class StructureFit:
+class StructureFit(Saved):
     """A structure of one's own, fitted to a recording or to a frequency response.
 
     Parameters
@@ -141,6 +121,8 @@ class StructureFit:
     sha256: str = ""
 
     __made_by__ = "fraclink.identify_structure(data, expression)"
+    # Label and unit of parameters that have others than their name and none.
+    _labels: ClassVar[Mapping[str, tuple[str, str]]] = {}
 
     def __post_init__(self) -> None:
         for name in ("parameters", "limits", "intervals", "standard_errors"):
@@ -152,34 +134,55 @@ class StructureFit:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
-    def __repr__(self) -> str:
-        values = ", ".join(
-            f"{name} = {value:.5g}" for name, value in self.parameters.items()
-        )
-        return f"StructureFit({self.expression}: {values})"
-
-    def __str__(self) -> str:
-        rows = [self._row(name) for name in self.parameters]
-        error = f"error {100 * self.nmse:.3g} % (NMSE), {self._held}"
-        return "\n".join([self.expression, *rows, error, *map(str, self.findings)])
-
-    def _row(self, name: str) -> str:
-        value = f"{name} = {self.parameters[name]:.6g}"
+    def known(self, name: str) -> str | tuple[float, float]:
+        """How well a parameter is known: its 95 % interval, or why it has none."""
         if name in self.fixed:
-            return f"{value} (given)"
-        # An interval that determines nothing is in the data and not in the text: a
-        # reader would quote it.
-        if name in self.intervals and name not in self.undetermined:
-            return f"{value}, 95 % {self.intervals[name].low:.6g} to {self.intervals[name].high:.6g}"
-        return (
-            f"{value} ({'at its bound' if name in self.at_bound else 'not determined'})"
-        )
+            return "given"
+        # Before the interval: at a bound the curvature says nothing, and an interval
+        # from it would be an invention.
+        if name in self.at_bound:
+            return "at a bound of its range"
+        interval = self.intervals.get(name)
+        if interval is None or name in self.undetermined:
+            return "not determined"
+        return interval.low, interval.high
 
-    @property
-    def _held(self) -> str:
-        held = self.heldout_nmse
-        return (
-            "nothing held out" if held is None else f"held-out error {100 * held:.3g} %"
+    def overview(self) -> Overview:
+        """The parameters, how well they are known, and how well they predict."""
+        figures = [
+            (name, self._labels.get(name, (name, "")), value)
+            for name, value in self.parameters.items()
+        ]
+        parameters = (
+            (
+                Row("name", "parameter" if self._labels else self.expression, label),
+                Row("value", "value", value, unit, digits=6),
+                Row("known", "95 % interval", self.known(name), unit, digits=5),
+            )
+            for name, (label, unit), value in figures
+        )
+        names = ("expression", "parameters", "intervals", "standard_errors", "at_bound")
+        rows = (
+            *(Row(name, "", getattr(self, name)) for name in names),
+            Row("undetermined", "", self.undetermined),
+            Row("offset", "", self.offset),
+            Row("nmse", "", self.nmse),
+            Row("heldout_nmse", "", self.heldout_nmse),
+        )
+        values = ", ".join(f"{n} = {number(v)}" for n, v in self.parameters.items())
+        # Of data without noise what is left is rounding, which differs by machine.
+        error, held = (
+            None if share is None else quantity(round(share, 12), "%", 2)
+            for share in (self.nmse, self.heldout_nmse)
+        )
+        return Overview(
+            f"{self.expression}: {values}; error {error}, "
+            + (f"held-out error {held}" if held else "nothing held out"),
+            "passed" if self.passed else "not shown",
+            rows,
+            (Table.of("", parameters),),
+            self.findings,
+            (f"G(s) = {self.transfer_function}",),
         )
 
     @property
@@ -193,16 +196,3 @@ class StructureFit:
         and all else.
         """
         return parse_expression(self.expression).function(self.parameters)
-
-    def save(self, path: Path | str) -> None:
-        """Write the fit as JSON, complete or not at all; `load` reads back an equal
-        one.
-        """
-        save(self, path, force=True)
-
-    @classmethod
-    def load(cls, path: Path | str) -> StructureFit:
-        """Read a fit that `save` wrote; raises FileFormatError where the file is
-        another or damaged.
-        """
-        return load(path, cls)

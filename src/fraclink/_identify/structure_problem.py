@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,19 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.expression import Expression
-from fraclink._identify.problem import Quadratic, reduced
+from fraclink._identify.problem import Problem, Quadratic, reduced
 from fraclink._identify.structure_data import Samples
 
 __all__ = [
     "COEFFICIENT_LIMITS",
     "GENERAL_POINTS",
     "ORDER_LIMITS",
-    "StructureCoordinates",
     "StructureProblem",
 ]
 
 Reals = NDArray[np.float64]
 Limits = tuple[float, float]
+Values = Mapping[str, float]
 
 # Below 0.02 a term is a constant over any band that can be measured; above 4 no
 # fractional model of a machine is known, and `bounds` admits one. Coefficients of
@@ -32,24 +32,28 @@ Limits = tuple[float, float]
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (-1e12, 1e12)
 _LEAST = 1e-12  # size of a coefficient of either sign
+_STEP = 1e-6  # of differences: exact responses are known to 1e-12 of their peak
 # Three points s in general position: two functions of one form that agree there agree
 # everywhere.
 GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
 
 
 @dataclass(frozen=True, eq=False)
-class StructureCoordinates:
-    """The free parameters as coordinates: of a coefficient of one sign the logarithm of
-    its size, else the value itself.
+class StructureProblem(Problem):
+    """The least-squares problem of a structure in its free parameters.
 
-    `signs` are those of the coefficients whose range has both; the gain, a coefficient
-    that multiplies the whole, is no coordinate where it is `projected` out.
+    A place has the coordinates of `moving`: of a coefficient that has one sign the
+    logarithm of its size, else the value itself; behind them the signs of the
+    coefficients whose range has both, which nothing moves. The gain, a coefficient that
+    multiplies the whole, is no coordinate where it is `projected` out; `offset` is not a
+    number where it is free.
     """
 
     structure: Expression
+    data: Samples
     limits: Mapping[str, Limits]
-    fixed: Mapping[str, float]
-    signs: Mapping[str, float] = field(default_factory=dict)
+    fixed: Values
+    offset: float
     projected: bool = True
 
     @cached_property
@@ -80,7 +84,12 @@ class StructureCoordinates:
             name for name in self.names if not (self.projected and name == self.gain)
         )
 
-    def has_both_signs(self, name: str) -> bool:
+    @cached_property
+    def signed(self) -> tuple[str, ...]:
+        """Coordinates whose sign stands behind them."""
+        return tuple(name for name in self.moving if self._has_both_signs(name))
+
+    def _has_both_signs(self, name: str) -> bool:
         """Whether a coefficient's sign is open: no range was given for it."""
         return (
             self.structure.roles[name] == "coefficient"
@@ -90,10 +99,10 @@ class StructureCoordinates:
     def is_logarithmic(self, name: str) -> bool:
         """Whether the coordinate is a logarithm."""
         return self.structure.roles[name] == "coefficient" and (
-            self.limits[name][0] > 0.0 or self.has_both_signs(name)
+            self.limits[name][0] > 0.0 or self._has_both_signs(name)
         )
 
-    def place(self, name: str, value: Any) -> Any:
+    def coordinate(self, name: str, value: Any) -> Any:
         """The coordinate of a value."""
         return (
             np.log(np.maximum(np.abs(value), 1e-300))
@@ -101,13 +110,16 @@ class StructureCoordinates:
             else value
         )
 
-    def value(self, name: str, place: Any) -> Any:
+    def value(self, name: str, coordinate: Any, sign: Any = 1.0) -> Any:
         """The value at a coordinate."""
-        return (
-            self.signs.get(name, 1.0) * np.exp(place)
-            if self.is_logarithmic(name)
-            else place
-        )
+        return sign * np.exp(coordinate) if self.is_logarithmic(name) else coordinate
+
+    def box_of(self, name: str) -> Limits:
+        """Lower and upper limit of a coordinate."""
+        low, high = self.limits[name]
+        if self._has_both_signs(name):
+            low = _LEAST
+        return float(self.coordinate(name, low)), float(self.coordinate(name, high))
 
     def middle(self) -> dict[str, Any]:
         """Values inside the limits, so unlike each other that nothing cancels."""
@@ -115,69 +127,83 @@ class StructureCoordinates:
         for k, name in enumerate(self.names):
             low, high = self.box_of(name)
             # 0.6, 0.77, 0.94 …: no two alike and no sum of two of them another.
-            place = float(np.clip(0.6 + 0.17 * k, low, high))
             # Positive, whatever the signs: a negative base has no real powers.
-            value = math.exp(place) if self.is_logarithmic(name) else place
-            found[name] = np.array([[value]])
+            place = float(np.clip(0.6 + 0.17 * k, low, high))
+            found[name] = np.array([[self.value(name, place)]])
         return found
 
-    def box_of(self, name: str) -> Limits:
-        """Lower and upper limit of a coordinate."""
-        low, high = self.limits[name]
-        if self.has_both_signs(name):
-            low = _LEAST
-        return float(self.place(name, low)), float(self.place(name, high))
+    def places_of(self, values: Mapping[str, Any]) -> Reals:
+        """Places (M, p) of parameters (M,)."""
+        count = np.size(values[self.names[0]])
+        rows = [self.coordinate(name, values[name]) for name in self.moving]
+        rows += [np.copysign(1.0, values[name]) for name in self.signed]
+        places = np.zeros((count, len(rows)))
+        for k, row in enumerate(rows):
+            places[:, k] = row
+        return places
 
     def values(self, places: Reals) -> dict[str, Any]:
         """Parameters (M, 1) at places (M, p); a projected gain is 1."""
+        signs = dict(zip(self.signed, places.T[len(self.moving) :], strict=True))
         found: dict[str, Any] = {n: np.array([[v]]) for n, v in self.fixed.items()}
         if self.projected and self.gain is not None:
             found[self.gain] = np.ones((len(places), 1))
-        for k, name in enumerate(self.moving):
-            found[name] = self.value(name, places[:, k : k + 1])
+        for name, column in zip(self.moving, places.T, strict=False):
+            found[name] = self.value(name, column, signs.get(name, 1.0))[:, None]
         return found
 
-
-# --- the problem ------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class StructureProblem:
-    """The least-squares problem of a structure; `offset` is None where it is free."""
-
-    own: StructureCoordinates
-    data: Samples
-    offset: float | None
+    # --- as of `Problem`
 
     @cached_property
     def low(self) -> Reals:
-        """As of `Problem`."""
-        return np.array([self.own.box_of(name)[0] for name in self.own.moving])
+        """See `Problem`."""
+        rows = [self.box_of(name)[0] for name in self.moving]
+        return np.array([*rows, *(-1.0 for _ in self.signed)])
 
     @cached_property
     def high(self) -> Reals:
-        """As of `Problem`."""
-        return np.array([self.own.box_of(name)[1] for name in self.own.moving])
+        """See `Problem`."""
+        rows = [self.box_of(name)[1] for name in self.moving]
+        return np.array([*rows, *(1.0 for _ in self.signed)])
 
     @cached_property
     def reach(self) -> Reals:
-        """As of `Problem`."""
-        own = self.own
+        """See `Problem`."""
         return np.array(
-            [1.0 if own.is_logarithmic(n) else math.inf for n in own.moving]
+            [1.0 if self.is_logarithmic(n) else math.inf for n in self.moving]
+            + [math.inf for _ in self.signed]
         )
 
-    def clip(self, places: Reals) -> Reals:
-        """As of `Problem`."""
-        return np.clip(places, self.low, self.high)
+    @property
+    def samples(self) -> int:
+        """See `Problem`."""
+        return self.data.measured.size
+
+    @cached_property
+    def power(self) -> float:
+        """See `Problem`."""
+        return float(self.data.measured @ self.data.measured)
+
+    @property
+    def precision(self) -> float:
+        """See `Problem`: a thousandth of the cost of one sample, a thirtieth of a
+        standard error, as slopes by differences tell no more.
+        """
+        return 1e-3 / self.samples
 
     def costs(self, places: Reals) -> Reals:
-        """As of `Problem`."""
-        return self._projected(places, ())[0].cost
+        """See `Problem`."""
+        return self.fitted(places).cost
+
+    def fitted(self, places: Reals) -> Quadratic:
+        """Costs, gains and offsets at places, without slopes."""
+        columns = self.data.response(self.structure, self.values(places))[:, None]
+        return self._projected(columns)[0]
 
     def quadratic(self, places: Reals) -> Quadratic:
-        """As of `Problem`."""
-        found, columns, residual = self._projected(places, self.own.moving)
+        """See `Problem`."""
+        columns = self._columns(places)
+        found, residual = self._projected(columns)
         # From the residual itself: through a Gram matrix a perfect fit would lose half
         # of its digits.
         slope = np.einsum("mpr,mr->mp", columns[:, 1:], residual)
@@ -187,41 +213,81 @@ class StructureProblem:
         """∂(measured)/∂(coordinates, then the offset where it is free), shape (q, R),
         and the residual (R,), where the gain is a coordinate.
         """
-        _, columns, residual = self._projected(place[None, :], self.own.moving)
-        rows = columns[0, 1:]
-        if self.data.constant is not None and self.offset is None:
+        columns = self._columns(place[None, :])
+        rows = columns[0, 1 : 1 + len(self.moving)]
+        if math.isnan(self.offset):
             rows = np.concatenate([rows, self.data.constant[None, :]])
-        return rows, residual[0]
+        return rows, self._projected(columns)[1][0]
 
-    def _projected(
-        self, places: Reals, names: tuple[str, ...]
-    ) -> tuple[Quadratic, Reals, Reals]:
-        """The quadratic model, the columns by the coordinates, the residuals."""
-        own, data = self.own, self.data
-        values = own.values(places)
-        columns = data.columns(own.structure, values, names)
-        for k, name in enumerate(names):
-            if own.is_logarithmic(name):
-                columns[:, 1 + k] *= values[name]
-        measured = data.measured
-        constant = np.zeros(measured.size) if data.constant is None else data.constant
-        offset = 0.0 if data.constant is None else self.offset
-        shape = (len(columns), measured.size)
+    def _columns(self, places: Reals) -> Reals:
+        """Responses and their slopes along the coordinates, shape (M, 1 + p, R)."""
+        values, tangent = self.values(places), self.data.tangent
+        here = base = self.data.response(self.structure, values)
+        if not self.moving:
+            return here[:, None]
+        if tangent is not self.data:
+            base = tangent.response(self.structure, values)
+        steps = [self._step(name, values[name]) for name in self.moving]
+        slopes = self._differences(values, steps, base)
+        # The other way where the domain ends.
+        if lost := [k for k, each in enumerate(slopes) if not np.isfinite(each).all()]:
+            back = self._differences(values, [-step for step in steps], base)
+            slopes[lost] = np.where(np.isfinite(slopes), slopes, back)[lost]
+        for k, name in enumerate(self.moving):
+            if self.is_logarithmic(name):
+                slopes[k] *= values[name]
+        columns = np.zeros((len(here), 1 + places.shape[1], here.shape[1]))
+        columns[:, 0] = here
+        columns[:, 1 : 1 + len(slopes)] = np.nan_to_num(slopes).transpose(1, 0, 2)
+        return columns
+
+    def _step(self, name: str, value: Reals) -> Reals:
+        """Of a difference.
+
+        A held input jumps at a sample: up to a delay that ends there the response is
+        smooth, behind it begins another piece. So a delay is made shorter.
+        """
+        role = self.structure.roles[name]
+        if role == "coefficient":
+            return np.where(value == 0.0, _STEP, _STEP * value)
+        size = -self.data.tangent.shortest if role == "delay" else 1.0
+        return np.full_like(value, size * _STEP)
+
+    def _differences(
+        self, values: Mapping[str, Any], steps: Sequence[Reals], here: Reals
+    ) -> Reals:
+        """One-sided differences of responses (M, R), shape (p, M, R)."""
+        count = len(here)
+        rows = {
+            name: np.tile(np.broadcast_to(value, (count, 1)), (len(steps), 1))
+            for name, value in values.items()
+        }
+        for k, (name, step) in enumerate(zip(self.moving, steps, strict=True)):
+            rows[name][k * count : (k + 1) * count] += step
+        there = self.data.tangent.response(self.structure, rows)
+        with np.errstate(all="ignore"):
+            change = there.reshape(len(steps), count, -1) - here
+            return np.asarray(change / np.array(steps))
+
+    def _projected(self, columns: Reals) -> tuple[Quadratic, Reals]:
+        """The quadratic model of columns (M, 1 + p, R), and the residuals (M, R)."""
+        measured, constant = self.data.measured, self.data.constant
+        shape = (len(columns), 1, measured.size)
         rows = np.concatenate(
             [
-                np.broadcast_to(measured, shape)[:, None],
+                np.broadcast_to(measured, shape),
                 columns[:, :1],
-                np.broadcast_to(constant, shape)[:, None],
+                np.broadcast_to(constant, shape),
                 columns[:, 1:],
             ],
             axis=1,
         )
+        limits = (1.0, 1.0)
+        if self.gain is not None and self.projected:
+            limits = self.limits[self.gain]
         with np.errstate(all="ignore"):
             gram = rows @ rows.transpose(0, 2, 1)
-        known = own.gain is None or not own.projected
-        limits = (1.0, 1.0) if known or own.gain is None else own.limits[own.gain]
-        found = reduced(gram, limits, math.nan if offset is None else offset)
-        with np.errstate(all="ignore"):
+            found = reduced(gram, limits, self.offset)
             residual = (
                 measured
                 - found.gain[:, None] * columns[:, 0]
@@ -229,4 +295,4 @@ class StructureProblem:
             )
             cost = np.einsum("mr,mr->m", residual, residual)
         cost = np.where(np.isfinite(cost), cost, np.inf)
-        return replace(found, cost=cost), columns, residual
+        return replace(found, cost=cost), residual

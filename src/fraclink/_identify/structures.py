@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -13,9 +14,9 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.recording import FrequencyResponse, Recording, coherence_weights
 from fraclink._identify.expression import Expression, parse_expression
 from fraclink._identify.fitting import HeldOut, fitted_samples
+from fraclink._identify.problem import descend
 from fraclink._identify.shape import Hold
 from fraclink._identify.structure_certainty import (
-    Certainty,
     certainty_of,
     in_order,
     structure_findings,
@@ -25,16 +26,16 @@ from fraclink._identify.structure_fit import StructureFit
 from fraclink._identify.structure_problem import (
     COEFFICIENT_LIMITS,
     ORDER_LIMITS,
-    StructureCoordinates,
+    StructureProblem,
 )
-from fraclink._identify.structure_search import Place, StructureSearch
+from fraclink._identify.structure_search import Place, best_places, place_of
 from fraclink.errors import FieldError, LogError
 from fracsys.checks import Between, checked
 
 __all__ = ["Weighting", "identify_structure"]
 
 Reals = NDArray[np.float64]
-Weighting = Literal["relative", "coherence", "absolute"]
+Weighting = Literal["relative", "coherence", "magnitude", "absolute"]
 Values = Mapping[str, float]
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -88,7 +89,7 @@ def identify_structure(
         0.4, cut where both parts have motion; none where the input never changes.
     weighting
         of a frequency response's errors: "relative" to |H|, by "coherence" (the default
-        where there is one), or "absolute".
+        where there is one), by the input's "magnitude" at each line, or "absolute".
     details
         False: intervals from the standard errors alone, in a fraction of the time.
 
@@ -118,7 +119,7 @@ def identify_structure(
     known = dict(fixed or {})
     _check_used(data, known, hold, heldout, weighting)
     _check_names(structure, known, bounds or {}, start or {})
-    offset = known.pop("offset", None)
+    offset = known.pop("offset", math.nan)
     if isinstance(data, FrequencyResponse):
         samples: RecordStart | Lines = _lines_of(data, weighting)
         # A constant in the output is no line of a response: there is none to fit.
@@ -134,38 +135,48 @@ def identify_structure(
         )
         longest = _LONGEST_DELAY * record.period * fitted
         _check_motion(samples)
-    coordinates = _coordinates(structure, known, bounds or {}, longest)
-    _check_start(coordinates, start, samples.measured.size)
-    search = StructureSearch(coordinates, offset)
-    best, *rivals = (
-        in_order(coordinates, place) for place in search.run(samples, start)
-    )
+    problem = _problem(structure, samples, known, bounds or {}, longest, offset)
+    _check_start(problem, start, samples.measured.size)
+    places, evaluations = best_places(problem, samples, start)
+    best, *rivals = (in_order(problem, place) for place in places)
     # All on the fitted part; what was held out is predicted once and steers nothing.
-    certain = certainty_of(search, samples, best, details=details)
-    constant = 0.0 if whole.constant is None else whole.constant
-    predicted = best.offset * constant + _simulated(whole, structure, best)
-    held = _heldout(search, samples, whole, best, fitted, predicted)
-    fit = _fit_of(
-        structure,
-        coordinates,
-        best,
-        certain,
-        samples,
-        whole,
-        predicted,
-        held,
-        search,
-        data,
-        fitted,
+    certain = certainty_of(problem, best, details=details)
+    single = {name: np.array([[value]]) for name, value in best.values.items()}
+    predicted = best.offset * whole.constant + whole.response(structure, single)[0]
+    power = samples.measured - best.offset * samples.constant
+    timed = isinstance(whole, RecordStart)
+    # Real parts first, then imaginary ones, each with the weight of its line: divided
+    # out for the drawing.
+    unweighted = np.tile(whole.weight, 2) if isinstance(whole, Lines) else 1.0
+    fit = StructureFit(
+        expression=structure.text,
+        parameters=best.values,
+        fixed=tuple(problem.fixed),
+        limits={name: problem.limits[name] for name in problem.names},
+        intervals=certain.intervals,
+        standard_errors=certain.standard_errors,
+        at_bound=certain.at_bound,
+        undetermined=certain.undetermined,
+        offset=best.offset,
+        domain="time" if timed else "frequency",
+        period=whole.period if isinstance(whole, RecordStart) else None,
+        hold=whole.hold if isinstance(whole, RecordStart) else None,
+        fitted=fitted,
+        nmse=best.cost / float(power @ power),
+        heldout_nmse=_heldout(problem, samples, whole, best, fitted, predicted),
+        place=np.arange(whole.output.size, dtype=np.float64) * whole.period
+        if isinstance(whole, RecordStart)
+        else whole.points.imag,
+        measured=whole.measured / unweighted,
+        predicted=predicted / unweighted,
+        converged=best.converged,
+        evaluations=evaluations,
+        source=data.source,
+        sha256=data.sha256,
     )
     return dataclasses.replace(
         fit, findings=structure_findings(fit, certain, rivals, samples)
     )
-
-
-def _simulated(data: RecordStart | Lines, structure: Expression, place: Place) -> Reals:
-    values = {name: np.array([[v]]) for name, v in place.values.items()}
-    return np.asarray(data.columns(structure, values, ())[0, 0])
 
 
 def _fitted(record: Recording, heldout: float | None) -> int:
@@ -185,13 +196,12 @@ def _check_motion(samples: RecordStart) -> None:
         ("output", np.ptp(samples.output) == 0),
     ):
         if still:
-            remedy = "check the column, or fit a part in which it moves"
             raise LogError(
                 name,
                 0.0,
                 "constant over the fitted part",
                 allowed="a motion",
-                remedy=remedy,
+                remedy="check the column, or fit a part in which it moves",
             )
 
 
@@ -200,23 +210,30 @@ def _lines_of(measured: FrequencyResponse, weighting: Weighting | None) -> Lines
     order = np.argsort(measured.frequency, kind="stable")
     h = measured.response[order]
     chosen = weighting or ("relative" if measured.coherence is None else "coherence")
-    if chosen == "coherence":
-        if measured.coherence is None:
-            allowed, remedy = "a response with coherence", "weigh errors as relative"
-            raise FieldError(
-                "weighting",
-                chosen,
-                "without a coherence",
-                allowed=allowed,
-                remedy=remedy,
-            )
-        weight = coherence_weights(h, measured.coherence[order])
+    known = {"coherence": measured.coherence, "magnitude": measured.magnitude}
+    column = known.get(chosen)
+    if column is not None:
+        weight = column[order]
+        weight = coherence_weights(h, weight) if chosen == "coherence" else weight
+    elif chosen in known:
+        raise FieldError(
+            "weighting",
+            chosen,
+            f"without a {chosen}",
+            allowed=f"a response with {chosen}",
+            remedy="weigh errors as relative",
+        )
     else:
         # A relative weight of such a line would be infinite, and with an absolute one
         # its phase still means nothing.
         if not np.all(np.abs(h) > 0):
-            problem, remedy = "zero at a line", "leave that line out"
-            raise FieldError("response", 0, problem, allowed="|H| > 0", remedy=remedy)
+            raise FieldError(
+                "response",
+                0,
+                "zero at a line",
+                allowed="|H| > 0",
+                remedy="leave that line out",
+            )
         weight = 1.0 / np.abs(h) if chosen == "relative" else np.ones(h.size)
     # Scaled to a sum of squares of one: the error is then a share, as the gates and the
     # search's own limits take it.
@@ -241,9 +258,12 @@ def _check_used(
     )
     for field, value in given.items():
         if value is not None:
-            problem, remedy = f"given beside {beside}", "leave it out"
             raise FieldError(
-                field, value, problem, allowed=f"{other} with it", remedy=remedy
+                field,
+                value,
+                f"given beside {beside}",
+                allowed=f"{other} with it",
+                remedy="leave it out",
             )
 
 
@@ -260,23 +280,32 @@ def _check_names(
         for name in given:
             if name not in structure.names and (field, name) != ("fixed", "offset"):
                 listed = ", ".join(structure.names) or "(none)"
-                problem, remedy = "no parameter of the expression", "correct the name"
-                raise FieldError(field, name, problem, allowed=listed, remedy=remedy)
+                raise FieldError(
+                    field,
+                    name,
+                    "no parameter of the expression",
+                    allowed=listed,
+                    remedy="correct the name",
+                )
     for name in bounds:
         if name in fixed:
-            problem, remedy = f"given beside fixed[{name!r}]", "leave one of them out"
             raise FieldError(
                 f"bounds[{name!r}]",
                 bounds[name],
-                problem,
+                f"given beside fixed[{name!r}]",
                 allowed="one of both",
-                remedy=remedy,
+                remedy="leave one of them out",
             )
 
 
-def _coordinates(
-    structure: Expression, known: Values, bounds: Bounds, longest: float
-) -> StructureCoordinates:
+def _problem(
+    structure: Expression,
+    samples: RecordStart | Lines,
+    known: Values,
+    bounds: Bounds,
+    longest: float,
+    offset: float,
+) -> StructureProblem:
     usual = {
         "order": ORDER_LIMITS,
         "delay": (0.0, longest),
@@ -294,9 +323,12 @@ def _coordinates(
         )
         low, high = (inside.check(f"bounds[{name!r}]", value) for value in pair)
         if not low < high:
-            remedy = "give the lower one first; a known value belongs into fixed"
             raise FieldError(
-                f"bounds[{name!r}]", pair, "empty", allowed="low < high", remedy=remedy
+                f"bounds[{name!r}]",
+                pair,
+                "empty",
+                allowed="low < high",
+                remedy="give the lower one first; a known value belongs into fixed",
             )
         limits[name] = (low, high)
     for name, value in known.items():
@@ -307,54 +339,50 @@ def _coordinates(
         )
         least = 0.0 if structure.roles[name] == "delay" else -1e15
         Between(least, 1e15, remedy=remedy).check(f"fixed[{name!r}]", value)
-    coordinates = StructureCoordinates(
-        structure, limits, {name: float(value) for name, value in known.items()}
-    )
-    if not coordinates.names:
-        problem, remedy = "without a free parameter", "leave one out of fixed"
+    fixed = {name: float(value) for name, value in known.items()}
+    found = StructureProblem(structure, samples, limits, fixed, offset)
+    if not found.names:
         raise FieldError(
             "expression",
             structure.text,
-            problem,
+            "without a free parameter",
             allowed=">= 1 free parameter",
-            remedy=remedy,
+            remedy="leave one out of fixed",
         )
-    return coordinates
+    return found
 
 
 def _check_start(
-    coordinates: StructureCoordinates, start: Values | None, measured: int
+    problem: StructureProblem, start: Values | None, measured: int
 ) -> None:
     # Five numbers each: a fit of noise then leaves four fifths of its square, which a
     # gate refuses.
-    least = _LEAST_EACH * len(coordinates.names)
+    least = _LEAST_EACH * len(problem.names)
     if measured < least:
-        remedy = "measure more, or fix parameters that are known"
-        allowed = f">= {least} numbers for {len(coordinates.names)} parameters"
         raise FieldError(
-            "data", measured, "too few to fit", allowed=allowed, remedy=remedy
+            "data",
+            measured,
+            "too few to fit",
+            allowed=f">= {least} numbers for {len(problem.names)} parameters",
+            remedy="measure more, or fix parameters that are known",
         )
-    for name in coordinates.moving if start is not None else ():
+    for name in problem.moving if start is not None else ():
         if start is None or name not in start:
-            problem, remedy = (
-                "without a parameter that is free",
-                "give all of them, or leave start out",
-            )
             raise FieldError(
                 "start",
                 name,
-                problem,
-                allowed=", ".join(coordinates.moving),
-                remedy=remedy,
+                "without a parameter that is free",
+                allowed=", ".join(problem.moving),
+                remedy="give all of them, or leave start out",
             )
-        low, high = coordinates.limits[name]
+        low, high = problem.limits[name]
         Between(low, high, remedy="begin inside the bounds").check(
             f"start[{name!r}]", start[name]
         )
 
 
 def _heldout(
-    search: StructureSearch,
+    problem: StructureProblem,
     samples: RecordStart | Lines,
     whole: RecordStart | Lines,
     best: Place,
@@ -376,10 +404,10 @@ def _heldout(
             if np.any(power) and np.isfinite(error).all()
             else None
         )
-    return _lines_held(search, samples, best) if isinstance(samples, Lines) else None
+    return _lines_held(problem, samples, best) if isinstance(samples, Lines) else None
 
 
-def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | None:
+def _lines_held(problem: StructureProblem, lines: Lines, best: Place) -> float | None:
     """Error over every fourth line, predicted by a fit to the others that begins at the
     best parameters.
     """
@@ -387,61 +415,14 @@ def _lines_held(search: StructureSearch, lines: Lines, best: Place) -> float | N
     # model, a missing end is extrapolated by none.
     held = np.arange(lines.points.size) % _EVERY == _EVERY // 2
     # Real and imaginary part of each line: two numbers.
-    if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(search.coordinates.names):
+    if 2 * np.count_nonzero(~held) < _LEAST_EACH * len(problem.names):
         return None
-    own = search.coordinates
-    rest, seen = (
-        Lines(lines.points[k], lines.input[k], lines.output[k], lines.weight[k])
-        for k in (held, ~held)
-    )
+    rest, seen = lines.part(held), lines.part(~held)
     # From the best parameters: another search could end in another valley, and the
     # error would be that of the search.
-    place = search.descended(seen, best.values)
-    error = rest.measured - _simulated(rest, own.structure, place)
+    others = dataclasses.replace(problem, data=seen)
+    end = descend(others, others.places_of(best.values))
+    values = place_of(others, end, 0).values
+    single = {name: np.array([[value]]) for name, value in values.items()}
+    error = rest.measured - rest.response(problem.structure, single)[0]
     return float(error @ error / (rest.measured @ rest.measured))
-
-
-def _fit_of(
-    structure: Expression,
-    coordinates: StructureCoordinates,
-    best: Place,
-    certain: Certainty,
-    samples: RecordStart | Lines,
-    whole: RecordStart | Lines,
-    predicted: Reals,
-    held: float | None,
-    search: StructureSearch,
-    data: Any,
-    fitted: int,
-) -> StructureFit:
-    timed = isinstance(whole, RecordStart)
-    power = samples.measured - (best.offset if timed else 0.0)
-    # Real parts first, then imaginary ones, each with the weight of its line: divided
-    # out for the drawing.
-    unweighted = 1.0 if isinstance(whole, RecordStart) else np.tile(whole.weight, 2)
-    return StructureFit(
-        expression=structure.text,
-        parameters=best.values,
-        fixed=tuple(coordinates.fixed),
-        limits={name: coordinates.limits[name] for name in coordinates.names},
-        intervals=certain.intervals,
-        standard_errors=certain.standard_errors,
-        at_bound=certain.at_bound,
-        undetermined=certain.undetermined,
-        offset=best.offset,
-        domain="time" if timed else "frequency",
-        period=whole.period if isinstance(whole, RecordStart) else None,
-        hold=whole.hold if isinstance(whole, RecordStart) else None,
-        fitted=fitted,
-        nmse=best.cost / float(power @ power),
-        heldout_nmse=held,
-        place=np.arange(whole.output.size, dtype=np.float64) * whole.period
-        if isinstance(whole, RecordStart)
-        else whole.points.imag,
-        measured=whole.measured / unweighted,
-        predicted=predicted / unweighted,
-        converged=best.converged,
-        evaluations=search.evaluations,
-        source=data.source,
-        sha256=data.sha256,
-    )

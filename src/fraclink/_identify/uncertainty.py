@@ -87,7 +87,12 @@ def uncertainty(search: Search, solution: Solution, *, coloured: bool) -> Uncert
 
 
 def sandwich(
-    inverse: Matrix, regressors: Matrix, residual: Vector, variance: float
+    inverse: Matrix,
+    regressors: Matrix,
+    residual: Vector,
+    variance: float,
+    *,
+    are_lines: bool = False,
 ) -> tuple[Matrix, int, float]:
     """Covariance under a coloured residual, its correlation in samples, and Takeuchi's
     count of parameters.
@@ -100,11 +105,10 @@ def sandwich(
     lag = correlation_lag(residual)
     coefficients, power, freedom = noise_behind(regressors, residual)
     meat = coloured_covariance(regressors, coefficients, power)
-    # Misfit that depends on the motion is no independent noise; there the products of
-    # both tell more.
-    products = long_run_covariance(
-        regressors * residual, min(max(5 * lag, 10), residual.size // 5)
-    )
+    # Misfit that depends on the motion is no independent noise, nor is one that is
+    # stronger at some lines than at others; there the products of both tell more.
+    lags = 0 if are_lines else min(max(5 * lag, 10), residual.size // 5)
+    products = long_run_covariance(regressors * residual, lags)
     wider = np.sqrt(
         np.maximum(_diagonal(inverse, products) / _diagonal(inverse, meat), 1.0)
     )
@@ -154,7 +158,6 @@ def link_intervals(
         problem,
         problem.place,
         solution.cost,
-        search.window.samples,
         # ω₀² is straight up to the edge ω₀ = 0, and ω₀ is not.
         partial(problem.parameters, names=names, squared=True),
         np.array([inflation.get(name, 1.0) for name in names]),

@@ -10,17 +10,17 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import LinkModel
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, Table, displayed, source_name, state_of
 from fraclink._identify.compare import identify
 from fraclink._identify.findings import HELDOUT_MOST
 from fraclink._identify.fit import Fit
 from fraclink._identify.fitting import simulated_torque
 from fraclink._identify.shape import moving_angle
+from fraclink._identify.welch import mean_power, segments
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of, worst_first
 from fracsys.checks.equality import compared
@@ -28,9 +28,6 @@ from fracsys.checks.equality import compared
 __all__ = ["LogValidation", "Validation", "Value", "validate"]
 
 Floats = NDArray[np.float64]
-# Segments of Welch's method: their average of half-overlapping ones has a standard
-# error of a quarter, which is enough to see where over frequency a model errs.
-_SEGMENTS = 8
 # Of the prediction's largest power: Hann's window leaks less than this, and a frequency
 # with less of the motion says nothing of the link.
 _LEAST_POWER = 1e-4
@@ -84,6 +81,22 @@ class LogValidation:
     ratio: NDArray[np.complex128]
     share: Floats
     fit: Fit
+
+    @property
+    def worst_at(self) -> float:
+        """Where the prediction leaves the largest share of the power [rad/s]."""
+        return float(self.frequencies[self.share.argmax()])
+
+
+# Figures of the link, and the unit in which people read them.
+_UNITS = {
+    "resonance": "rad/s",
+    "order": "",
+    "damping": "",
+    "damping_order": "",
+    "delay": "ms",
+    "gain": "",
+}
 
 
 @displayed
@@ -166,11 +179,52 @@ class Validation:
         rest = ", but they differ by more than their intervals allow" if apart else ""
         return f"the model predicts {which}: {error}{rest}"
 
-    def __repr__(self) -> str:
-        return f"Validation({self.verdict})"
-
-    def __str__(self) -> str:
-        return "\n".join([self.verdict, *map(str, self.findings)])
+    def overview(self) -> Overview:
+        """The error on each log, and what each says of the link by itself."""
+        names = [source_name(each.log.source) for each in self.logs]
+        errors = (
+            (
+                Row("source", "log", name),
+                Row("payload", "payload", each.log.payload, "g"),
+                Row("nmse", "error (NMSE)", each.nmse, "%", digits=3),
+                Row("bias", "bias", each.bias, digits=3),
+                Row("worst", "worst at", each.worst_at, "rad/s", digits=3),
+                Row("fit", "", each.fit),
+            )
+            for name, each in zip(names, self.logs, strict=True)
+        )
+        columns = (self.figures, *map(self.figures_of, self.logs))
+        intervals = (
+            (
+                Row("name", "95 % interval", name.replace("_", " ")),
+                *(
+                    Row(
+                        f"values.{title}",
+                        title,
+                        column[name].value,
+                        unit,
+                        0.5 * (column[name].high - column[name].low),
+                    )
+                    for title, column in zip(
+                        ("the model", *names), columns, strict=True
+                    )
+                ),
+            )
+            for name, unit in _UNITS.items()
+            if name in self.figures
+        )
+        rows = (
+            Row("nmse", "", self.nmse),
+            Row("spread", "", self.spread),
+            Row("verdict", "", self.verdict),
+        )
+        return Overview(
+            self.verdict,
+            state_of(self.passed),
+            rows,
+            (Table.of("logs", errors), Table.of("figures", intervals)),
+            self.findings,
+        )
 
 
 def _at_payload(model: LinkModel, payload: float | None) -> LinkModel:
@@ -205,30 +259,14 @@ def _figures(fit: Fit, model: LinkModel) -> dict[str, Value]:
     return figures
 
 
-def _segments(signal: Floats, size: int) -> NDArray[np.complex128]:
-    """Transforms of a signal's segments above zero frequency, as Welch's method takes
-    them: half over one another, their mean off, under Hann's window.
-    """
-    rows = sliding_window_view(signal, size)[:: size // 2]
-    rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
-    return np.asarray(np.fft.rfft(rows)[:, 1:])
-
-
-def _power(transforms: NDArray[np.complex128]) -> Floats:
-    """Mean power of the segments at each frequency."""
-    return np.asarray(np.mean(np.abs(transforms) ** 2, axis=0))
-
-
 def _validated(fit: Fit, log: Experiment) -> LogValidation:
     if log.output_kind != fit.output_kind:
-        problem = "not what the fit predicts"
-        remedy = "state the same output in both [log] tables, or fit that log by itself"
         raise FieldError(
             "output_kind",
             log.output_kind,
-            problem,
+            "not what the fit predicts",
             allowed=fit.output_kind,
-            remedy=remedy,
+            remedy="state the same output in both [log] tables, or fit that log by itself",
         )
     link = replace(_at_payload(fit.model, log.payload), stiffness=1.0)
     angle = moving_angle(log)
@@ -237,20 +275,19 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
     bias = float(np.mean(log.output - predicted))
     left = log.output - predicted - bias
     power = float(np.var(log.output))
-    size = max(2 * log.output.size // (_SEGMENTS + 1), 4)
-    expected, measured, rest = (
-        _segments(signal, size) for signal in (predicted, log.output, left)
+    frequencies, (expected, measured, rest) = segments(
+        (predicted, log.output, left), log.period
     )
-    motion, cross = _power(expected), np.mean(expected.conj() * measured, axis=0)
+    motion, cross = mean_power(expected), np.mean(expected.conj() * measured, axis=0)
     kept = motion > _LEAST_POWER * motion.max()
     return LogValidation(
         log=log,
         predicted=predicted,
         nmse=float(np.mean(left**2)) / power if power > 0.0 else math.inf,
         bias=bias,
-        frequencies=2 * math.pi * np.fft.rfftfreq(size, log.period)[1:][kept],
+        frequencies=frequencies[kept],
         ratio=cross[kept] / motion[kept],
-        share=(_power(rest) / _power(measured))[kept],
+        share=(mean_power(rest) / mean_power(measured))[kept],
         fit=identify(log, fit.structure),
     )
 
@@ -258,8 +295,13 @@ def _validated(fit: Fit, log: Experiment) -> LogValidation:
 def validate(fit: Fit, logs: Sequence[Experiment]) -> Validation:
     """Hold a fit against other logs of the same arm; see `Fit.validate`."""
     if not logs:
-        problem, remedy = "none given", "give a log that the fit was not made from"
-        raise FieldError("logs", 0, problem, allowed="one at least", remedy=remedy)
+        raise FieldError(
+            "logs",
+            0,
+            "none given",
+            allowed="one at least",
+            remedy="give a log that the fit was not made from",
+        )
     found = Validation(fit, tuple(_validated(fit, log) for log in logs), ())
     findings = (finding for each in found.logs for finding in _findings(found, each))
     return replace(found, findings=worst_first(findings))

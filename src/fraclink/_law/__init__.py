@@ -4,30 +4,29 @@ coefficients.
 
 from __future__ import annotations
 
-from fraclink._law.block import Drive, Modes, Tracking
+from fraclink._law.block import DiscreteMotorLoop, Modes, Tracking
 from fraclink._law.discretization import (
+    discrete_motor_loop,
     discretize,
     discretize_controller,
-    drive_for,
     equip,
 )
 from fraclink._law.law import MODES, REASONS, Law, LawInputs, LawOutputs
-from fraclink._law.limits import Limits, Moves, derive_limits
+from fraclink._law.limits import Limits, derive_limits
 
 __all__ = [
     "MODES",
     "REASONS",
-    "Drive",
+    "DiscreteMotorLoop",
     "Law",
     "LawInputs",
     "LawOutputs",
     "Limits",
     "Modes",
-    "Moves",
     "Tracking",
     "derive_limits",
+    "discrete_motor_loop",
     "discretize",
     "discretize_controller",
-    "drive_for",
     "equip",
 ]

@@ -19,18 +19,21 @@ from fracsys.checks import checked_choice
 __all__ = [
     "COUNTS",
     "HEADER",
-    "INNER",
     "LEAST_RANGE",
+    "MOTOR_LOOP",
     "PID",
     "REALS",
-    "Drive",
+    "DiscreteMotorLoop",
     "Modes",
+    "MotorModel",
     "Precision",
     "Tracking",
     "block_values",
+    "correction_values",
     "exact_header",
     "inside_circle",
     "linear_range",
+    "mode_norms",
     "modes_of",
     "pack",
     "real_type",
@@ -39,9 +42,9 @@ __all__ = [
 
 Precision = Literal["single", "double"]
 
-VERSION = 3
+VERSION = 4
 REAL_MODES, PAIR_MODES, FORWARD_MODES = 8, 2, 8
-WITH_INNER, LATE_GAUGE = 1, 2
+WITH_INNER, LATE_GAUGE, STOP_RINGING = 1, 2, 4
 
 HEADER = ("version", "size", "precision", "crc")
 COUNTS = (
@@ -55,20 +58,6 @@ COUNTS = (
     "stuck_limit",
     "frozen_limit",
     "block_limit",
-)
-# What a law needs for a payload that it is given. A block of version 2, which old files
-# and certificates hold, ends before these, so that everything in front lies where it
-# did.
-_PAYLOAD: tuple[tuple[str, int], ...] = (
-    ("link_scale", 1),
-    ("payload_scale", 1),
-    ("track_now", 1),
-    ("track_next", 1),
-    ("track_keep", 1),
-    ("gauge_now", 1),
-    ("gauge_keep", 1),
-    ("payload_limit", 1),
-    ("scale_step", 1),
 )
 # Name and length of every real field, in the order of law.h; a test reads law.h and
 # compares. Modes lie as (pole, gain), pairs as (pole, turn, gain, cross).
@@ -96,7 +85,10 @@ REALS: tuple[tuple[str, int], ...] = (
     ("motor_step", 1),
     ("fade_step", 1),
     ("residual_angle", 1),
-    ("residual_rate", 1),
+    ("motor_now", 1),
+    ("motor_next", 1),
+    ("motor_keep", 1),
+    ("swing_angle", 1),
     ("frozen_angle", 1),
     ("stuck_torque", 1),
     ("stiffness", 1),
@@ -115,12 +107,19 @@ REALS: tuple[tuple[str, int], ...] = (
     ("torque_voltage", 1),
     ("coulomb_voltage", 1),
     ("coulomb_slope", 1),
-    *_PAYLOAD,
+    ("link_scale", 1),
+    ("payload_scale", 1),
+    ("gauge_now", 1),
+    ("gauge_keep", 1),
+    ("payload_limit", 1),
+    ("scale_step", 1),
 )
 _NAMES = [name for name, _ in REALS]
 # What the motor loop reads; the first nine make the PID.
-INNER = tuple(_NAMES[_NAMES.index("inner_direct") : _NAMES.index("coulomb_slope") + 1])
-PID = INNER[: INNER.index("filter_decay") + 1]
+MOTOR_LOOP = tuple(
+    _NAMES[_NAMES.index("inner_direct") : _NAMES.index("coulomb_slope") + 1]
+)
+PID = MOTOR_LOOP[: MOTOR_LOOP.index("filter_decay") + 1]
 
 
 def real_type(precision: Precision) -> Literal["f", "d"]:
@@ -130,30 +129,19 @@ def real_type(precision: Precision) -> Literal["f", "d"]:
     return "f" if precision == "single" else "d"
 
 
-def _fields(version: int) -> tuple[tuple[str, int], ...]:
-    return REALS if version == VERSION else REALS[: -len(_PAYLOAD)]
-
-
-def _format(precision: Precision, fields: tuple[tuple[str, int], ...] = REALS) -> str:
-    reals = sum(length for _, length in fields)
+def _format(precision: Precision) -> str:
+    reals = sum(length for _, length in REALS)
     body = len(COUNTS) * 4 + reals * struct.calcsize("<" + real_type(precision))
     # The struct ends on the alignment of its largest member.
     return f"<{len(COUNTS)}I{reals}{real_type(precision)}{-body % struct.calcsize(real_type(precision))}x"
 
 
-def pack(
-    values: Mapping[str, float | Sequence[float]],
-    precision: Precision,
-    *,
-    version: int = VERSION,
-) -> bytes:
+def pack(values: Mapping[str, float | Sequence[float]], precision: Precision) -> bytes:
     """Return the block as bytes, with size and CRC-32 filled in; lists shorter than
-    their field end in zeros. `version` 2 is the block of release 0.2, which knew no
-    payload.
+    their field end in zeros.
     """
     flat: list[float] = []
-    fields = _fields(version)
-    for name, length in fields:
+    for name, length in REALS:
         given = values[name]
         items = list(given) if isinstance(given, Sequence) else [given]
         if len(items) > length:
@@ -169,7 +157,7 @@ def pack(
         flat += items + [0.0] * (length - len(items))
     counts = [int(values[name]) for name in COUNTS]  # type: ignore[arg-type]
     try:
-        body = struct.pack(_format(precision, fields), *counts, *flat)
+        body = struct.pack(_format(precision), *counts, *flat)
     except (OverflowError, struct.error) as error:
         raise FieldError(
             "law",
@@ -187,21 +175,20 @@ def pack(
             allowed="any other",
             remedy="change a limit slightly",
         )
-    return struct.pack("<IIII", version, 16 + len(body), width, crc) + body
+    return struct.pack("<IIII", VERSION, 16 + len(body), width, crc) + body
 
 
 def unpack(block: bytes, precision: Precision) -> dict[str, float | list[float]]:
     """Return what `pack` was given, as the law really has it: reals rounded to its
     precision, lists in full.
     """
-    fields = _fields(struct.unpack("<I", block[:4])[0])
-    items = list(struct.unpack(_format(precision, fields), block[16:]))
+    items = list(struct.unpack(_format(precision), block[16:]))
     result: dict[str, float | list[float]] = dict(
         zip(HEADER, map(float, struct.unpack("<IIII", block[:16])), strict=True)
     )
     for name in COUNTS:
         result[name] = items.pop(0)
-    for name, length in fields:
+    for name, length in REALS:
         taken, items = items[:length], items[length:]
         result[name] = taken if length > 1 else taken[0]
     return result
@@ -243,12 +230,12 @@ class Modes(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
-    """The inner loop and what it needs to know of the motor; without it a law gives a
+class DiscreteMotorLoop:
+    """The motor loop and what it needs to know of the motor; without it a law gives a
     motor reference only.
     """
 
-    loop: DiscretePid
+    pid: DiscretePid
     voltage_limit: float  # [V]
     torque_voltage: float  # compensation of the coupling torque, 1/(K n) [V/(N·m)]
     coulomb_voltage: float  # compensation of Coulomb friction, Γc/K [V]
@@ -261,29 +248,37 @@ class Tracking:
     feed-forward, and its tip.
 
     The feed-forward of a payload m is that of the nominal one times (m + link)/nominal.
-    The tip then follows the reference through H/(z − 1 + H), H = now + next/(z − keep):
-    the motor loop with its delay.
+    The tip then follows the reference as the motor follows its own (`MotorModel`).
     """
 
     # mass that the feed-forward was made for, with the link's own where its model has
     # it [kg]
     nominal: float
     link: float  # what the link itself weighs, taken to the tip [kg]
+    gauge_delay: float = 0.0  # [s]
+    gauge_gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class MotorModel:
+    """The motor loop as it was placed, with its delay: θm follows θm* through H/(z − 1
+    + H), H = now + next/(z − keep).
+    """
+
     now: float
     next: float
     keep: float
-    gauge_delay: float = 0.0  # [s]
-    gauge_gain: float = 1.0
 
 
 def block_values(
     period: float,
     stiffness: float,
-    inner_pole: float,
+    motor_loop_pole: float,
+    motor: MotorModel,
     correction: Modes,
     feedforward: Modes,
     limits: Limits,
-    drive: Drive | None,
+    motor_loop: DiscreteMotorLoop | None,
     tracking: Tracking | None = None,
 ) -> dict[str, Any]:
     """Return every field of law_params but its header."""
@@ -292,24 +287,28 @@ def block_values(
     )
     return (
         asdict(limits)
-        | _correction(correction)
+        | correction_values(correction)
         | _feedforward(feedforward)
         | _tracking(tracking, period)
-        | _inner(drive, limits, inner_pole)
+        | _motor_loop(motor_loop, limits, motor_loop_pole)
         | {
-            "options": (WITH_INNER if drive is not None else 0)
-            | (LATE_GAUGE if late else 0),
+            "options": (WITH_INNER if motor_loop is not None else 0)
+            | (LATE_GAUGE if late else 0)
+            | (STOP_RINGING if limits.stop_ringing else 0),
             "period": period,
             "compliance": 1 / stiffness,
             # Infinite where there is no gauge: a block holds finite numbers, and no
             # torque is looked at then.
             "stiffness": stiffness if math.isfinite(stiffness) else 0.0,
-            "residual_rate": -math.expm1(-inner_pole * period),
+            "motor_now": motor.now,
+            "motor_next": motor.next,
+            "motor_keep": motor.keep,
         }
     )
 
 
-def _correction(modes: Modes) -> dict[str, Any]:
+def correction_values(modes: Modes) -> dict[str, Any]:
+    """Return the fields of a block that hold the correction."""
     return {
         "real_modes": len(modes.poles),
         "pair_modes": len(modes.pair_poles),
@@ -337,24 +336,23 @@ def _feedforward(modes: Modes) -> dict[str, Any]:
 
 def _tracking(tracking: Tracking | None, period: float) -> dict[str, float]:
     """Without tracking the payload's limit is 0, and none of these is read."""
-    t = tracking or Tracking(nominal=1.0, link=0.0, now=1.0, next=0.0, keep=0.0)
+    t = tracking or Tracking(nominal=1.0, link=0.0)
     keep = math.exp(-period / t.gauge_delay) if t.gauge_delay > 0 else 0.0
     return {
         "link_scale": t.link / t.nominal,
         "payload_scale": 1 / t.nominal,
-        "track_now": t.now,
-        "track_next": t.next,
-        "track_keep": t.keep,
         "gauge_now": t.gauge_gain * (1 - keep),
         "gauge_keep": keep,
     }
 
 
-def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
-    if drive is None:
-        return dict.fromkeys(INNER, 0.0)
-    loop = drive.loop
-    friction = drive.coulomb_voltage
+def _motor_loop(
+    motor_loop: DiscreteMotorLoop | None, limits: Limits, pole: float
+) -> dict[str, Any]:
+    if motor_loop is None:
+        return dict.fromkeys(MOTOR_LOOP, 0.0)
+    loop = motor_loop.pid
+    friction = motor_loop.coulomb_voltage
     if pole > 0:
         # The motor follows at the reference's largest speed with the loop's lag, and a
         # model's error behind.
@@ -377,18 +375,20 @@ def _inner(drive: Drive | None, limits: Limits, pole: float) -> dict[str, Any]:
         loop.angle_filter_gain * loop.filter_now,
         loop.angle_filter_gain * loop.filter_before,
         loop.filter_decay,
-        drive.voltage_limit
+        motor_loop.voltage_limit
         + credible
-        + drive.torque_voltage * limits.torque_limit
+        + motor_loop.torque_voltage * limits.torque_limit
         + friction,
-        drive.voltage_limit,
-        drive.torque_voltage,
+        motor_loop.voltage_limit,
+        motor_loop.torque_voltage,
         friction,
         # The slope of the sign that is softened, in reference angle a period; 0 without
         # friction compensates none.
-        1 / (drive.coulomb_speed * loop.period) if drive.coulomb_voltage > 0 else 0.0,
+        1 / (motor_loop.coulomb_speed * loop.period)
+        if motor_loop.coulomb_voltage > 0
+        else 0.0,
     )
-    return dict(zip(INNER, values, strict=True))
+    return dict(zip(MOTOR_LOOP, values, strict=True))
 
 
 # [rad]: a law whose limits act on smaller errors than 10 µrad never corrects anything
@@ -411,34 +411,37 @@ def modes_of(coefficients: Mapping[str, Any]) -> list[tuple[complex, complex]]:
     return found
 
 
+def mode_norms(coefficients: Mapping[str, Any]) -> tuple[float, float]:
+    """(largest state of a mode, largest correction) per largest error.
+
+    A mode is driven by the change of the error: (1 − z⁻¹)/(z − p) answers an impulse
+    with 1, p − 1, (p − 1) p, …, whose moduli sum to 1 + |1 − p|/(1 − |p|).
+    """
+    norms = [
+        (1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, abs(g))
+        for p, g in modes_of(coefficients)
+    ]
+    gain = 2 * abs(coefficients["direct"]) + sum(norm * g for norm, g in norms)
+    return max([norm for norm, _ in norms] + [1.0]), gain
+
+
 def linear_range(coefficients: Mapping[str, Any]) -> float:
     """Return the tip error [rad] up to which no limit of the command acts, rounded down
     to two digits.
 
-    For |e| ≤ X a state of mode p stays within X (1 + |1 − p|/(1 − |p|)) and the
-    correction within X times 2|d| + Σ|g| (1 + |1 − p|/(1 − |p|)): l1 norms, term by
-    term. FieldError where a limit leaves less than `LEAST_RANGE`: such a law is not the
-    filter that its modes describe.
+    By the l1 norms of the modes, term by term. FieldError where a limit leaves less
+    than `LEAST_RANGE`: such a law is not the filter that its modes describe.
     """
     c = coefficients
-    norms = [
-        (1 + abs(1 - p) / (1 - abs(p)) if abs(p) < 1 else math.inf, abs(g))
-        for p, g in modes_of(c)
-    ]
-    gain = 2 * abs(c["direct"]) + sum(norm * g for norm, g in norms)
-    command = min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2) / max(
-        gain, 1e-300
-    )
-    reach = min(
-        command, c["correction_limit"] / max([norm for norm, _ in norms] + [1.0])
-    ) * (1 - 1e-9)
+    state, gain = mode_norms(c)
+    command = min(c["sum_limit"], c["motor_limit"], c["motor_step"] / 2)
+    reach = min(command / max(gain, 1e-300), c["correction_limit"] / state) * (1 - 1e-9)
     if not (math.isfinite(reach) and reach >= LEAST_RANGE):
-        allowed = f"limits that errors of {LEAST_RANGE:g} rad do not meet"
         raise FieldError(
             "law.limits",
             reach,
             "too narrow for the correction",
-            allowed=allowed,
+            allowed=f"limits that errors of {LEAST_RANGE:g} rad do not meet",
             remedy="use the derived limits",
         )
     digit = 10.0 ** (math.floor(math.log10(reach)) - 1)

@@ -1,12 +1,11 @@
-"""What a design is asked for, and what it is: `Specification`, `Requirement`, `Design`."""
+"""What a design is asked for, and what it is: `Specification` and `Design`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +17,16 @@ from fraclink._arm.loop import Loop, with_payload
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
 from fraclink._arm.sampled import SampledPlant, sampled_plant
-from fraclink._display import displayed
-from fraclink._files import document, load, save
+from fraclink._display import Listed, Overview, Row, Table, displayed, quantity, span
+from fraclink._files import Saved, document
 from fraclink._law.discretization import discretize, discretize_controller
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
 from fraclink._law.requirement import (
-    LAW_MARGIN,
-    LAW_MODULUS,
-    Looked,
     Requirement,
-    kept_by_law,
-    law_findings,
-    law_margins,
+    law_rows,
     margins_of,
     no_law,
-    no_law_kept,
+    no_law_rows,
 )
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
@@ -41,11 +35,9 @@ from fracsys.checks import (
     Duration,
     Frequency,
     NaturalFrequency,
-    Ordered,
     Payload,
     PhaseMargin,
-    checked,
-    checked_between,
+    ascending,
     checked_choice,
 )
 
@@ -73,13 +65,11 @@ def deg(angle: float) -> float:
     >>> round(deg(50), 6)
     0.872665
     """
-    return math.radians(checked_between("angle", angle, -1e9, 1e9, "deg"))
+    return math.radians(Between(-1e9, 1e9, "deg").check("angle", angle))
 
 
-@checked
-@dataclass(frozen=True)
-class Specification:
-    """What a design is asked for; None leaves a value to its rule.
+class Specification(TypedDict, total=False):
+    """What a design is asked for; what is left out is left to its rule.
 
     Parameters
     ----------
@@ -88,64 +78,54 @@ class Specification:
     natural_frequencies
         (low, high) ω₀ [s^(-λ/2)] instead of payloads.
     gain_crossover
-        least ω_c [rad/s] over the range; from `settling_time` when left out.
-    phase_margin
-        least φ_m [rad] over the range; from `max_sensitivity` when left out.
-    margins
-        "loop" (everything that is in the real loop) or "ideal" (the paper's reading,
-        Ĉ·G alone).
-    filter_time
-        δ [s], 0 for no filter; chosen so that it costs 10 % of the margin when left
-        out.
-    filter_order
-        n; 1 for β < 1 and 2 otherwise when left out.
-    inner
-        the motor loop that is assumed: "ideal" or "sampled".
-    placement
-        of the sampled motor loop's poles, "tustin" or "direct".
-    max_sensitivity
-        bound on Ms.
-    noise_gain
-        bound on the motor reference's RMS for white gauge noise of RMS one.
+        least ω_c [rad/s] over the range, below the motor loop's pole.
     settling_time
         bound on 2π/ω_c [s].
+    phase_margin
+        least φ_m [rad] over the range; the one that `max_sensitivity` leaves when left
+        out.
+    max_sensitivity
+        bound on Ms = max 1/|1 + L|; 2 where no margin is asked for.
+    noise_gain
+        bound on the motor reference's RMS for white gauge noise of RMS one.
     mode_gain
-        bound on the loop gain at the higher modes of the link.
+        bound on the loop gain at the higher modes of the link. Below one no phase
+        of the mode can destabilise it. Where the model knows a second mode or the rig
+        the link's mass, the bound is 0.5 unless another is given; where no controller
+        keeps it at a second mode that the model knows, that one may be loud with a
+        phase that keeps the loop from -1, wherever the payload moves it.
+    filter_time
+        δ [s], 0 for no filter; chosen with the controller when left out.
+    filter_order
+        n; chosen with the controller when left out.
+    motor_loop
+        the motor loop that is assumed: "sampled", the PID at the control period, or
+        "ideal", M(s) as it is written.
+    placement
+        of the sampled motor loop: "direct" places its poles in z, its delay included;
+        "tustin" discretises (19), (20).
 
     Examples
     --------
-    >>> Specification(gain_crossover=12, phase_margin=deg(50)).margins
-    'loop'
+    >>> asked = Specification(gain_crossover=12.0, phase_margin=deg(50))
+    >>> sorted(asked)
+    ['gain_crossover', 'phase_margin']
     """
 
-    payloads: Annotated[tuple[Payload, Payload], Ordered()] | None = None
+    payloads: Annotated[tuple[Payload, Payload], ascending()] | None
     natural_frequencies: (
-        Annotated[tuple[NaturalFrequency, NaturalFrequency], Ordered()] | None
-    ) = None
-    gain_crossover: Frequency | None = None
-    phase_margin: PhaseMargin | None = None
-    margins: Literal["loop", "ideal"] = "loop"
-    filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None = None
-    filter_order: (
-        Annotated[int, Between(1, 2, remedy="use 1 for β < 1, else 2")] | None
-    ) = None
-    inner: Literal["ideal", "sampled"] = "ideal"
-    placement: Literal["tustin", "direct"] = "tustin"
-    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None = None
-    noise_gain: Annotated[float, Between(0.0, 1e6, low_open=True)] | None = None
-    settling_time: Duration | None = None
-    mode_gain: Annotated[float, Between(0.0, 1e3, low_open=True)] | None = None
-
-    @property
-    def bounded(self) -> bool:
-        """Whether anything is bounded beside crossover and phase margin."""
-        bounds = (
-            self.max_sensitivity,
-            self.noise_gain,
-            self.settling_time,
-            self.mode_gain,
-        )
-        return any(bound is not None for bound in bounds)
+        Annotated[tuple[NaturalFrequency, NaturalFrequency], ascending()] | None
+    )
+    gain_crossover: Frequency | None
+    phase_margin: PhaseMargin | None
+    filter_time: Annotated[float, Between(0.0, 1e3, "s")] | None
+    filter_order: Annotated[int, Between(1, 2, remedy="use 1 for β < 1, else 2")] | None
+    motor_loop: Literal["ideal", "sampled"] | None
+    placement: Literal["tustin", "direct"] | None
+    settling_time: Duration | None
+    max_sensitivity: Annotated[float, Between(1.0, 100.0, low_open=True)] | None
+    noise_gain: Annotated[float, Between(0.0, 1e6, low_open=True)] | None
+    mode_gain: Annotated[float, Between(0.0, 1e3, low_open=True)] | None
 
 
 @displayed
@@ -156,7 +136,7 @@ class Specification:
     summary=lambda made: {"passed": made.passed, "controller": made.controller.formula},
 )
 @dataclass(frozen=True)
-class Design:
+class Design(Saved):
     """Result of `design`.
 
     Attributes
@@ -193,7 +173,7 @@ class Design:
     >>> design.passed, round(design.at(0.020).phase_margin / fl.deg(1))
     (True, 50)
     >>> print(design)  # doctest: +ELLIPSIS
-    C(s) = 1 + 0.0698... s^0.612...; margins of the "loop" loop
+    ✓ passed: carries 20 to 40 g at 12 rad/s with a phase margin of 50.0°; ...
     ...
     """
 
@@ -213,23 +193,72 @@ class Design:
     findings: tuple[Finding, ...] = ()
     box: ParameterBox | None = None
 
-    def __str__(self) -> str:
-        lines = [
-            f'{self.controller.formula}; margins of the "{self.margins_kind}" loop'
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "requirements", Listed(self.requirements))
+
+    @property
+    def sentence(self) -> str:
+        """What decides: what it carries and how fast, what more delay it stands, and
+        which requirement is the tightest.
+        """
+        carried = span(*self.payloads, "g")
+        parts = [
+            f"carries {carried} at {quantity(self.gain_crossover, 'rad/s')} with a phase "
+            f"margin of {quantity(self.phase_margin, 'rad')}"
         ]
-        return "\n".join(
-            [*lines, *map(str, self.requirements), *map(str, self.findings)]
+        late = [r.achieved for r in self.requirements if r.name == "delay margin"]
+        if late and late[0] > 0.0:
+            parts.append(f"stays stable with {quantity(late[0], 'ms', 2)} more delay")
+        parts += [f"missed: {requirement}" for requirement in self.missed]
+        # The two that were asked for are met exactly; what else may give way first?
+        others = [
+            r
+            for r in self.requirements
+            if r.name not in ("gain crossover", "phase margin")
+        ]
+        if others and not self.missed:
+            least = min(others, key=lambda r: r.spare)
+            slack = quantity(max(0.0, least.slack), least.unit, 2)
+            payload = quantity(least.at_payload, "g")
+            parts.append(f"tightest: {least.name}, {slack} to spare at {payload}")
+        return "; ".join(parts)
+
+    def overview(self) -> Overview:
+        """The sentence that decides, the controller, and every requirement."""
+        c = self.controller
+        rows = (
+            Row("margins", "", self.margins_kind),
+            Row(
+                "controller.derivative_gain", "k_d", c.derivative_gain, "s^β", digits=5
+            ),
+            Row("controller.derivative_order", "β", c.derivative_order, digits=5),
+            Row("controller.filter_time", "δ", c.filter_time, "ms"),
+            Row("controller.filter_order", "n", c.filter_order),
+            Row("notch", "notch", c.notch and c.notch.frequency, "rad/s"),
+            Row("gain_crossover_upper", "ω̄_c", self.gain_crossover_upper, "rad/s"),
+        )
+        # A doubt about the input outweighs requirements that are met, for they are met
+        # by a model in doubt; one that is missed fails whatever the input.
+        state = "failed" if self.missed else "not shown" if self.doubts else "passed"
+        return Overview(
+            self.sentence,
+            state,
+            rows,
+            (Table.of("requirements", (r.rows for r in self.requirements)),),
+            self.findings,
         )
 
     @property
     def passed(self) -> bool:
-        """Whether every requirement is met over the whole payload range, and no finding
-        is an error.
+        """Whether every requirement is met over the whole payload range, by a model
+        that nothing speaks against.
         """
-        return (
-            all(requirement.passed for requirement in self.requirements)
-            and not self.doubts
-        )
+        return not self.missed and not self.doubts
+
+    @property
+    def missed(self) -> tuple[Requirement, ...]:
+        """The requirements that are not met."""
+        return tuple(r for r in self.requirements if not r.passed)
 
     @property
     def doubts(self) -> tuple[Finding, ...]:
@@ -249,9 +278,7 @@ class Design:
         """Return the design with the errors among `findings`, such as those of the fit
         that it rests on.
         """
-        # Errors only: a warning of a fit is the fit's to tell, an error takes the
-        # ground from under the design. As a set that keeps its order, so that saying it
-        # twice changes nothing.
+        # Errors only: a warning of a fit is the fit's to report. Each once.
         return replace(
             self, findings=tuple(dict.fromkeys((*errors_of(findings), *self.findings)))
         )
@@ -259,7 +286,7 @@ class Design:
     @property
     def motor_loop(self) -> MotorLoop:
         """The motor loop that the controller was designed for."""
-        return self.controller.inner or MotorLoop(
+        return self.controller.motor_loop or MotorLoop(
             self.rig.motor_loop.pole, self.rig.motor_loop.delay_samples
         )
 
@@ -348,7 +375,7 @@ class Design:
         )
         return margins_of(response, plant)
 
-    def law(self, *, order: int | None = None, precision: Precision = "double") -> Law:
+    def law(self, *, order: int | None = None, precision: Precision = "single") -> Law:
         """Return the law that runs on the rig, `fraclink.discretize` of this design."""
         return discretize(self, order=order, precision=precision)
 
@@ -366,60 +393,27 @@ class Design:
         phase margin of the sampled loop, and its distance from -1.
 
         The margin is the one asked for less the law's own tolerance of 0.5°, over the
-        payloads and over the box. A design for the paper's reading (`margins` "ideal")
-        gets the findings of `warned_of_law` instead: the sampled loop was not what it
-        was asked for.
+        payloads and over the box, with the motor loop that runs and the modes of the
+        link's mass; a design for the paper's reading (`margins_kind` "ideal") has to be
+        stable. A controller that no law of law.c's size follows keeps neither (W410).
         """
-        if self.margins_kind == "ideal":
-            return self.warned_of_law()
-        # Asked twice, it is still one requirement each.
-        others = tuple(
-            r for r in self.requirements if r.name not in (LAW_MARGIN, LAW_MODULUS)
-        )
+        findings, (margin, modulus) = self.findings, no_law_rows(self)
         try:
-            rows = kept_by_law(self, law_margins(self))
-        except FieldError as error:
-            if error.field != "order":
-                raise
-            findings = tuple(dict.fromkeys((*self.findings, no_law(error))))
-            kept = (*others, no_law_kept(self))
-            return replace(self, requirements=kept, findings=findings)
-        return replace(self, requirements=(*others, *rows))
-
-    def warned_of_law(self) -> Design:
-        """Return the design with what its law keeps less in the sampled loop, as
-        `design` looks at it.
-
-        Finding W404 says that the phase margin is less than was asked for, an error where it is less than
-        half of it; W408 that the law comes closer to -1 than half of what the design does, an error where
-        |1 + L| < 0.1. Both are looked at with the modes of the link's mass. Near the Nyquist
-        frequency a loop without a filter may, and crosses |L| = 1 nowhere near. A controller that no law of
-        law.c's size follows is an error, too (W410).
-        """
-        return replace(self, findings=self._law_looked_at()[1])
-
-    def _law_looked_at(self) -> tuple[tuple[Looked, ...], tuple[Finding, ...]]:
-        """The law's margins, and the findings with what they say; no margins where no
-        law fits.
-        """
-        try:
-            found = law_margins(self)
+            margin, modulus = law_rows(self)
         except FieldError as error:
             # "order" is the field of `modes_from`, for a fit of more modes than law.c
             # holds; any other fault is the caller's.
             if error.field != "order":
                 raise
-            return (), tuple(dict.fromkeys((*self.findings, no_law(error))))
-        return found, law_findings(self, found)
-
-    def save(self, path: Path | str) -> None:
-        """Write the design to one JSON file that ``Design.load`` reads back equal."""
-        save(self, path, force=True)
-
-    @staticmethod
-    def load(path: Path | str) -> Design:
-        """Read a design back; FileFormatError where the file is not one, or was edited."""
-        return load(path, Design)
+            findings = tuple(dict.fromkeys((*findings, no_law(error))))
+        # Asked twice, it is still one requirement each.
+        others = [
+            item
+            for item in self.requirements
+            if item.name not in (margin.name, modulus.name)
+        ]
+        kept = (*others, margin, modulus)
+        return replace(self, requirements=kept, findings=findings)
 
 
 def _check_response(response: Callable[[Real], Complex]) -> None:
@@ -447,6 +441,5 @@ def _check_response(response: Callable[[Real], Complex]) -> None:
 
 
 def _checked_frequency(value: object) -> float:
-    return checked_between(
-        "natural_frequency", value, 0.0, 1e6, "s^(-λ/2)", open_low=True
-    )
+    allowed = Between(0.0, 1e6, "s^(-λ/2)", low_open=True)
+    return allowed.check("natural_frequency", value)

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 
 from fraclink._arm.controller import Controller
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import DiscretePid, place_pid
+from fraclink._arm.motor import DiscretePid
 from fraclink._arm.motor_loop import MotorLoop
 from fraclink._arm.rig import Rig
+from fraclink._arm.rig_parts import Moves
 from fraclink._law.block import (
     FORWARD_MODES,
     PAIR_MODES,
     REAL_MODES,
-    Drive,
+    DiscreteMotorLoop,
     Modes,
     Precision,
-    Tracking,
 )
 from fraclink._law.law import Law
-from fraclink._law.limits import Moves, derive_limits
-from fraclink._law.tracking import forward_fit, tracking_for
+from fraclink._law.limits import derive_limits
+from fraclink._law.tracking import following, forward_fit, tracking_for
 from fraclink.errors import FieldError
 from fracsys._discrete import (
     DiscreteRational,
@@ -35,15 +35,15 @@ from fracsys._discrete import (
     checked_band,
     fit_discrete,
 )
-from fracsys.checks import checked, checked_number
+from fracsys.checks import Between, checked
 
 __all__ = [
     "TOLERANCE_DB",
     "TOLERANCE_DEG",
     "check_rigs_period",
+    "discrete_motor_loop",
     "discretize",
     "discretize_controller",
-    "drive_for",
     "equip",
     "modes_from",
 ]
@@ -80,7 +80,7 @@ def discretize_controller(
     period: float,
     *,
     order: Order | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
     link: LinkModel | None = None,
     rig: Rig | None = None,
     moves: Moves | None = None,
@@ -103,11 +103,11 @@ def discretize_controller(
         states of Ĉ, 0 to 8; without it the fewest that meet 0.1 dB and 0.5°, else the
         best of 8.
     precision
-        "double" or "single".
+        "single" or "double".
     link
         nominal model; the controller's own where it is left out.
     rig
-        adds the inner loop, the sensors' limits and the motor's compensations (see
+        adds the motor loop, the sensors' limits and the motor's compensations (see
         `equip`).
     moves
         the largest move, from which the guards' thresholds follow.
@@ -120,42 +120,49 @@ def discretize_controller(
     >>> from fraclink._arm.controller import Controller
     >>> from fraclink._arm.link import LinkModel
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
-    >>> controller = Controller(gain=0.148, order=0.65, filter_time=0.16, filter_order=2, link=link)
+    >>> controller = Controller(0.148, 0.65, filter_time=0.16, filter_order=2, link=link)
     >>> law = discretize_controller(controller, 0.004)
     >>> law.order, law.correction_error[0] < 0.1, law.correction_error[1] < 0.5
     (4, True, True)
     """
     model = link or controller.link
     if model is None:
-        remedy = "give the nominal link model: tip estimate and feed-forward need it"
-        raise FieldError("link", None, "missing", allowed="a LinkModel", remedy=remedy)
+        raise FieldError(
+            "link",
+            None,
+            "missing",
+            allowed="a LinkModel",
+            remedy="give the nominal link model: tip estimate and feed-forward need it",
+        )
     _check_period(controller, period)
     reach = _band(controller, period) if band is None else checked_band(band, period)
     correction = fit_correction(controller, model, period, reach, order)
     forward = forward_fit(model, period)
     # Without one of its own: the paper's motor loop and its one period of computation.
-    inner = controller.inner or MotorLoop()
+    settings = controller.motor_loop or MotorLoop()
     modes = modes_from("link.order", forward, FORWARD_MODES, 0)
+    loop = following(
+        abs(model.pole), period, settings.pole, settings.delay_samples, None, None
+    )
     law = Law(
         period=period,
         precision=precision,
         stiffness=model.stiffness,
         correction=modes_from("order", correction, REAL_MODES, PAIR_MODES),
         feedforward=modes,
-        inner_pole=inner.pole,
+        motor_loop_pole=settings.pole,
+        motor_model=loop.model,
         limits=derive_limits(
             model,
             period,
             moves or Moves(),
-            pole=inner.pole,
+            loop=loop,
             kick=abs(correction.feedthrough),
         ),
         correction_error=(correction.error_db, correction.error_deg),
         feedforward_error=(forward.error_db, forward.error_deg),
         band=reach,
-        tracking=tracking_for(
-            model, modes, period, inner.pole, inner.delay_samples, rig=None, pid=None
-        ),
+        tracking=tracking_for(model, modes, period, rig=None),
     )
     return law if rig is None else equip(law, rig, model, moves=moves)
 
@@ -178,7 +185,7 @@ def discretize(
     period: float | None = None,
     *,
     order: int | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
 ) -> Law:
     """Return the law that runs a design: the same coefficients are simulated and
     exported.
@@ -196,7 +203,7 @@ def discretize(
     order
         states of Ĉ, 0 to 8; chosen to meet 0.1 dB and 0.5° when it is left out.
     precision
-        "double" or "single".
+        "single" or "double".
 
     Raises
     ------
@@ -207,7 +214,7 @@ def discretize(
     --------
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
     >>> fl.discretize(controller, rig.period, order=4).order
     4
     """
@@ -217,107 +224,117 @@ def discretize(
         else getattr(design, "controller", None)
     )
     if not isinstance(controller, Controller):
-        remedy = "fl.design makes one"
         raise FieldError(
             "design",
             repr(design),
             "no Design",
             allowed="a Design or a Controller",
-            remedy=remedy,
+            remedy="fl.design makes one",
         )
     known = controller.period if isinstance(design, Controller) else design.rig.period
     chosen = known if period is None else period
     if chosen is None:
-        remedy = "give the control period in seconds"
-        raise FieldError("period", None, "missing", allowed="> 0 s", remedy=remedy)
+        raise FieldError(
+            "period",
+            None,
+            "missing",
+            allowed="> 0 s",
+            remedy="give the control period in seconds",
+        )
     law = discretize_controller(controller, chosen, order=order, precision=precision)
     if isinstance(design, Controller):
         return law
-    law, motor_loop = equip(law, design.rig, design.model), design.motor_loop
-    # Only the placement in z knows the delay, and its PID is another: drive and
-    # tracking follow it. Ĉ and the guards do not change.
-    if motor_loop.placement != "direct" or law.drive is None:
-        return law
-    pid = motor_loop.pid(design.rig.motor, design.rig.period)
-    return replace(
-        law,
-        drive=replace(law.drive, loop=pid),
-        tracking=_tracking(law, design.rig, design.model, pid),
-    )
+    return equip(law, design.rig, design.model, motor_loop=design.motor_loop)
 
 
 @checked
-def equip(law: Law, rig: Rig, link: LinkModel, *, moves: Moves | None = None) -> Law:
-    """Return the law with the rig's inner loop, compensations and sensor limits.
+def equip(
+    law: Law,
+    rig: Rig,
+    link: LinkModel,
+    *,
+    moves: Moves | None = None,
+    motor_loop: MotorLoop | None = None,
+) -> Law:
+    """Return the law with the rig's motor loop, compensations and sensor limits.
 
-    The inner loop has the pole the law was made for; its guards are derived again from
-    the gauge's range, noise and quantum and the encoder's resolution. Raises FieldError
-    where the periods differ.
+    The motor loop is the rig's with the pole the law was made for where it is left out;
+    the guards are derived again from it, from the gauge's range, noise and quantum, the
+    encoder's resolution, and `moves`, which are the rig's where they are left out.
+    Raises FieldError where the periods differ.
     """
     check_rigs_period(law, rig)
-    drive = drive_for(rig, law.inner_pole)
+    settings = motor_loop or replace(rig.motor_loop, pole=law.motor_loop_pole)
+    pid = settings.pid(rig.motor, rig.period)
+    closed = discrete_motor_loop(rig, pid, link)
+    loop = following(
+        abs(link.pole),
+        law.period,
+        settings.pole,
+        settings.delay_samples,
+        rig.motor,
+        pid,
+    )
     return replace(
         law,
-        drive=drive,
+        motor_loop=closed,
+        motor_model=loop.model,
         limits=derive_limits(
             link,
             law.period,
-            moves or Moves(),
-            pole=law.inner_pole,
+            moves or rig.moves,
+            loop=loop,
             gauge_limit=rig.gauge.limit,
             gauge_noise=rig.gauge.noise,
             gauge_quantum=rig.gauge.quantum,
             encoder_resolution=rig.encoder.resolution,
-            sticking=STICTION * drive.coulomb_voltage / drive.loop.stiffness,
+            sticking=STICTION * closed.coulomb_voltage / closed.pid.stiffness,
             kick=abs(law.correction.direct),
         ),
-        tracking=_tracking(law, rig, link, drive.loop),
-    )
-
-
-def _tracking(law: Law, rig: Rig, link: LinkModel, pid: DiscretePid) -> Tracking | None:
-    delay = rig.motor_loop.delay_samples
-    return tracking_for(
-        link, law.feedforward, law.period, law.inner_pole, delay, rig=rig, pid=pid
+        tracking=tracking_for(link, law.feedforward, law.period, rig=rig),
     )
 
 
 def check_rigs_period(law: Law, rig: Rig) -> None:
     """FieldError where the law was made for another period than the rig's."""
     if not math.isclose(law.period, rig.period, rel_tol=1e-9):
-        allowed, remedy = (
-            f"{rig.period} s",
-            "discretise the controller at the rig's period",
-        )
         raise FieldError(
-            "period", law.period, "not the rig's", allowed=allowed, remedy=remedy
+            "period",
+            law.period,
+            "not the rig's",
+            allowed=f"{rig.period} s",
+            remedy="discretise the controller at the rig's period",
         )
 
 
-def drive_for(rig: Rig, pole: float) -> Drive:
-    """Return the inner loop of `rig` for the pole p [rad/s], with the compensations its
-    motor needs.
+def discrete_motor_loop(
+    rig: Rig, pid: DiscretePid, link: LinkModel
+) -> DiscreteMotorLoop:
+    """Return the motor loop of `rig` with this PID, and the compensations its motor
+    needs.
+
+    The coupling torque is compensated by what the gauge of `link` says of it, its gain
+    undone; not at all where that comes so late, with hold and computation, that what is
+    left of the torque, ``|1 − e^(−jφ)|``, exceeds it at the resonance (φ > 60°).
     """
     motor = rig.motor
-    return Drive(
-        loop=place_pid(motor, pole).discretize(rig.period),
+    late = max(link.gauge_delay, 0.0) + 1.5 * rig.period
+    helps = link.gauge_gain > 0 and abs(link.pole) * late < math.pi / 3
+    return DiscreteMotorLoop(
+        pid=pid,
         voltage_limit=min(
             motor.voltage_limit, 1e4
         ),  # a block holds finite numbers; 10 kV is no limit
-        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio),
+        torque_voltage=1 / (motor.torque_constant * motor.gear_ratio * link.gauge_gain)
+        if helps
+        else 0.0,
         coulomb_voltage=motor.coulomb_torque / motor.torque_constant,
         coulomb_speed=COULOMB_SPEED,
     )
 
 
 def _check_period(controller: Controller, period: float) -> None:
-    checked_number(
-        "period",
-        period,
-        allowed="> 0 s",
-        remedy="give seconds",
-        holds=lambda time: time > 0.0,
-    )
+    Between(0.0, unit="s", low_open=True, remedy="give seconds").check("period", period)
     designed = controller.period
     if designed is not None and not math.isclose(designed, period, rel_tol=1e-9):
         raise FieldError(

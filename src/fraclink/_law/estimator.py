@@ -205,12 +205,11 @@ class PayloadEstimator:
         """Return the state before the first period."""
         state, reason = _kernels.payload_init(self.block, self.precision == "single")
         if reason:
-            problem, allowed = "refused by payload_estimator.c", "a valid block"
             raise FieldError(
                 "estimator",
                 REASONS[reason],
-                problem,
-                allowed=allowed,
+                "refused by payload_estimator.c",
+                allowed="a valid block",
                 remedy="report it",
             )
         return bytes(state)
@@ -313,16 +312,12 @@ def payload_estimator(
     (14, 4, 756)
     """
     if link.payload is None or law.limits.payload_limit <= 0.0:
-        allowed, remedy = (
-            "> 0 kg",
-            "fit or design with the payload at which the link's frequency was found",
-        )
         raise FieldError(
             "payload",
             link.payload,
             "not known to the law",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="> 0 kg",
+            remedy="fit or design with the payload at which the link's frequency was found",
         )
     doubt = _gain_doubt(link) if gain_doubt is None else gain_doubt
     if not doubt > 0.0:

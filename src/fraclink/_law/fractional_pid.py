@@ -22,10 +22,12 @@ from fraclink._arm.motor import DiscretePid
 from fraclink._law.block import (
     PAIR_MODES,
     REAL_MODES,
-    Drive,
+    DiscreteMotorLoop,
     Modes,
+    MotorModel,
     Precision,
-    modes_of,
+    correction_values,
+    mode_norms,
 )
 from fraclink._law.discretization import TOLERANCE_DB, TOLERANCE_DEG, modes_from
 from fraclink._law.law import Law
@@ -56,7 +58,7 @@ def discretize_pid(
     output_limit: Range,
     measurement_limit: Range,
     order: Order | None = None,
-    precision: Precision = "double",
+    precision: Precision = "single",
     band: Band | None = None,
 ) -> Law:
     """Return the law that runs a fractional PID at `period` [s]: u = C(z) (r − y), in
@@ -83,7 +85,7 @@ def discretize_pid(
         states of 1 + Ĉ, 0 to 8; without it the fewest that meet the tolerance, else the
         best of 8.
     precision
-        "double" or "single".
+        "single" or "double".
     band
         [rad/s]; four decades up to half of the Nyquist frequency when it is left out.
 
@@ -111,7 +113,7 @@ def discretize_pid(
         correction, errors = _fitted(controller, base, period, reach, order)
     # No friction and no coupling torque: the plant is nobody's motor. The speed of 1
     # divides nothing then.
-    drive = Drive(
+    motor_loop = DiscreteMotorLoop(
         base, output_limit, torque_voltage=0.0, coulomb_voltage=0.0, coulomb_speed=1.0
     )
     return Law(
@@ -122,9 +124,10 @@ def discretize_pid(
         stiffness=math.inf,
         correction=correction,
         feedforward=Modes(0.0),
-        inner_pole=0.0,
+        motor_loop_pole=0.0,
+        motor_model=MotorModel(0.0, 0.0, 0.0),  # nobody's motor: it stands still
         limits=_limits(correction, measurement_limit),
-        drive=drive,
+        motor_loop=motor_loop,
         correction_error=errors,
         feedforward_error=(0.0, 0.0),
         band=reach,
@@ -163,18 +166,15 @@ def _fitted(
 
 def pid_response(law: Law, frequency: ArrayLike) -> Complex:
     """Return C(e^(jωT)) of a law that `discretize_pid` made, at ω [rad/s]; any shape."""
-    if law.drive is None or law.has_gauge:
-        remedy = (
-            "discretize_pid makes one; Law.frequency_response is that of every other"
-        )
+    if law.motor_loop is None or law.has_gauge:
         raise FieldError(
             "law",
             repr(law),
             "no law of a PID",
             allowed="that of a FractionalPid",
-            remedy=remedy,
+            remedy="discretize_pid makes one; Law.frequency_response is that of every other",
         )
-    return _response(law.drive.loop, frequency) * (
+    return _response(law.motor_loop.pid, frequency) * (
         1.0 + law.frequency_response(frequency)
     )
 
@@ -229,30 +229,11 @@ def _limits(correction: Modes, reach: float) -> Limits:
     never act, and a torque, which a loop without a gauge does not have, is rejected
     without any effect on the output.
     """
-    listed = {
-        "real": [
-            x
-            for mode in zip(correction.poles, correction.gains, strict=True)
-            for x in mode
-        ],
-        "pair": [
-            x
-            for pole, gain in zip(
-                correction.pair_poles, correction.pair_gains, strict=True
-            )
-            for x in (pole.real, pole.imag, gain.real, gain.imag)
-        ],
-    }
-    # The state of a mode is driven by the change of the error: (1 − z⁻¹)/(z − p)
-    # answers an impulse with 1, p − 1, (p − 1) p, …, of which this is the absolute sum.
-    norms = [(1 + abs(1 - p) / (1 - abs(p)), abs(g)) for p, g in modes_of(listed)]
     # r and y of opposite signs are 2Y apart; a hundredth more, so that rounding in
     # single precision trips nothing.
     error = 2.0 * reach * 1.01
-    largest = max([norm for norm, _ in norms] + [1.0])
-    command = (
-        2 * abs(correction.direct) + sum(norm * gain for norm, gain in norms)
-    ) * error
+    largest, gain = mode_norms(correction_values(correction))
+    command = gain * error
     motor = reach + command
     return Limits(
         sum_limit=command,
@@ -274,6 +255,7 @@ def _limits(correction: Modes, reach: float) -> Limits:
         fade_step=0.0,
         residual_angle=2.0 * motor,
         frozen_angle=2.0 * motor,
+        swing_angle=2.0 * motor,
         stuck_torque=1.0,
         wiring_energy=1.0,
     )

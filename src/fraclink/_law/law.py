@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,13 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 import fraclink._law.block as layout
 from fraclink import _kernels
-from fraclink._display import displayed
-from fraclink._files import document
-from fraclink._files import load as load_document
-from fraclink._files import save as save_document
-from fraclink._law.block import Drive, Modes, Tracking, block_values
+from fraclink._display import Overview, Row, Table, displayed, number, quantity
+from fraclink._files import Saved, document
+from fraclink._law.block import (
+    DiscreteMotorLoop,
+    Modes,
+    MotorModel,
+    Tracking,
+    block_values,
+)
 from fraclink._law.limits import Limits
-from fraclink.errors import FieldError, MissingExtraError
+from fraclink.errors import FieldError
 
 __all__ = ["MODES", "REASONS", "Law", "LawInputs", "LawOutputs"]
 
@@ -32,8 +35,8 @@ Complex = NDArray[np.complex128]
 Real = NDArray[np.float64]
 
 
-MODES = ("idle", "run", "degraded", "hold", "off")
-REASONS = (
+MODES: tuple[str, ...] = ("idle", "run", "degraded", "hold", "off")
+REASONS: tuple[str, ...] = (
     "none",
     "parameter version",
     "parameter size",
@@ -48,6 +51,8 @@ REASONS = (
     "gauge reversed",
     "gauge dead",
     "not moved enough",
+    "tip vibrates",
+    "voltage from limit to limit",
 )
 
 
@@ -82,21 +87,22 @@ class LawOutputs(NamedTuple):
     flags: Any
 
 
-def _of_pair(gain: complex) -> list[float]:
-    """What real and imaginary part of a pair's state count in the sum: Re(gain·state)."""
-    return [gain.real, -gain.imag]
+def _complex_text(value: complex) -> str:
+    """A pole or gain, and of a pair both."""
+    if not isinstance(value, complex):
+        return number(value, 5)
+    return f"{number(value.real, 5)} ± {number(abs(value.imag), 4)}j"
 
 
 @displayed
 @document(
     "law",
-    version=3,
+    version=4,
     hex_floats=True,
-    period=lambda law: float(law.period),
     summary=lambda law: {"block": law.digest},
 )
 @dataclass(frozen=True)
-class Law:
+class Law(Saved):
     """A controller as it runs: every coefficient of law.c at its period.
 
         θm* = θt* + F(z) θ̈t* + Ĉ(z)(θt* − θte),  θte = θm − Γ/c,    (22), (23)
@@ -119,9 +125,11 @@ class Law:
         largest error of C = 1 + Ĉ in (decibels, degrees) on the band [rad/s].
     feedforward_error
         the same of F, from a fifth of the resonance on.
-    inner_pole
+    motor_loop_pole
         p of M(s) [rad/s]; 0 for a law that closes no motor loop.
-    drive
+    motor_model
+        how the motor follows, as the guards and a given payload count on it.
+    motor_loop
         None for a robot that has its own position servo.
     limits
         of the guards.
@@ -133,9 +141,9 @@ class Law:
     >>> from fraclink._arm.link import LinkModel
     >>> from fraclink._law import discretize
     >>> link = LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92)
-    >>> law = discretize(Controller(gain=0.069876, order=0.612197, link=link), 0.004, order=4)
+    >>> law = discretize(Controller(derivative_gain=0.069876, derivative_order=0.612197, link=link), 0.004, order=4)
     >>> abs(law.frequency_response(0.0)).item(), len(law.block)
-    (0.0, 760)
+    (0.0, 408)
     """
 
     __made_by__ = "fraclink.discretize(design)"
@@ -145,9 +153,10 @@ class Law:
     stiffness: float
     correction: Modes
     feedforward: Modes
-    inner_pole: float
+    motor_loop_pole: float
+    motor_model: MotorModel
     limits: Limits
-    drive: Drive | None = None
+    motor_loop: DiscreteMotorLoop | None = None
     correction_error: tuple[float, float] = (math.nan, math.nan)
     feedforward_error: tuple[float, float] = (math.nan, math.nan)
     band: tuple[float, float] = (math.nan, math.nan)
@@ -157,6 +166,49 @@ class Law:
     def order(self) -> int:
         """Number of states of the correction Ĉ, without the one of its difference."""
         return len(self.correction.poles) + 2 * len(self.correction.pair_poles)
+
+    def overview(self) -> Overview:
+        """Poles, gains and the error of the fit; the law's name is its digest."""
+        motor = (
+            "with its motor loop"
+            if self.motor_loop
+            else "for a robot with its own servo"
+        )
+        kind = motor if self.has_gauge else "a fractional PID"
+        modes = self.correction
+        parts = [
+            *zip(modes.poles, modes.gains, strict=True),
+            *zip(modes.pair_poles, modes.pair_gains, strict=True),
+        ]
+        poles = (
+            (
+                Row("pole", "pole p", _complex_text(pole)),
+                Row("gain", "gain g", _complex_text(gain)),
+                Row(
+                    "rate",
+                    "|ln p|/Ts",
+                    float(abs(np.log(complex(pole)))) / self.period,
+                    "rad/s",
+                ),
+            )
+            for pole, gain in parts
+        )
+        decibel, degree = self.correction_error
+        rows = (
+            Row("order", "states", self.order),
+            Row("period", "period", self.period, "ms"),
+            Row("precision", "precision", self.precision),
+            Row("band", "band of the fit", self.band, "rad/s", digits=3),
+            Row("correction_error_db", "largest error of C", decibel, "dB", digits=2),
+            Row("correction_error", "and", math.radians(degree), "rad", digits=2),
+            Row("sha256", "", self.digest),
+            Row("", "SHA-256", f"{self.digest[:16]}…"),
+        )
+        return Overview(
+            f"{self.order} states, one step every {quantity(self.period, 'ms')}, {kind}",
+            rows=rows,
+            tables=(Table.of("poles", poles),),
+        )
 
     @property
     def has_gauge(self) -> bool:
@@ -173,11 +225,12 @@ class Law:
         return block_values(
             self.period,
             self.stiffness,
-            self.inner_pole,
+            self.motor_loop_pole,
+            self.motor_model,
             self.correction,
             self.feedforward,
             self.limits,
-            self.drive,
+            self.motor_loop,
             self.tracking,
         )
 
@@ -251,62 +304,6 @@ class Law:
             2j * np.sin(half) * np.exp(-1j * half) * total, dtype=np.complex128
         )
 
-    def to_control(self) -> Any:
-        """Return the law's filter as a discrete `control.StateSpace`: from the error to
-        the correction Ĉ e.
-
-        That of a fractional PID leads from the error to the output, its integral
-        included. Limits, guards and feed-forward are not in it. MissingExtraError where
-        python-control is not installed.
-
-        >>> import fraclink as fl
-        >>> rig = fl.Rig.named("paper-2023")
-        >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), 0.004, order=4)
-        >>> system = law.to_control()
-        >>> bool(abs(system(np.exp(4j * law.period)) - law.frequency_response(4.0)) < 1e-12), system.dt
-        (True, 0.004)
-        """
-        try:
-            import control
-        except ImportError as error:
-            raise MissingExtraError("control", "control") from error
-        direct, poles, gains, pairs, crossed = self._filter
-        size = len(poles) + 2 * len(pairs)
-        a, b, c = np.zeros((size + 1, size + 1)), np.zeros(size + 1), np.zeros(size + 1)
-        turns = [np.array([[p.real, -p.imag], [p.imag, p.real]]) for p in pairs + 1]
-        for place, block in enumerate([*(poles + 1).reshape(-1, 1, 1), *turns]):
-            at = place if place < len(poles) else 2 * place - len(poles)
-            width = len(block)
-            a[at : at + width, at : at + width] = block
-            b[at] = 1.0
-            c[at : at + width] = (
-                [gains[place]] if width == 1 else _of_pair(crossed[place - len(poles)])
-            )
-        # the last state is the error of the period before: the modes are driven by its
-        # change
-        a[:, -1], c[-1] = -b, -direct
-        b[-1] = 1.0
-        names = {"inputs": "error", "outputs": "correction"}
-        if self.has_gauge or self.drive is None:
-            return control.ss(
-                a, b[:, None], c[None, :], [[direct]], self.period, **names
-            )
-        loop = self.drive.loop
-        half = loop.integral_gain * loop.integral_now
-        # One state more, the integral of e + Ĉe by Tustin's rule: u = (k + half) x +
-        # integral, integral += 2 half x.
-        whole, into = (
-            np.zeros((size + 2, size + 2)),
-            np.append(b, 2 * half * (1 + direct)),
-        )
-        whole[:-1, :-1], whole[-1, :-1], whole[-1, -1] = a, 2 * half * c, 1.0
-        out = np.append((loop.direct + half) * c, 1.0)
-        through = [[(loop.direct + half) * (1 + direct)]]
-        names["outputs"] = "output"
-        return control.ss(
-            whole, into[:, None], out[None, :], through, self.period, **names
-        )
-
     def initial_state(self) -> bytes:
         """Return the state before the first period; the first step starts at the
         measured angle without a bump.
@@ -357,12 +354,11 @@ class Law:
         ]
         if four[0].ndim != 1 or any(x.shape != four[0].shape for x in four):
             shapes = [x.shape for x in four]
-            allowed = "four of one shape (N,)"
             raise FieldError(
                 "inputs",
                 shapes,
                 "not four signals",
-                allowed=allowed,
+                allowed="four of one shape (N,)",
                 remedy="give arrays",
             )
         count = four[0].size
@@ -399,7 +395,7 @@ class Law:
         """Return "none", or what is wrong with the gauge's wiring: law.c's
         commissioning test on a log.
 
-        The motor must turn by `wiring_angle()` or more within a quarter of the link's
+        The motor must turn by `wiring_angle` or more within a quarter of the link's
         vibration period: the tip then lags behind, and the torque [N·m] must rise with
         the motor angle [rad]; both have shape (N,), one value a period. The answers are
         "none", "gauge reversed", "gauge dead" and "not moved enough".
@@ -415,50 +411,33 @@ class Law:
                 allowed=f"{angle.shape}",
                 remedy="give two signals",
             )
-        return REASONS[
-            _kernels.law_wiring(self.block, angle, twist, self.precision == "single")
-        ]
+        reason = _kernels.law_wiring(
+            self.block, angle, twist, self.precision == "single"
+        )
+        return REASONS[int(reason)]
 
-    def wiring_angle(self, duration: float | None = None) -> float:
-        """Return by how much [rad] the motor must turn in `duration` [s] for
-        `check_wiring` to decide.
+    @property
+    def wiring_angle(self) -> float:
+        """By how much [rad] the motor must turn in `wiring_time` for `check_wiring` to
+        decide.
 
         Along the quintic of `smooth_step` the sum of squared steps is 10/7 θ²
         T/duration, and must reach the limits' `wiring_energy`, where the link's torque
-        stands clear of the gauge's noise. Default duration: a quarter of the link's
-        vibration period. FieldError unless duration > 0.
+        stands clear of the gauge's noise.
 
         >>> import fraclink as fl
         >>> from fraclink._law import discretize_controller
         >>> rig = fl.Rig.named("paper-2023")
-        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
         >>> law = discretize_controller(controller, rig.period, rig=rig)
-        >>> f"{law.wiring_angle():.2f} rad, in half a second {law.wiring_angle(0.5):.2f} rad"
-        '0.26 rad, in half a second 0.51 rad'
+        >>> f"{law.wiring_angle:.2f} rad in {law.wiring_time:.2f} s"
+        '0.26 rad in 0.13 s'
         """
+        periods = self.wiring_time / self.period
+        return math.sqrt(0.7 * self.limits.wiring_energy * periods)
+
+    @property
+    def wiring_time(self) -> float:
+        """A quarter of the link's vibration period [s]."""
         # `block_limit` is one and a half times half a vibration.
-        time = (
-            self.limits.block_limit * self.period / 3 if duration is None else duration
-        )
-        if not (math.isfinite(time) and time > 0):
-            raise FieldError(
-                "duration",
-                duration,
-                "not a time",
-                allowed="> 0 s",
-                remedy="give seconds",
-            )
-        return math.sqrt(0.7 * self.limits.wiring_energy * time / self.period)
-
-    def save(self, path: Path | str) -> None:
-        """Write the law to a JSON file; reals are hex floats, so that every bit comes
-        back.
-        """
-        save_document(self, path, force=True)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Law:
-        """Read what `save` wrote; FileFormatError where the file is damaged or its
-        digest does not fit.
-        """
-        return load_document(path, cls)
+        return self.limits.block_limit * self.period / 3

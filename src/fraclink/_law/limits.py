@@ -5,15 +5,15 @@ none guessed.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
-
-from fracsys.checks import checked_between
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypedDict
 
 if TYPE_CHECKING:
     from fraclink._arm.link import LinkModel
+    from fraclink._arm.rig_parts import Moves
+    from fraclink._law.tracking import Following
 
-__all__ = ["Limits", "Moves", "derive_limits"]
+__all__ = ["Limits", "derive_limits"]
 
 # times the nominal payload: more is a wrong unit, and beyond what bounds the torque
 LARGEST_SCALE = 4.0
@@ -24,41 +24,17 @@ JUMP = 3.0
 # [s]: the correction leaves slowly enough not to ring the link, fast enough to be gone
 # in a move
 FADE_TIME = 0.2
-
-
-@dataclass(frozen=True)
-class Moves:
-    """The largest move the arm is meant to make; the guards take anything far beyond it
-    for a fault.
-
-    The default covers 1 rad in 0.4 s along the quintic of `smooth_step` (4.7 rad/s, 36
-    rad/s²).
-
-    Parameters
-    ----------
-    angle, velocity, acceleration
-        of the reference [rad], [rad/s], [rad/s²], all > 0.
-
-    >>> Moves().velocity
-    6.0
-    """
-
-    angle: float = 2 * math.pi
-    velocity: float = 6.0
-    acceleration: float = 60.0
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = checked_between(
-                f"moves.{field.name}",
-                getattr(self, field.name),
-                0.0,
-                1e6,
-                "in rad and s",
-                open_low=True,
-                remedy="give the largest value the reference will have",
-            )
-            object.__setattr__(self, field.name, value)
+# periods with one reading of a gauge without delay that is not stuck: a stuck one is
+# found in 15 of an ordinary move, in which the model passes its torque in five
+STILL = 10
+# of a converter, where nobody states the gauge's quantum
+CONVERTER_BITS = 12
+# of a gauge's range: an amplifier at its rail reads its limit, which is not credible
+CREDIBLE_SHARE = 0.975
+# of the largest credible torque: a trip must lie below it to be seen
+TRIP_SHARE = 0.9
+# [rad]: a twentieth of a radian, 3°: whoever stands beside the arm sees it swing
+SWING = 0.05
 
 
 @dataclass(frozen=True)
@@ -86,15 +62,22 @@ class Limits:
     frozen_angle: float
     stuck_torque: float
     wiring_energy: float
+    swing_angle: float
     # 20 ms at 4 ms: three lost samples in a row are ridden through, a dead wire is not
     bad_limit: int = 5
     missed_limit: int = 5
     residual_limit: int = 10
-    stuck_limit: int = 12
+    stuck_limit: int = STILL
     frozen_limit: int = (
         8  # lost samples do not come in such rows, and a motor is not far by then
     )
     block_limit: int = 100  # derived from the resonance
+    stop_ringing: bool = False
+
+
+class _Stuck(TypedDict):
+    stuck_torque: float
+    stuck_limit: int
 
 
 def derive_limits(
@@ -102,7 +85,7 @@ def derive_limits(
     period: float,
     moves: Moves,
     *,
-    pole: float = 80.0,
+    loop: Following,
     gauge_limit: float = math.inf,
     gauge_noise: float = 0.0,
     gauge_quantum: float = 0.0,
@@ -114,8 +97,8 @@ def derive_limits(
 
     `sticking` [rad]: how far friction may keep the motor behind its reference, infinite where it is unknown.
     `kick`: Ĉ's gain at the highest frequency, the direct part of its filter. Largest torque of a move: c a
-    |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. Lag of the loop:
-    2/p + 1.5 T. Reasons stand beside each number in the source.
+    |s^(λ-2)/(μ s^α + ω₀²)| at the resonance, doubled for payloads beyond the nominal one. `loop` is the motor loop
+    as it was placed, its delay included. Reasons stand beside each number in the source.
     """
     # 1/G − 1 is what the motor must lead the tip by, and s² of it belongs to the
     # acceleration.
@@ -126,15 +109,12 @@ def derive_limits(
     # Twice: payloads beyond the nominal one bend the link more, and no limit may trip
     # on them.
     torque = 2 * link.stiffness * flexible
-    # The motor leads the tip by the flexion at both ends of a move.
-    angle = moves.angle + 2 * flexible
-    # M(s) lags by 2/p at low frequency, hold and computation by a period and a half.
-    lag = 2 / pole + 1.5 * period
+    # The law's own range is symmetric to the encoder's zero.
+    reach = moves.angle + abs(moves.centre)
+    lag = loop.lag * period
     # Reference, feed-forward and correction may each ask for the full speed at once.
     motor_step = 3 * moves.velocity * period
-    torque_limit = min(
-        4 * torque, 0.975 * gauge_limit
-    )  # an amplifier at its rail reads its limit: not credible
+    torque_limit = min(4 * torque, CREDIBLE_SHARE * gauge_limit)
     error = lag * moves.velocity
     # A link that vibrates swings back in half a period; what it is bent by for longer
     # is an acceleration that the reference's speed, from one end to the other, leaves
@@ -144,9 +124,13 @@ def derive_limits(
     block = (
         2 * link.stiffness * slow * min(moves.acceleration, 2 * moves.velocity / held)
     )
-    # two periods of delay that the motor model leaves out, at the speed of reference
-    # and feed-forward
-    residual = 3 * moves.velocity * period + 0.02
+    # at the full speed and acceleration of the command: a period that was missed, and
+    # what the model leaves out of the loop
+    residual = (
+        (1 + loop.slow) * motor_step
+        + 3 * loop.quick * moves.acceleration * period**2
+        + 0.02
+    )
     # the motor can bend the link by its own step; a sample's noise is below 8
     # deviations for centuries
     torque_step = 2 * link.stiffness * motor_step + 8 * gauge_noise + 2 * gauge_quantum
@@ -161,19 +145,20 @@ def derive_limits(
         forward_limit=3
         * moves.velocity
         / period,  # the states sum the acceleration, which sums to the speed
-        angle_limit=angle,
+        # The motor leads the tip by the flexion at both ends of a move.
+        angle_limit=reach + 2 * flexible,
         angle_step=2 * motor_step + 2 * encoder_resolution,
         torque_limit=torque_limit,
         torque_step=torque_step,
-        torque_trip=min(1.5 * torque, 0.9 * torque_limit),
-        torque_block=min(block, 0.9 * torque_limit),
+        torque_trip=min(1.5 * torque, TRIP_SHARE * torque_limit, moves.torque),
+        torque_block=min(block, TRIP_SHARE * torque_limit, moves.torque),
         reference_step=1.05 * moves.velocity * period,
         reference_rate=-math.expm1(-resonance * period / JUMP),
         acceleration_limit=1.2 * moves.acceleration,
         payload_limit=LARGEST_SCALE
         * (link.payload or 0.0),  # 0: a law that knows no payload takes none
         scale_step=min(1.0, period / SCALE_TIME),
-        motor_limit=angle,
+        motor_limit=reach,
         motor_step=motor_step,
         fade_step=min(1.0, period / FADE_TIME),
         residual_angle=residual,
@@ -184,12 +169,13 @@ def derive_limits(
             2 * encoder_resolution
             + max(sticking, 4.5 * moves.acceleration * period**2),
         ),
-        # a gauge whose noise is above its quantum does not read the same a dozen times:
-        # p = q/(2√π σ) for twice, below 1e-10 for twelve times, so that any motion of
-        # the model will do
-        stuck_torque=gauge_noise
-        if gauge_noise > gauge_quantum
-        else max(0.1 * torque, 8 * gauge_quantum + 4 * gauge_noise),
+        **_stuck(link, period, torque_limit, gauge_quantum),
+        # eight deviations of the tip's reading are no vibration
+        swing_angle=max(
+            SWING if moves.vibration is None else moves.vibration,
+            8 * gauge_noise / link.stiffness,
+        ),
+        stop_ringing=moves.vibration is not None,
         block_limit=max(5, round(held / period)),
         # sum of squared motor steps whose torque stands 6 deviations above the noise of
         # a torque step, and at least that of 0.1 rad in 25 periods
@@ -197,3 +183,20 @@ def derive_limits(
             (6 * math.sqrt(2) * gauge_noise / link.stiffness) ** 2, 0.1**2 / 25
         ),
     )
+
+
+def _stuck(link: LinkModel, period: float, largest: float, quantum: float) -> _Stuck:
+    """From which motion of the model on, and for how many periods in which the motor
+    turns, a gauge that stands still is stuck.
+
+    A good one reads the same for its delay, and while the motor turns by less than a
+    quantum's worth, q/c. With the jerk j of the reference that takes (6q/cj)^(1/3),
+    when the model has c j/ω² of it in torque: for no j is that more than n periods after
+    the model passed 8q/(9n²ω²T²). Noise only moves the reading.
+    """
+    step = max(quantum, 2 * largest / 2**CONVERTER_BITS)
+    slow = 8 / (9 * (STILL * abs(link.pole) * period) ** 2)
+    return {
+        "stuck_torque": max(8.0, slow) * step,
+        "stuck_limit": STILL + math.ceil(max(link.gauge_delay, 0.0) / period),
+    }

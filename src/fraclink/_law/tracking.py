@@ -11,19 +11,28 @@ so its certificate, are those of the law without.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.link import LinkModel
-from fraclink._arm.motor import DiscretePid
+from fraclink._arm.motor import DiscretePid, MotorConstants
 from fraclink._arm.motor_loop import SampledMotorLoop
 from fraclink._arm.rig import Rig
-from fraclink._law.block import FORWARD_MODES, Modes, Tracking
+from fraclink._law.block import FORWARD_MODES, Modes, MotorModel, Tracking
 from fracsys._discrete import DiscreteRational, fit_discrete
 
-__all__ = ["forward_fit", "masses_of", "tracking_for"]
+__all__ = [
+    "Following",
+    "following",
+    "forward_fit",
+    "held_reference",
+    "masses_of",
+    "tracking_for",
+]
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -31,57 +40,102 @@ Complex = NDArray[np.complex128]
 # of the resonance: below, the flexion is under 5 % of the motor's motion, its error
 # under 1 %
 FLEXIBLE = 0.2
+_STEPS = 4096  # of the impulse responses
 # A natural frequency this near to eq. (5) was computed by it, without the link's mass;
 # an identified one has it in.
 COMPUTED = 1e-3
-SLOWEST = 0.95  # pole of the reference model: a slower one would outlast the move
+SLOWEST = 0.995  # pole of the motor model: a loop that settles in a thousand periods
 FASTEST = (
     -0.5
 )  # a negative pole stands for a delay that is no whole period; beyond, it rings
 
 
-def tracking_for(
-    link: LinkModel,
-    feedforward: Modes,
+@dataclass(frozen=True)
+class Following:
+    """How the placed motor loop follows its reference, and what its model leaves out.
+
+    Of a reference whose speed and acceleration are within v and a, the motor and its
+    model part by no more than ``slow v T + quick a T²``: d is the difference of their
+    step responses, slow = |Σ d| [periods], quick = Σ_k |Σ_{j>k} d_j| [periods²].
+    """
+
+    model: MotorModel
+    lag: float  # of the loop [periods]
+    slow: float
+    quick: float
+
+    @classmethod
+    def of(
+        cls, model: MotorModel, follows: Callable[[Real], Complex], period: float
+    ) -> Following:
+        """Return how a motor loop with the response θm/θm* `follows` differs from its
+        model.
+        """
+        # Impulse responses by FFT: long enough for the slowest pole that a model may
+        # have.
+        grid = np.linspace(0.0, math.pi / period, _STEPS // 2 + 1)[1:]
+        back = np.exp(-1j * grid * period)
+        h = model.now + model.next * back / (1 - model.keep * back)
+        of_model = h * back / (1 - back + h * back)
+        loop = np.fft.irfft(np.concatenate([[1.0], follows(grid)]))
+        parts = np.cumsum(loop - np.fft.irfft(np.concatenate([[1.0], of_model])))
+        return cls(
+            model,
+            lag=float(np.arange(_STEPS) @ loop),
+            slow=float(abs(parts.sum())),
+            quick=float(np.abs(parts.sum() - np.cumsum(parts)).sum()),
+        )
+
+
+@lru_cache(maxsize=16)
+def following(
+    resonance: float,
     period: float,
     pole: float,
     delay: int,
-    *,
-    rig: Rig | None,
+    motor: MotorConstants | None,
     pid: DiscretePid | None,
+) -> Following:
+    """Return how a motor loop follows: the PID around its motor as it is sampled, or
+    M(s) with its `pole` [rad/s] where there is none, and a `delay` of whole periods.
+
+    `resonance` [rad/s] is the link's: a move has little beyond twice of it, as it would
+    ring whatever the law does.
+    """
+
+    def follows(frequency: Real) -> Complex:
+        back = np.exp(-1j * frequency * period)
+        if pid is None or motor is None:
+            return np.asarray(held_reference(pole * period, back) * back**delay)
+        loop = SampledMotorLoop(pid, motor, delay)
+        return np.asarray(loop.voltage(frequency) * loop.plant(back))
+
+    top = 2 * resonance
+    # Not to zero: the model's gain at rest is 1 by its form, and 1/ω of the weight has
+    # no bound there.
+    frequency = np.linspace(0.05, 1.0, 60) * min(4 * top, 0.5 * math.pi / period)
+    # 1/ω is the spectrum of a move's start and end; beyond twice the resonance a smooth
+    # move has next to nothing.
+    model = _fit(
+        follows(frequency),
+        np.exp(-1j * frequency * period),
+        1 / (frequency * (1 + (frequency / top) ** 2)),
+    )
+    return Following.of(model, follows, period)
+
+
+def tracking_for(
+    link: LinkModel, feedforward: Modes, period: float, *, rig: Rig | None
 ) -> Tracking | None:
     """Return what the law of `link` needs to use a payload, None where the link knows
     none.
-
-    The motor loop is the PID around the rig's motor, as it is sampled; M(s) with its
-    `pole` [rad/s] and a `delay` of whole periods where there is none.
     """
     if link.payload is None:
         return None
     nominal, own = masses_of(link, rig)
-    top = (
-        2 * abs(link.pole)
-    )  # a move has little beyond the link's resonance: it would ring whatever the law does
-    # Not to zero: the model's gain at rest is 1 by its form, and 1/ω of the weight has
-    # no bound there.
-    frequency = np.linspace(0.05, 1.0, 60) * min(4 * top, 0.5 * math.pi / period)
-    back = np.exp(-1j * frequency * period)
-    if pid is None or rig is None:
-        follows = _held(pole * period, back) * back**delay
-    else:
-        loop = SampledMotorLoop(pid, rig.motor, delay)
-        follows = loop.voltage(frequency) * loop.plant(back)
-    # 1/ω is the spectrum of a move's start and end; beyond twice the resonance a smooth
-    # move has next to nothing.
-    now, after, keep = _fit(
-        follows, back, 1 / (frequency * (1 + (frequency / top) ** 2))
-    )
     return Tracking(
         nominal=nominal * _share(link, feedforward, period),
         link=own,
-        now=now,
-        next=after,
-        keep=keep,
         gauge_delay=max(
             link.gauge_delay, 0.0
         ),  # one that leads is a motor angle that is late
@@ -122,34 +176,36 @@ def _share(link: LinkModel, feedforward: Modes, period: float) -> float:
     return float(abs(fitted * s**2 / (1 / link.tip()(s) - 1)))
 
 
-def _held(reach: float, back: Complex) -> Complex:
-    """M(s) = 1/(1 + s/p)² behind a hold, exactly, for pT = `reach` at z⁻¹ = `back`."""
+def held_reference(reach: float, back: Complex) -> Complex:
+    """Return M(s) = 1/(1 + s/p)² behind a hold, exactly, for pT = `reach` at z⁻¹ =
+    `back`.
+    """
     keep = math.exp(-reach)
-    return ((1 - keep * (1 + reach)) * back + keep * (keep - 1 + reach) * back**2) / (
-        1 - keep * back
-    ) ** 2
+    top = (1 - keep * (1 + reach)) * back + keep * (keep - 1 + reach) * back**2
+    return np.asarray(top / (1 - keep * back) ** 2)
 
 
-def _fit(follows: Complex, back: Complex, weight: Real) -> tuple[float, float, float]:
-    """(now, next, keep) of the nearest model with two real poles; its gain at rest is 1
+def _fit(follows: Complex, back: Complex, weight: Real) -> MotorModel:
+    """The nearest model with two real poles; its gain at rest is 1
     by its form.
 
     The poles are searched on a grid, which cannot leave the stable ones: a free fit of
     the paper's motor loop with its delay ends at a pole of 1.3.
     """
     poles = np.linspace(FASTEST, SLOWEST, 30)
-    found = _best(follows, back, weight, *np.meshgrid(poles, poles))
-    around = np.linspace(-0.05, 0.05, 21)
-    one, two, near = _best(
-        follows, back, weight, *np.meshgrid(found[0] + around, found[1] + around)
-    )
+    one, two, near = _best(follows, back, weight, *np.meshgrid(poles, poles))
+    for reach in (0.05, 0.005):
+        around = np.linspace(-reach, reach, 21)
+        one, two, near = _best(
+            follows, back, weight, *np.meshgrid(one + around, two + around)
+        )
     # The loop that is closed around the model has the poles that were found; its own
     # coefficients follow by comparing powers of z. z² + (now − 1 − keep) z + … = (z −
     # one)(z − two), the numerator now z + …
     keep = one + two - 1 + near
     after = (1 - one) * (1 - two) - near + near * keep
     # Rounded now, as the fits of Ĉ and F are: both precisions then run one model.
-    return float(np.float32(near)), float(np.float32(after)), float(np.float32(keep))
+    return MotorModel(*(float(np.float32(value)) for value in (near, after, keep)))
 
 
 def _best(

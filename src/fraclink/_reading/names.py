@@ -1,8 +1,8 @@
 """What the name of a column says: the quantity that loggers call so, and the unit at
 its end.
 
-Names are hints. `inspect_log` prints what they suggest, `start` weighs them against the
-values; only names such as ``motor_angle_rad`` count as stated.
+Names are hints. `inspect_log` prints what they suggest, `start` asks where they leave a
+choice; only names such as ``motor_angle_rad`` count as stated.
 """
 
 from __future__ import annotations
@@ -10,17 +10,18 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from fraclink._arm.log_columns import QUANTITY_OF, UNITS
+from fraclink._arm.log_columns import UNITS
 
 __all__ = [
     "UNITS_OF_LENGTH",
+    "length_of_name",
+    "names_time",
     "role_of_name",
     "roles_of",
-    "unit_in",
+    "stated_unit",
     "unit_of_name",
     "words_of",
 ]
-__all__ += ["length_of_name", "names_time", "stated_unit"]
 
 # Words that loggers use, English and German. A word of three letters and more also
 # counts where it begins a longer one, and one of five where it is a part of it.
@@ -88,23 +89,19 @@ _KNOWN = frozenset(unit for units in UNITS.values() for unit in units)
 # a time in minutes would be one in seconds.
 _UNITS_ELSEWHERE = _KNOWN | {
     *("Hz", "rad/s", "dB", "rpm", "%", "mm", "cm", "um", "µm", "N", "kg"),
-    *(
-        "min",
-        "mins",
-        "minute",
-        "minutes",
-        "h",
-        "hr",
-        "hrs",
-        "hour",
-        "hours",
-        "day",
-        "days",
-    ),
-    *("tick", "ticks", "count", "counts", "samples"),
+    *("min", "mins", "minute", "minutes", "h", "hr", "hrs", "hour", "hours", "day"),
+    *("days", "tick", "ticks", "count", "counts", "samples"),
 }
 # in any case: GHZ and ghz are units, too, though none that can be converted
 _PREFIXES = "kmgtuµnp"
+UNITS_OF_LENGTH = {
+    "m": 1.0,
+    "mm": 1e-3,
+    "cm": 1e-2,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "inch": 0.0254,
+}
 
 
 def words_of(name: str) -> tuple[str, ...]:
@@ -118,14 +115,6 @@ def words_of(name: str) -> tuple[str, ...]:
     return tuple(word.lower() for word in re.split(r"[\W\d_]+", spaced) if word)
 
 
-def unit_in(name: str, role: str) -> str:
-    """The unit that a column's name ends with, if it is one of the role's; "?"
-    otherwise.
-    """
-    ending = re.split(r"[_ \[\]()/.]+", name.strip(" ])"))[-1]
-    return ending if ending in UNITS[QUANTITY_OF[role]] else "?"
-
-
 def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
     """The unit that a name states in brackets or at its end, as `known` (or `UNITS`)
     spells it, or "".
@@ -133,9 +122,8 @@ def unit_of_name(name: str, known: Collection[str] = _KNOWN) -> str:
     >>> [unit_of_name(name) for name in ("Zeit (Sekunden)", "moment [N m]", "alpha_deg", "s")]
     ['s', 'Nm', 'deg', '']
     """
-    return next(
-        filter(None, (_spelled(ending, known) for ending in _endings(name)[0])), ""
-    )
+    spelled = (_spelled(ending, known) for ending in _endings(name))
+    return next(filter(None, spelled), "")
 
 
 def stated_unit(name: str, known: Collection[str]) -> str:
@@ -145,28 +133,24 @@ def stated_unit(name: str, known: Collection[str]) -> str:
     >>> [stated_unit(name, ("s", "ms")) for name in ("t [ms]", "time_min", "t [kg]", "time_stamp", "time")]
     ['ms', 'min', 'kg', '', '']
     """
-    if own := unit_of_name(name, known):
-        return own
-    endings, square = _endings(name)
-    return next((ending for ending in endings if square or _is_unit(ending)), "")
+    square = name.strip().endswith("]")
+    others = (text for text in _endings(name) if square or _is_unit(text))
+    return unit_of_name(name, known) or next(others, "")
 
 
-def _endings(name: str) -> tuple[list[str], bool]:
-    """What may be the unit of a name, the longest first, and whether it stands in
-    square brackets.
+def _endings(name: str) -> list[str]:
+    """What may be the unit of a name, the longest first.
 
     The ends of "omega_rad_per_s" are "rad/s" and "s". What stands in round brackets may
     be an argument, as in "Re(H)"; in square brackets there are units alone.
     """
-    if bracketed := re.search(r"([\[(])([^\])]*)[\])]\s*$", name):
-        inside = bracketed[2].strip()
+    if bracketed := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
+        inside = bracketed[1].strip()
         # "(Theta in rad)" ends with its unit.
-        return [inside, *inside.split()[-1:]] if inside else [], bracketed[1] == "["
+        return [inside, *inside.split()[-1:]] if inside else []
     # Without the first part, which is the name itself: a column "s" is no unit.
-    parts = [
-        part for part in re.split(r"[_ /.\-]+", name.strip()) if part.lower() != "per"
-    ]
-    return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]], False
+    parts = [part for part in re.split(r"[_ /.\-]+", name.strip()) if part != "per"]
+    return ["/".join(parts[k:]) for k in range(1, len(parts)) if parts[k]]
 
 
 def _spelled(text: str, known: Collection[str]) -> str:
@@ -179,23 +163,11 @@ def _spelled(text: str, known: Collection[str]) -> str:
 
 def _is_unit(text: str) -> bool:
     """Whether a text is a unit, or a quotient of units, with or without a prefix."""
-    if _spelled(text, _UNITS_ELSEWHERE):
+    parts = text.split("/", 1)
+    if len(parts) == 2 and all(map(_is_unit, parts)):
         return True
-    if "/" in text:
-        top, bottom = text.split("/", 1)
-        return _is_unit(top) and _is_unit(bottom)
-    base = _spelled(text[1:], _UNITS_ELSEWHERE) if text[:1].lower() in _PREFIXES else ""
-    return bool(base)
-
-
-UNITS_OF_LENGTH = {
-    "m": 1.0,
-    "mm": 1e-3,
-    "cm": 1e-2,
-    "um": 1e-6,
-    "µm": 1e-6,
-    "inch": 0.0254,
-}
+    base = text[1:] if text[:1].lower() in _PREFIXES else ""
+    return any(_spelled(unit, _UNITS_ELSEWHERE) for unit in (text, base) if unit)
 
 
 def length_of_name(name: str) -> str:
@@ -205,16 +177,11 @@ def length_of_name(name: str) -> str:
     >>> [length_of_name(name) for name in ("laser_mm", "tip [m]", "cart_m", "theta_m", "x_V")]
     ['mm', 'm', 'm', '', '']
     """
-    endings, square = _endings(name)
-    found = next((ending for ending in endings if ending in UNITS_OF_LENGTH), "")
+    unit = next((each for each in _endings(name) if each in UNITS_OF_LENGTH), "")
     # theta_m is the motor's angle in every second paper: m is a length there in
     # brackets only.
-    meant = (
-        square
-        or "(" in name
-        or not {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
-    )
-    return found if found != "m" or meant else ""
+    angle = {"theta", "th", "angle", "enc", "q", "pot"} & set(words_of(name))
+    return "" if unit == "m" and angle and not re.search(r"[\[(]", name) else unit
 
 
 def names_time(name: str) -> bool:
@@ -237,9 +204,9 @@ def role_of_name(name: str) -> tuple[str, str]:
     # drives the motor.
     if by_words[0] in ("", "voltage") and unit in UNITS["voltage"]:
         return "voltage", unit
+    if by_words == ("voltage", "command"):
+        return by_words
     for meaning, listed in _OTHER.items():
-        if meaning == "a commanded value" and by_words == ("voltage", "command"):
-            continue
         if word := next((word for word in words if word in listed), ""):
             return meaning, word
     if words[:1] == ("d",) and by_words[0]:
@@ -247,10 +214,9 @@ def role_of_name(name: str) -> tuple[str, str]:
     if unit in UNITS["torque"]:
         return "torque", unit
     # A deflection of the tip is measured from the hub; of a tip nothing is known.
-    if by_words[0] != "deflection" and (
-        word := next((word for word in words if word in _TIP), "")
-    ):
-        return "the tip", word
+    tip = next((word for word in words if word in _TIP), "")
+    if tip and by_words[0] != "deflection":
+        return "the tip", tip
     if not by_words[0] and unit in UNITS["angle"] and "motor" in words:
         return "motor_angle", "motor"
     return by_words
@@ -273,18 +239,14 @@ def _by_words(words: tuple[str, ...]) -> tuple[str, str]:
     # In this order, as names hold two words: "motor_torque" and "joint_effort" are
     # torques, "motor_voltage" is none of the three. Words of one or two letters say
     # least: theta_m is no torque.
-    for least, most in ((3, 99), (1, 2)):
-        for role, listed in _ROLES.items():
-            for word in words:
-                for hint in listed:
-                    if least <= len(hint) <= most and _hits(word, hint):
-                        return role, hint
+    hints = [(role, hint) for role, listed in _ROLES.items() for hint in listed]
+    hints.sort(key=lambda each: len(each[1]) < 3)
+    for role, hint in hints:
+        if any(_hits(word, hint) for word in words):
+            return role, hint
     return "", ""
 
 
 def _hits(word: str, hint: str) -> bool:
-    return (
-        word == hint
-        or (len(hint) >= 3 and word.startswith(hint))
-        or (len(hint) >= 5 and hint in word)
-    )
+    begins = len(hint) >= 3 and word.startswith(hint)
+    return word == hint or begins or (len(hint) >= 5 and hint in word)

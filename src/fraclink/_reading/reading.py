@@ -24,23 +24,19 @@ from fraclink._arm.rig import Rig
 from fraclink._arm.timebase import resampled, time_base, uniform_before
 from fraclink._files import sha256_of
 from fraclink._reading.columns import (
-    bad_cells,
     check_count,
     check_signals,
-    clean_column,
-    clock_step,
     columns_of_names,
     converter_step,
     stated_payload,
     suggested_columns,
     suggested_mapping,
-    with_combined,
 )
 from fraclink._reading.formats import read_table
-from fraclink._reading.names import unit_in
-from fraclink._reading.text import SAMPLE_LIMIT, LogTable
+from fraclink._reading.table import LogTable, check_size, clock_step
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
+from fracsys.checks import Payload
 
 _LOGS = Path(__file__).resolve().parents[1] / "data" / "logs"
 # [s]: stamps are sums of periods, and an end that is meant lies an ulp beside one
@@ -86,12 +82,9 @@ def read_columns(path: Path | str) -> dict[str, NDArray[np.float64]]:
     ['motor_angle_rad', 'time_s']
     """
     table = read_table(Path(path))
-    found: dict[str, NDArray[np.float64]] = {}
-    for name in table.names:
-        found[name] = clean_column(
-            table, table.place(name, "the table"), interpolate=False
-        )[0]
-    return found
+    return {
+        name: table.clean(table.place(name, "the table"))[0] for name in table.names
+    }
 
 
 def read_log(
@@ -99,7 +92,7 @@ def read_log(
     *,
     rig: Rig | None = None,
     columns: LogColumns | Mapping[str, str] | None = None,
-    payload: float | None = None,
+    payload: Payload | None = None,
     keep: tuple[float, float] | None = None,
     resample: bool = False,
     interpolate: bool = False,
@@ -125,7 +118,7 @@ def read_log(
         states them instead; a mapping of texts such as ``{"time": "t [s]", "torque": "-
         gauge * 0.1 [Nm]"}`` does, too.
     payload
-        m [kg], > 0; by default the log's own ``# payload_kg:`` line, if it has one.
+        payload of the log [kg]; by default the log's own ``# payload_kg:`` line, if it has one.
     keep
         the stretch to read, (from, until) [s] from the first sample, 0 <= from < until;
         what lies outside need not be uniform. The motor angle before it is kept as far
@@ -153,19 +146,12 @@ def read_log(
     place = Path(path)
     if columns is not None and not isinstance(columns, LogColumns):
         columns = parse_columns(f"{role}={text}" for role, text in columns.items())
+    table = read_table(place)
     # The call before the rig, and the rig before the names: who states more, knows
     # more.
-    stated = columns or (rig.log if rig else None)
-    # Names that do not fit the columns harm nobody who calls all columns by number.
-    named = stated.channels().values() if stated is not None else ()
-    numbered = bool(named) and all(each.column.startswith("#") for each in named)
-    table = read_table(place, numbered=numbered)
-    stated = stated or columns_of_names(table.names)
+    stated = columns or (rig.log if rig else None) or columns_of_names(table.names)
     if stated is None:
         raise _unstated(table)
-    table = with_combined(
-        table, [channel.column for channel in stated.channels().values()]
-    )
     # Units and signs at the border: from here on everything is SI, radians and positive
     # where the motor speeds up.
     data, findings = _channels(table, stated, interpolate)
@@ -174,16 +160,15 @@ def read_log(
     if keep is not None:
         inside, cut = _kept(stamps, *keep)
         findings.append(cut)
-        stamps, data = (
-            stamps[inside],
-            {role: values[inside] for role, values in data.items()},
-        )
+        stamps = stamps[inside]
+        data = {role: values[inside] for role, values in data.items()}
         first = int(np.argmax(inside))  # of the samples that are kept
     base = time_base(stamps, resample=resample)
-    if (
-        resample and base.findings
-    ):  # uniform stamps need no interpolation, which would cost the last bits
-        _check_span(stamps, base.period)
+    # Uniform stamps need no interpolation, which would cost the last bits.
+    if resample and base.findings:
+        # One stamp of another day, and a grid of the usual step over the gap is more
+        # memory than the log.
+        check_size(int(float(np.ptp(stamps)) / base.period))
         data = {role: resampled(stamps, base, values) for role, values in data.items()}
     output = data[stated.output_kind]
     check_signals(data["motor_angle"], output, stated.output_kind)
@@ -252,27 +237,39 @@ def _channels(
     """Every stated channel in SI units, with what was noticed."""
     data: dict[str, NDArray[np.float64]] = {}
     findings: list[Finding] = []
-    for role, channel in stated.channels().items():
+    channels = stated.channels()
+    table = table.with_combined([channel.column for channel in channels.values()])
+    for role, channel in channels.items():
         # Optional: a rig file states the voltage for all its logs, of which some have
         # none. It costs the friction, not the link.
         if role == "voltage" and channel.column not in table.names:
-            findings.append(_no_voltage(channel))
+            findings.append(
+                Finding(
+                    "W219",
+                    "info",
+                    f"the log has no column {channel.column!r} of voltage",
+                    {},
+                    "only friction needs it",
+                )
+            )
             continue
-        if (
-            role == "time"
-            and channel.column == ROW_NUMBER
-            and ROW_NUMBER not in table.names
-        ):
-            rows = table.values[
-                table.place(stated.motor_angle.column, "motor_angle")
-            ].size
-            data[role] = channel.in_si(np.arange(rows, dtype=np.float64), role)
-            continue
-        place = table.place(channel.column, role)
-        raw, filled = clean_column(table, place, interpolate=interpolate)
-        findings += [*filled, *_contradicted(table, place, role, channel)]
+        if channel.column == ROW_NUMBER and ROW_NUMBER not in table.names:
+            angle = table.place(stated.motor_angle.column, "motor_angle")
+            raw = np.arange(table.values[angle].size, dtype=np.float64)
+        else:
+            place = table.place(channel.column, role)
+            raw, filled = table.clean(place, interpolate=interpolate)
+            findings += [*filled, *_contradicted(table, place, role, channel)]
         data[role] = channel.in_si(raw, role)
-    _check_lengths(data, stated)
+        if data[role].size != data["time"].size:
+            raise LogError(
+                f"column of {role}",
+                channel.column,
+                f"{raw.size} samples long, while time has {data['time'].size}",
+                allowed="columns of one length",
+                remedy="state the time column that belongs to it, or export the channels at one rate",
+            )
+    check_count(data["time"].size)
     return data, findings
 
 
@@ -284,14 +281,9 @@ def _contradicted(
     """
     # Compared by size, not by spelling: Nm and N*m agree.
     known = UNITS[QUANTITY_OF[role]]
-    units = (
-        table.units[place] if table.units else "",
-        unit_in(table.names[place], role),
-    )
-    own = next((unit for unit in units if unit in known), channel.unit)
-    if (
-        known[own] == known[channel.unit] or channel.scale != 1
-    ):  # a scale states the conversion by itself
+    own = table.unit(place, tuple(known)) or channel.unit
+    # A scale states the conversion by itself, and names that do not fit state nothing.
+    if known[own] == known[channel.unit] or channel.scale != 1 or table.hints:
         return []
     return [
         Finding(
@@ -302,44 +294,6 @@ def _contradicted(
             "correct the unit in [log] of the rig file, or the header",
         )
     ]
-
-
-def _no_voltage(channel: Channel) -> Finding:
-    return Finding(
-        "W219",
-        "info",
-        f"the log has no column {channel.column!r} of voltage",
-        {},
-        "only friction needs it",
-    )
-
-
-def _check_lengths(data: dict[str, NDArray[np.float64]], stated: LogColumns) -> None:
-    count = data["time"].size
-    for role, values in data.items():
-        if values.size != count:
-            raise LogError(
-                f"column of {role}",
-                stated.channels()[role].column,
-                f"{values.size} samples long, while time has {count}",
-                allowed="columns of one length",
-                remedy="state the time column that belongs to it, or export the channels at one rate",
-            )
-    check_count(count)
-
-
-def _check_span(stamps: NDArray[np.float64], period: float) -> None:
-    # One stamp of another day, and a grid of the usual step over the gap is more memory
-    # than the log.
-    count = float(stamps[-1] - stamps[0]) / period
-    if count > SAMPLE_LIMIT:
-        raise LogError(
-            "time",
-            f"{float(stamps[-1] - stamps[0]):.6g} s",
-            f"too long to resample at {period * 1e3:.4g} ms",
-            allowed=f"{SAMPLE_LIMIT} samples",
-            remedy="cut the log at its gaps",
-        )
 
 
 # --- inspection: before units and roles are known ---------------------------------------------------------
@@ -445,9 +399,9 @@ def inspect_log(path: Path | str) -> LogListing:
     torque = { column = "torque_Nm", unit = "Nm" }
     """
     place = Path(path)
-    table = read_table(place, numbered=True)
+    table = read_table(place)
     channels = tuple(_summary(table, number) for number in range(len(table.names)))
-    remarks = (*table.remarks, *bad_cells(table))
+    remarks = (*table.remarks, *table.bad_cells())
     suggestion = suggested_mapping(table)
     return LogListing(
         Path(path).name, table.kind, channels, table.notes, suggestion, remarks

@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from fraclink._arm.log_columns import UNITS
 from fraclink._arm.recording import FrequencyResponse, Recording
 from fraclink._arm.reference import Reference, SampledReference, spline
+from fraclink._arm.timebase import time_base
 from fraclink._files import kind_of, load, sha256_of
-from fraclink._reading.columns import clean_column, clock_step
-from fraclink._reading.faults import normal_bytes
 from fraclink._reading.formats import read_table
-from fraclink._reading.forms import NUMBER, separator_of, split_cells
 from fraclink._reading.names import names_time, stated_unit, unit_of_name, words_of
 from fraclink._reading.reading import read_columns
-from fraclink._reading.text import LogTable, check_file
+from fraclink._reading.table import LogTable
 from fraclink.errors import FieldError, FileFormatError, LogError
 from fracsys.checks import checked
 
@@ -46,15 +44,10 @@ _UNITS = {
     "real": {"1": 1.0},
     "imaginary": {"1": 1.0},
     "coherence": {"1": 1.0},
-}
-_SPELLED_OUT = {
-    "frequency": "a column such as frequency_rad_s or frequency_Hz",
-    "gain and phase, or real and imag": "columns such as gain_dB and phase_deg, or real and imag",
+    "time": UNITS["time"],
 }
 _OMEGA = ("omega", "w", "ω")  # these letters are angular frequencies in every book
 _CALLED = 'name it as the header does, or by its number: "#1" is the first'
-_JITTER = 0.05  # of a step: a sample that much late is noise of 5 % of the slope
-_FEWEST = 3  # rows of a table that lies on its side: frequency, gain, phase
 
 
 def read_frequency_response(
@@ -90,18 +83,19 @@ def read_frequency_response(
     array([1.+0.j , 0.-0.1j])
     """
     place = Path(path)
-    found = _columns_of(place, columns)
-    frequency = _values(found, "frequency")
+    given = _columns_of(read_table(place), columns)
+    frequency = _in_si(given, "frequency")
     # First, as they need no unit: a table that holds both forms says the same twice.
-    if "real" in found and "imaginary" in found:
-        response = _values(found, "real") + 1j * _values(found, "imaginary")
-    elif "gain" in found and "phase" in found:
-        level = _values(found, "gain")
-        size = 10 ** (level / 20) if found["gain"][1] == "dB" else level
-        response = size * np.exp(1j * _values(found, "phase"))
+    if "real" in given and "imaginary" in given:
+        response = _in_si(given, "real") + 1j * _in_si(given, "imaginary")
+    elif "gain" in given and "phase" in given:
+        level = _in_si(given, "gain")
+        size = 10 ** (level / 20) if given["gain"][1] == "dB" else level
+        response = size * np.exp(1j * _in_si(given, "phase"))
     else:
-        raise _absent(found, "gain and phase, or real and imag")
-    coherence = _values(found, "coherence") if "coherence" in found else None
+        columns = "columns such as gain_dB and phase_deg, or real and imag"
+        raise _absent(given, "gain and phase, or real and imag", columns)
+    coherence = _in_si(given, "coherence") if "coherence" in given else None
     return FrequencyResponse(
         frequency,
         np.asarray(response, dtype=np.complex128),
@@ -111,182 +105,98 @@ def read_frequency_response(
     )
 
 
-Found = dict[
-    str, tuple[Reals, str, str]
-]  # role: values, unit ("" where it is not stated), name
+# By role: values, unit ("" where it is not stated), name.
+Given = dict[str, tuple[Reals, str, str]]
 
 
-def _values(found: Found, role: str) -> Reals:
-    """A column in SI units."""
-    if role not in found:
-        raise _absent(found, role)
-    values, unit, name = found[role]
-    if not unit:
-        units = " or ".join(_UNITS[role])
-        remedy = f'write it behind the name, as in "{name} [{next(iter(_UNITS[role]))}]", or state columns'
-        raise LogError(
-            f"column of {role}", name, "without its unit", allowed=units, remedy=remedy
+def _in_si(given: Given, role: str) -> Reals:
+    if role not in given:
+        raise _absent(
+            given, role, f"a column such as {role}_{next(iter(_UNITS[role]))}"
         )
-    if unit not in _UNITS[role]:
-        raise _other_unit(role, name, unit, _UNITS[role])
-    return np.asarray(values * _UNITS[role][unit], dtype=np.float64)
+    values, unit, name = given[role]
+    known = _UNITS[role]
+    if unit not in known:
+        raise LogError(
+            f"column of {role}",
+            name,
+            f"in {unit}, a unit that is not converted" if unit else "without its unit",
+            allowed="no unit" if set(known) == {"1"} else " or ".join(known),
+            remedy=f'convert the column and state its unit, as in "{name} [{next(iter(known))}]"',
+        )
+    return np.asarray(values * known[unit], dtype=np.float64)
 
 
-def _other_unit(
-    role: str, name: str, unit: str, known: Mapping[str, float]
-) -> LogError:
-    allowed = " or ".join(known) if set(known) != {"1"} else "no unit"
-    problem = f"in {unit}, a unit that is not converted"
-    remedy = f"convert the column and state its unit, as in [{next(iter(known))}]"
-    return LogError(f"column of {role}", name, problem, allowed=allowed, remedy=remedy)
-
-
-def _absent(found: Found, wanted: str) -> LogError:
-    names = (
-        ", ".join(f"{role}: {name}" for role, (_, _, name) in found.items()) or "(none)"
-    )
+def _absent(given: Given, wanted: str, allowed: str) -> LogError:
+    names = ", ".join(f"{role}: {name}" for role, (_, _, name) in given.items())
     remedy = "rename a column in the table's header, or state columns"
-    allowed = _SPELLED_OUT.get(wanted, f"a column of {wanted}")
-    return LogError(
-        "columns", names, f"without {wanted}", allowed=allowed, remedy=remedy
-    )
+    shown, problem = names or "(none)", f"without {wanted}"
+    return LogError("columns", shown, problem, allowed=allowed, remedy=remedy)
 
 
-def _columns_of(path: Path, stated: Mapping[str, str] | Sequence[str] | None) -> Found:
-    table = _on_its_side(path) or read_table(path)
+def _columns_of(
+    table: LogTable, stated: Mapping[str, str] | Sequence[str] | None
+) -> Given:
+    """The columns of a table by their roles."""
+    columns = [table.clean(k)[0] for k in range(len(table.names))]
+    names = [table.name(place) for place in range(len(columns))]
+    units = [*table.units] or [""] * len(columns)
+    roles = [_role(name) for name in names]
     if isinstance(stated, Mapping):
-        return {
-            _known_role(role): (*_stated(table, role, text), text)
-            for role, text in stated.items()
-        }
-    names, values = list(table.names), [*range(len(table.names))]
-    rows: list[Reals] = []
-    if stated is not None:
-        names = list(stated)
-        if len(names) == len(table.names):
-            rows = [clean_column(table, k, interpolate=False)[0] for k in values]
-        # As many names as rows: the table lies on its side and has no header.
-        elif len(names) == table.values[0].size:
-            rows = list(
-                np.array(
-                    [clean_column(table, k, interpolate=False)[0] for k in values]
-                ).T
-            )
-        else:
-            shape = f"{table.values[0].size} rows of {len(table.names)} columns"
-            remedy = "name every column (or every row) in its order"
+        roles, names = list(stated), list(stated.values())
+        bare = [re.sub(r"\s*\[[^\]]*\]\s*$", "", name) for name in names]
+        exact = [n if n in table.names else b for n, b in zip(names, bare, strict=True)]
+        places = [table.place(n, r, _CALLED) for n, r in zip(exact, roles, strict=True)]
+        columns = [columns[k] for k in places]
+        units = [units[k] for k in places]
+    elif stated is not None:
+        if len(stated) == columns[0].size != len(columns):
+            columns = list(np.array(columns).T)  # on its side, without names
+        names, units = list(stated), [""] * len(stated)
+        roles = [_role(name) for name in names]
+    given: Given = {}
+    if len(names) != len(columns) or not set(roles) <= {*_ROLES, ""}:
+        shape = f"{len(columns)} columns, of {', '.join(_ROLES)}"
+        raise LogError(
+            "columns",
+            ", ".join(names),
+            "not those of the table",
+            allowed=shape,
+            remedy="name every column (or every row) in its order, or by its role",
+        )
+    for role, name, unit, values in zip(roles, names, units, columns, strict=True):
+        if role in given:
+            what, remedy = f"column of {role}", "rename one, or state columns"
             raise LogError(
-                "columns",
-                shape,
-                f"none of which are {len(names)}",
-                allowed=shape,
-                remedy=remedy,
-            )
-    else:
-        rows = [
-            clean_column(table, k, interpolate=False)[0]
-            if _role(names[k])
-            else np.empty(0)
-            for k in values
-        ]
-    found: Found = {}
-    for name, column in zip(names, rows, strict=True):
-        role = _role(name)
-        if role in found:
-            remedy = "rename one, or state columns"
-            raise LogError(
-                f"column of {role}",
-                name,
-                "given twice",
-                allowed="one column",
-                remedy=remedy,
+                what, name, "given twice", allowed="one column", remedy=remedy
             )
         if role:
-            in_file = (
-                table.units[names.index(name)] if stated is None and table.units else ""
-            )
-            found[role] = (column, _unit(name, role, in_file), name)
-    return found
-
-
-def _known_role(role: str) -> str:
-    if role not in _ROLES:
-        allowed, remedy = ", ".join(_ROLES), "correct the word"
-        raise LogError("columns", role, "unknown", allowed=allowed, remedy=remedy)
-    return role
-
-
-def _stated(table: LogTable, role: str, text: str) -> tuple[Reals, str]:
-    """The column and the unit of ``"name [unit]"``."""
-    match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]\s*", text)
-    name = match[1] if match else text
-    exact = text if text in table.names else name
-    place = table.place(exact, role, _CALLED)
-    in_file = table.units[place] if table.units else ""
-    return clean_column(table, place, interpolate=False)[0], _unit(text, role, in_file)
+            given[role] = values, _unit(name, role, unit), name
+    return given
 
 
 def _role(name: str) -> str:
     """What a name says of a column, or ""."""
-    words = [*words_of(name), *(("ω",) if "ω" in name else ())]
-    return next(
-        (
-            role
-            for role, known in _ROLES.items()
-            if any(word in known for word in words)
-        ),
-        "",
-    )
+    words = {*words_of(name), *("ω" if "ω" in name else ())}
+    return next((role for role, known in _ROLES.items() if words & set(known)), "")
 
 
 def _unit(name: str, role: str, in_file: str) -> str:
     """The unit that a name or the file states, that of a name which needs none, or ""."""
+    known = _UNITS[role]
     # "freqHz" is split behind the word of the role, and not in front of the capital:
     # "fkHz" is no "fk" in Hz.
-    known = "|".join(sorted(_ROLES[role], key=len, reverse=True))
-    parted = re.sub(rf"^((?i:{known}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
-    unit = stated_unit(parted, _UNITS[role]) or unit_of_name(
-        f"[{name}]", _UNITS[role]
-    )  # "kHz" alone
-    unit = unit or stated_unit(f"[{in_file}]", _UNITS[role])
+    words = "|".join(sorted(_ROLES[role], key=len, reverse=True))
+    parted = re.sub(rf"^((?i:{words}))(?=[kmuµn]?[A-Z])", r"\1 ", name.strip())
+    unit = stated_unit(parted, known) or unit_of_name(f"[{name}]", known)  # "kHz" alone
+    unit = unit or stated_unit(f"[{in_file}]", known)
     if (
         not unit
+        and {*words_of(name), name.strip()} & set(_OMEGA)
         and role == "frequency"
-        and any(word in _OMEGA for word in [*words_of(name), name.strip()])
     ):
         return "rad/s"
-    return unit or ("1" if "1" in _UNITS[role] else "")
-
-
-def _on_its_side(path: Path) -> LogTable | None:
-    """A text table whose first cell of every row is the name of that row; None for all
-    others.
-    """
-    if path.suffix.lower() not in (".csv", ".txt", ".dat", ".tsv"):
-        return None
-    check_file(path)
-    lines = [
-        line
-        for line in normal_bytes(path.read_bytes(), path).decode().split("\n")
-        if line.strip()
-    ]
-    lines = [line for line in lines if line.lstrip()[0] not in "#%"]
-    # As many rows as there are roles at most: a table of ten frequencies has more
-    # lines, and stands upright.
-    if not _FEWEST <= len(lines) <= len(_ROLES):
-        return None
-    separator = separator_of(lines[0])
-    rows = [split_cells(line, separator) for line in lines]
-    named = all(
-        len(row) > 1
-        and not NUMBER.fullmatch(row[0])
-        and all(NUMBER.fullmatch(cell) for cell in row[1:])
-        for row in rows
-    )
-    if not named or len({len(row) for row in rows}) != 1:
-        return None
-    values = tuple(np.array(row[1:], dtype=np.float64) for row in rows)
-    return LogTable(tuple(row[0] for row in rows), values, "text")
+    return unit or ("1" if "1" in known else "")
 
 
 # --- two channels of any file -------------------------------------------------------------------------------
@@ -334,98 +244,54 @@ def read_recording(
     (0.004, 5001)
     """
     if period is not None and time is not None:
-        remedy = "leave one of them out"
         raise FieldError(
             "period",
             period,
             "given beside a time column",
             allowed="one of both",
-            remedy=remedy,
+            remedy="leave one of them out",
         )
     place = Path(path)
     table = read_table(place)
-
-    def column(name: str, role: str) -> Reals:
-        return clean_column(table, table.place(name, role, _CALLED), interpolate=False)[
-            0
-        ]
-
-    if period is None:
-        period = _period(table, time or _stamps(table))
+    channels = [
+        table.clean(table.place(name, role, _CALLED))[0]
+        for role, name in {"input": input, "output": output}.items()
+    ]
     return Recording(
-        period=period,
-        input=column(input, "input"),
-        output=column(output, "output"),
+        period=_period(table, time) if period is None else period,
+        input=channels[0],
+        output=channels[1],
         input_at_rest=input_at_rest,
         source=place.name,
         sha256=sha256_of(place),
     )
 
 
-def _second(table: LogTable, place: int) -> float:
-    """Unit of a column of stamps [s]: in 10 ms that are taken for 10 s every frequency
-    is a thousandth.
+def _period(table: LogTable, time: str | None) -> float:
+    """Step of the stamps [s], of any size: unlike an arm, a furnace may be sampled once
+    in a minute.
     """
-    name = table.names[place]
-    known = UNITS["time"]
-    words = (
-        unit_of_name(f"[{word}]", known) for word in words_of(name)
-    )  # "millis", "ms_since_start"
-    stated = stated_unit(name, known) or next(filter(None, words), "")
-    in_file = table.units[place] if table.units else ""
-    # The file's own statement before the name's: a TDMS property is set by the program,
-    # a name by a person.
-    unit = stated_unit(f"[{in_file}]", known) or stated
-    if unit and unit not in known:
-        raise _other_unit("time", name, unit, known)
-    return known[unit or "s"]
-
-
-def _period(table: LogTable, name: str) -> float:
-    """Step of the stamps, of any size: unlike an arm, a furnace may be sampled once in
-    a minute.
-    """
+    name = time or table.clock()
+    if not time and not names_time(name):
+        raise LogError(
+            "time",
+            ", ".join(table.names[:12]),
+            "not clear",
+            allowed="one column of stamps [s]",
+            remedy="name it by time, or give period",
+        )
+    table = table.with_combined([name])
     place = table.place(name, "time", _CALLED)
-    stamps = clean_column(table, place, interpolate=False)[0] * _second(table, place)
-    if stamps.size < 2:
-        allowed, remedy = ">= 2 rows", "record a motion, or give period"
-        raise LogError(
-            "time",
-            stamps.size,
-            "too few rows for a step",
-            allowed=allowed,
-            remedy=remedy,
-        )
-    # The mean step, as the rounding of single stamps cancels in it; each step may be
-    # off by its share of jitter.
-    step = (stamps[-1] - stamps[0]) / (stamps.size - 1)
-    worst = float(np.max(np.abs(np.diff(stamps) - step), initial=0.0))
-    if not step > 0 or worst > _JITTER * step:
-        remedy = "resample both channels onto uniform stamps, or give period"
-        evidence = f"steps of {step:.6g} s, off by up to {worst:.3g} s"
-        raise LogError(
-            "time",
-            evidence,
-            "not uniform",
-            allowed="one step throughout",
-            remedy=remedy,
-        )
-    return float(step)
-
-
-def _stamps(table: LogTable) -> str:
-    clocks = [
-        name
-        for name, values in zip(table.names, table.values, strict=True)
-        if names_time(name) and clock_step(values) is not None
-    ]
-    if len(clocks) == 1:
-        return clocks[0]
-    allowed = "one column of stamps [s]"
-    remedy = "name it by time, or give period"
-    raise LogError(
-        "time", ", ".join(table.names[:12]), "not clear", allowed=allowed, remedy=remedy
-    )
+    stamps, name = table.clean(place)[0], table.names[place]
+    # "millis" and "ms_since_start" state their unit, too. The file's own statement goes
+    # before the name's: a TDMS property is set by the program, a name by a person.
+    in_file = table.units[place] if table.units else ""
+    texts = [f"[{in_file}]", name, *(f"[{x}]" for x in words_of(name))]
+    units = [stated_unit(text, UNITS["time"]) for text in texts[:2]]
+    units += [unit_of_name(text, UNITS["time"]) for text in texts[2:]]
+    unit = next(filter(None, units), "s")
+    seconds = _in_si({"time": (stamps, unit, name)}, "time")
+    return time_base(seconds, slowest=math.inf).period
 
 
 COLUMNS = ("time_s", "angle_rad", "velocity_rad_per_s", "acceleration_rad_per_s2")
@@ -464,27 +330,34 @@ def read_reference(path: Path) -> Reference:
         return reference
     columns = read_columns(path)
     if missing := [name for name in COLUMNS[:2] if name not in columns]:
-        allowed = f"{COLUMNS[0]} and {COLUMNS[1]}, or a move of `fraclink shape`"
-        remedy = "name the columns so in the first line"
         raise FileFormatError(
-            missing[0], path.name, "without this column", allowed=allowed, remedy=remedy
+            missing[0],
+            path.name,
+            "without this column",
+            allowed=f"{COLUMNS[0]} and {COLUMNS[1]}, or a move of `fraclink shape`",
+            remedy="name the columns so in the first line",
         )
     time, *values = (columns[name] for name in COLUMNS if name in columns)
     if len(values) == 1:
         return spline(time, values[0])
     steps = np.diff(time)
     if not steps.size:
-        allowed, remedy = ">= 2 rows", "add the rows of the motion"
         raise FileFormatError(
-            "reference", path.name, "one row, no path", allowed=allowed, remedy=remedy
+            "reference",
+            path.name,
+            "one row, no path",
+            allowed=">= 2 rows",
+            remedy="add the rows of the motion",
         )
     # A law takes the rows one by one: a start elsewhere or another step would play the
     # move late or at another speed.
     if len(values) != 3 or time[0] != 0.0 or np.ptp(steps) > _UNEVEN * steps.mean():
-        allowed = "velocity and acceleration both, at 0 s and in equal steps from there"
-        remedy = "leave both out: a spline goes through angles at any times"
         raise FileFormatError(
-            "reference", path.name, "no whole table", allowed=allowed, remedy=remedy
+            "reference",
+            path.name,
+            "no whole table",
+            allowed="velocity and acceleration both, at 0 s and in equal steps from there",
+            remedy="leave both out: a spline goes through angles at any times",
         )
     # The step from the whole duration: that of one row is rounded to the text's digits.
     return SampledReference(float(time[-1] / len(steps)), np.array(values))

@@ -1,34 +1,34 @@
-"""The child that parses binary files: one request a line on its input, columns as .npy
-bytes on its output.
+"""The child that parses one binary file, and writes its columns to an archive.
 
-It is started as ``python -m fraclink._reading.worker``, may use 1 GB of address space and
-10 s of processor time for a file, and is expected to die: one changed byte makes some
-parsers crash.
+It is started as ``python -m fraclink._reading.worker KIND FILE ANSWER``, may use 1 GB
+of address space and 10 s of processor time, and is expected to die: one changed byte
+makes some parsers crash.
 """
 
 from __future__ import annotations
 
-import io
 import json
-import os
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink._reading.text import COLUMN_LIMIT, MEMORY_LIMIT, VALUE_LIMIT
-from fraclink.errors import FieldError, MissingExtraError, SizeError
+from fraclink._files.containers import UNPACKED_LIMIT, write_archive
+from fraclink._reading.table import check_size
+from fraclink.errors import FieldError, MissingExtraError
 
 if (
     sys.platform != "win32"
 ):  # there are no such limits there: the parent's clock is what remains
     import resource
 
+MEMORY_LIMIT = 1_000_000_000  # bytes of address space
+CPU_SECONDS = 10  # for one file
 _WIDEST = 256  # columns of one array: what is wider is a picture or a matrix, not a log
 
 
@@ -80,19 +80,6 @@ def columns_of(
         )
         yield RawColumn(
             label, unit, np.ascontiguousarray(table[:, place], dtype=np.float64)
-        )
-
-
-def check_size(values: int, columns: int = 1) -> None:
-    """Raise SizeError where an array is over the limits, before it is made."""
-    if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
-        found, allowed = (
-            f"{values} numbers in {columns}",
-            f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns",
-        )
-        remedy = "cut the recording to one experiment"
-        raise SizeError(
-            "log", f"{found} columns", "too large", allowed=allowed, remedy=remedy
         )
 
 
@@ -280,8 +267,7 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
     except ImportError as error:
         raise MissingExtraError("rosbags", "io") from error
 
-    series: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    stamps: dict[str, list[int]] = defaultdict(list)
+    records: dict[str, list[tuple[int, dict[str, float]]]] = defaultdict(list)
     with AnyReader(
         [path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)
     ) as reader:
@@ -293,70 +279,49 @@ def read_ros(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             header = getattr(message, "header", None)
             if header is None:
                 continue
+            # Whole nanoseconds: as a double, the seconds since 1970 resolve a quarter
+            # of a microsecond.
+            stamp = header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
             joints = connection.msgtype == _JOINT_STATE
             numbers = (
                 _joints(message) if joints else _numbers(message, "", _MESSAGE_DEPTH)
             )
-            count = len(stamps[connection.topic])
-            # Whole nanoseconds: as a double, the seconds since 1970 resolve a quarter
-            # of a microsecond.
-            stamps[connection.topic].append(
-                header.stamp.sec * 1_000_000_000 + header.stamp.nanosec
-            )
-            for name, value in numbers.items():
-                values = series[connection.topic][name]
-                values.extend(
-                    [np.nan] * (count - len(values))
-                )  # a joint that earlier messages did not name
-                values.append(value)
-    return _sorted_columns(series, stamps)
+            records[connection.topic].append((stamp, numbers))
+    columns, notes = [], {}
+    for topic, rows in records.items():
+        # Bags are sorted by when messages were received; two that overtook each other
+        # stand reversed.
+        rows.sort(key=lambda row: row[0])
+        notes[f"first stamp of {topic}"] = f"{rows[0][0]} ns"
+        stamps = np.array([stamp - rows[0][0] for stamp, _ in rows]) * 1e-9
+        columns.append(RawColumn(f"{topic}/time", "s", stamps))
+        # Joints may come and go in a topic: each column is as long as its stamps.
+        for name in dict.fromkeys(name for _, row in rows for name in row):
+            values = np.array([row.get(name, np.nan) for _, row in rows])
+            unit = _UNITS.get(name.rsplit(".", 1)[-1], "")
+            columns.append(RawColumn(f"{topic}/{name}", unit, values))
+    return columns, notes
 
 
 def _joints(message: Any) -> dict[str, float]:
-    found = {}
-    for field in _UNITS:
-        for joint, value in zip(message.name, getattr(message, field), strict=False):
-            found[f"{joint}.{field}"] = float(value)
-    return found
+    return {
+        f"{joint}.{field}": float(value)
+        for field in _UNITS
+        for joint, value in zip(message.name, getattr(message, field), strict=False)
+    }
 
 
 def _numbers(value: Any, name: str, depth: int) -> dict[str, float]:
     """The plain numbers of any stamped message, by their dotted path."""
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     for field in getattr(value, "__dataclass_fields__", {}):
         item = getattr(value, field)
         label = f"{name}.{field}" if name else field
         if isinstance(item, (int, float)) and not isinstance(item, bool):
-            found[label] = float(item)
+            numbers[label] = float(item)
         elif depth and field not in ("header", "__msgtype__"):
-            found.update(_numbers(item, label, depth - 1))
-    return found
-
-
-def _sorted_columns(
-    series: dict[str, dict[str, list[float]]], stamps: dict[str, list[int]]
-) -> tuple[list[RawColumn], dict[str, str]]:
-    columns, notes = [], {}
-    for topic, times in stamps.items():
-        first = min(times)
-        notes[f"first stamp of {topic}"] = f"{first} ns"
-        after = np.array([time - first for time in times], dtype=np.float64) * 1e-9
-        # Bags are sorted by when messages were received; two that overtook each other
-        # stand reversed.
-        order = np.argsort(after, kind="stable")
-        columns.append(RawColumn(f"{topic}/time", "s", after[order]))
-        for name, values in series[topic].items():
-            # Joints may come and go in a topic: each column is as long as its topic's
-            # stamps.
-            padded = np.array(values + [np.nan] * (len(times) - len(values)))
-            columns.append(
-                RawColumn(
-                    f"{topic}/{name}",
-                    _UNITS.get(name.rsplit(".", 1)[-1], ""),
-                    padded[order],
-                )
-            )
-    return columns, notes
+            numbers |= _numbers(item, label, depth - 1)
+    return numbers
 
 
 # --- TDMS of LabVIEW -------------------------------------------------------------------------------------
@@ -384,15 +349,15 @@ def read_tdms(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 
 def _channel(name: str, channel: Any) -> list[RawColumn]:
     unit = str(channel.properties.get("unit_string", ""))[:20]
-    found = list(columns_of(name, np.asarray(channel[:]), unit))
+    columns = list(columns_of(name, np.asarray(channel[:]), unit))
     step = channel.properties.get("wf_increment")
-    if found and isinstance(step, float) and np.isfinite(step) and step > 0:
+    if columns and isinstance(step, float) and np.isfinite(step) and step > 0:
         start = channel.properties.get("wf_start_offset", 0.0)
         stamps = np.asarray(
-            float(start) + step * np.arange(found[0].values.size), dtype=np.float64
+            float(start) + step * np.arange(columns[0].values.size), dtype=np.float64
         )
-        found.append(RawColumn(f"{name}.time", "s", stamps))
-    return found
+        columns.append(RawColumn(f"{name}.time", "s", stamps))
+    return columns
 
 
 def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
@@ -409,9 +374,9 @@ def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
             for name in array.dtype.names
             for column in columns_of(name, array[name])
         ], {}
-    found = [column.values for column in columns_of("", array)]
+    columns = [column.values for column in columns_of("", array)]
     return [
-        RawColumn(f"#{place + 1}", "", values) for place, values in enumerate(found)
+        RawColumn(f"#{place + 1}", "", values) for place, values in enumerate(columns)
     ], {}
 
 
@@ -428,86 +393,44 @@ PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
 # --- the child --------------------------------------------------------------------------------------------
 
 
-def _limit_memory() -> None:
+def _limit() -> None:
     if sys.platform != "win32":
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # What it writes the parent reads: no more than an archive may hold.
+        resource.setrlimit(resource.RLIMIT_FSIZE, (UNPACKED_LIMIT, UNPACKED_LIMIT))
+        # Counted from the child's birth, whose imports take up to two seconds.
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS + 2, CPU_SECONDS + 4))
 
 
-def _limit_time(seconds: int) -> None:
-    """Allow `seconds` of processor time from now on; the kernel ends the process beyond
-    that.
+def answer(kind: str, path: Path) -> tuple[dict[str, Any], list[RawColumn]]:
+    """What is to be told of a file, and its columns: names and notes, or why there are
+    none.
     """
-    if sys.platform != "win32":
-        usage = resource.getrusage(resource.RUSAGE_SELF)
-        # The limit counts from the child's birth: what earlier files took is added, and
-        # a second for rounding down.
-        limit = int(usage.ru_utime + usage.ru_stime) + 1 + seconds
-        resource.setrlimit(
-            resource.RLIMIT_CPU, (limit, resource.getrlimit(resource.RLIMIT_CPU)[1])
-        )
-
-
-def _answer(path: Path, kind: str) -> tuple[dict[str, object], list[bytes]]:
-    """The header of the answer and the columns' bytes."""
     try:
         columns, notes = PARSERS[kind](path)
         check_size(sum(column.values.size for column in columns), len(columns))
     except MissingExtraError as error:
         return {"missing": [error.package, error.extra]}, []
     except FieldError as error:
-        return {
-            "refused": [
-                error.field,
-                str(error.value),
-                error.problem,
-                error.allowed,
-                error.remedy,
-            ]
-        }, []
+        words = [error.field, str(error.value), error.problem]
+        return {"refused": [*words, error.allowed, error.remedy]}, []
     except MemoryError:
         return {"damaged": "it asks for more memory than a log needs"}, []
     except Exception as error:  # noqa: BLE001
         return {"damaged": f"{type(error).__name__}: {error}"[:200]}, []
-    blobs = [_npy(column) for column in columns]
-    listed = [
-        [column.name[:200], column.unit, len(blob)]
-        for column, blob in zip(columns, blobs, strict=True)
-    ]
-    return {"columns": listed, "notes": notes}, blobs
-
-
-def _npy(column: RawColumn) -> bytes:
-    stream = io.BytesIO()
-    np.lib.format.write_array(
-        stream, np.asarray(column.values, dtype="<f8"), allow_pickle=False
-    )
-    return stream.getvalue()
-
-
-def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    for line in requests:
-        request = json.loads(line)
-        _limit_time(int(request["cpu_seconds"]))
-        header, blobs = _answer(Path(request["path"]), request["kind"])
-        # As UTF-8, not as ASCII escapes: those make 12 bytes of one emoji, and the
-        # parent's limit is bytes.
-        answers.write(
-            json.dumps(header, ensure_ascii=False).encode("utf-8", "replace") + b"\n"
-        )
-        for blob in blobs:
-            answers.write(blob)
-        answers.flush()
+    listed = [[column.name[:200], column.unit] for column in columns]
+    return {"columns": listed, "notes": notes}, columns
 
 
 def main() -> None:
-    """Serve requests until the input ends."""
-    _limit_memory()
-    # Libraries print warnings to standard output; the pipe of the answers must hold
-    # nothing else.
-    with os.fdopen(os.dup(1), "wb") as answers, Path(os.devnull).open("wb") as nowhere:
-        os.dup2(nowhere.fileno(), 1)
-        _serve(sys.stdin.buffer, answers)
+    """Parse the file that the command line names."""
+    _limit()
+    kind, path, place = sys.argv[1:]
+    about, columns = answer(kind, Path(path))
+    arrays = {f"c{k}": np.asarray(c.values, "<f8") for k, c in enumerate(columns)}
+    with Path(place).open("wb") as stream:
+        write_archive(stream, json.dumps(about), arrays)
 
 
 if __name__ == "__main__":

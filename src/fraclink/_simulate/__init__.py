@@ -6,7 +6,11 @@ from __future__ import annotations
 
 from fraclink._arm.beam import Beam, BeamModes
 from fraclink._simulate.arm import Twin, TwinLog, damping_of, geared, simulate_log
-from fraclink._simulate.damping import FractionalKelvinVoigt, KelvinVoigt, PowerLaw
+from fraclink._simulate.damping import (
+    FractionalKelvinVoigt,
+    KelvinVoigt,
+    PowerLaw,
+)
 from fraclink._simulate.metrics import Metrics, MoveVerdict
 from fraclink._simulate.plant import Plant, assemble
 from fraclink._simulate.run import Run

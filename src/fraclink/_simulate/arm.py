@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ Vector = NDArray[np.float64]
 MOST_SAMPLES = 2_000_000  # two hours at 4 ms
 
 # Hub inertia over the arm's below which the compensation of the coupling torque, late
-# by a period and a half, feeds the mode more than the inner loop takes from it. Seen on
+# by a period and a half, feeds the mode more than the motor loop takes from it. Seen on
 # the paper's rig with 8 to 40 g at 4 ms: 0.5 % (as printed) and 2 % are unstable, 4.5 %
 # rings at 8 g, 12 % and more hold.
 LIGHT_HUB = 0.1
@@ -70,7 +70,7 @@ def geared(rig: Rig, ratio: Positive = 50.0) -> Rig:
     Table 1 gives J = 6.87e-5 kg·m² and no gear ratio; taken at the gear's output that
     is 0.5 % of the arm's own inertia, and no sampled compensation of the coupling
     torque holds such a hub (see W601). The text names a harmonic drive; 50 is its
-    smallest usual ratio. A = K/(nJ) and the inner loop follow.
+    smallest usual ratio. A = K/(nJ) and the motor loop follow.
 
     ratio: n, motor turns for one turn of the output, > 0
     """
@@ -172,7 +172,6 @@ class Twin:
         payload: float | None = None,
         link_mass: float | None = None,
         damping: Damping | None = None,
-        rigidity: Literal["stiffness", "tabulated"] = "stiffness",
         gauge_delay: Time | None = None,
         gauge_gain: float | None = None,
         stiction: float | None = None,
@@ -182,7 +181,7 @@ class Twin:
 
         Parameters
         ----------
-        payload, link_mass [kg], rigidity: see `Beam.from_rig`
+        payload, link_mass [kg]: see `Beam.from_rig`
         model
             the link as it was identified; the rig's own where it is left out
         damping
@@ -194,10 +193,12 @@ class Twin:
         link = rig.model if model is None else model
         if damping is None:
             if link is None:
-                allowed = "KelvinVoigt, FractionalKelvinVoigt or PowerLaw"
-                remedy = "give damping=, or a [model] in the rig file"
                 raise FieldError(
-                    "damping", None, "missing", allowed=allowed, remedy=remedy
+                    "damping",
+                    None,
+                    "missing",
+                    allowed="KelvinVoigt, FractionalKelvinVoigt or PowerLaw",
+                    remedy="give damping=, or a [model] in the rig file",
                 )
             _agree(rig, link)
             damping = damping_of(link)
@@ -218,9 +219,7 @@ class Twin:
             else gauge_gain,
         )
         return Twin(
-            beam=Beam.from_rig(
-                rig, payload=payload, link_mass=link_mass, rigidity=rigidity
-            ),
+            beam=Beam.from_rig(rig, payload=payload, link_mass=link_mass),
             damping=damping,
             motor=rig.motor,
             sensors=sensors,
@@ -339,11 +338,10 @@ def simulate_log(
     reference: Annotated[Vector, Array(1, finite=False, min_size=2)],
     *,
     period: Period = 0.004,
-    drive: Literal["servo", "prescribed"] = "servo",
     sensors: Sensors | None = None,
     modes: int | None = None,
     step: float = LONGEST_STEP,
-    servo_pole: Frequency = 80.0,
+    motor_loop_pole: Frequency = 80.0,
     seed: Seed = 0,
     title: str = "",
 ) -> TwinLog:
@@ -353,10 +351,8 @@ def simulate_log(
     Parameters
     ----------
     reference
-        hub reference, one value per period [rad], shape (N,). With ``drive="servo"`` it
-        is held over the period and the hub follows through M(s) = 1/(1 + s/p)²,
-        equation (21); with ``"prescribed"`` the hub passes through the samples on
-        straight lines.
+        hub reference, one value per period [rad], shape (N,): held over the period, and
+        followed through M(s) = 1/(1 + s/p)², equation (21).
     sensors
         imperfections; default none
     modes
@@ -374,9 +370,12 @@ def simulate_log(
     (0.1, True)
     """
     if reference.size > MOST_SAMPLES:
-        allowed, remedy = f"{MOST_SAMPLES} samples", "simulate a shorter log"
         raise SizeError(
-            "reference", reference.size, "too long", allowed=allowed, remedy=remedy
+            "reference",
+            reference.size,
+            "too long",
+            allowed=f"{MOST_SAMPLES} samples",
+            remedy="simulate a shorter log",
         )
     # After the size: a month of samples takes a gigabyte to look through.
     if not np.isfinite(reference).all():
@@ -391,11 +390,14 @@ def simulate_log(
     count = substeps(period, step)
     fine = period / count
     plant = assemble(
-        beam, damping, drive=drive, modes=modes, step=fine, servo_pole=servo_pole
+        beam,
+        damping,
+        drive="servo",
+        modes=modes,
+        step=fine,
+        motor_loop_pole=motor_loop_pole,
     )
-    outputs = _march(
-        plant.discretise(fine), reference, count, drive == "prescribed", fine
-    )
+    outputs = _march(plant.discretise(fine), reference, count)
     angle, tip, torque = outputs[:, 0], outputs[:, 2], outputs[:, 3]
     # Delayed at the fine steps, then sampled: a delay of half a period is not to be
     # rounded to one.
@@ -417,25 +419,18 @@ def simulate_log(
             plant.modes.frequencies,
             period,
             fine,
-            drive,
-            servo_pole,
+            motor_loop_pole,
             seed,
             title,
         ),
     )
 
 
-def _march(
-    matrices: StepMatrices, reference: Vector, count: int, prescribed: bool, fine: float
-) -> Vector:
+def _march(matrices: StepMatrices, reference: Vector, count: int) -> Vector:
     """Outputs at every fine step, shape ((N−1)·count + 1, 6); the twin starts at rest
     at the first sample.
     """
-    inputs = (
-        np.diff(reference) / (fine * count)
-        if prescribed
-        else reference[:-1] - reference[0]
-    )
+    inputs = reference[:-1] - reference[0]
     marched = _kernels.twin_march(*matrices.arrays, inputs, count, matrices.rest())
     # Linear and at rest at first: marched from zero, and only the angles know where
     # zero is.
@@ -452,8 +447,7 @@ def _header(
     frequencies: Vector,
     period: float,
     fine: float,
-    drive: str,
-    servo_pole: float,
+    motor_loop_pole: float,
     seed: int,
     title: str,
 ) -> dict[str, str]:
@@ -474,9 +468,7 @@ def _header(
         "damping": damping.label,
         "modes_rad_per_s": " ".join(f"{w:.6g}" for w in frequencies),
         "step_s": f"{fine:g}",
-        "hub": f"servo with double pole at {servo_pole:g} rad/s"
-        if drive == "servo"
-        else "prescribed",
+        "hub": f"servo with double pole at {motor_loop_pole:g} rad/s",
         "encoder_counts": str(counts) if counts else "none",
         "gauge_noise_Nm": f"{sensors.gauge_noise:g}",
         "gauge_offset_Nm": f"{sensors.gauge_offset:g}",

@@ -28,7 +28,13 @@ from numpy.typing import NDArray
 
 from fracsys.checks import Between, Fraction, Frequency, checked
 
-__all__ = ["Chain", "Damping", "FractionalKelvinVoigt", "KelvinVoigt", "PowerLaw"]
+__all__ = [
+    "Chain",
+    "Damping",
+    "FractionalKelvinVoigt",
+    "KelvinVoigt",
+    "PowerLaw",
+]
 
 Vector = NDArray[np.float64]
 
@@ -138,13 +144,15 @@ class KelvinVoigt:
     equation.
 
     time: η [s], >= 0; 0 is the undamped link. Negative η makes energy and is refused.
+    higher: η of the modes beyond the first [s], where theirs is another than a material's.
 
     >>> KelvinVoigt.from_ratio(0.0655, frequency=10.0)
-    KelvinVoigt(time=0.0131)
+    KelvinVoigt(time=0.0131, higher=None)
 
     """
 
     time: Annotated[float, Between(0.0, 1e6, "s", remedy=_ENERGY)]
+    higher: Annotated[float | None, Between(0.0, 1e6, "s", remedy=_ENERGY)] = None
 
     @staticmethod
     @checked

@@ -142,7 +142,7 @@ def engine_rig(rig: Rig, law: Law, model: LinkModel) -> Real:
         "substeps": float(SUBSTEPS),
         "delay": float(rig.motor_loop.delay_samples),
         "period": law.period,
-        "pole": law.inner_pole,
+        "pole": law.motor_loop_pole,
         "gain": motor.gain,
         "decay": motor.decay,
         "friction": motor.coulomb_torque / (motor.inertia * motor.gear_ratio),

@@ -98,16 +98,12 @@ def estimator_for(
         # Its models are recursions at one period: at another they would see every
         # frequency scaled.
         if not math.isclose(told.period, law.period, rel_tol=1e-9):
-            allowed, remedy = (
-                f"{law.period} s",
-                "make it for this law: design.estimator()",
-            )
             raise FieldError(
                 "told.period",
                 told.period,
                 "not the law's",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=f"{law.period} s",
+                remedy="make it for this law: design.estimator()",
             )
         # law.c and the estimator share their type of reals on a board.
         return told.in_precision(law.precision)
@@ -117,12 +113,12 @@ def estimator_for(
         return design.estimator()
     link = model or (rig.model if rig is not None else None)
     if rig is None or link is None:
-        allowed, remedy = (
-            "a design, or a law with rig= and model=",
-            "give the design in place of its law",
-        )
         raise FieldError(
-            "told", told, "without a model of the link", allowed=allowed, remedy=remedy
+            "told",
+            told,
+            "without a model of the link",
+            allowed="a design, or a law with rig= and model=",
+            remedy="give the design in place of its law",
         )
     # A law alone does not say for which payloads it was designed: those of its rig.
     return payload_estimator(
@@ -136,7 +132,7 @@ def estimate_findings(
     """Return W604 where the estimate left the payloads of the certificate, W605 where
     it met a contact.
     """
-    found = []
+    findings = []
     outside = (estimates.flags & _kernels.PAYLOAD_OUTSIDE) != 0
     if outside.any():
         low, high = estimator.certified
@@ -144,7 +140,7 @@ def estimate_findings(
         # range for a while by its width.
         last = int(np.flatnonzero(outside)[-1])
         share = f"{1e3 * estimates.low[last]:.3g} to {1e3 * estimates.high[last]:.3g} g"
-        found.append(
+        findings.append(
             Finding(
                 "W604",
                 "warning",
@@ -161,7 +157,7 @@ def estimate_findings(
     if touched.any():
         # The first touch: what follows is the arm swinging from it.
         first = float(period * np.flatnonzero(touched)[0])
-        found.append(
+        findings.append(
             Finding(
                 "W605",
                 "warning",
@@ -171,4 +167,4 @@ def estimate_findings(
                 "see what stands in its way; a program on the board can stop at this flag",
             )
         )
-    return tuple(found)
+    return tuple(findings)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from fraclink import _kernels
 from fraclink._arm.beam import matrices
 from fraclink._arm.motor import place_pid
 from fraclink._arm.rig import Rig
-from fraclink._law import Drive, Law
+from fraclink._law import DiscreteMotorLoop, Law
 from fraclink._law.discretization import COULOMB_SPEED
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._simulate.arm import Twin
@@ -43,7 +44,6 @@ __all__ = [
 ]
 
 Real = NDArray[np.float64]
-Bits = NDArray[np.uint32]
 
 SUBSTEPS = 10  # friction steps in a period: a stop is placed to 0.4 ms at 4 ms
 
@@ -68,15 +68,18 @@ RECORD = (
 
 _SEEN = ("motor_angle_measured", "torque_measured", "tip_estimate")
 
-# What `run_lumped` returns of each arm, and what more with `everything`.
-SHORT_SIGNALS = ("tip_angle", "motor_reference", "voltage")
-OTHER_SIGNALS = (
+# What `run_lumped` returns of each arm, in the order of batch.h.
+SIGNALS = (
+    "tip_angle",
+    "motor_reference",
+    "voltage",
     "motor_angle",
     "torque",
     "torque_measured",
     "tip_estimate",
     "motor_angle_measured",
 )
+MARKS = ("flags", "mode", "reason")
 
 
 # ── the model
@@ -159,7 +162,6 @@ def shared_rig(
     motor_loop: str,
     *,
     substeps: int = SUBSTEPS,
-    coupling: float = 0.0,
     start: float = 0.0,
 ) -> _kernels.LoopRig:
     """Return what the arms of one call have in common; start: the angle at rest before
@@ -169,8 +171,8 @@ def shared_rig(
         sampled=motor_loop == "sampled",
         substeps=substeps,
         period=law.period,
-        pole=law.inner_pole,
-        coupling=coupling,
+        pole=law.motor_loop_pole,
+        coupling=0.0,  # what the gauge shows of it is compensated without error
         encoder=rig.encoder.resolution,
         limit=rig.gauge.limit,
         quantum=rig.gauge.quantum,
@@ -185,11 +187,11 @@ def run_lumped(
     path: Real,
     chosen: NDArray[np.int32],
     *,
-    everything: bool = False,
     faults: Real | None = None,
     estimator: PayloadEstimator | None = None,
-) -> tuple[Real, Bits]:
-    """Run R arms under one law and return their signals and marks.
+) -> dict[str, NDArray[Any]]:
+    """Run R arms under one law and return their signals and marks by name, shape (R, N)
+    each.
 
     Parameters
     ----------
@@ -199,18 +201,14 @@ def run_lumped(
         unit references: angle [rad] and acceleration [rad/s²], shape (K, 2, N).
     chosen
         which reference each arm follows, shape (R,).
-    everything
-        False: tip, motor reference, voltage, shape (3, R, N). True: motor, torque,
-        measured torque, tip estimate and measured angle too, shape (8, R, N). The marks
-        (3, R, N) are flags, mode, reason.
     faults
         of all arms, rows of the twin's inputs, shape (N, 12); None: healthy.
     estimator
         of the law's precision, whose payload each law is given; None: that of `arms`.
     """
     runs, length = len(arms.seed), path.shape[2]
-    signals = np.empty((8 if everything else 3, runs, length))
-    marks = np.empty((3, runs, length), dtype=np.uint32)
+    signals = np.empty((len(SIGNALS), runs, length))
+    marks = np.empty((len(MARKS), runs, length), dtype=np.uint32)
     # The kernel walks rows: what was sliced or stacked must lie one behind the other.
     links = {
         field.name: np.ascontiguousarray(getattr(arms.links, field.name))
@@ -232,7 +230,9 @@ def run_lumped(
         signals,
         marks,
     )
-    return signals, marks
+    return dict(zip(SIGNALS, signals, strict=True)) | dict(
+        zip(MARKS, marks, strict=True)
+    )
 
 
 # ── the twin
@@ -441,10 +441,10 @@ def apply(state: ArmState, law: Law, changes: list[Event | None]) -> None:
             state.estimate = np.zeros(0, dtype=np.uint8)
 
 
-def drive_of(twin: Twin, law: Law) -> Drive:
+def motor_loop_of(twin: Twin, law: Law) -> DiscreteMotorLoop:
     motor = twin.motor
-    return Drive(
-        loop=place_pid(motor, law.inner_pole).discretize(law.period),
+    return DiscreteMotorLoop(
+        pid=place_pid(motor, law.motor_loop_pole).discretize(law.period),
         voltage_limit=min(motor.voltage_limit, 1e4),  # a block holds finite numbers
         # The link's torque acts at the output: nK volts hold it.
         torque_voltage=1.0 / (motor.torque_constant * motor.gear_ratio),

@@ -106,8 +106,8 @@ def link_weights(model: LinkModel, period: float, span: float) -> LinkWeights:
         for value in (model.natural_frequency**2, model.order, model.damping)
     )
     (at_end,) = _powers_at_end(square, order, damping, model.damping_order, period)
-    real = modes.gains * _relative_powers(modes.log_decays)
-    pair = modes.pole_gains * _relative_powers(modes.pole_log_decays)
+    real = _answers(modes.gains, modes.log_decays)
+    pair = _answers(modes.pole_gains, modes.pole_log_decays)
     # What the modes of one period would say at its end is taken out of the direct term,
     # as the recursion adds it.
     first = at_end - real.sum(axis=1) - pair.sum(axis=1).real
@@ -137,36 +137,37 @@ def second_mode_weights(mode: SecondMode | None, period: float) -> Real:
     damped = math.sqrt(1.0 - mode.damping_ratio**2)
     z = mode.frequency * period * complex(-mode.damping_ratio, damped)
     step = mode.gain * complex(1.0, mode.damping_ratio / damped) * np.expm1(z)
-    weights = step * _relative_powers(np.array([z]))[:, 0]
+    weights = _answers(step, np.array([z]))[:, 0]
     decay = np.exp(z)
     return np.concatenate(
         [[mode.gain, decay.real, decay.imag], weights.real, weights.imag]
     )[None]
 
 
-def _relative_powers(log_decay: NDArray[Any]) -> NDArray[Any]:
-    """φ_j/φ_0 for j = 0 ... 5, φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx: a mode's answer to
-    x^j, relative to a step.
+def _answers(step: NDArray[Any], log_decay: NDArray[Any]) -> NDArray[Any]:
+    """Answers to the powers x^j of modes e^(zt/T), z = `log_decay`, that answer a unit
+    step by `step`, at the end of one period: an axis of length 6 before the last.
 
-    Where |z| is large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the
-    series j! Σ zⁿ/(n + j + 1)! is used.
+    A mode answers x^j in proportion to φ_j(z) = ∫₀¹ x^j e^(z(1 − x)) dx. Where |z| is
+    large φ_j = (j φ_(j-1) − 1)/z; that cancels for small |z|, where the series
+    j! Σ zⁿ/(n + j + 1)! is used.
     """
-    z = np.atleast_1d(np.asarray(log_decay))
     # Five steps of the recursion multiply its rounding by 5!/|z|⁵, and 1/20! ends the
     # series at 4e-19: they meet at |z| = 1.
-    near = np.abs(z) < 1.0
-    small = np.where(near, z, 0.0)
-    large = np.where(near, 1.0, z)
+    near = np.abs(log_decay) < 1.0
+    small, large = np.where(near, log_decay, 0.0), np.where(near, 1.0, log_decay)
     rows = []
     by_recursion = np.expm1(large) / large
     for j in range(POWERS):
-        by_series = math.factorial(j) * sum(
-            small**n / math.factorial(n + j + 1) for n in range(20)
-        )
+        by_series = np.zeros_like(small)
+        for n in range(19, -1, -1):
+            by_series = (
+                math.factorial(j) / math.factorial(n + j + 1) + small * by_series
+            )
         if j:
             by_recursion = (j * by_recursion - 1.0) / large
         rows.append(np.where(near, by_series, by_recursion))
-    return np.asarray(np.array(rows) / rows[0])
+    return np.stack([step * (row / rows[0]) for row in rows], axis=-2)
 
 
 # ── many links
@@ -277,8 +278,9 @@ def batch_links(
     pair = np.asarray(-2.0 * residue, dtype=np.complex128)
     if not whole:
         pair = pair * _correction(log_pole, float(grid[0]), width)
-    weight = _answers(real, log_decay)
-    pair_weight = _answers(pair[:, None], pole[:, None])
+    weight = _answers(real * np.expm1(log_decay), log_decay)
+    swing_step = pair * np.expm1(pole)
+    pair_weight = _answers(swing_step[:, None], pole[:, None])
     at_end = _powers_at_end(stiff, order, damping, alpha, period)
     first = at_end - weight.sum(axis=2) - pair_weight.sum(axis=2).real
     second = second_mode_weights(model.second_mode, period)
@@ -316,36 +318,6 @@ def _correction(log_pole: Complex, start: float, width: float) -> Complex:
     return np.asarray(
         1.0 / (1.0 - np.exp(2j * np.pi * (start - log_pole + 1j * np.pi) / width))
     )
-
-
-def _answers(
-    gain: NDArray[np.inexact], log_decay: NDArray[np.inexact]
-) -> NDArray[np.inexact]:
-    """Answer of gain·e^(zt/T), a part of a step response, to x^j over one period, at
-    its end: (R, 6, modes).
-
-    A step's share is gain·(e^z − 1) = gain·z·φ_0, so x^j's is gain·z·φ_j with φ_j = ∫₀¹
-    x^j e^(z(1−x)) dx.
-    """
-    # The two ways meet at |z| = 1, as in `_relative_powers`.
-    near = np.abs(log_decay) < 1.0
-    small, large = np.where(near, log_decay, 0.0), np.where(near, 1.0, log_decay)
-    rows = []
-    by_recursion = np.expm1(large) / large
-    for j in range(POWERS):
-        by_series = _series(small, j)
-        if j:
-            by_recursion = (j * by_recursion - 1.0) / large
-        rows.append(gain * log_decay * np.where(near, by_series, by_recursion))
-    return np.stack(rows, axis=1)
-
-
-def _series(z: NDArray[np.inexact], power: int) -> NDArray[np.inexact]:
-    """φ_j(z) = j! Σ zⁿ/(n + j + 1)! by Horner's rule: 16 terms give 1e-15 for |z| < 1."""
-    total = np.zeros_like(z)
-    for n in range(16, -1, -1):
-        total = math.factorial(power) / math.factorial(n + power + 1) + z * total
-    return total
 
 
 def _powers_at_end(

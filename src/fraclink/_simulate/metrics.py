@@ -5,14 +5,17 @@ million.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from fraclink import _kernels
+from fraclink._display import Row
 from fraclink._law import MODES, REASONS
 
 __all__ = ["Metrics", "MoveVerdict", "judge", "judge_many", "measure", "measure_many"]
@@ -73,6 +76,31 @@ class Metrics:
     saturated: float
     growth: float = 0.0
 
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What people and programs read of them."""
+        return (
+            Row("overshoot", "overshoot", self.overshoot, "%", digits=3),
+            Row.time("settling_time", "settles to 2 %", self.settling_time),
+            Row(
+                "residual_vibration",
+                "residual vibration",
+                self.residual_vibration,
+                "mrad",
+            ),
+            Row("steady_state_error", "final error", self.steady_state_error, "mrad"),
+            Row("peak_tip_error", "", self.peak_tip_error, "mrad"),
+            Row("peak_voltage", "peak voltage", self.peak_voltage, "V", digits=3),
+            Row(
+                "motor_reference_noise",
+                "reference noise",
+                self.motor_reference_noise,
+                "mrad",
+            ),
+            Row("saturated", "", self.saturated, "%"),
+            Row("growth", "", self.growth, "1/s"),
+        )
+
 
 @dataclass(frozen=True)
 class MoveVerdict:
@@ -94,15 +122,12 @@ class MoveVerdict:
 
 @dataclass(frozen=True)
 class Signals:
-    """What is judged of R runs of N periods: reference, tip, motor reference, voltage,
-    flags, mode, reason.
-
-    All have shape (R, N); `ended` (R,) is when each reference comes to rest [s],
-    `vibration_period` (R,) that of each link [s].
+    """What is judged of R runs of N periods, shape (R, N) each; `ended` (R,) is when
+    each reference comes to rest [s], `vibration_period` (R,) that of each link [s].
     """
 
     reference: Real
-    tip: Real
+    tip_angle: Real
     motor_reference: Real
     voltage: Real
     flags: Bits
@@ -112,10 +137,27 @@ class Signals:
     ended: Real
     vibration_period: Real
 
+    @staticmethod
+    def of(
+        signals: Mapping[str, NDArray[Any]],
+        period: float,
+        ended: Real | float,
+        vibration_period: Real | float,
+    ) -> Signals:
+        """Return what is judged of named signals, of many runs or of one."""
+        judged = ("reference", "tip_angle", "motor_reference", "voltage")
+        marks = ("flags", "mode", "reason")
+        return Signals(
+            **{name: np.atleast_2d(signals[name]) for name in (*judged, *marks)},
+            period=period,
+            ended=np.atleast_1d(ended),
+            vibration_period=np.atleast_1d(vibration_period),
+        )
+
 
 def measure_many(signals: Signals) -> dict[str, Real]:
     """Return the fields of `Metrics` of every run, shape (R,) each."""
-    tip, reference = signals.tip, signals.reference
+    tip, reference = signals.tip_angle, signals.reference
     final = reference[:, -1:]
     move = final[:, 0] - reference[:, 0]
     excess = tip - final
@@ -153,7 +195,7 @@ def judge_many(
     reference and tip are at rest: an unstable loop that the limit holds hardly moves
     the tip.
     """
-    rows, at = np.arange(len(signals.tip)), _first_abnormal(signals.mode)
+    rows, at = np.arange(len(signals.tip_angle)), _first_abnormal(signals.mode)
     within = np.minimum(at, signals.mode.shape[1] - 1)
     mode = signals.mode[rows, within]
     normal = mode == _kernels.LAW_RUN
@@ -167,7 +209,7 @@ def judge_many(
         & normal
         & (metrics["growth"] <= 0.0)
         & (_driven(signals) <= _AT_LIMIT)
-        & np.isfinite(signals.tip).all(axis=1),
+        & np.isfinite(signals.tip_angle).all(axis=1),
     }
 
 
@@ -191,7 +233,7 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
         return MoveVerdict(True, f"settled in {metrics.settling_time:.3g} s")
     stop = int(_first_abnormal(signals.mode)[0])
     tripped = stop < signals.mode.shape[1]
-    if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip)):
+    if metrics.growth > 0.0 or not np.all(np.isfinite(signals.tip_angle)):
         grown = f"unstable: the vibration grows at {metrics.growth:.3g} 1/s"
         return MoveVerdict(
             False,
@@ -215,7 +257,7 @@ def judge(signals: Signals, metrics: Metrics) -> MoveVerdict:
         if metrics.saturated > 0.2
         else "not settled"
     )
-    error = signals.tip[0] - signals.reference[0]
+    error = signals.tip_angle[0] - signals.reference[0]
     away, end = (
         float(np.max(np.abs(error[-_tenth(len(error)) :]))),
         signals.period * (len(error) - 1),
@@ -249,12 +291,13 @@ def _settling(distance: Real, band: Real, period: float) -> Real:
 
 def _latest_settling(signals: Signals) -> Real:
     return np.asarray(
-        signals.period * (signals.tip.shape[1] - 1) - 0.5 * signals.vibration_period
+        signals.period * (signals.tip_angle.shape[1] - 1)
+        - 0.5 * signals.vibration_period
     )
 
 
 def _residual(signals: Signals) -> Real:
-    length = signals.tip.shape[1]
+    length = signals.tip_angle.shape[1]
     time = signals.period * np.arange(length)
     begin = np.searchsorted(time, signals.ended, side="left")
     # Two periods: one may begin at a node of what several modes leave.
@@ -264,7 +307,7 @@ def _residual(signals: Signals) -> Real:
     begin = np.minimum(
         begin, length - _tenth(length)
     )  # a run that ends with its reference: its last tenth
-    rows = zip(signals.tip, begin, end, strict=True)
+    rows = zip(signals.tip_angle, begin, end, strict=True)
     return np.array([0.5 * np.ptp(row[b : max(e, b + 1)]) for row, b, e in rows])
 
 
@@ -281,7 +324,7 @@ def _driven(signals: Signals) -> Real:
     """Part of the last tenth with the voltage at its limit, 0 where the reference still
     moves; shape (R,).
     """
-    length = signals.tip.shape[1]
+    length = signals.tip_angle.shape[1]
     tenth = _tenth(length)
     # A reference that still moves may need all of the voltage.
     rests = signals.ended <= signals.period * (length - tenth)
@@ -301,7 +344,7 @@ def _first_abnormal(mode: Bits) -> NDArray[np.intp]:
 
 def _growth(signals: Signals) -> Real:
     stop = _first_abnormal(signals.mode)
-    deviation = signals.tip - signals.reference
+    deviation = signals.tip_angle - signals.reference
     # A period after the reference's end: what the move itself leaves there is a step of
     # the envelope, no growth.
     begin = np.ceil((signals.ended + signals.vibration_period) / signals.period).astype(

@@ -24,7 +24,7 @@ from fraclink._simulate.estimates import (
     estimate_signals,
     joined,
 )
-from fraclink._simulate.kernel import RECORD, ArmState, apply, drive_of
+from fraclink._simulate.kernel import RECORD, ArmState, apply, motor_loop_of
 from fraclink._simulate.run import Run, judged_run
 from fraclink._simulate.sensors import (
     PAYLOAD,
@@ -52,7 +52,7 @@ def with_motor_loop(
     """Return the law with the motor loop of its rig, or of the twin's motor, and W602
     where it had none.
     """
-    if law.drive is None:
+    if law.motor_loop is None:
         finding = Finding(
             "W602",
             "warning",
@@ -65,15 +65,15 @@ def with_motor_loop(
         if rig is not None and link is not None:
             return equip(law, rig, link), (finding,)
         if twin is not None:
-            return replace(law, drive=drive_of(twin, law)), (finding,)
+            return replace(law, motor_loop=motor_loop_of(twin, law)), (finding,)
     # Each is a recursion of its own period: run at another, its pole would be elsewhere
     # without a word.
-    elif not math.isclose(law.drive.loop.period, law.period, rel_tol=1e-9):
+    elif not math.isclose(law.motor_loop.pid.period, law.period, rel_tol=1e-9):
         raise FieldError(
             "period",
             law.period,
             "not the motor loop's",
-            allowed=f"{law.drive.loop.period} s",
+            allowed=f"{law.motor_loop.pid.period} s",
             remedy="discretise controller and motor loop at one period",
         )
     return law, ()

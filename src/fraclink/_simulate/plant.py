@@ -8,7 +8,6 @@ Hub angle θm and velocity v, then for every mode the absolute coordinate pi = q
     p̈i  = −fi + φi(L) F                           F: a force on the tip [N]
     hub (motor):       (J + I_res) v̇ = τ − ν v + Σ Γi fi     I_res = I − Σ Γi²: what the modes leave out
     hub (servo):       v̇ = p²(θ* − θm) − 2 p v               M(s) of equation (21)
-    hub (prescribed):  θ̇m given, constant over a step
 
 Between two steps the inputs are constant and the step is the exact matrix exponential.
 """
@@ -16,7 +15,7 @@ Between two steps the inputs are constant and the step is the exact matrix expon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.beam import Beam, BeamModes, residual_inertia
-from fraclink._simulate.damping import Chain, Damping
+from fraclink._simulate.damping import Chain, Damping, KelvinVoigt
 from fraclink.errors import FieldError
 from fracsys.checks import Between, Frequency, NonNegative, Period, checked
 
@@ -40,7 +39,7 @@ __all__ = [
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-Drive = Literal["motor", "servo", "prescribed"]
+Drive = Literal["motor", "servo"]
 
 # Relative error of D(jω), for all modes alike so that the elements keep their meaning
 # when the payload and with it the shapes change. At λ = 1.92 the resonance amplifies it
@@ -85,8 +84,8 @@ class StepMatrices:
 class Plant:
     """The assembled twin: ẋ = A x + B u, y = C x, and its energy xᵀ E x.
 
-    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m],
-    the servo's reference [rad] or the hub's velocity [rad/s]. Outputs y: hub angle
+    Inputs u: (hub input, tip force [N]); the hub input is the net motor torque [N·m]
+    or the servo's reference [rad]. Outputs y: hub angle
     [rad], hub velocity [rad/s], tip angle [rad], gauge torque −EI w''(0) [N·m], tip
     velocity [rad/s], moment of the material on the hub [N·m].
     """
@@ -162,41 +161,31 @@ def resolved(beam: Beam, modes: int | None, step: float) -> BeamModes:
     refused.
     """
     # Three of the link: the third moves the tip by 1.3 mrad at most in a move of 1 rad.
-    found = beam.modes(3 if modes is None else modes)
+    candidates = beam.modes(3 if modes is None else modes)
     # Four steps per period: with fewer the input held over a step cannot follow the
     # mode at all.
-    fit = int(np.count_nonzero(found.frequencies * step <= np.pi / 2))
-    if fit == 0 or (modes is not None and fit < found.count):
+    count = int(np.count_nonzero(candidates.frequencies * step <= np.pi / 2))
+    if count == 0 or (modes is not None and count < candidates.count):
         raise FieldError(
             "modes",
             modes,
-            f"more than the step resolves (mode {fit + 1} is at {found.frequencies[fit]:.4g} rad/s)",
-            allowed=f"frequency x step <= pi/2, here {fit} modes",
-            remedy=f"take fewer modes or a step of {0.5 * np.pi / found.frequencies[-1]:.2g} s",
+            f"more than the step resolves (mode {count + 1} is at {candidates.frequencies[count]:.4g} rad/s)",
+            allowed=f"frequency x step <= pi/2, here {count} modes",
+            remedy=f"take fewer modes or a step of {0.5 * np.pi / candidates.frequencies[-1]:.2g} s",
         )
-    return beam.modes(fit)
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """One mode's quantities as rows over the states."""
-
-    place: Vector  # qi
-    speed: Vector  # q̇i, without the prescribed velocity's share
-    force: Vector  # fi, without it
+    return beam.modes(count)
 
 
 def _rows(
-    size: int, at: int, omega: float, load: float, chain: Chain, prescribed: bool
-) -> _Rows:
+    size: int, at: int, omega: float, load: float, chain: Chain
+) -> tuple[Vector, Vector, Vector]:
+    """One mode's qi, q̇i and fi as rows over the states."""
     place, speed, force = np.zeros(size), np.zeros(size), np.zeros(size)
     place[at], place[0] = 1.0, -load
-    speed[at + 1] = 1.0
-    if not prescribed:
-        speed[1] = -load
+    speed[at + 1], speed[1] = 1.0, -load
     force += omega**2 * (chain.spring * place + chain.dashpot * speed)
     force[at + 2 : at + 2 + chain.rates.size] = omega**2 * chain.weights
-    return _Rows(place, speed, force)
+    return place, speed, force
 
 
 @checked
@@ -209,7 +198,7 @@ def assemble(
     step: Step = LONGEST_STEP,
     hub_inertia: NonNegative = 0.0,
     hub_friction: NonNegative = 0.0,
-    servo_pole: Frequency = 80.0,
+    motor_loop_pole: Frequency = 80.0,
 ) -> Plant:
     """Assemble the linear twin.
 
@@ -225,15 +214,15 @@ def assemble(
         J of motor and hub at the link's side [kg·m²], drive "motor" only
     hub_friction
         ν [N·m·s/rad], drive "motor" only
-    servo_pole
+    motor_loop_pole
         p of M(s) = 1/(1 + s/p)² [rad/s], drive "servo" only
 
     >>> from fraclink._simulate import PowerLaw
     >>> rod = Beam(0.65, 0.338, 0.0, 0.030)
-    >>> plant = assemble(rod, PowerLaw(1.92), drive="prescribed")
-    >>> s = 12j  # the massless limit is equation (9); the hub input is a velocity, s times the angle
+    >>> plant = assemble(rod, PowerLaw(1.92), drive="servo")
+    >>> s = 12j  # the massless limit is equation (9) behind M(s)
     >>> exact = rod.lumped_frequency**2 / (s**1.92 + rod.lumped_frequency**2)
-    >>> bool(abs(plant.response(s)[2] * s - exact) < 1e-6)
+    >>> bool(abs(plant.response(s)[2] * (1 + s / 80) ** 2 - exact) < 1e-6)
     True
     """
     kept = resolved(beam, modes, step)
@@ -247,40 +236,34 @@ def assemble(
         np.zeros((6, size)),
         np.zeros((size, size)),
     )
-    prescribed = drive == "prescribed"
     # What of the arm's inertia the modes that were kept do not carry turns rigidly with
     # the hub; without it a heavy link would be too light by its higher modes.
     inertia = hub_inertia + residual_inertia(beam, kept)
-    y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = 1.0
-    if not prescribed:
-        y[TIP_VELOCITY, 1] = 1.0
+    y[HUB_ANGLE, 0] = y[HUB_VELOCITY, 1] = y[TIP_ANGLE, 0] = y[TIP_VELOCITY, 1] = 1.0
 
     at = 2
     for i in range(kept.count):
         omega, load, tip = kept.frequencies[i], kept.participation[i], kept.tip[i]
-        rows = _rows(size, at, omega, load, chain, prescribed)
+        if i and isinstance(damping, KelvinVoigt) and damping.higher is not None:
+            chain = replace(chain, dashpot=damping.higher)
+        place, speed, force = _rows(size, at, omega, load, chain)
         elements = slice(at + 2, at + 2 + chain.rates.size)
         a[at, at + 1] = 1.0
-        a[at + 1] = -rows.force
+        a[at + 1] = -force
         b[at + 1, 1] = tip * beam.length
-        a[elements] = rows.speed
+        a[elements] = speed
         a[elements, elements] -= np.diag(chain.rates)
-        if prescribed:
-            # The hub's velocity is given here and no state: its share of q̇i comes in
-            # as an input.
-            b[elements, 0] = -load
-            b[at + 1, 0] = omega**2 * chain.dashpot * load
-        y[TIP_ANGLE] += tip * rows.place
+        y[TIP_ANGLE] += tip * place
         # EI w''(0) by the modes' own curvature at the clamp, without D(s): a gauge sees
         # strain and not stress.
-        y[GAUGE_TORQUE] -= omega**2 * load * rows.place
-        y[TIP_VELOCITY] += tip * rows.speed
-        y[HUB_MOMENT] += load * rows.force
+        y[GAUGE_TORQUE] -= omega**2 * load * place
+        y[TIP_VELOCITY] += tip * speed
+        y[HUB_MOMENT] += load * force
         energy[at + 1, at + 1] += 0.5
-        energy += 0.5 * omega**2 * chain.spring * np.outer(rows.place, rows.place)
+        energy += 0.5 * omega**2 * chain.spring * np.outer(place, place)
         energy[elements, elements] += 0.5 * omega**2 * np.diag(chain.weights)
         at = elements.stop
-    _attach_hub(a, b, y, energy, drive, inertia, hub_friction, servo_pole)
+    _attach_hub(a, b, y, energy, drive, inertia, hub_friction, motor_loop_pole)
     for array in (a, b, y, energy):
         array.flags.writeable = False
     return Plant(beam, kept, chain, drive, inertia, a, b, y, energy)
@@ -297,9 +280,6 @@ def _attach_hub(
     pole: float,
 ) -> None:
     """Write the hub's two rows."""
-    if drive == "prescribed":
-        b[0, 0] = 1.0
-        return
     a[0, 1] = 1.0
     if drive == "servo":
         # A servo is stiff: M(s) of (21) as it stands, without the link's moment on it.

@@ -6,15 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
-from fraclink._display import displayed
-from fraclink._files import document, load, save
+from fraclink._display import Overview, Row, displayed, quantity, state_of
+from fraclink._files import Saved, document
 from fraclink._simulate.metrics import Metrics, MoveVerdict, Signals, judge, measure
 from fraclink.findings import Finding
 from fracsys.checks.equality import compared
@@ -46,14 +45,13 @@ SIGNALS = (
     "run",
     version=2,
     container="npz",
-    period=lambda run: run.period,
     sources=lambda run: (
         {"law": run.about["law_sha256"]} if "law_sha256" in run.about else {}
     ),
 )
 @compared
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Saved):
     """A run of the closed loop, one value per control period, each at the period's
     beginning; shape (N,).
 
@@ -104,7 +102,8 @@ class Run:
     --------
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> run = fl.simulate(law, fl.smooth_step(1.0, 0.5), rig=rig, model=rig.model, duration=2.0)
     >>> len(run.time), run.payload, run.about["motor_loop"]
     (501, 0.03, 'ideal')
@@ -150,18 +149,46 @@ class Run:
         """Reference minus tip angle [rad]."""
         return np.asarray(self.reference - self.tip_angle)
 
-    def save(self, path: Path | str) -> None:
-        """Write signals, metrics and what was run to one NPZ file, complete or not at
-        all.
-        """
-        save(self, path, force=True)
+    @property
+    def carried(self) -> str:
+        """The payload at the tip, and what the law was given of it."""
+        given, payload = (
+            self.about.get("payload_given", 0.0),
+            quantity(self.payload, "g"),
+        )
+        if not given:
+            return payload
+        if given == "estimated":
+            estimate = float(self.extras["payload_estimate"][-1])
+            return f"{payload}, estimated {quantity(estimate, 'g') if estimate else 'not yet'}"
+        # "told" and the true payload are one; any other number is a payload that the
+        # law was wrongly given, and both are shown.
+        if isinstance(given, str) or given == self.payload:
+            return f"{payload}, given"
+        return f"{payload}, given {quantity(given, 'g')}"
 
-    @staticmethod
-    def load(path: Path | str) -> Run:
-        """Read back what `save` wrote, in this format or the first; FileFormatError for
-        anything else.
-        """
-        return load(path, Run)
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Payload, figures of the move, and whether it passed."""
+        figures = (replace(r, key=f"metrics.{r.key}") for r in self.metrics.rows)
+        return (
+            Row("payload", "", self.payload),
+            Row("", "payload", self.carried),
+            *figures,
+            Row("reason", "", self.verdict.reason),
+            Row("passed", "verdict", self.verdict.passed),
+        )
+
+    def overview(self) -> Overview:
+        """What the move came to."""
+        return Overview(
+            # The reason already says which requirement of the move was missed, with its
+            # number.
+            f"move with {self.carried}: {self.verdict.reason}",
+            state_of(self.verdict.passed),
+            self.rows,
+            findings=self.findings,
+        )
 
 
 def judged_run(
@@ -192,18 +219,7 @@ def judged_run(
     growth
         of the vibration [1/s], where a longer run than this one measured it.
     """
-    rows = {
-        name: signals[name][None, :]
-        for name in ("motor_reference", "voltage", "flags", "mode", "reason")
-    }
-    block = Signals(
-        reference=signals["reference"][None, :],
-        tip=signals["tip_angle"][None, :],
-        **rows,
-        period=period,
-        ended=np.array([ended]),
-        vibration_period=np.array([vibration_period]),
-    )
+    block = Signals.of(signals, period, ended, vibration_period)
     # A campaign follows a growing vibration for twice as long; its replay must have its
     # verdict, and not that of four seconds.
     metrics = (

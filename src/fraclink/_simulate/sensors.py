@@ -424,12 +424,11 @@ def given_payload(
     if told is not True:
         return float(told)
     if payload is None:
-        remedy = "give payload=, or a model that knows its own"
         raise FieldError(
             "told",
             True,
             "without a payload to tell",
             allowed="a payload in kg",
-            remedy=remedy,
+            remedy="give payload=, or a model that knows its own",
         )
     return payload

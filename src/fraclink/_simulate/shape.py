@@ -1,41 +1,162 @@
-"""Shape a move: the fastest reference for the loop that runs, under limits, for every
-payload of a range.
+"""Shape a move: the fastest reference, or the gentlest that settles in time, for every
+arm of a set.
 """
 
 from __future__ import annotations
 
 import math
-import time
-from dataclasses import replace
-from typing import Annotated, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fraclink._arm.reference import Path, SampledReference
+from fraclink._display import Overview, Row, displayed, number, quantity, state_of
+from fraclink._files import Saved, document
 from fraclink._law.design import Design
-from fraclink._simulate.arm import Twin
+from fraclink._simulate.arm_set import ArmSet, On, Over, Payloads, WorstCase
 from fraclink._simulate.metrics import BAND
-from fraclink._simulate.shape_programme import MoveSolution, Programme, Responses
-from fraclink._simulate.shaped_move import (
-    Candidate,
-    MoveSetting,
-    ShapedMove,
-    settling,
-)
+from fraclink._simulate.programme import Programme
+from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.findings import Finding
-from fracsys.checks import Between, Ordered, checked
+from fracsys.checks import Between, Duration, checked
+from fracsys.checks.equality import compared
 
-__all__ = ["shape"]
+__all__ = ["ShapedMove", "shape"]
+
+Real = NDArray[np.float64]
 
 # Beyond, what is left of a vibration only decays: a tip that was in the band for two
 # and a half periods stays.
-_TAIL = 2.5  # vibration periods after settling that the programme looks at
-_LONGEST = 16  # times that: no move of an arm takes longer
-_FAR = 0.1  # of a path's span: a tip that is farther away does not follow it
+TAIL = 2.5  # vibration periods after settling that the programme looks at
+LONGEST = 12.0  # vibration periods: no move of an arm takes longer
+KNOTS = 30  # in a vibration period: more do not settle sooner, and cost the square
 # Rows and columns of the programme both grow with it, and the time of a solution with
 # more than the square.
-_MOST = 60  # coefficients; a longer reference gets fewer knots in a second
+MOST = 60  # coefficients; a longer reference gets fewer knots in a second
+FAR = 0.1  # of a path's span: a tip that is farther away does not follow it
+
+
+@displayed
+@document(
+    "shaped-move",
+    version=2,
+    sources=lambda move: {"law": move.worst_case.law_sha256},
+)
+@compared
+@dataclass(frozen=True, eq=False)
+class ShapedMove(Saved):
+    """A reference for every arm of a set, with what was promised of it and what the
+    arms made of it.
+
+    Parameters
+    ----------
+    reference
+        of the tip: a piecewise cubic with its knots on the law's periods.
+    period
+        of the law [s].
+    target
+        where the tip shall be: None for a move from rest to rest, else the path that is
+        followed.
+    voltage
+        that is kept [V], noise and friction included.
+    reserve
+        part of the band and of the voltage that the linear loops leave to friction and
+        noise [1].
+    promised
+        what the linear loops say: when the tip of every arm stays within 2 % of the
+        move [s]; along a path its largest distance to the path [rad].
+    worst_case
+        what the arms made of it, with friction and noise.
+    farthest
+        largest measured distance of a tip to the path [rad]; NaN for a move from rest
+        to rest.
+    tip_angle, motor_voltage
+        of each arm of the set with the payload with which it settles last, one value a
+        period, shape (A, N) [rad], [V].
+    findings
+        what a reader should know.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023-geared")
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
+    ...                    phase_margin=fl.deg(50), filter_time=0.02)
+    >>> move = fl.shape(design, 1.0, payloads=(0.030, 0.030), told=True)
+    >>> move.settling_time < 0.5, float(move.reference.angle(1.0).round(9))
+    (True, 1.0)
+    """
+
+    reference: Path
+    period: float
+    target: Path | None
+    voltage: float
+    reserve: float
+    promised: float
+    worst_case: WorstCase
+    farthest: float
+    tip_angle: Real
+    motor_voltage: Real
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        for values in (self.tip_angle, self.motor_voltage):
+            values.flags.writeable = False
+
+    @property
+    def amplitude(self) -> float:
+        """The move from the reference's first angle to its last [rad]."""
+        return float(
+            self.reference.angle(self.reference.duration) - self.reference.angle(0.0)
+        )
+
+    @property
+    def settling_time(self) -> float:
+        """Longest measured settling time of all arms [s]."""
+        return self.worst_case.settling_time
+
+    @property
+    def passed(self) -> bool:
+        """Whether the arms did what the linear loops promised, within the limits."""
+        return not any(finding.severity != "info" for finding in self.findings)
+
+    def overview(self) -> Overview:
+        """The longest settling time, or along a path the largest distance, as promised
+        and as measured.
+        """
+        case = self.worst_case
+        if self.target is not None:
+            result = (
+                f"the tip stays within {quantity(self.farthest, 'mrad')} of the path "
+                f"({quantity(self.promised, 'mrad')} promised)"
+            )
+        elif math.isfinite(self.settling_time):
+            promised = quantity(self.promised, "s", 3)
+            result = f"every arm settles within {quantity(self.settling_time, 's', 3)} ({promised} promised)"
+        else:
+            result = f"the arm “{case.worst.arm}” does not settle"
+        peak = max(each.peak_voltage for each in case.arms)
+        rows = (
+            Row("amplitude", "", self.amplitude),
+            Row("voltage", "", self.voltage),
+            Row("reserve", "", self.reserve),
+            Row("duration", "", self.reference.duration),
+            Row("promised", "", self.promised),
+            Row("settling_time", "", self.settling_time),
+            Row("farthest", "", self.farthest),
+            Row("worst_case", "", case),
+        )
+        return Overview(
+            f"{number(self.amplitude)} rad with {case.carried}: {result}, "
+            f"{number(peak, 3)} V of {number(self.voltage)} V",
+            state_of(self.passed),
+            rows,
+            tuple(replace(table, key="") for table in case.overview().tables),
+            self.findings,
+        )
 
 
 @checked
@@ -43,29 +164,28 @@ def shape(
     design: Design,
     move: Annotated[float, Between(-1e3, 1e3, "rad")] | Path | SampledReference,
     *,
-    payloads: Annotated[tuple[float, float], Ordered()] | None = None,
+    payloads: Payloads | None = None,
     told: bool = False,
+    over: Over = "box",
+    settle: Duration | None = None,
     voltage: Annotated[float, Between(0.0, 1e6, "V", low_open=True)] | None = None,
-    speed: Annotated[float, Between(0.0, 1e6, "rad/s", low_open=True)] | None = None,
-    torque: Annotated[float, Between(0.0, 1e6, "N·m", low_open=True)] | None = None,
     reserve: Annotated[float, Between(0.0, 0.9)] = 0.25,
-    on: Literal["twin", "model"] = "twin",
-    arm: Twin | None = None,
-    gauge_offset: Annotated[float, Between(-1e6, 1e6, "N·m")] | None = None,
-    seeds: Annotated[int, Between(1, 1000)] = 5,
+    on: On = "twin",
+    seeds: Annotated[int, Between(1, 1000)] = 1,
 ) -> ShapedMove:
-    """Return the fastest reference from rest to rest, or the one that makes the tip
-    follow a path best.
+    """Return the reference from rest to rest with which every arm of a set settles
+    first, or the one with which every tip follows a path best.
 
-    The closed loop of the shipped law and the arm is linear as long as no limit acts,
-    so the coefficients of a spline follow from a linear programme: the tips of all
-    payloads within 2 % of the move, less a reserve, from the settling time on, and
-    every voltage within its limit. The shortest settling time is found by bisection.
-    Along a path the largest distance of any payload's tip is made least.
+    The closed loop of the shipped law and an arm is linear as long as no limit acts, so
+    the coefficients of a spline follow from a linear programme: the tips of all arms
+    with all payloads within 2 % of the move, less a reserve, from the settling time on,
+    and every voltage within its limit. The shortest settling time is found by
+    bisection, and of all references that reach it, or the time that is asked for, the
+    one whose acceleration varies least is taken. Along a path the largest distance of
+    any tip is made least.
 
-    What is returned was then run on the arm with friction, noise and all its modes,
-    and a path beside itself as the reference; where the arm does not do what was
-    promised, a finding says so.
+    What is returned was then run on the arms with friction, noise and all their modes;
+    where they do not do what was promised, a finding says so.
 
     Parameters
     ----------
@@ -79,29 +199,28 @@ def shape(
         is left out. Twice the same where it is known.
     told
         whether the law is given the payload (`simulate`).
+    over
+        the arms that it is made for: "box", the fit's box and both damping laws, or
+        "model", the model alone (`worst_case`).
+    settle
+        the settling time that is wanted of every arm [s]; the shortest where it is left
+        out.
     voltage
         limit of |V| [V], noise and friction included; the rig's where it is left out.
-    speed, torque
-        limits of the motor's speed at the gear's output [rad/s] and of the torque at
-        the link's root [N·m], noise included.
     reserve
-        part of the 2 % band that the linear loop leaves to friction and noise, 0 … 0.9
-        [1].
+        part of the 2 % band and of the voltage that the linear loops leave to friction
+        and noise, 0 … 0.9 [1].
     on
-        what the loop is taken from and measured on: "twin", an arm made from the rig's
-        stiffness, length and masses, or "model", the link as it was identified.
-    arm
-        the twin to take; default `Twin.from_rig` of the design.
-    gauge_offset
-        of the gauge while it is measured [N·m]; the rig's where it is left out.
+        "twin": arms made from the rig's stiffness, length and masses; "model": massless
+        links as they were identified.
     seeds
-        noises to measure each payload with.
+        noises to run each arm with.
 
     Raises
     ------
     FieldError
-        a value out of its range, a law or a limit with which the arm cannot be moved, a
-        path that its limits do not let the tip follow.
+        a value out of its range, a limit with which no arm can be moved in the time
+        that is wanted, a path that the limits do not let the tips follow.
 
     Examples
     --------
@@ -109,294 +228,229 @@ def shape(
     >>> rig = fl.Rig.named("paper-2023-geared")
     >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
     ...                    phase_margin=fl.deg(50), filter_time=0.02)
-    >>> move = fl.shape(design, 0.5, voltage=8.0, seeds=1)
-    >>> [m.name for m in move.measured], move.passed
-    (['shaped'], True)
+    >>> move = fl.shape(design, 0.5, payloads=(0.030, 0.030), told=True, settle=0.6)
+    >>> move.settling_time <= 0.6, move.worst_case.worst.peak_voltage < 8.0
+    (True, True)
     """
     move = move.through() if isinstance(move, SampledReference) else move
-    if move == 0.0:
-        raise FieldError(
-            "move", 0.0, "no move", allowed="not 0 rad", remedy="give its size"
-        )
-    if on == "model" and arm is not None:
-        allowed, remedy = "on='twin'", "leave one of the two out"
-        raise FieldError(
-            "arm", "given", "a twin, beside on='model'", allowed=allowed, remedy=remedy
-        )
-    twin = (
-        None if on == "model" else arm or Twin.from_rig(design.rig, model=design.model)
-    )
-    setting = MoveSetting.of(design, payloads, told, twin, gauge_offset)
-    # Beyond the law's own limit of an angle its guard would reject the reference; the
-    # programme does not know of guards.
-    farthest, limit = setting.law.limits.angle_limit, setting.arm.voltage_limit
-    if not isinstance(move, Path) and abs(move) >= farthest:
-        allowed, remedy = (
-            f"< {farthest:.4g} rad, the law's own limit",
-            "derive the law's limits for it",
-        )
-        raise FieldError("move", move, "too far", allowed=allowed, remedy=remedy)
+    arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
+    limits, amplifier = arms.law.limits, arms.rig.motor.voltage_limit
     # Whatever is allowed, the amplifier gives no more.
-    most = limit if voltage is None else min(voltage, limit)
-    shaped, tried, kept_back = _references(
-        setting, move, (most, speed, torque), reserve
-    )
-    target = move if isinstance(move, Path) else None
-    shown = setting.between(2)
-    drawn = [setting.run(shaped, payload, 0) for payload in shown]
-    made = ShapedMove(
-        reference=shaped,
-        period=setting.law.period,
-        target=target,
-        payloads=setting.payloads,
-        told=told,
-        voltage=most,
-        kept_back=kept_back,
-        reserve=reserve,
-        measured=tuple(setting.measured(each, target, seeds) for each in tried),
-        seeds=seeds,
-        shown=np.array(shown),
-        tip_angle=np.stack([run.tip_angle for run in drawn]),
-        motor_voltage=np.stack([run.voltage for run in drawn]),
-        law_sha256=setting.law.digest,
-    )
-    return replace(made, findings=_findings(made))
-
-
-def _references(
-    setting: MoveSetting,
-    move: float | Path,
-    limits: tuple[float, float | None, float | None],
-    reserve: float,
-) -> tuple[Path, tuple[Candidate, ...], float]:
-    """Return the shaped path, all that are measured (it first), and the voltage left to
-    noise [V].
-    """
-    began = time.perf_counter()
-    programme, kept_back = setting.programme(*limits)
+    most = amplifier if voltage is None else min(voltage, amplifier)
+    left = 1.0 - reserve
     if isinstance(move, Path):
-        programme = _coarse(programme, move.duration)
-        found = _following(programme, move)
+        search = _Search(arms, left, most, float(move.angle(move.duration)))
+        coefficients, programme = search.following(move)
+        promised = _farthest(programme.tips(coefficients), move, programme.period)
     else:
-        found, programme = _fastest(setting, programme, move, reserve)
-    path = programme.path(found)
-    spent = time.perf_counter() - began
-    if isinstance(move, Path):
-        shaped = Candidate(
-            "shaped", path, _distance(programme.loops, path, move), spent
-        )
-        given = Candidate("as given", move, _distance(programme.loops, move, move))
-        return path, (shaped, given), kept_back
-    promised = settling(
-        programme.loops.to(path, ("tip",))[:, 0],
-        move,
-        BAND * abs(move),
-        programme.period,
+        # Beyond the law's own limit of an angle its guard would reject the reference.
+        if move == 0.0 or abs(move) >= limits.angle_limit:
+            raise FieldError(
+                "move",
+                move,
+                "no move of this law",
+                allowed=f"not 0, below {limits.angle_limit:.4g} rad, the law's own limit",
+                remedy="derive the law's limits for it",
+            )
+        search = _Search(arms, left, most, move)
+        coefficients, programme = search.settling(settle)
+        outside = np.abs(programme.tips(coefficients) - move).max(0) > BAND * abs(move)
+        promised = programme.period * float(np.flatnonzero(outside)[-1] + 1)
+    reference = programme.path(coefficients)
+    figures = arms.figures(reference, seeds)
+    runs = [arms.run(arms.links[each.arm], each.payload, reference) for each in figures]
+    target = move if isinstance(move, Path) else None
+    shaped = ShapedMove(
+        reference=reference,
+        period=arms.law.period,
+        target=target,
+        voltage=most,
+        reserve=reserve,
+        promised=promised,
+        worst_case=WorstCase(
+            figures, (arms.payloads[0], arms.payloads[-1]), told, on, arms.law.digest
+        ),
+        farthest=math.nan if target is None else _distance(runs, target),
+        tip_angle=np.stack([run.tip_angle for run in runs]),
+        motor_voltage=np.stack([run.voltage for run in runs]),
     )
-    return path, (Candidate("shaped", path, promised, spent),), kept_back
+    return replace(shaped, findings=_findings(shaped))
 
 
-# ── the programme
+def _distance(runs: list[Run], path: Path) -> float:
+    tips = np.stack([run.tip_angle for run in runs])
+    return _farthest(tips, path, runs[0].period)
+
+
+def _farthest(tips: Real, path: Path, period: float) -> float:
+    """Largest distance of any tip to a path [rad]."""
+    return float(np.abs(tips - path.angle(period * np.arange(tips.shape[1]))).max())
+
+
+# ── the search
 # ───────────────────────────────────────────────────────────────────────────────────────────
 
 
-def _fastest(
-    setting: MoveSetting, programme: Programme, move: float, reserve: float
-) -> tuple[MoveSolution, Programme]:
-    """Bisect the settling time [periods] and return the gentlest reference that keeps
-    the shortest.
+@dataclass(frozen=True)
+class _Search:
+    """What is looked for: a reference that ends at `end` [rad] for a set of arms.
+
+    left: part of the band and of the voltage for the linear loops. voltage: limit [V].
     """
-    allowed = (1.0 - reserve) * BAND * abs(move)
-    tail = math.ceil(_TAIL * setting.vibration / programme.period)
-    low, high, factor = 0, math.ceil(setting.vibration / programme.period), 1
 
-    def within(settled: int) -> bool:
-        found = _settling_at(programme, move, settled, tail)
-        return found is not None and found.distance <= allowed
+    arms: ArmSet
+    left: float
+    voltage: float
+    end: float
 
-    while not within(high):
-        # Up by half until it is within reach: the fastest is then sought between the
-        # last two.
-        low, high = high, math.ceil(1.5 * high)
-        if high + tail > programme.length:
-            factor *= 2
-            if factor > _LONGEST:
-                raise _unreachable(move, programme)
-            programme = setting.longer(programme, factor)
-        programme = _coarse(programme, high * programme.period)
-    # To a period, or to one in a hundred: the last bit of a second is below what noise
-    # does to the settling time.
-    while high - low > max(1, high // 100):
-        middle = (low + high) // 2
-        low, high = (low, middle) if within(middle) else (middle, high)
-    # Of all references that settle as soon the gentlest: the extreme one rattles
-    # between its bounds, and the arm with it.
-    found = _settling_at(programme, move, high, tail, within=allowed)
-    return found or _required(_settling_at(programme, move, high, tail)), programme
-
-
-def _coarse(programme: Programme, duration: float) -> Programme:
-    """Return the programme with its knots so far apart that a reference of `duration`
-    [s] needs few.
-    """
-    times = math.ceil(programme.count_for(duration) / _MOST)
-    return programme if times == 1 else replace(programme, knot=times * programme.knot)
-
-
-def _settling_at(
-    programme: Programme,
-    move: float,
-    settled: int,
-    tail: int,
-    *,
-    within: float | None = None,
-) -> MoveSolution | None:
-    target = np.full(programme.length, move)
-    count = programme.count_for(settled * programme.period)
-    return programme.solve(count, target, settled, settled + tail, within=within)
-
-
-def _required(solution: MoveSolution | None) -> MoveSolution:
-    if solution is None:
-        raise AssertionError("a programme that was solved before is not any more")
-    return solution
-
-
-def _unreachable(move: float, programme: Programme) -> FieldError:
-    time = programme.length * programme.period
-    allowed, remedy = (
-        f"one that settles within {time:.3g} s",
-        "allow more voltage, or move less",
-    )
-    return FieldError(
-        "move", move, "not reached within its limits", allowed=allowed, remedy=remedy
-    )
-
-
-def _following(programme: Programme, path: Path) -> MoveSolution:
-    last = math.ceil(path.duration / programme.period) + 1
-    if last + programme.knot > programme.length:
-        allowed = f"<= {(programme.length - programme.knot) * programme.period:.3g} s"
-        raise FieldError(
-            "move",
-            path.duration,
-            "too long a path",
-            allowed=allowed,
-            remedy="cut it into parts",
+    def programme(self, duration: float) -> Programme:
+        """Return the programme for references of `duration` [s]."""
+        limits, period = self.arms.law.limits, self.arms.law.period
+        knot = max(
+            1,
+            round(self.arms.vibration / (KNOTS * period)),
+            math.ceil(duration / (MOST * period)),
         )
-    # The loop is at rest at zero; a path from elsewhere is that path and a jump before
-    # it.
-    if float(path.angle(0.0)) != 0.0:
-        allowed, remedy = (
-            "a path from 0 rad",
-            "count the path from where the arm stands",
+        torque = min(self.arms.rig.gauge.limit, limits.torque_limit)
+        return Programme.of(
+            self.arms,
+            knot,
+            LONGEST * self.arms.vibration,
+            voltage=self.left * self.voltage,
+            motor_step=self.left * limits.motor_step,
+            torque=self.left * torque,
         )
-        raise FieldError(
-            "move",
-            float(path.angle(0.0)),
-            "not at 0 at first",
-            allowed=allowed,
-            remedy=remedy,
-        )
-    target = path.angle(programme.period * np.arange(programme.length))
-    found = programme.solve(
-        programme.count_for(path.duration), target, 0, programme.length
-    )
-    if found is None:
-        allowed, remedy = (
-            "a path within the limits",
-            "make it slower, or allow more voltage",
-        )
-        raise FieldError(
-            "move", path.kind, "not to be followed", allowed=allowed, remedy=remedy
-        )
-    return found
 
+    def settling(self, settle: float | None) -> tuple[Real, Programme]:
+        """Return the gentlest reference that settles at `settle` [s], or as early as
+        can be, and its programme.
+        """
+        period, allowed = self.arms.law.period, self.left * BAND * abs(self.end)
+        tail = math.ceil(TAIL * self.arms.vibration / period)
+        programme = self.programme(settle or self.arms.vibration)
 
-def _distance(loops: Responses, reference: Path, target: Path) -> float:
-    """Largest distance of any payload's tip to where it shall be [rad]."""
-    tip = loops.to(reference, ("tip",))[:, 0]
-    return float(
-        np.abs(tip - target.angle(loops.period * np.arange(loops.length))).max()
-    )
-
-
-def _along(made: ShapedMove, span: float) -> list[Finding]:
-    """What is to be said of the distance between tip and path, whose angles span that
-    much [rad].
-    """
-    ours, found = made.shaped, []
-    if ours.largest_error > ours.predicted + made.reserve * BAND * span:
-        found.append(
-            Finding(
-                "W501",
-                "warning",
-                "the tip is farther from the path than the linear loop promises",
-                {"measured": ours.largest_error, "promised": ours.predicted},
-                "noise or friction moves the arm: make the path larger, or allow a larger reserve",
+        def distance(settled: int) -> float:
+            count = programme.count(settled * period)
+            nearest = programme.nearest(
+                count, self._target(programme), settled, settled + tail
             )
+            return math.inf if nearest is None else nearest[1]
+
+        low, high = 0, math.floor((settle or self.arms.vibration) / period)
+        while distance(high) > allowed:
+            # Up by half until it is within reach: the fastest is then sought between
+            # the last two.
+            low, high = high, math.ceil(1.5 * high)
+            if settle is not None or high + tail > programme.length:
+                raise self._out_of_reach(low * period)
+            programme = self.programme(high * period)
+        # To a period, or to one in a hundred: the last bit of a second is below what
+        # noise does to the settling time.
+        while settle is None and high - low > max(1, high // 100):
+            middle = (low + high) // 2
+            if distance(middle) <= allowed:
+                high = middle
+            else:
+                low = middle
+        count = programme.count(high * period)
+        target = self._target(programme)
+        coefficients = programme.gentlest(count, target, high, high + tail, allowed)
+        if coefficients is None:
+            raise self._out_of_reach(high * period)
+        return coefficients, programme
+
+    def _target(self, programme: Programme) -> Real:
+        return np.full(programme.length, self.end)
+
+    def _out_of_reach(self, time: float) -> FieldError:
+        return FieldError(
+            "move",
+            self.end,
+            f"does not settle within {time:.3g} s on every arm of the set",
+            allowed="a move within the limits of voltage, speed and torque",
+            remedy="allow more time or voltage, move less, tell the law the payload, or "
+            "narrow the payloads",
         )
-    if ours.predicted > _FAR * span:
-        found.append(
-            Finding(
-                "W504",
-                "warning",
-                "the path is faster than the limits allow",
-                {"farthest": ours.predicted, "span": span},
-                "make it slower, begin it at rest, allow more voltage, or tell the law the payload",
+
+    def following(self, path: Path) -> tuple[Real, Programme]:
+        """Return the reference whose tips are nearest to a path, and its programme."""
+        programme = self.programme(path.duration)
+        count = programme.count(path.duration)
+        # The loop is at rest at zero; a path from elsewhere is that path and a jump
+        # before it.
+        if float(path.angle(0.0)) != 0.0:
+            raise FieldError(
+                "move",
+                float(path.angle(0.0)),
+                "not at 0 at first",
+                allowed="a path from 0 rad",
+                remedy="count the path from where the arm stands",
             )
-        )
-    return found
+        target = path.angle(programme.period * np.arange(programme.length))
+        nearest = None
+        if count * programme.knot < programme.length:
+            nearest = programme.nearest(count, target, 0, programme.length)
+        if nearest is None:
+            longest = programme.length * programme.period
+            raise FieldError(
+                "move",
+                path.kind,
+                "not to be followed",
+                allowed=f"a path within the limits, shorter than {longest:.3g} s",
+                remedy="make it slower, cut it into parts, or allow more voltage",
+            )
+        return nearest[0], programme
 
 
-def _findings(made: ShapedMove) -> tuple[Finding, ...]:
-    """W501: later or farther away than promised, or by voltage or guards beyond the linear loop;
-    W504: too fast.
+def _findings(move: ShapedMove) -> tuple[Finding, ...]:
+    """W501: the arms do not do what the linear loops promise; W504: a path that is too
+    fast.
     """
-    ours, found = made.shaped, []
-    if made.target is not None:
-        found += _along(
-            made,
-            float(
-                np.ptp(
-                    made.target.angle(made.period * np.arange(made.tip_angle.shape[1]))
+    worst, figures = move.worst_case.worst, move.worst_case.arms
+    findings = []
+
+    def doubt(what: str, measured: float, allowed: float, remedy: str) -> None:
+        if measured > allowed:
+            values = {"measured": measured, "allowed": allowed}
+            findings.append(Finding("W501", "warning", what, values, remedy))
+
+    if move.target is None:
+        doubt(
+            f"the arm ({worst.arm}) settles later than the linear loop promises",
+            worst.settling_time,
+            # measured and promised are both counted in periods, and each may round
+            move.promised + 1.5 * move.period,
+            "keep a larger reserve: friction or noise takes more of the band",
+        )
+    else:
+        span = float(np.ptp(move.target.angle(move.target.breaks)))
+        doubt(
+            "the tip is farther from the path than the linear loop promises",
+            move.farthest,
+            move.promised + move.reserve * BAND * span,
+            "noise or friction moves the arm: make the path larger",
+        )
+        if move.promised > FAR * span:
+            findings.append(
+                Finding(
+                    "W504",
+                    "warning",
+                    "the path is faster than the limits allow",
+                    {"farthest": move.promised, "span": span},
+                    "make it slower, begin it at rest, allow more voltage, or tell the "
+                    "law the payload",
                 )
-            ),
-        )
-    # A sample and a half: measured and promised are both counted in periods, and each
-    # may round by one.
-    if made.target is None and ours.settling_time > ours.predicted + 1.5 * made.period:
-        found.append(
-            Finding(
-                "W501",
-                "warning",
-                "the arm settles later than the linear loop promises",
-                {"measured": ours.settling_time, "promised": ours.predicted},
-                "keep a larger reserve: friction or noise takes more of the band",
             )
-        )
-    if ours.peak_voltage > made.voltage:
-        found.append(
-            Finding(
-                "W501",
-                "warning",
-                "noise and friction take the voltage beyond its limit",
-                {
-                    "measured": ours.peak_voltage,
-                    "limit": made.voltage,
-                    "left_to_them": made.kept_back,
-                },
-                "allow less voltage, or filter more",
-            )
-        )
-    if ours.limited:
-        found.append(
-            Finding(
-                "W501",
-                "warning",
-                "a guard of the law acts during the move, so that the loop is not the linear one",
-                {"part_of_the_runs": ours.limited},
-                "allow less voltage or speed, or derive the law's limits for faster moves",
-            )
-        )
-    return tuple(found)
+    doubt(
+        "noise and friction take the voltage beyond its limit",
+        max(each.peak_voltage for each in figures),
+        move.voltage,
+        "keep a larger reserve, or filter more",
+    )
+    doubt(
+        "a guard of the law acts in some of the runs, so that the loop is not linear",
+        max(each.guarded for each in figures),
+        0.0,
+        "allow less voltage, or derive the law's limits for faster moves",
+    )
+    return tuple(findings)

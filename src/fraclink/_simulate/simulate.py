@@ -12,13 +12,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink._arm.beam import model_at
 from fraclink._arm.link import LinkModel
 from fraclink._arm.reference import Reference, sampled
 from fraclink._arm.rig import Rig
 from fraclink._law import Law
 from fraclink._law.design import Design
 from fraclink._law.discretization import check_rigs_period
-from fraclink._law.estimator import Estimates, PayloadEstimator
+from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.arm import MOST_SAMPLES, Twin
 from fraclink._simulate.estimates import (
     ESTIMATED,
@@ -28,8 +29,6 @@ from fraclink._simulate.estimates import (
     estimator_for,
 )
 from fraclink._simulate.kernel import (
-    OTHER_SIGNALS,
-    SHORT_SIGNALS,
     SUBSTEPS,
     LumpedArms,
     run_lumped,
@@ -50,7 +49,7 @@ from fraclink.errors import FieldError, SizeError
 from fraclink.findings import Finding
 from fracsys.checks import Between, Seed, checked
 
-__all__ = ["estimates_of_model", "link_at", "model_run", "simulate"]
+__all__ = ["link_at", "model_run", "simulate"]
 
 Real = NDArray[np.float64]
 MotorLoop = Literal["ideal", "sampled"]
@@ -84,7 +83,6 @@ def simulate(
     seed: Seed = 0,
     delay_samples: Annotated[int, Between(0, 100, "periods")] | None = None,
     substeps: Annotated[int, Between(1, 1000)] = SUBSTEPS,
-    compensation: Literal["ideal", "measured"] = "ideal",
 ) -> Run:
     """Run the law that is shipped on an arm and return its signals, metrics and
     verdict.
@@ -141,10 +139,6 @@ def simulate(
         periods between a sample and its effect; the rig's where it is left out.
     substeps
         of the model's friction in a period.
-    compensation
-        of the model: "ideal" compensates the coupling torque without error. With
-        "measured" it acts on the motor and the law compensates the gauge's reading,
-        late; a gauge offset then turns the motor too.
 
     Raises
     ------
@@ -178,9 +172,12 @@ def simulate(
         name: value for name, value in options if value is not None
     }
     if arm is not None:
-        _refuse(
-            motor_loop=motor_loop == "ideal", compensation=compensation == "measured"
-        )
+        if motor_loop == "ideal":
+            raise _not_here(
+                "motor_loop",
+                "sampled",
+                "the twin has a motor; its motor loop is the law's",
+            )
         twin = arm if payload is None else arm.with_payload(payload)
         twin = replace(twin, sensors=replace(twin.sensors, **gauge)) if gauge else twin
         twin = (
@@ -192,14 +189,18 @@ def simulate(
     # A massless model has no modes to be exchanged and no tip to be pushed; its sensors
     # can fail.
     faults = tuple(event for event in events if isinstance(event, SensorFault))
-    _refuse(events=len(faults) < len(events))
+    if len(faults) < len(events):
+        raise _not_here(
+            "events",
+            "SensorFault",
+            "give arm=Twin.from_rig(rig): only the twin has other events",
+        )
     if isinstance(design, Design):
         rig, model = rig or design.rig, model or design.model
     own, link = _rig_and_link(law, rig, model, payload)
     # A law without a motor loop asks for a motor angle: it is run behind the M(s) for
     # which it was designed.
-    kind = motor_loop or ("ideal" if law.drive is None else "sampled")
-    _refuse(measured=compensation == "measured" and kind == "ideal")
+    kind = motor_loop or ("ideal" if law.motor_loop is None else "sampled")
     law, findings = (
         with_motor_loop(law, rig=own, link=link) if kind == "sampled" else (law, ())
     )
@@ -219,7 +220,6 @@ def simulate(
         if delay_samples is None
         else delay_samples,
         "substeps": substeps,
-        "compensation": compensation,
         "payload_given": ESTIMATED if estimator else given_payload(told, link.payload),
     }
     about |= gauge | ({"events": "; ".join(map(repr, faults))} if faults else {})
@@ -241,25 +241,11 @@ def _length(reference: Reference, duration: float | None, period: float) -> floa
     return Between(period, math.inf, "s").check("duration", length)
 
 
-_NOT_HERE = {  # option: what is allowed, and why
-    "motor_loop": ("sampled", "the twin has a motor; its motor loop is the law's"),
-    "compensation": ("ideal", "the twin's coupling torque always acts on its motor"),
-    "measured": ("ideal", "an ideal motor loop has no coupling torque to compensate"),
-    "events": (
-        "SensorFault",
-        "give arm=Twin.from_rig(rig): only the twin has other events",
-    ),
-}
-
-
-def _refuse(**given: bool) -> None:
-    """FieldError for an option that was given and that this arm does not have."""
-    for option in (name for name, is_given in given.items() if is_given):
-        allowed, remedy = _NOT_HERE[option]
-        field = "compensation" if option == "measured" else option
-        raise FieldError(
-            field, "given", "not an option of this arm", allowed=allowed, remedy=remedy
-        )
+def _not_here(option: str, allowed: str, remedy: str) -> FieldError:
+    """The error of an option that this arm does not have."""
+    return FieldError(
+        option, "given", "not an option of this arm", allowed=allowed, remedy=remedy
+    )
 
 
 # ── the model
@@ -270,26 +256,32 @@ def _rig_and_link(
     law: Law, rig: Rig | None, model: LinkModel | None, payload: float | None
 ) -> tuple[Rig, LinkModel]:
     if rig is None:
-        remedy = "give rig= (and model=), arm=, or a design in place of the law"
         raise FieldError(
-            "rig", None, "missing", allowed="the rig of the arm", remedy=remedy
+            "rig",
+            None,
+            "missing",
+            allowed="the rig of the arm",
+            remedy="give rig= (and model=), arm=, or a design in place of the law",
         )
     link = model or rig.model
     if link is None:
-        remedy = "give model=fit.model, or a rig with a model"
         raise FieldError(
-            "model", None, "missing", allowed="the model of the link", remedy=remedy
+            "model",
+            None,
+            "missing",
+            allowed="the model of the link",
+            remedy="give model=fit.model, or a rig with a model",
         )
     check_rigs_period(law, rig)
     return rig, link if payload is None else link_at(link, rig, payload)
 
 
 def link_at(link: LinkModel, rig: Rig, payload: float) -> LinkModel:
-    """Return the link at a payload [kg]; where its own is not known, with ω₀ of the
-    rig, eq. (5).
+    """Return the link at a payload [kg], moved as the rig's beam is; where its own is not
+    known, with ω₀ of the rig, eq. (5).
     """
     if link.payload is not None:
-        return link if payload == link.payload else link.at_payload(payload)
+        return link if payload == link.payload else model_at(link, rig, payload)
     # Without the payload of its log ω₀ cannot be carried over by (5); the rig's
     # stiffness and length make one.
     return replace(
@@ -337,94 +329,69 @@ def _on_model(
         np.array([about["seed"]], dtype=np.uint64),
         **{name: np.array([value]) for name, value in values.items()},
     )
-    # it acts on the motor only where it is compensated from the gauge's reading
-    measured = about["compensation"] == "measured"
-    coupling = (
-        link.stiffness / (rig.motor.gear_ratio**2 * rig.motor.inertia)
-        if measured
-        else 0.0
+    shared = shared_rig(
+        rig,
+        law,
+        about["motor_loop"],
+        substeps=about["substeps"],
+        start=float(path[0, 0]),
     )
-    own = {
-        "substeps": about["substeps"],
-        "coupling": coupling,
-        "start": float(path[0, 0]),
-    }
-    shared = shared_rig(rig, law, about["motor_loop"], **own)
-    path_of_arm = path[None, [0, 2]], np.zeros(1, dtype=np.int32)
     broken = fault_rows(faults, law.period, count) if faults else None
-    signals, marks = run_lumped(
+    rows = run_lumped(
         law,
         shared,
         arm,
-        *path_of_arm,
-        everything=True,
+        path[None, [0, 2]],
+        np.zeros(1, dtype=np.int32),
         faults=broken,
         estimator=estimator,
     )
-    # A run that is cut before its reference rests is judged by its last tenth.
-    ended = min(reference.duration, (count - 1) * law.period)
-    seen = signals[:, 0], marks[:, 0]
-    estimates = (
-        None
-        if estimator is None
-        else (estimator, estimates_of_model(estimator, seen[0], broken))
-    )
+    signals = {name: values[0] for name, values in rows.items()}
     return model_run(
         law,
         link,
-        path[0],
-        *seen,
-        ended=ended,
+        signals | {"reference": path[0]},
+        # A run that is cut before its reference rests is judged by its last tenth.
+        ended=min(reference.duration, (count - 1) * law.period),
         about=about,
         findings=findings,
-        estimates=estimates,
+        estimator=estimator,
+        faults=broken,
     )
-
-
-def estimates_of_model(
-    estimator: PayloadEstimator, signals: Real, faults: Real | None = None
-) -> Estimates:
-    """Return what the estimator said in a run of the model: its signals (8, N), and
-    rows of faults.
-    """
-    names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
-    angle, torque = (
-        signals[names.index(name)]
-        for name in ("motor_angle_measured", "torque_measured")
-    )
-    ticks = np.arange(angle.size)
-    missed = (
-        np.zeros(angle.size)
-        if faults is None
-        else faults[:, FAULT_BITS].astype(int) & FAULTS["tick missed"][0]
-    )
-    return estimated_over(
-        estimator, estimator.initial_state(), angle, torque, ticks, missed == 0
-    )[1]
 
 
 def model_run(
     law: Law,
     link: LinkModel,
-    reference: Real,
-    signals: Real,
-    marks: NDArray[np.uint32],
+    signals: Mapping[str, NDArray[Any]],
     *,
     ended: float,
     about: Mapping[str, Any],
     findings: tuple[Finding, ...] = (),
     growth: float | None = None,
-    estimates: tuple[PayloadEstimator, Estimates] | None = None,
+    estimator: PayloadEstimator | None = None,
+    faults: Real | None = None,
 ) -> Run:
-    """Return the run of what `run_lumped` gave for one arm: signals (8, N) and marks
-    (3, N).
+    """Return the run of one arm's signals, as `run_lumped` gave them, with the
+    reference.
     """
-    names = (*SHORT_SIGNALS, *OTHER_SIGNALS)
-    rows = dict(zip(names, signals, strict=True)) | dict(
-        zip(("flags", "mode", "reason"), marks, strict=True)
-    )
+    extras = None
+    if estimator is not None:
+        angle, torque = signals["motor_angle_measured"], signals["torque_measured"]
+        missed = np.zeros(angle.size) if faults is None else faults[:, FAULT_BITS]
+        called = (missed.astype(int) & FAULTS["tick missed"][0]) == 0
+        _, estimates = estimated_over(
+            estimator,
+            estimator.initial_state(),
+            angle,
+            torque,
+            np.arange(angle.size),
+            called,
+        )
+        findings += estimate_findings(estimator, estimates, law.period)
+        extras = estimate_signals(estimates)
     return judged_run(
-        rows | {"reference": reference},
+        signals,
         payload=math.nan if link.payload is None else link.payload,
         period=law.period,
         ended=ended,
@@ -432,8 +399,7 @@ def model_run(
         # longer than any run, and nothing grows in them.
         vibration_period=2 * math.pi / max(abs(link.pole.imag), 1e-3),
         about=about,
-        findings=findings
-        + (estimate_findings(*estimates, law.period) if estimates else ()),
-        extras=estimate_signals(estimates[1]) if estimates else None,
+        findings=findings,
+        extras=extras,
         growth=growth,
     )

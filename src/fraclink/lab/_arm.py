@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink import _kernels
+from fraclink._display import Overview, Row, displayed, state_of
 from fraclink._files import document
 from fraclink._simulate import Twin
 from fraclink._simulate.kernel import ArmState
@@ -44,11 +45,11 @@ _SIGNALS = ("tip_angle", "motor_angle", "torque", "voltage", "connected")
 _COUNTS = ("late", "controllers", "silences", "rejected")
 
 
+@displayed
 @document(
     "served-arm",
     version=2,
     container="npz",
-    period=lambda arm: arm.period,
     summary=lambda arm: {"passed": arm.passed, "simulated": True},
 )
 @compared
@@ -85,6 +86,20 @@ class ServedArm:
     def passed(self) -> bool:
         """Whether every controller took its leave: the watchdog never had to act."""
         return self.silences == 0
+
+    def overview(self) -> Overview:
+        """How many periods and controllers there were, and how they ended."""
+        last = float(self.tip_angle[-1]) if len(self.tip_angle) else None
+        rows = (
+            Row("periods", "periods", len(self.voltage)),
+            Row("late", "late periods", self.late),
+            Row("controllers", "controllers", self.controllers),
+            Row("silences", "left without a stop", self.silences),
+            Row("rejected", "messages rejected", self.rejected),
+            Row("last_tip_angle", "", last),
+        )
+        said = f"{self.controllers} controllers, {self.silences} left without a stop"
+        return Overview(said, state_of(self.passed), rows)
 
 
 @checked
@@ -150,27 +165,22 @@ def serve_arm(
     Between(period, 1e300, "s").check("duration", duration)
     count = math.ceil(duration / period)
     if count > MOST_PERIODS:
-        allowed = f"<= {MOST_PERIODS} periods"
         raise SizeError(
             "duration",
             duration,
             "too long",
-            allowed=allowed,
+            allowed=f"<= {MOST_PERIODS} periods",
             remedy="serve a shorter time",
         )
     # A sample goes out, its command comes back: without that period the arm would have
     # to answer before it is asked.
     if twin.voltage_delay < 1:
-        problem, remedy = (
-            "shorter than a message's way",
-            "a command acts one period after its sample here",
-        )
         raise FieldError(
             "voltage_delay",
             twin.voltage_delay,
-            problem,
+            "shorter than a message's way",
             allowed=">= 1 period",
-            remedy=remedy,
+            remedy="a command acts one period after its sample here",
         )
     # A twin whose way through the messages is the first period of its delay.
     arm = ArmState(replace(twin, voltage_delay=twin.voltage_delay - 1), period, b"")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from fraclink import _kernels
 from fraclink.errors import FieldError
-from fracsys.checks import checked, checked_whole
+from fracsys.checks import Between, checked, whole_number
 
 if sys.platform != "win32":
     import fcntl
@@ -85,16 +85,18 @@ class Udp:
         # means that by leaving it out.
         if not isinstance(self.host, str) or not self.host:
             raise _error("udp:", "without a host", _FORMS, "udp:127.0.0.1:5005")
-        checked_whole("port", self.port, 1, 65535)
+        whole_number(Between(1, 65535)).check("port", self.port)
         if self.key is not None and not (
             isinstance(self.key, bytes) and len(self.key) >= _KEY_BYTES
         ):
             shown = f"{len(self.key)} {type(self.key).__name__}"  # never the key itself
-            allowed, remedy = (
-                f"{_KEY_BYTES} bytes or more",
-                "head -c 32 /dev/urandom > arm.key",
+            raise FieldError(
+                "key",
+                shown,
+                "not a key",
+                allowed=f"{_KEY_BYTES} bytes or more",
+                remedy="head -c 32 /dev/urandom > arm.key",
             )
-            raise FieldError("key", shown, "not a key", allowed=allowed, remedy=remedy)
 
     def __str__(self) -> str:
         return f"udp:{self.host}:{self.port}"
@@ -119,7 +121,7 @@ class Serial:
     def __post_init__(self) -> None:
         if not isinstance(self.port, str) or not self.port:
             raise _error("serial:", "without a port", _FORMS, "serial:/dev/ttyACM0")
-        checked_whole("baud", self.baud, 1, 100_000_000)
+        whole_number(Between(1, 100_000_000)).check("baud", self.baud)
 
     def __str__(self) -> str:
         return f"serial:{self.port}@{self.baud}"
@@ -227,12 +229,11 @@ def arm_end(
         with _terminal(begin) if connection.port == _PTY else _port(connection) as file:
             yield _kernels.RealtimeIo.serial(file, True)
     else:
-        remedy = "a callback is the arm itself"
         raise _error(
             connection,
             "no way to serve an arm",
             "serial:pty or udp:HOST:PORT",
-            remedy,
+            "a callback is the arm itself",
         )
 
 
@@ -266,13 +267,14 @@ def _datagrams(connection: Udp) -> Iterator[tuple[socket.socket, Any]]:
     loopback = ipaddress.ip_address(str(address[0]).partition("%")[0]).is_loopback
     if not loopback and not connection.unsafe_remote:
         without = "not this machine: commands carry no password: any host that can send there moves the arm"
-        problem = (
+        raise _error(
+            connection,
             "not this machine: what is sent can be read and held up"
             if connection.key is not None
-            else without
+            else without,
+            "127.0.0.1, ::1 or localhost",
+            "on a network of its own give --unsafe-remote (unsafe_remote=True), and a key",
         )
-        remedy = "on a network of its own give --unsafe-remote (unsafe_remote=True), and a key"
-        raise _error(connection, problem, "127.0.0.1, ::1 or localhost", remedy)
     with socket.socket(family, kind, protocol) as plug:
         yield plug, address
 
@@ -286,8 +288,12 @@ def _port(connection: Serial) -> Iterator[int]:
         if re.fullmatch(r"B[1-9][0-9]*", name)
     }
     if connection.baud not in speeds:
-        allowed = ", ".join(str(speed) for speed in sorted(speeds) if speed >= 115_200)
-        raise _error(connection, "not a speed of this system", allowed, "choose one")
+        raise _error(
+            connection,
+            "not a speed of this system",
+            ", ".join(str(speed) for speed in sorted(speeds) if speed >= 115_200),
+            "choose one",
+        )
     # Without waiting for a modem's carrier, and without its becoming this process's terminal.
     flags = os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC
     try:
@@ -315,13 +321,19 @@ def _claimed(connection: Serial, file: int, speed: int) -> None:
         # What waits there is of a visit before.
         termios.tcflush(file, termios.TCIOFLUSH)
     except BlockingIOError as error:
-        remedy = "end the other one"
         raise _error(
-            connection, "in use by another controller", "one controller", remedy
+            connection,
+            "in use by another controller",
+            "one controller",
+            "end the other one",
         ) from error
     except termios.error as error:
-        problem = f"no serial port ({error.args[-1]})"
-        raise _error(connection, problem, "a serial port", "check its name") from error
+        raise _error(
+            connection,
+            f"no serial port ({error.args[-1]})",
+            "a serial port",
+            "check its name",
+        ) from error
 
 
 def _raw(file: int, speed: int) -> None:
@@ -353,9 +365,12 @@ def _terminal(begin: Callable[[str], None]) -> Iterator[int]:
 def _callables(connection: Callback) -> Any:
     for name in ("read", "write"):
         if not callable(value := getattr(connection, name)):
-            field, remedy = f"callback.{name}", "give a function"
             raise FieldError(
-                field, value, "not a function", allowed="a callable", remedy=remedy
+                f"callback.{name}",
+                value,
+                "not a function",
+                allowed="a callable",
+                remedy="give a function",
             )
     apply = connection.write
     return _kernels.RealtimeIo.callables(

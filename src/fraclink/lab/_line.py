@@ -218,30 +218,31 @@ def _first_sample(
             0.0, 0.0, 0, 0, 0, 0
         )  # idle: how an arm learns whom to send its samples to
         if clock.now > last:
-            problem = f"silent: no sample in {patience:g} s"
-            remedy = "start the arm first (`fraclink serve-arm`), or check the board"
             raise FieldError(
                 "io",
                 str(connection),
-                problem,
+                f"silent: no sample in {patience:g} s",
                 allowed="an arm that answers",
-                remedy=remedy,
+                remedy="start the arm first (`fraclink serve-arm`), or check the board",
             )
         clock.sleep(look)
     if period is None and not found[0]:
-        allowed, remedy = "the board's sampling period [s]", "give --period-ms"
         raise FieldError(
-            "period", None, "not stated by this board", allowed=allowed, remedy=remedy
+            "period",
+            None,
+            "not stated by this board",
+            allowed="the board's sampling period [s]",
+            remedy="give --period-ms",
         )
     # Compared as the message has it, in whole nanoseconds: 1/300 s has no exact value
     # in both.
     if period is not None and found[0] and period_ns(period) != found[0]:
-        allowed, remedy = (
-            f"{1e-9 * found[0]:g} s",
-            "leave it out: this arm states its own",
-        )
         raise FieldError(
-            "period", period, "not the arm's", allowed=allowed, remedy=remedy
+            "period",
+            period,
+            "not the arm's",
+            allowed=f"{1e-9 * found[0]:g} s",
+            remedy="leave it out: this arm states its own",
         )
     return found  # type: ignore[no-any-return]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fraclink import _kernels
 from fraclink._arm.reference import Reference, sampled
+from fraclink._files import check_ending, output_path
 from fraclink._law import Law
 from fraclink._law.estimator import PayloadEstimator
 from fraclink._simulate.estimates import estimator_for
@@ -32,7 +33,6 @@ from fraclink.lab._run import (
     STOPS,
     RealtimeRun,
     first_difference,
-    reserved,
     saved,
 )
 from fracsys.checks import Between, checked
@@ -41,7 +41,6 @@ __all__ = ["run_realtime"]
 
 # As on the twin, so that a run and its simulation cover the same time.
 SETTLE = 3.0  # [s] after the reference has come to rest, as on the twin
-_HEADER_BYTES = 65_536  # of the record's file, more than enough
 
 
 @checked
@@ -83,13 +82,13 @@ def run_realtime(
     connection
         how the arm is reached.
     duration
-        [s]; 3 s after the reference's end where it is left out.
+        time to run [s]; 3 s after the reference's end where it is left out.
     out
-        file for the record (NPZ). Its room on the disk is reserved before the arm
-        moves; should it not take the record afterwards, a file in the folder of
+        file for the record (NPZ). A place in which none can be made is refused before
+        the arm moves; should it not take the record afterwards, a file in the folder of
         temporary files or at home does (`RealtimeRun.saved`).
     payload
-        that the law is given [kg]; 0 for none.
+        payload that the law is given [kg]; 0 for none.
     estimator
         from `Design.estimator`: the law is given what it finds while the arm moves, and
         not `payload`.
@@ -100,12 +99,12 @@ def run_realtime(
     patience
         time to wait for the first sample [s].
     priority
-        of SCHED_FIFO; 0 asks for none. What is refused is in the result, and the run
+        priority of SCHED_FIFO; 0 asks for none. What is refused is in the result, and the run
         goes on.
     lock_memory
         whether to keep the process in memory (mlockall) while the loop runs.
     allowed_overruns
-        up to which the run passes.
+        overruns up to which the run passes.
     clock
         a `VirtualClock` for tests; default: the machine's.
 
@@ -128,14 +127,17 @@ def run_realtime(
     >>> from fraclink.lab._connections import Callback
     >>> from fraclink.lab._loop import run_realtime
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> given = []
     >>> at_rest = Callback(read=lambda: (0.2, 0.0), write=given.append)
     >>> run = run_realtime(law, fl.extend.hold(0.0), at_rest, duration=0.04, priority=0, lock_memory=False)
-    >>> run.stopped, float(run.motor_reference[-1]), run.first_difference, given[-1].mode
+    >>> run.stopped, round(float(run.motor_reference[-1]), 6), run.first_difference, given[-1].mode
     ('finished', 0.2, None, 4)
     """
     check_machine()
+    if out is not None:
+        check_ending(RealtimeRun, output_path(out, force=True))
     estimator = _checked(estimator, law, payload)
     nanoseconds = period_ns(law.period)
     length = reference.duration + SETTLE if duration is None else duration
@@ -157,15 +159,8 @@ def run_realtime(
     # period comes.
     record = np.full((path.shape[1], _kernels.REALTIME_COLUMNS), np.nan)
     marks = np.full((path.shape[1], _kernels.REALTIME_MARKS), 0, dtype=np.uint32)
-    room = (
-        contextlib.nullcontext()
-        if out is None
-        else reserved(
-            out, record.nbytes + marks.nbytes + _HEADER_BYTES, cls=RealtimeRun
-        )
-    )
     with contextlib.ExitStack() as kept:
-        with room, controller_end(connection) as way:
+        with controller_end(connection) as way:
             obeyed = kept.enter_context(signals_held())
             outcome = _kernels.realtime_run(
                 way,
@@ -209,13 +204,12 @@ def _checked(
 ) -> PayloadEstimator | None:
     # Either would be obeyed silently, and which of both cannot be seen from the motion.
     if estimator is not None and payload:
-        allowed, remedy = "payload or estimator", "leave one of them out"
         raise FieldError(
             "payload",
             payload,
             "given beside an estimator",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="payload or estimator",
+            remedy="leave one of them out",
         )
     return None if estimator is None else estimator_for(law, estimator)
 
@@ -225,16 +219,20 @@ def _check_answer(
 ) -> None:
     stop = STOPS[int(outcome["stop"])]
     if stop == "no sample":
-        problem = f"silent: no sample in {patience:g} s"
-        remedy = "start the arm first (`fraclink serve-arm`), or check the board"
         raise FieldError(
-            "io", str(connection), problem, allowed="an arm that answers", remedy=remedy
+            "io",
+            str(connection),
+            f"silent: no sample in {patience:g} s",
+            allowed="an arm that answers",
+            remedy="start the arm first (`fraclink serve-arm`), or check the board",
         )
     if stop == "other period":
-        allowed = f"{1e-9 * outcome['period_ns']:g} s"
-        remedy = "run the arm at the law's period, or design for the arm's"
         raise FieldError(
-            "period", period, "not the arm's", allowed=allowed, remedy=remedy
+            "period",
+            period,
+            "not the arm's",
+            allowed=f"{1e-9 * outcome['period_ns']:g} s",
+            remedy="run the arm at the law's period, or design for the arm's",
         )
 
 

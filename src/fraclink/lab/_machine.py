@@ -186,10 +186,12 @@ def measure_wake_ups(
 def check_machine() -> None:
     """Raise FieldError where this system has no real-time loop."""
     if not _kernels.REALTIME:
-        problem = "without clock_nanosleep, mlockall and SCHED_FIFO"
-        remedy = "export the law with `fraclink export c` and run it on the board"
         raise FieldError(
-            "system", sys.platform, problem, allowed="Linux", remedy=remedy
+            "system",
+            sys.platform,
+            "without clock_nanosleep, mlockall and SCHED_FIFO",
+            allowed="Linux",
+            remedy="export the law with `fraclink export c` and run it on the board",
         )
 
 

@@ -5,12 +5,10 @@ place to write it.
 from __future__ import annotations
 
 import contextlib
-import errno
-import os
+import math
 import secrets
-import stat
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._files import check_ending, document, save
+from fraclink._display import Overview, Row, Table, displayed, quantity, state_of
+from fraclink._files import document, save
 from fraclink._law import MODES, REASONS, Law
 from fraclink._law.estimator import Estimates, PayloadEstimator
 from fraclink._law.limits import Limits
@@ -27,10 +26,10 @@ from fraclink._simulate.estimates import estimate_findings
 from fraclink._simulate.run import payload_rejected
 from fraclink.errors import FieldError, LogError
 from fraclink.findings import Finding
-from fraclink.lab._machine import Spread, check_machine
+from fraclink.lab._machine import Spread
 from fracsys.checks.equality import compared
 
-__all__ = ["STOPS", "RealtimeRun", "first_difference", "reserved", "saved"]
+__all__ = ["STOPS", "RealtimeRun", "first_difference", "saved"]
 
 Real = NDArray[np.float64]
 Count = NDArray[np.uint32]
@@ -49,17 +48,14 @@ INPUTS = ("reference", "reference_acceleration", "motor_angle", "torque", "paylo
 OUTPUTS = ("motor_reference", "voltage", "compensation", "tip_estimate", "error")
 SIGNALS = ("time", "latency", "work", *INPUTS, *OUTPUTS)
 MARKS = ("tick", "mode", "reason", "flags")
-_PROBE_BYTES = (
-    1 << 20
-)  # of a file whose size is not known beforehand: a minute at 4 ms and more
 _LOST_SHARE = 0.01  # what a reader may fill in too
 
 
+@displayed
 @document(
     "realtime-run",
     version=4,
     container="npz",
-    period=lambda run: run.period,
     sources=lambda run: {"law": run.law_sha256},
     summary=lambda run: {"passed": run.passed, "problem": run.problem},
 )
@@ -212,6 +208,50 @@ class RealtimeRun:
         """Spread of `work` [s]: reading, the law, writing."""
         return Spread.of(self.work)
 
+    def overview(self) -> Overview:
+        """How many periods ran, how late, and whether the record is that of the law."""
+        spreads = (
+            ("latency_s", "wake-up latency", self.latencies),
+            ("work_s", "computing time", self.works),
+        )
+        times = (
+            (
+                Row("", "time", name),
+                *(
+                    Row("", words, float(value), "µs")
+                    for words, value in zip(
+                        ("least", "mean", "99.9 %", "most"), spread, strict=True
+                    )
+                ),
+            )
+            for _, name, spread in spreads
+        )
+        names = "problem stopped missed overruns lost_samples lost_commands scheduling memory"
+        rows = (
+            *(Row(name, "", getattr(self, name)) for name in names.split()),
+            Row("periods", "", len(self.tick)),
+            Row("last_mode", "", int(self.mode[-1]) if len(self.mode) else None),
+            Row("replays", "", self.first_difference is None),
+            *(
+                Row(key, "", None if math.isnan(spread.mean) else spread._asdict())
+                for key, _, spread in spreads
+            ),
+        )
+        notes = [f"scheduling {self.scheduling}, memory {self.memory}"]
+        if self.first_difference is None:
+            notes.append("the record replays through the law to the last bit")
+        if not self.passed:
+            notes.append(f"stopped: {self.problem}")
+        return Overview(
+            f"{len(self.tick)} periods of {quantity(self.period, 'ms')}, {self.missed} missed, "
+            f"{self.overruns} overruns, {self.lost_samples} lost samples",
+            state_of(self.passed),
+            rows,
+            (Table.of("", times),),
+            self.findings,
+            tuple(notes),
+        )
+
     @property
     def passed(self) -> bool:
         """Whether the run went to its end, in time and in mode "run", with the outputs
@@ -251,10 +291,12 @@ class RealtimeRun:
         one that ran.
         """
         if self.law_sha256 != law.digest:
-            allowed, remedy = self.law_sha256[:16], "give the design of the run"
-            problem = "another than the one that ran"
             raise FieldError(
-                "law", law.digest[:16], problem, allowed=allowed, remedy=remedy
+                "law",
+                law.digest[:16],
+                "another than the one that ran",
+                allowed=self.law_sha256[:16],
+                remedy="give the design of the run",
             )
         return first_difference(
             law, {name: getattr(self, name) for name in (*SIGNALS, *MARKS)}
@@ -274,16 +316,12 @@ class RealtimeRun:
         count = int(self.tick[-1]) if len(self.tick) else 0
         lost = count - int(np.count_nonzero(came))
         if count == 0 or lost > _LOST_SHARE * count:
-            allowed, remedy = (
-                f"{100 * _LOST_SHARE:g} %",
-                "run it again on a machine that keeps the period",
-            )
             raise LogError(
                 "run",
                 f"{lost} of {count} samples",
                 "lost",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=f"{100 * _LOST_SHARE:g} %",
+                remedy="run it again on a machine that keeps the period",
             )
         # On the ticks and not on the rows: a missed period has no row, and without its
         # place every later sample would be early.
@@ -329,64 +367,6 @@ def first_difference(law: Law, columns: Mapping[str, NDArray[Any]]) -> int | Non
 
 
 # ---- where the record goes ---------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def reserved(
-    place: Path,
-    size: int = _PROBE_BYTES,
-    *,
-    cls: type | None = None,
-    field: str = "out",
-) -> Iterator[None]:
-    """Hold `size` bytes of disk at `place` until the block ends; FieldError about
-    `field` where that fails.
-
-    A folder that is missing or read-only, a full disk, a name that a file with a `cls`
-    cannot have: each is so found before the arm moves.
-    """
-    # what runs in real time alone needs a place, and only that system can hold one
-    check_machine()
-    if cls is not None:
-        check_ending(cls, place)
-    # Beside the place, as another file system may have room where this one has none;
-    # hidden and random, so that it meets no file of the user's; cut, as a name has 255
-    # bytes at most.
-    holder = place.with_name(f".{place.name[:50]}.{secrets.token_hex(8)}.reserved")
-    with contextlib.ExitStack() as opened:
-        try:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            # Asked of the name itself, which the holder's does not stand for: one may
-            # be too long, or that of a folder, over which no file is renamed. Not by
-            # `is_dir`: from Python 3.14 on that takes a name that is too long for no
-            # folder.
-            with contextlib.suppress(FileNotFoundError):
-                if stat.S_ISDIR(place.stat().st_mode):
-                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            opened.callback(
-                _unlinked, holder
-            )  # once it is closed: some file systems unlink no open file
-            stream = opened.enter_context(holder.open("xb"))
-            # Blocks are taken, which `truncate` would only promise: a full disk says so
-            # now.
-            os.posix_fallocate(stream.fileno(), 0, size)
-            # The open file keeps its blocks without a name, and a process that is
-            # killed leaves nothing.
-            _unlinked(holder)
-        except OSError as error:
-            problem = f"not writable ({error.strerror}); the arm has not moved"
-            allowed = f"a folder with {1e-6 * size:.1f} MB to spare"
-            raise FieldError(
-                field, str(place), problem, allowed=allowed, remedy="name another file"
-            ) from error
-        yield
-
-
-def _unlinked(holder: Path) -> None:
-    # Room is what was asked for, and it is there: a name that stays is no reason to
-    # refuse the run.
-    with contextlib.suppress(OSError):
-        holder.unlink()
 
 
 def saved(value: object, place: Path) -> Path:

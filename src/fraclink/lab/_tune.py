@@ -29,7 +29,7 @@ from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
 from fraclink.lab._tune_wiring import Wiring, check_wiring
 from fraclink.lab._tuning import FILES, LAW_FILES, Tuning, TuningPlan
-from fracsys.checks import checked
+from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
 
@@ -82,8 +82,8 @@ def tune(
     out
         folder for the results.
     resume
-        go on behind the last stage that is whole; the wiring is looked at again in any
-        case. With another payload of the range, move the law that is there with it.
+        move the law that is there, with a payload of its range: the wiring is looked at
+        again, and the first moves are made.
     force
         overwrite an earlier tuning.
     moves
@@ -147,36 +147,18 @@ def tune(
 
 def _resumed(out: Path, plan: TuningPlan) -> Tuning:
     place = out / FILES[0]
-    if not place.is_file():
-        allowed = f"a folder with {FILES[0]}"
+    before: Tuning | None = load(place, Tuning) if place.is_file() else None
+    if before is None or not before.has_law:
         raise FieldError(
             "resume",
             str(out),
-            "nothing to resume",
-            allowed=allowed,
+            "without a law to move",
+            allowed="the folder of a tuning that ended with a law",
             remedy="leave --resume out",
         )
-    found: Tuning = load(place, Tuning)
-    low, high = found.payloads
-    # Another payload is another ω₀: the fit would be of neither arm. With a law whose
-    # box holds that payload nothing needs to be fitted, only moved.
-    if found.payload != plan.payload and not (
-        found.has_law and low <= plan.payload <= high
-    ):
-        remedy = "resume with the same payload, or tune anew"
-        allowed = f"{found.payload:g} kg, as before"
-        if found.has_law:
-            allowed += (
-                f", or {low:g} to {high:g} kg to move the law with another payload"
-            )
-        raise FieldError(
-            "payload",
-            plan.payload,
-            "another than before",
-            allowed=allowed,
-            remedy=remedy,
-        )
-    return found
+    # Another payload is another ω₀, for which a law was proved within its range alone.
+    Between(*before.payloads, "kg").check("payload", plan.payload)
+    return before
 
 
 @dataclass
@@ -224,32 +206,29 @@ class _Session:
         """All stages that are not whole yet."""
         self.begin("wiring")
         wiring = check_wiring(guard, self.plan.rig)
-        self._same_arm(wiring)
+        if self.before is not None:
+            self._same_arm(self.before, wiring)
         # From the first guess on, so that the motor's own moves cannot run past the
         # speed limit.
         guard.learn(wiring.gain, wiring.delay)
         self._tell(wiring.evidence)
-        if self.plan.payload != self.state.payload:
+        if self.before is not None:
             self._carry(guard)
             return
-        self._write(guard, wiring=self.state.wiring or wiring)
-        if self.state.motor is None:
-            self.begin("motor")
-            motor = self._within_limits(
-                guard, partial(tune_motor, guard, wiring), wiring.gauge_noise
-            )
-            self._tell((str(motor),))
-            self._write(guard, motor=motor)
-        assert self.state.motor is not None  # measured now, or before  # noqa: S101
-        guard.learn(self.state.motor.fit.gain, self.state.motor.fit.delay)
-        link, built, laws = self._link(guard)
+        self._write(guard, wiring=wiring)
+        self.begin("motor")
+        motor = self._within_limits(
+            guard, partial(tune_motor, guard, wiring), wiring.gauge_noise
+        )
+        self._tell((str(motor),))
+        self._write(guard, motor=motor)
+        guard.learn(motor.fit.gain, motor.fit.delay)
+        link, built, laws = self._link(guard, wiring)
         if built.passed and self.moves:
             self._move(guard, link, itertools.chain((built,), laws))
 
     def _carry(self, guard: Guard) -> None:
-        """Move the law that is there with another payload of its range, which the arm
-        carries now.
-        """
+        """Move the law that is there with the payload that the arm carries now."""
         design = load(self.out / LAW_FILES[0], Design)
         law = load(self.out / LAW_FILES[1], Law)
         assert self.state.motor is not None  # there is a law  # noqa: S101
@@ -310,7 +289,7 @@ class _Session:
             move for move in self.state.moves if move.payload != self.plan.payload
         )
         self._write(guard, moves=others + found)
-        return "; ".join(self.state.verdict.reality.reasons)
+        return "; ".join(self.state.verdict.arm.reasons)
 
     def _withhold(self, guard: Guard, why: str) -> None:
         """Take back the law that the arm refused: its files, and that it passed."""
@@ -323,38 +302,33 @@ class _Session:
             certified="",
             design_passed=False,
             reasons=(f"the arm's own moves fail: {why}", *self._causes(guard)),
-            refused=self.state.refused + 1,
         )
         save(self.state, self.out / FILES[0], force=True)
 
-    def _link(self, guard: Guard) -> tuple[LinkResult, Built, Iterator[Built]]:
+    def _link(
+        self, guard: Guard, wiring: Wiring
+    ) -> tuple[LinkResult, Built, Iterator[Built]]:
         """The link's experiments, at most three where a gate or the proof fails, and
         the law.
         """
-        plan, wiring = self.plan, self.state.wiring
-        state = self.state
-        assert wiring is not None and state.motor is not None  # noqa: S101
-        # A link that was fitted before is designed for at once; its experiment counts.
-        link, attempt = state.link, state.attempts
-        while True:
-            if link is None:
-                attempt += 1
-                self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
-                assert self.state.motor is not None  # measured  # noqa: S101
-                excite = partial(
-                    tune_link,
-                    guard,
-                    wiring,
-                    self.state.motor,
-                    plan.payload,
-                    longer=1.0 if attempt == 1 else 2.0,
-                )
-                link, _ = self._within_limits(guard, excite, wiring.gauge_noise)
-                self._tell(tuple(str(link.fit).splitlines()))
-                again = link.motor
-                self._tell((f"motor, with the link's torque: {again}",))
-                self._write(guard, link=link, motor=again, attempts=attempt)
-                guard.learn(again.fit.gain, again.fit.delay)
+        plan = self.plan
+        for attempt in itertools.count(1):
+            self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
+            assert self.state.motor is not None  # measured  # noqa: S101
+            excite = partial(
+                tune_link,
+                guard,
+                wiring,
+                self.state.motor,
+                plan.payload,
+                longer=1.0 if attempt == 1 else 2.0,
+            )
+            link, _ = self._within_limits(guard, excite, wiring.gauge_noise)
+            self._tell(tuple(str(link.fit).splitlines()))
+            again = link.motor
+            self._tell((f"motor, with the link's torque: {again}",))
+            self._write(guard, link=link, motor=again, attempts=attempt)
+            guard.learn(again.fit.gain, again.fit.delay)
             self.begin("design, proof and law")
             guard.release()
             rig = measured_rig(
@@ -364,17 +338,12 @@ class _Session:
                 plan.range,
                 plan.payload,
                 guard.period,
+                centre=guard.origin,
                 stated=plan.rig,
                 name=self.out.name[:100] or "arm",
             )
-            # A law that the arm has refused is refused after a resumption, too: they
-            # are made in the same order.
-            laws = itertools.islice(
-                built_laws(rig, link, plan.limits), state.refused, None
-            )
-            built = next(laws, None) or Built(
-                rig, None, None, None, state.reasons
-            )  # all refused before
+            laws = built_laws(rig, link, plan.limits)
+            built = next(laws)
             self._wrote(guard, built, link)
             spent = guard.count * guard.period + 2.0 * sum(
                 duration for _, duration, _ in link.rounds
@@ -382,9 +351,9 @@ class _Session:
             # What the next one would take: it is twice as long as the last.
             tired = attempt >= EXPERIMENTS or spent > _PATIENCE
             if built.passed or tired or not _worth_repeating(built, link):
-                return link, built, laws
+                break
             self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
-            link = None
+        return link, built, laws
 
     def _within_limits(
         self, guard: Guard, stage: Callable[..., Found], noise: float
@@ -446,15 +415,12 @@ class _Session:
         self._tell(built.assumptions if built.passed else built.reasons)
         save(self.state, place / FILES[0], force=True)
 
-    def _same_arm(self, wiring: Wiring) -> None:
+    def _same_arm(self, before: Tuning, wiring: Wiring) -> None:
         """Refuse to go on with another arm than the one that was measured."""
-        known = self.state.wiring
-        if known is None:
-            return
         names = ("gain", "stiffness", "natural_frequency")
         # Another payload of the range moves ω₀, and nothing else.
-        for name in names if self.plan.payload == self.state.payload else names[:2]:
-            was, now = getattr(known, name), getattr(wiring, name)
+        for name in names if self.plan.payload == before.payload else names[:2]:
+            was, now = getattr(before.wiring, name), getattr(wiring, name)
             if abs(now / was - 1.0) > _OTHER_ARM:
                 raise FraclinkError(
                     f"cannot resume: {name} was {was:.3g} and is {now:.3g}: another arm, payload or wiring; "

@@ -255,9 +255,9 @@ class Guard:
         self.quiet(noise, _RECOVERY)
         self.release()
 
-    def record(self, start: int = 0) -> Record:
-        """What was recorded from period `start` on."""
-        voltage, angle, torque = np.array(self._rows[start:]).reshape(-1, 3).T
+    def record(self, start: int = 0, end: int | None = None) -> Record:
+        """What was recorded from period `start` on, up to `end`."""
+        voltage, angle, torque = np.array(self._rows[start:end]).reshape(-1, 3).T
         return Record(
             self.period, voltage.copy(), angle - self.origin, torque - self.offset
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL, LinkModel, SecondMode
+from fraclink._arm.link import LinkModel, SecondMode
 from fraclink._arm.rig import Motor
 from fraclink._files import document
 from fraclink._identify import (
@@ -36,21 +36,19 @@ __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 # drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms
 # of its delay.
 ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
-# Sixteen vibrations of the paper's arm (12 rad/s). Errors fall with the root of the
-# length but with the amplitude itself: size is tried first.
-_DURATION, _LONGEST = 8.0, 16.0  # [s] of one excitation
+# Errors fall with the root of the length but with the amplitude itself: size is tried
+# first.
+_VIBRATIONS, _SHORTEST, _LONGEST = 10.0, 4.0, 16.0  # [s] of one excitation
 _LARGER = 3.0  # the most by which an excitation grows at once
 _LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
 _ROUNDS = 2
-_COMPENSATED = 0.8  # of the friction: more than there is would drive
-# A random voltage that changes every 12 ms has power up to 250 rad/s, where a link as
-# heavy as half its payload has its second mode; the smooth moves end at a tenth of
-# that. A quarter of the speed limit is small.
-_BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s], [s], of the speed limit
+# A random voltage that changes every T has half of its power up to 2.8/T: 250 rad/s for
+# 12 ms, and as far as the second mode of a link that weighs an eighth of its payload.
+# The smooth moves end at a tenth of that. A quarter of the speed limit is small.
+_BIT, _BURST, _PUSH = 0.012, 2.0, 0.25  # [s] at most, [s], of the speed limit
+_HALF, _SECOND = 2.8, 25.0
 _RINGING = 1.5  # [s] at most in which the link is calmed; what is left is fitted
-# fits of a record without what the structure does not have: a third changes a quarter
-# of an error
-_CLEANED = 2
+_CLEANED = 6  # fits, at most, of a record without what the structure does not have
 _DECAYS = (1.97, 1.87)  # orders λ of links that ring for long, and for some periods
 
 
@@ -87,13 +85,13 @@ def tune_link(
     """
     limits, period = guard.limits, guard.period
     fit = _first_fit(guard.record())
-    law = motor_law(
-        motor.gain, motor.loop, guard, friction=_COMPENSATED * motor.friction
-    )
+    law = motor_law(motor.gain, motor.loop, guard, friction=motor.compensation)
     reach, bit = _planned(fit, wiring, motor, guard)
     reach, part = size * reach, size * PLANNED
     rounds: list[tuple[float, float, float]] = []
-    duration = min(_DURATION * longer, _LONGEST)
+    resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
+    duration = longer * max(_VIBRATIONS * 2.0 * math.pi / resonance, _SHORTEST)
+    duration = min(duration, _LONGEST)
     for _ in range(_ROUNDS):
         # The edge of a bit is as fast as the limits allow, and slow enough for the
         # motor's loop to follow: a reference that saturates the voltage excites less
@@ -105,13 +103,12 @@ def tune_link(
         )
         # Fewer than eight bits may leave out the band in which the resonance lies.
         bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
+        resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
         calm(
             guard,
             law,
             stiffness=abs(fit.gain) if fit else wiring.stiffness,
-            resonance=_resonance(fit.model.natural_frequency, fit.model.order)
-            if fit
-            else wiring.natural_frequency,
+            resonance=resonance,
             noise=wiring.gauge_noise,
             longest=_RINGING,
         )
@@ -124,7 +121,8 @@ def tune_link(
             start=guard.connect_angle(),
         )
         record = follow(guard, law, path, origin=guard.origin)
-        whole = _shaken(guard, law, motor, guard.count - path.shape[1], size)
+        fast = max(period, min(_BIT, _HALF / (_SECOND * resonance)))
+        whole = _shaken(guard, law, motor, guard.count - path.shape[1], size, fast)
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
@@ -156,14 +154,16 @@ def tune_link(
 
 
 def _shaken(
-    guard: Guard, law: Law, motor: MotorResult, start: int, size: float
+    guard: Guard, law: Law, motor: MotorResult, start: int, size: float, bit: float
 ) -> Record:
-    """The record from `start` on, with a burst at its end that shows the second mode."""
+    """The record from `start` on, with a burst at its end that shows the second mode;
+    `bit` [s].
+    """
     # What turns the motor by that speed within one bit; friction comes on top, or the
     # burst would not move it.
-    push = size * _PUSH * guard.limits.speed / (motor.fit.gain * _BIT)
+    push = size * _PUSH * guard.limits.speed / (motor.fit.gain * bit)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
-    voltages = burst(voltage, _BIT, _BURST, guard.period)
+    voltages = burst(voltage, bit, _BURST, guard.period)
     follow(guard, law, np.zeros((2, voltages.size)), shaken=voltages)
     return guard.record(start)
 
@@ -179,28 +179,33 @@ def _fitted(moves: Experiment, whole: Experiment) -> Fit:
     part leaves in the other what would be taken for ringing; whether a part is
     predicted is looked at in the end.
     """
-    fit, rings = identify(whole, FRACTIONAL, heldout=0.0), np.zeros(whole.output.size)
-    shown = fit.model
+    mode: SecondMode | None = None
+    rings, held = np.zeros(whole.output.size), dict[str, float]()
     for _ in range(_CLEANED):
-        mode = shown.second_mode
-        rest = (
-            whole.output
-            if mode is None
-            else whole.output - _torque_of(mode, shown, whole)
-        )
-        fit = identify(replace(whole, output=rest - rings), FRACTIONAL, heldout=0.0)
-        rings = _ringing(fit, rest)
-        known = replace(whole, output=whole.output - rings)
-        # The delay of the moves is held: on the burst it and the mode's phase stand for
-        # each other.
-        shown = identify(
-            known, FRACTIONAL, heldout=0.0, fixed={"delay": fit.delay}
-        ).model
+        # With its delay held from the second time on: on the burst it and the mode's
+        # phase stand for each other, and only without the mode is it known.
+        seen = replace(whole, output=whole.output - rings)
+        shown = identify(seen, "UD-FOM", heldout=0.0, fixed=held).model
+        before, mode = mode, shown.second_mode or mode
+        rest = whole.output
+        if mode is not None:
+            rest = rest - _torque_of(mode, shown, whole)
+        alone = replace(whole, output=rest - rings)
+        fit = identify(alone, "UD-FOM", heldout=0.0, details=False)
+        rings, held = _ringing(fit, rest), {"delay": fit.delay}
+        if (
+            before is not None
+            and mode is not None
+            and math.isclose(
+                mode.frequency, before.frequency, rel_tol=ENOUGH["natural_frequency"]
+            )
+        ):
+            break
     clean = rest - rings
-    fit = identify(replace(whole, output=clean), FRACTIONAL, heldout=0.0)
+    fit = identify(replace(whole, output=clean), "UD-FOM", heldout=0.0)
     # On the moves alone, of which a part is held out: what a fit to everything may hide
     # is whether it predicts.
-    tested = identify(replace(moves, output=clean[: moves.output.size]), FRACTIONAL)
+    tested = identify(replace(moves, output=clean[: moves.output.size]), "UD-FOM")
     found = fit if tested.passed else tested
     return replace(
         found,
@@ -299,14 +304,9 @@ def motor_again(
 
 def _first_fit(record: Record) -> Fit | None:
     try:
-        return identify(experiment_of(record, None), FRACTIONAL, details=False)
+        return identify(experiment_of(record, None), "UD-FOM", details=False)
     except FraclinkError:
         return None
-
-
-def _resonance(frequency: float, order: float) -> float:
-    # ω₀ has the unit s^(−λ/2): the resonance of s^λ + ω₀² lies at ω₀^(2/λ) rad/s.
-    return math.exp(2.0 / order * math.log(frequency))
 
 
 def _planned(
@@ -333,18 +333,15 @@ def _planned(
             # for no motion at all.
             noise=max(wiring.gauge_noise, 1e-9),
             period=guard.period,
-            duration=_DURATION,
+            duration=_SHORTEST,
             motor=known,
             deflection_limit=PLANNED * limits.torque / abs(fit.gain),
-            inner_pole=motor.loop.pole,
+            motor_loop_pole=motor.loop.pole,
         )
     except InfeasibleError:
-        return 0.05, math.pi / (
-            0.7 * _resonance(fit.model.natural_frequency, fit.model.order)
-        )
+        return 0.05, math.pi / (0.7 * abs(fit.model.pole))
     # Torque for each radian of the reference: it grows near the resonance, where the
     # gauge's limit is met before the angle's.
     bent = abs(fit.gain) * plan.peak_deflection / plan.amplitude
     most = PLANNED * min(limits.angle, limits.torque / bent)
-    assert plan.bit is not None  # a random sequence  # noqa: S101
     return min(max(1.5 * plan.amplitude, _LEAST), most), plan.bit

@@ -14,12 +14,14 @@ from fraclink import _kernels
 from fraclink._arm.link import LinkModel
 from fraclink._arm.motor_loop import MotorGain, MotorLoop, SampledMotorLoop
 from fraclink._arm.reference import hold, prbs, smooth_step
+from fraclink._arm.rig_parts import Moves
 from fraclink._law import MODES, REASONS, Law
-from fraclink._law.block import Drive, Modes
+from fraclink._law.block import DiscreteMotorLoop, Modes
 from fraclink._law.discretization import COULOMB_SPEED
-from fraclink._law.limits import Moves, derive_limits
+from fraclink._law.limits import derive_limits
+from fraclink._law.tracking import following
 from fraclink.errors import FieldError, FraclinkError
-from fraclink.lab._tune_guard import Guard, Record
+from fraclink.lab._tune_guard import PLANNED, Guard, Record
 
 __all__ = [
     "LawTripped",
@@ -33,34 +35,16 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-# From fast to slow, a tenth to a quarter apart: the first that keeps its distance is
-# taken.
-_POLES = (
-    80.0,
-    70.0,
-    60.0,
-    55.0,
-    50.0,
-    45.0,
-    40.0,
-    35.0,
-    30.0,
-    25.0,
-    20.0,
-    15.0,
-    12.0,
-    10.0,
-    8.0,
-    6.0,
-    5.0,
-    4.0,
-)
+_SLOWEST, _STEP = 4.0, 0.9  # [rad/s] of a loop, and from one that is tried to the next
+_STRETCH = 70  # samples of a move, at least
 _CALM, _LOOK = 0.5, 25  # [s] of a quiet gauge, periods between two looks
-_DAMPING, _LEAK = (
-    0.8,
-    1.0,
-)  # twice the damping ratio, of which friction and lag take half; 1/s
+# k and ζ of what calms the link: of s² + 1 behind s² + 2ζs + 1 both pairs of poles are
+# alike, and damped by ζ/2, for k = ζ/2
+_FILTER = 0.6
+_DAMPING = 0.5 * _FILTER
 _FREE = 1e6  # where the guard watches, and not the law
+# Three equal poles are found with the cube root of a double's precision, 1e-5 apart.
+_SPLIT = 1.0 + 1e-3
 
 
 class LawTripped(FraclinkError):
@@ -123,7 +107,9 @@ def motor_law(
     # acceleration of a reference that the loop's own pole could follow four times over.
     moves = Moves(2 * limits.angle, limits.speed, max(4 * limits.speed * pole, 1.0))
     # Any link will do: its thresholds are lifted, as the guard has the user's own.
-    derived = derive_limits(LinkModel(1.0, 10.0, 1.9), period, moves, pole=pole)
+    link, pid = LinkModel(1.0, 10.0, 1.9), loop.pid(motor, period)
+    follows = following(abs(link.pole), period, pole, loop.delay_samples, motor, pid)
+    derived = derive_limits(link, period, moves, loop=follows)
     # A threshold that a link of an unknown stiffness trips would end the experiment
     # that is to measure it.
     free = replace(
@@ -135,20 +121,22 @@ def motor_law(
         stuck_torque=_FREE,
         residual_angle=_FREE,
         frozen_angle=_FREE,
+        swing_angle=_FREE,
     )
     return Law(
         period=period,
-        precision="double",
+        precision="single",
         stiffness=1.0,
         # Without a correction law.c is the motor loop alone: the controller that moves
         # the arm for its identification is the one that is shipped, with its guards on
         # encoder and clock.
         correction=Modes(0.0),
         feedforward=Modes(0.0),
-        inner_pole=pole,
+        motor_loop_pole=pole,
+        motor_model=follows.model,
         limits=free,
-        drive=Drive(
-            loop=loop.pid(motor, period),
+        motor_loop=DiscreteMotorLoop(
+            pid=pid,
             voltage_limit=limits.voltage,
             torque_voltage=0.0,
             coulomb_voltage=friction,
@@ -177,13 +165,15 @@ def fastest_loop(
     frequency = np.geomspace(1e-2, math.pi / period, 600)
     # One at least: a voltage acts when the next sample is taken.
     samples = max(1, round(delay / period))
-    for pole in _POLES:
+    pole = most
+    while pole > _SLOWEST:
         loop = MotorLoop(pole, samples, "sampled", "direct")
-        if pole <= most and all(
+        if all(
             _keeps(loop, motor, ratio, period, frequency, margin, kick)
             for ratio in ratios
         ):
             return loop
+        pole *= _STEP
     raise FraclinkError(
         f"no motor loop keeps a distance of {margin:g} from -1 with a delay of {1e3 * delay:.3g} ms at a "
         f"period of {1e3 * period:.3g} ms: shorten the delay or the period"
@@ -214,8 +204,13 @@ def _keeps(
     true = SampledMotorLoop(
         pid, MotorGain(motor.gain * ratio, motor.decay), loop.delay_samples
     )
-    # Poles first: the distance from −1 of a loop that is unstable says nothing.
-    if float(np.max(np.abs(true.poles()))) >= 1.0:
+    # Poles first: the distance from −1 of a loop that is unstable says nothing. And a
+    # pole that the delay leaves over, slower than those that were placed, is a loop that
+    # follows as slowly as that: with three samples too fast a loop has one at 0.1 rad/s.
+    slowest = float(np.max(np.abs(true.poles())))
+    if slowest >= 1.0 or (
+        ratio == 1.0 and slowest > _SPLIT * math.exp(-loop.pole * period)
+    ):
         return False
     return float(np.min(np.abs(1.0 + true.loop_gain(frequency)))) >= margin
 
@@ -266,18 +261,18 @@ def random_moves(
     """
     random = np.random.default_rng(seed)
     at, parts, total = start, [], 0.0
-    while total < duration:
+    # The motor's fit looks at stretches of 61 samples in one direction.
+    least = _STRETCH * period
+    while total < max(duration, 4.0 * least):
         # To the other side each time: the motor must reverse for friction to be told
         # from damping.
         to = float(random.uniform(0.3, 1.0) * reach) * (-1.0 if at > 0 else 1.0)
         # The last move ends at the start, so that the next stage finds the limits on
         # both sides.
-        last = total > duration - 1.0
+        last = total > max(duration - 1.0, 3.0 * least)
         to = 0.0 if last else to
         # 15/8 is the peak of the quintic's speed over its mean.
-        time = max(
-            1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), 8 * period
-        )
+        time = max(1.875 * abs(to - at) / (speed * random.uniform(0.5, 1.0)), least)
         move = smooth_step(to - at, time)
         grid = period * np.arange(math.ceil(time / period))
         parts.append(np.array([at + move.angle(grid), move.acceleration(grid)]))
@@ -332,19 +327,25 @@ def calm(
     """Take a vibration out of the link with the motor loop, until the gauge [N·m] shows
     its `noise` alone.
 
-        θm = -k ω ∫ Γ/c dt    in    θt'' = ω² Γ/c    is    θt'' + k ω θt' + ω² θt = 0
+        θm = -k ω z/c,    z'' + 2ζω z' + ω² z = 2ζω Γ
 
-    A stiffness or a resonance [rad/s] that is a quarter off, and a gauge 20 ms late,
-    change the damping by as much and no more. The integral leaks, as the gauge's zero
-    is not exact.
+    At ω z is ∫Γ dt, which damps θt'' = ω² Γ/c; at a second mode it is ω/ω₂ times less,
+    as ∫Γ dt itself would drive a sharp one. A stiffness or a resonance [rad/s] that is a
+    quarter off, and a gauge 20 ms late, change the damping by as much and no more.
     """
-    runs, origin, part = Follower(law), guard.connect().angle, 0.0
-    window, last = (
+    runs, origin = Follower(law), guard.connect().angle
+    last = guard.record(-round(2.0 * math.pi / resonance / guard.period)).torque
+    zero, swing = (float(np.mean(last)), float(np.ptp(last))) if last.size else (0, 0)
+    # No farther than the limits, however much the link swings: k times its own bend.
+    reach = 0.5 * PLANNED * guard.limits.angle
+    damping = min(_DAMPING, reach * stiffness / max(0.5 * swing, 1e-12))
+    part, speed = 0.0, 0.0
+    window, end = (
         math.ceil(_CALM / guard.period),
         guard.count + math.ceil(longest / guard.period),
     )
     first = guard.count + window
-    while guard.count < last:
+    while guard.count < end:
         if (
             guard.count >= first
             and float(np.std(guard.record(guard.count - window).torque)) <= 1.2 * noise
@@ -354,15 +355,12 @@ def calm(
         # anyway.
         for _ in range(_LOOK):
             reading = guard.reading
-            # Steps of the integral of Γ/c; the leak takes out in a second what the
-            # gauge's offset would wind up.
-            part -= guard.period * (
-                _DAMPING * resonance * guard.torque / stiffness + _LEAK * part
-            )
+            push = 2.0 * _FILTER * resonance * (guard.torque - zero - speed)
+            speed += guard.period * (push - resonance**2 * part)
+            part += guard.period * speed
+            reference = origin - damping * resonance * part / stiffness
             guard.step(
-                runs.step(
-                    origin + part, 0.0, reading.angle, guard.torque, reading.periods
-                )
+                runs.step(reference, 0.0, reading.angle, guard.torque, reading.periods)
             )
 
 

@@ -4,12 +4,15 @@ then closed.
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fraclink._arm.motor_loop import MotorGain, MotorLoop
+from fraclink._design.rows import NOISE_SHARE
 from fraclink._files import document
 from fraclink._identify import MotorFit, identify_motor
 from fraclink.errors import FraclinkError, LogError
@@ -36,9 +39,12 @@ _SLOW, _FAST = (
     60.0,
 )  # [rad/s], at most: a faster loop takes more voltage for the same noise
 _ENOUGH = 0.02  # of K/J, standard error
-# of the voltage limit, at most, for one count of the encoder: a reading that flickers
-# by one then takes an eighth of it, as the gauge's noise may
-_COUNT = 0.25
+# of the friction that was identified: along a gear and after a rest it differs by a
+# fifth, and what is compensated beyond drives the motor by itself
+_COMPENSATED = 0.8
+# of the voltage limit, at most, for one count of the encoder, which is a noise of
+# 1/√12 of it: no more of the voltage than the gauge's noise may take
+_COUNT = NOISE_SHARE * math.sqrt(12.0)
 _FIRST = 0.12  # [rad], 7°
 _ROUNDS = 4
 # [s] at most: the motor's fit knows the torque, the first fit of the link prefers an
@@ -66,6 +72,11 @@ class MotorResult:
     def friction(self) -> float:
         """What friction and dead zone cost [V]."""
         return self.fit.coulomb_voltage + self.fit.dead_zone
+
+    @property
+    def compensation(self) -> float:
+        """The voltage [V] against friction and dead zone that drives nothing by itself."""
+        return _COMPENSATED * self.friction
 
     def __str__(self) -> str:
         fit = self.fit
@@ -107,7 +118,9 @@ def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResul
         )
         record = follow(guard, law, path, origin=guard.origin)
         guard.release()
-        fit = _fitted(record, wiring.gauge_delay)
+        # On every round: each tells a little more.
+        with contextlib.suppress(LogError):
+            fit = fitted_motor(guard.record(), wiring.gauge_delay, guard.starts)
         most = min(
             part * limits.angle / reach,
             part * limits.torque / _peak(record.torque),
@@ -124,10 +137,11 @@ def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResul
             loop = fastest_loop(
                 guess, fit.delay, period, ratios=_UNSURE, margin=_ROBUST, most=2 * _SLOW
             )
-            # Seven tenths of what was found: friction that is more than compensated
-            # drives the arm by itself.
             law = motor_law(
-                guess, loop, guard, friction=0.7 * max(fit.coulomb_voltage, 0.0)
+                guess,
+                loop,
+                guard,
+                friction=_COMPENSATED * max(fit.coulomb_voltage, 0.0),
             )
         # Not to the limit at once: the torque of a move grows with its speed as well as
         # with its size.
@@ -193,20 +207,17 @@ def fitted_motor(
 
     A load that is late turns into a motor that is late, and too lively: behind a gauge
     that lags by 30 ms K/J comes out a sixth too large and the delay four periods too
-    long.
+    long. Each piece's torque counts from its mean, which is zero from rest to rest: a
+    gauge that drifts is no load.
     """
     time = np.arange(record.torque.size) * record.period
+    pieces = np.split(record.torque, [start for start in starts if start > 0])
+    torque = np.concatenate([piece - piece.mean() for piece in pieces if piece.size])
     return identify_motor(
         record.voltage,
         record.angle,
         period=record.period,
-        torque=np.interp(time + gauge_delay, time, record.torque),
+        torque=np.interp(time + gauge_delay, time, torque),
         starts=starts,
+        spring=True,
     )
-
-
-def _fitted(record: Record, gauge_delay: float) -> MotorFit | None:
-    try:
-        return fitted_motor(record, gauge_delay)
-    except LogError:
-        return None

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from fraclink._arm.reference import Path, sampled, smooth_step
 from fraclink._design import Design
+from fraclink._display import Row
 from fraclink._law import Law
 from fraclink._simulate.simulate import simulate
-from fraclink.lab._tune_build import link_twins
+from fraclink.lab._tune_build import agree, twins_of
 from fraclink.lab._tune_guard import Guard, Record
 from fraclink.lab._tune_motion import Follower, calm, follow, motor_law
 from fraclink.lab._tune_motor import MotorResult
@@ -22,7 +23,9 @@ from fraclink.lab._tune_motor import MotorResult
 __all__ = ["FirstMove", "first_moves"]
 
 Real = NDArray[np.float64]
-Pair = tuple[float, float]  # settling time [s] and residual vibration [rad]
+# Settling time [s], residual vibration [rad], and half the peak-to-peak motor angle in
+# the last two seconds [rad].
+Judged = tuple[float, float, float]
 
 _BAND = 0.02  # of the move, as everywhere
 # times the gauge's white noise, as the loop colours it: a narrower band is left by
@@ -37,13 +40,14 @@ _SEEDS = range(
 # The full move is made twice, and a third time where the two do not say the same: one
 # record's noise moves its settling time by a sample's band, and two of three decide.
 _TWICE = 2
-_AGREEMENT, _LEAST = (
-    0.10,
-    0.05,
-)  # of the settling time, or [s]: a sample's noise moves it by as much
 _RINGING = 4.0  # [s] at most in which the link is damped before a move
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
 _LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
+_REST = 2.0  # [s] at the end in which the motor should rest
+_HUNTS = (
+    ": hunts, the arm does not come to rest; friction that sticks, or play in the gear, keeps the motor "
+    "going back and forth"
+)
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,11 @@ class FirstMove:
         came to rest [rad].
     measured_noise
         standard deviation of the motor angle at the end [rad].
+    promised_unrest, measured_unrest
+        half the peak-to-peak motor angle in the last two seconds [rad].
+    band
+        around its last angle in which the tip has settled [rad]: 2 % of the full move,
+        or the noise where that is more.
     jump
         of the motor angle when the law took over [rad].
     peak_voltage, peak_torque, peak_speed
@@ -78,6 +87,9 @@ class FirstMove:
     promised_residual: float
     measured_residual: float
     measured_noise: float
+    promised_unrest: float
+    measured_unrest: float
+    band: float
     jump: float
     peak_voltage: float
     peak_torque: float
@@ -85,24 +97,46 @@ class FirstMove:
     payload: float = 0.0
 
     @property
+    def rows(self) -> tuple[Row, ...]:
+        """What was promised beside what was measured."""
+        return (
+            Row("payload", "payload", self.payload, "g"),
+            Row("amplitude", "move", self.amplitude, "rad"),
+            Row("duration", "in", self.duration, "s", digits=3),
+            Row.time("promised_settling", "settles, promised", self.promised_settling),
+            Row.time("measured_settling", "measured", self.measured_settling),
+            Row(
+                "promised_residual",
+                "residual, promised",
+                self.promised_residual,
+                "mrad",
+            ),
+            Row("measured_residual", "measured", self.measured_residual, "mrad"),
+            Row("jump", "hand-over", self.jump, "mrad"),
+            Row("peak_voltage", "peak", self.peak_voltage, "V", digits=3),
+        )
+
+    @property
     def kept(self) -> bool:
-        """Whether the settling time was what was promised, within 10 % or 50 ms."""
-        return _agree(self.measured_settling, self.promised_settling)
+        """Whether the settling time was what was promised, within 10 % or 50 ms, and the
+        motor came to rest.
+        """
+        return not self.hunts and agree(self.measured_settling, self.promised_settling)
 
     @property
     def hunts(self) -> bool:
-        """Whether the tip had not come to rest when the record ended, though the model's
-        had: friction that sticks, or play, keeps the motor going back and forth.
+        """Whether the motor goes on slipping where it should rest, by half a band more
+        than the noise moves it: each slip swings the tip by its size to both sides, and
+        two may add up.
         """
-        last = self.duration + _AFTER - _LAST
-        return self.measured_settling > last >= self.promised_settling
+        return 2.0 * (self.measured_unrest - self.promised_unrest) > 0.5 * self.band
 
     def __str__(self) -> str:
         carried = f" with {1e3 * self.payload:.3g} g" if self.payload else ""
         return (
             f"{math.degrees(self.amplitude):.3g}° in {self.duration:.3g} s{carried}: promised "
             f"{self.promised_settling:.2f} s, measured {self.measured_settling:.2f} s"
-            + ("" if self.kept else ": hunts" if self.hunts else ": not kept")
+            + ("" if self.kept else _HUNTS if self.hunts else ": not kept")
         )
 
 
@@ -118,7 +152,9 @@ def first_moves(
     back at full speed: `move` is its amplitude [rad] and duration [s].
     """
     amplitude, duration = move
-    found = []
+    # Of the full move for the slow one, too: of a smaller band friction and noise say
+    # when it has settled.
+    band, found = _band(amplitude, design), []
     # The slow move first: a law that is wrong shows it at a tenth of the speed.
     for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TWICE)):
         far, long = part * amplitude, slower * duration
@@ -126,13 +162,9 @@ def first_moves(
             _simulated(design, law, smooth_step(far, long), payload, seed=seed)
             for seed in _SEEDS
         )
-        promised = [_judged(*both, far, long, design) for both in simulated]
-        records, judged = [], list[Pair]()
-        # A third one where two disagree, never more: two of three have said the same by
-        # then.
-        while len(judged) < times or (
-            len(judged) == _TWICE and not _decided(judged, promised)
-        ):
+        promised = [_judged(*both, band, long, design) for both in simulated]
+        records, judged = [], list[Judged]()
+        while not _decided(judged, promised, times):
             guard.connect()
             # Towards where the arm stood at first, whatever a law before has left.
             far = math.copysign(far, -guard.angle)
@@ -144,27 +176,28 @@ def first_moves(
             records.append((record, jump))
             judged.append(
                 _judged(
-                    record.angle - record.angle[0], record.torque, far, long, design
+                    record.angle - record.angle[0],
+                    record.torque,
+                    band,
+                    long,
+                    design,
                 )
             )
-        found.append(_compared(records, judged, promised, far, long, payload))
+        found.append(_compared(records, judged, promised, far, long, band, payload))
     return tuple(found)
 
 
-def _agree(measured: float, promised: float) -> bool:
-    return abs(measured - promised) <= max(_AGREEMENT * promised, _LEAST)
-
-
-def _decided(judged: list[Pair], promised: list[Pair]) -> bool:
-    """Whether the moves say the same of the promise: all keep it, or all are too slow,
-    or all too fast.
+def _decided(judged: list[Judged], promised: list[Judged], times: int) -> bool:
+    """Whether `times` moves, or two of which one fails, say the same of the promise: all
+    keep it, or all are too slow, or all too fast. By three, two have said the same.
     """
     wanted = _median(promised, 0)
     words = {
-        "kept" if _agree(time, wanted) else "slow" if time > wanted else "fast"
-        for time, _ in judged
+        "kept" if agree(time, wanted) else "slow" if time > wanted else "fast"
+        for time, *_ in judged
     }
-    return len(words) == 1
+    least = times if words == {"kept"} else _TWICE
+    return len(judged) > _TWICE or (len(judged) >= least and len(words) == 1)
 
 
 def _moved(
@@ -209,13 +242,10 @@ def _simulated(
     """Motor angle and torque of the same move on the measured arm, as the sensors show
     them.
     """
-    massless, *heavier = link_twins(design)
     run = simulate(
         law,
         path,
-        # A link whose second mode no burst has shown is one without a mass here, as in
-        # the model.
-        arm=massless if design.model.second_mode is None else heavier[-1],
+        arm=twins_of(design)[0],
         payload=payload,
         told=True,
         duration=path.duration + _AFTER,
@@ -226,10 +256,11 @@ def _simulated(
 
 def _compared(
     records: list[tuple[Record, float]],
-    judged: list[Pair],
-    promised: list[Pair],
+    judged: list[Judged],
+    promised: list[Judged],
     amplitude: float,
     duration: float,
+    band: float,
     payload: float,
 ) -> FirstMove:
     """The median of some moves, beside the median of the same move on the model with
@@ -245,6 +276,9 @@ def _compared(
         promised_residual=_median(promised, 1),
         measured_residual=_median(judged, 1),
         measured_noise=float(np.std(record.angle[-round(_LAST / record.period) :])),
+        promised_unrest=_median(promised, 2),
+        measured_unrest=max(unrest for _, _, unrest in judged),
+        band=band,
         jump=max(jump for _, jump in records),
         peak_voltage=max(float(np.max(np.abs(r.voltage))) for r, _ in records),
         peak_torque=max(float(np.max(np.abs(r.torque))) for r, _ in records),
@@ -256,36 +290,48 @@ def _compared(
     )
 
 
-def _median(pairs: list[Pair], place: int) -> float:
-    return float(np.median([pair[place] for pair in pairs]))
+def _median(judged: list[Judged], place: int) -> float:
+    return float(np.median([figures[place] for figures in judged]))
+
+
+def _band(amplitude: float, design: Design) -> float:
+    """Around its last angle in which a move's smoothed tip has settled [rad]."""
+    rig, model = design.rig, design.model
+    # The gauge's noise is left in the estimate: a band below it would never be kept.
+    noise = rig.gauge.noise / model.stiffness / math.sqrt(_width(design))
+    return max(_BAND * abs(amplitude), _ABOVE * noise)
+
+
+def _width(design: Design) -> int:
+    """Samples of a mean over a quarter of a vibration, which keeps 2√2/π of its
+    amplitude.
+    """
+    return max(3, round(0.5 * math.pi / abs(design.model.pole) / design.rig.period))
 
 
 def _judged(
-    angle: Real, torque: Real, amplitude: float, ends: float, design: Design
-) -> Pair:
-    """Settling time and residual vibration of the tip estimate, smoothed over a quarter
-    of a vibration.
+    angle: Real, torque: Real, band: float, ends: float, design: Design
+) -> Judged:
+    """Time from which the tip estimate, smoothed over a quarter of a vibration, stays
+    within the band, its residual vibration behind `ends` [s], and the motor's unrest.
     """
-    model, rig, period = design.model, design.rig, design.rig.period
+    model, period, width = design.model, design.rig.period, _width(design)
     # Torque and angle of the same instant: a gauge that is 12 ms late would turn the
     # motor's motion into vibration.
     late = round(max(model.gauge_delay, 0.0) / period)
     bend = torque[late:] / model.stiffness
     tip = angle[: bend.size] - (bend - float(np.mean(bend[-round(_LAST / period) :])))
-    # A mean over a quarter of a vibration keeps 2√2/π of its amplitude.
-    width = max(3, round(0.5 * math.pi / abs(model.pole) / period))
     smooth = np.convolve(
         np.pad(tip, (width, width), "edge"), np.full(width, 1 / width), "same"
     )[width:-width]
-    # The gauge's noise is left in the estimate: a band below it would never be kept.
-    noise = rig.gauge.noise / model.stiffness / math.sqrt(width)
-    band = max(_BAND * abs(amplitude), _ABOVE * noise)
     final = float(np.mean(smooth[-round(_LAST / period) :]))
     # Around where it came to rest, not around the reference: the motor's friction
     # leaves it a little beside.
     outside = np.flatnonzero(np.abs(smooth - final) > band)
     begin = round(ends / period)
     ringing = smooth[begin : begin + round(0.5 / period)]
-    return (period * float(outside[-1] + 1) if outside.size else 0.0), 0.5 * float(
-        np.ptp(ringing)
+    return (
+        period * float(outside[-1] + 1) if outside.size else 0.0,
+        0.5 * float(np.ptp(ringing)),
+        0.5 * float(np.ptp(angle[-round(_REST / period) :])),
     )

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.link import FRACTIONAL
 from fraclink._arm.rig import Rig
 from fraclink._files import document
 from fraclink._identify import identify
@@ -38,7 +37,7 @@ _STILL = 0.004  # [rad]
 _PULSE = 0.04
 _PAUSE = 0.16  # [s] behind it
 _FIRST, _GROWTH = (
-    0.004,
+    0.01,
     1.25,
 )  # of the voltage limit; a motion that has just begun must not be 5° the next time
 _ANSWER = 0.012  # [rad], 0.7°: the motion that the doublets grow to
@@ -161,9 +160,9 @@ def check_wiring(guard: Guard, stated: Rig | None) -> Wiring:
     )
     pulse = _grown(guard, answers)
     while True:
-        record = _train(guard, pulse)
+        record, earlier = _train(guard, pulse)
         guard.release()
-        found = _concluded(record, shake, noise, pulse, stated)
+        found = _concluded(record, earlier, shake, noise, pulse, stated)
         if isinstance(found, Wiring):
             return found
         moved = float(np.ptp(record.angle))
@@ -228,9 +227,9 @@ def _half(period: float) -> int:
     return max(2, round(_PULSE / period))
 
 
-def _train(guard: Guard, pulse: float) -> Record:
+def _train(guard: Guard, pulse: float) -> tuple[Record, Record]:
     """Doublets of both signs with pauses of different lengths, so that no vibration
-    builds up.
+    builds up; and what was recorded before, from rest on.
     """
     guard.rest(0.2)
     start = guard.count
@@ -241,11 +240,16 @@ def _train(guard: Guard, pulse: float) -> Record:
         # none.
         guard.rest(0.05 * (k % 4))
     guard.rest(0.3)
-    return guard.record(start)
+    return guard.record(start), guard.record(0, start)
 
 
 def _concluded(
-    record: Record, shake: float, noise: float, pulse: float, stated: Rig | None
+    record: Record,
+    earlier: Record,
+    shake: float,
+    noise: float,
+    pulse: float,
+    stated: Rig | None,
 ) -> Wiring | WiringFault:
     step = _step(record.angle)
     moved = float(np.ptp(record.angle))
@@ -261,10 +265,10 @@ def _concluded(
     # link either, and would be blamed.
     if stated is not None and gain > _FAR * stated.motor.gain and gain > _SURE * error:
         return WiringFault(_encoder_scale(gain, stated))
-    link = _link(record.angle, record.torque, record.period)
+    link = _link(record, earlier)
     kept = _kept(record, record.angle), _kept(record, record.torque)
     if kept[1] > max(_KEPT, 2.0 * kept[0]) or (
-        kept[1] > max(_KEPT, kept[0]) and _swapped(record, link)
+        kept[1] > max(_KEPT, kept[0]) and _swapped(record, earlier, link)
     ):
         return WiringFault(
             "channels swapped: what is read as the torque stays where the motor was moved to "
@@ -381,15 +385,26 @@ def _step(angle: Real) -> float:
 
 
 def _link(
-    angle: Real, torque: Real, period: float
+    record: Record, earlier: Record, *, swapped: bool = False
 ) -> tuple[float, float, float, float, float] | None:
     """Gain with its sign, its standard error, ω₀, delay and nmse of the torque as a
-    link on that angle.
+    link on that angle, or of the angle on that torque.
+
+    With what was recorded `earlier`: a lightly damped link still swings by that, and of
+    the train alone it looked reversed.
     """
+    angle, torque, before = record.angle, record.torque, earlier.angle
+    if swapped:
+        angle, torque, before = torque, angle, earlier.torque
     try:
         fit = identify(
-            Experiment(period=period, motor_angle=angle, output=torque),
-            FRACTIONAL,
+            Experiment(
+                period=record.period,
+                motor_angle=angle,
+                output=torque,
+                earlier_angle=before,
+            ),
+            "UD-FOM",
             heldout=0.0,
             hold="first",
             details=False,
@@ -403,12 +418,14 @@ def _link(
 
 
 def _swapped(
-    record: Record, link: tuple[float, float, float, float, float] | None
+    record: Record,
+    earlier: Record,
+    link: tuple[float, float, float, float, float] | None,
 ) -> bool:
     """Whether what is read as the angle is the link's answer to what is read as the
     torque.
     """
-    other = _link(record.torque, record.angle, record.period)
+    other = _link(record, earlier, swapped=True)
     # The reverse must explain clearly more: torque on angle, read as angle on torque,
     # fits a little, too.
     left = 1.0 if link is None else link[4]

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Annotated
 
 from fraclink._arm.rig import Rig
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import document
+from fraclink._identify.fit import SYMBOLS
 from fraclink.errors import FieldError
 from fraclink.findings import Scope, Verdict
 from fraclink.lab._tune_causes import domain
@@ -169,8 +170,6 @@ class Tuning:
         the first moves, promised and measured.
     stopped
         why the tuning ended early; empty where it did not.
-    refused
-        how many laws were withheld because the arm's own moves failed under them.
     arm_time, computing
         how long the arm was moved, and how long was computed [s].
     folder
@@ -200,11 +199,10 @@ class Tuning:
     computing: float = 0.0
     folder: str = ""
     rig: Rig | None = None
-    refused: int = 0
 
     @property
     def verdict(self) -> Verdict:
-        """The three scopes: the proof, the model's moves, the arm's own."""
+        """The scopes: the proof, the model's moves, the arm's own."""
         if self.certified and self.design_passed:
             promise = Scope("passed")
         elif self.reasons or self.stopped:
@@ -219,6 +217,7 @@ class Tuning:
             return Verdict(
                 promise,
                 Scope("not run"),
+                Scope("not run"),
                 Scope("not run", (self.stopped,) if self.stopped else ()),
             )
         # By the promise and not by the arm: this scope is the model's.
@@ -230,7 +229,7 @@ class Tuning:
             if settles
             else Scope("failed", ("the model's move does not settle",))
         )
-        return Verdict(promise, model, self._reality())
+        return Verdict(promise, model, Scope("not run"), self._arm())
 
     @property
     def next_move(self) -> tuple[float, float, float] | None:
@@ -245,19 +244,11 @@ class Tuning:
 
     @property
     def _fast(self) -> tuple[FirstMove, ...]:
-        """The last move with each payload; of the slow one the gauge's noise says when
-        it has settled.
-        """
+        """The last move with each payload."""
         return tuple({move.payload: move for move in self.moves}.values())
 
-    def _reality(self) -> Scope:
-        off = [str(move) for move in self._fast if not move.kept]
-        off += [
-            f"{move}: the arm does not come to rest; friction that sticks, or play in the gear, keeps the motor "
-            "going back and forth"
-            for move in self.moves
-            if move.hunts and move not in self._fast
-        ]
+    def _arm(self) -> Scope:
+        off = [str(move) for move in self.moves if not move.kept]
         off += [
             f"jump of {move.jump:.2g} rad at the hand-over"
             for move in self.moves
@@ -276,6 +267,82 @@ class Tuning:
     def has_law(self) -> bool:
         """Whether there is a law whose design and proof passed."""
         return bool(self.certified) and self.design_passed
+
+    def overview(self) -> Overview:
+        """What was measured with how sure it is, the first moves, and the scopes."""
+        verdict = self.verdict
+        time = f"{self.arm_time:.0f} s of the arm, {self.computing:.1f} s of computing"
+        moves = Table.of("moves", (move.rows for move in self.moves))
+        rows = (
+            Row("stopped", "", self.stopped),
+            Row("reasons", "", self.reasons),
+            Row("attempts", "", self.attempts),
+            Row("verdict", "", verdict),
+            *self._measured(),
+        )
+        return Overview(
+            f"stopped: {self.stopped}"
+            if self.stopped
+            else f"{self.attempts} experiments on the link, {time}",
+            verdict.state,
+            rows,
+            (*((moves,) if self.moves else ()), *verdict.overview().tables),
+            notes=self.wiring.evidence if self.wiring else (),
+        )
+
+    def _measured(self) -> tuple[Row, ...]:
+        """Motor and link with their standard errors."""
+        rows: list[Row] = []
+        if self.motor is not None:
+            # The motor measured with its link is the later and better one; the errors
+            # are those of the motor's own experiments, which are larger.
+            known = self.motor.fit.standard_errors
+            fit = (self.link.motor if self.link else self.motor).fit
+            friction = fit.coulomb_voltage + fit.dead_zone
+            rows += [
+                Row("motor.gain", "K/J", fit.gain, "rad/(V·s²)", known["gain"]),
+                Row("motor.decay", "ν/J", fit.decay, "1/s", known["decay"]),
+                Row(
+                    "motor.friction",
+                    "friction",
+                    friction,
+                    "V",
+                    known["coulomb_voltage"],
+                ),
+                Row("motor.delay", "delay of the voltage", fit.delay, "ms", digits=3),
+                Row("motor.pole", "motor loop", self.motor.loop.pole, "rad/s"),
+            ]
+        if self.link is not None:
+            model, errors = self.link.fit.model, self.link.fit.standard_errors
+            rows += [
+                Row(f"model.{name}", symbol, getattr(model, name), unit, errors[name])
+                for name, (symbol, unit) in SYMBOLS.items()
+                if name in errors
+            ]
+            gain, late, mode = (
+                errors.get("gain"),
+                errors.get("delay"),
+                model.second_mode,
+            )
+            rows += [
+                Row(
+                    "model.stiffness",
+                    "torque over bend",
+                    model.stiffness,
+                    "N·m/rad",
+                    gain,
+                ),
+                Row(
+                    "model.gauge_delay",
+                    "delay of the gauge",
+                    model.gauge_delay,
+                    "ms",
+                    late,
+                ),
+            ]
+            if mode is not None:
+                rows.append(Row("model.mode", "second mode", mode.frequency, "rad/s"))
+        return tuple(rows)
 
     def file(self, name: str) -> Path:
         """The place of one of its files."""

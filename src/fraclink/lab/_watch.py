@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fraclink._arm.experiment import Experiment
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, Table, displayed, number, state_of
 from fraclink._files import document
 from fraclink._identify import Fit, identify, identify_motor, simulated_torque
 from fraclink.errors import FieldError, LogError
@@ -54,13 +54,22 @@ class Change:
     standard_error: float
     changed: bool
 
-    def __str__(self) -> str:
-        word = "changed" if self.changed else "as before"
-        return f"{self.name} {word}: {self.was:.4g}, now {self.now:.4g} ± {self.standard_error:.2g}"
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What people and programs read of it."""
+        return (
+            Row("name", "", self.name),
+            Row("", "what", self.name.replace("_", " ")),
+            Row("was", "tuned", self.was),
+            Row("now", "now", self.now),
+            Row("standard_error", "± standard error", self.standard_error, digits=2),
+            Row("changed", "", self.changed),
+            Row("", "verdict", "changed" if self.changed else "as before"),
+        )
 
 
 @displayed
-@document("watch", summary=lambda found: {"passed": found.passed})
+@document("watch")
 @dataclass(frozen=True)
 class Watch:
     """What a record says of a tuned arm.
@@ -103,6 +112,28 @@ class Watch:
         """Whether the arm is still the one that was tuned."""
         return not self.due
 
+    def overview(self) -> Overview:
+        """What has changed, and everything that was compared."""
+        due = ", ".join(name.replace("_", " ") for name in self.due)
+        kept = f"as it was tuned, by {self.motion:.0f} s of motion"
+        rows = (
+            Row("due", "", self.due),
+            Row("residual", "", self.residual),
+            Row("expected", "", self.expected),
+            Row("motion", "", self.motion),
+        )
+        note = (
+            f"the fit leaves {number(self.residual, 2)} N·m, "
+            f"the gauge's noise was {number(self.expected, 2)} N·m"
+        )
+        return Overview(
+            f"a retune is due: {due}" if due else kept,
+            state_of(self.passed),
+            rows,
+            (Table.of("changes", (change.rows for change in self.changes)),),
+            notes=(note,),
+        )
+
 
 @checked
 def watch(log: Experiment, tuning: Tuning) -> Watch:
@@ -133,32 +164,30 @@ def watch(log: Experiment, tuning: Tuning) -> Watch:
     See docs/how-to/tune-an-arm.md.
     """
     if tuning.link is None or tuning.motor is None or tuning.wiring is None:
-        allowed, remedy = (
-            "a tuning that has a model",
-            "resume it: `fraclink tune --resume`",
-        )
         raise FieldError(
             "tuning",
             tuning.stopped or "unfinished",
             "without a model",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="a tuning that has a model",
+            remedy="tune it: `fraclink tune`",
         )
     if not math.isclose(log.period, tuning.period, rel_tol=1e-6):
-        allowed, remedy = f"{tuning.period:g} s", "record at the period of the law"
         raise FieldError(
-            "log.period", log.period, "not the tuning's", allowed=allowed, remedy=remedy
+            "log.period",
+            log.period,
+            "not the tuning's",
+            allowed=f"{tuning.period:g} s",
+            remedy="record at the period of the law",
         )
     # Motion and not length: an arm that rests for a minute shows its noise.
     moving = _moving_time(log)
     if moving < _LEAST_MOTION:
-        allowed, remedy = f">= {_LEAST_MOTION:g} s", "give a longer record, of moves"
         raise FieldError(
             "log",
             f"{moving:.3g} s of motion",
             "too little to tell",
-            allowed=allowed,
-            remedy=remedy,
+            allowed=f">= {_LEAST_MOTION:g} s",
+            remedy="give a longer record, of moves",
         )
     known = tuning.link.fit
     halves = [_part(log, rows) for rows in log.split(0.5)]

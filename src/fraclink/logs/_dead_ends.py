@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from fraclink._arm.log_columns import Channel
 from fraclink._reading.names import words_of
-from fraclink._reading.text import LogTable
+from fraclink._reading.table import LogTable
 from fraclink.errors import LogError
-from fraclink.logs._weighing import Weighing, stamps_of
 
-__all__ = ["check_no_response", "no_angle", "no_output"]
+if TYPE_CHECKING:
+    from fraclink.logs._match import _Matching
 
-Named = Sequence[tuple[str, str]]
+__all__ = ["check_no_response", "dead_end"]
 
 _FREQUENCY = frozenset(("freq", "frequency", "frequenz", "omega", "hz", "f", "w"))
-_RESPONSE = frozenset(
-    (
-        "gain",
-        "mag",
-        "magnitude",
-        "amplitude",
-        "phase",
-        "real",
-        "imag",
-        "coherence",
-        "db",
-    )
-)
+_RESPONSE = frozenset(("gain", "mag", "magnitude", "amplitude", "phase", "real"))
+_RESPONSE |= {"imag", "coherence", "db"}
 _RINGS = ("torque", "deflection", "the tip", "an acceleration", "")
 
 
@@ -38,109 +27,86 @@ def check_no_response(table: LogTable, source: str) -> None:
     shown = [each for each in words if each & _RESPONSE]
     # Two columns of a response and one of frequencies beside them: "phase" alone is a
     # channel of a log.
-    if len(shown) < 2 or not any(
-        each & _FREQUENCY for each in words if each not in shown
-    ):
-        return
-    file = shlex.quote(source)
-    raise _dead_end(
-        table,
-        "a frequency response",
-        f"run fraclink identify-driven-link {file} --rig RIG where its input is the amplifier's voltage, "
-        f"fraclink identify-spectrum {file} where it is the motor angle",
-    )
-
-
-def no_output(
-    weighing: Weighing, time: Channel, angle: int | None, free: list[int], named: Named
-) -> LogError:
-    """The error of a log without the link's torque or deflection."""
-    table, file = weighing.table, shlex.quote(weighing.source)
-    felt = [place for place in free if named[place][0] == "an acceleration"]
-    driven = [place for place in free if named[place][0] == "voltage"]
-    if angle is not None and felt:
-        channels = (
-            f"--input {_called(weighing, angle)} --output {_called(weighing, felt[0])}"
+    if len(shown) > 1 and any(x & _FREQUENCY for x in words if x not in shown):
+        command = f"fraclink identify {shlex.quote(source)} --structure"
+        raise _without_model(
+            table,
+            "a frequency response",
+            f'run {command} "k*s**a/(s**a + w)" where its input is the motor angle, '
+            f"{command} driven --rig RIG where it is the amplifier's voltage",
         )
+
+
+def dead_end(
+    matching: _Matching,
+    time: Channel,
+    angle: int | None,
+    free: list[int],
+    roles: list[tuple[str, str]],
+    missing: str,
+) -> LogError:
+    """The error of a log without a motor that moves, or without the link's torque or
+    deflection; with the command for what it does hold.
+    """
+    table, file = matching.table, shlex.quote(matching.source)
+    stamps = matching.stamps(time, max(values.size for values in table.values))
+    period = float(stamps[-1] - stamps[0]) / max(1, stamps.size - 1)
+    names = {place: shlex.quote(matching.label(place)) for place in free}
+    felt = [place for place in free if roles[place][0] == "an acceleration"]
+    driven = [place for place in free if roles[place][0] == "voltage"]
+    rings = [place for place in free if roles[place][0] in _RINGS]
+    mode, channels = '"k/(s**a + w)*exp(-L*s)"', ""
+    if missing == "output" and angle is not None and felt:
         # A quarter of a sample makes the structure proper, as every accelerometer is;
         # what it has more is L.
-        period = _period(weighing, time)
-        command = (
-            f'fraclink identify-structure {file} "k*s**2/(s**a + w)/({0.25 * period:.3g}*s + 1)*exp(-L*s)" '
-            f"{channels} --period-ms {1e3 * period:.6g} --bound k=-1e9,1e9"
+        mode = f'"k*s**2/(s**a + w)/({0.25 * period:.3g}*s + 1)*exp(-L*s)"'
+        channels = (
+            f"--input {shlex.quote(matching.label(angle))} --output {names[felt[0]]}"
         )
-        return _dead_end(
+        problem = "with an acceleration, which is no angle, as its output"
+        remedy = "run"
+    elif missing == "output" and angle is not None and driven:
+        scale = "" if time.scale == 1 else f" * {time.scale:g}"
+        stated = (
+            f"time={time.column}{scale} [{time.unit}]",
+            f"motor_angle={matching.label(angle)} [{matching.unit(angle) or 'deg'}]",
+            f"voltage={matching.label(driven[0])} [{matching.unit(driven[0]) or 'V'}]",
+        )
+        columns = " ".join(f'--column "{text}"' for text in stated)
+        return _without_model(
             table,
-            "with an acceleration, which is no angle, as its output",
-            f"run {command}",
+            "of a motor without a signal of its link's flexion",
+            f"run fraclink identify {file} --structure motor {columns}",
         )
-    if angle is not None and driven:
-        stated = {
-            "time": f"{time.column}{'' if time.scale == 1 else f' * {time.scale:g}'} [{time.unit}]",
-            "motor_angle": f"{weighing.label(angle)} [{weighing.unit(angle) or 'deg'}]",
-            "voltage": f"{weighing.label(driven[0])} [{weighing.unit(driven[0]) or 'V'}]",
-        }
-        columns = " ".join(f'--column "{role}={text}"' for role, text in stated.items())
-        command = f"fraclink identify-motor {file} {columns}"
-        return _dead_end(
-            table, "of a motor without a signal of its link's flexion", f"run {command}"
-        )
-    return _without(table, "the output of the link (torque or deflection)")
-
-
-def no_angle(
-    weighing: Weighing, time: Channel, free: list[int], named: Named
-) -> LogError:
-    """The error of a log in which no motor moves: a ring-down, where one other signal
-    does.
-    """
-    table = weighing.table
-    rings = [place for place in free if named[place][0] in _RINGS]
     # One signal that rings, and nothing that drives it; of two nobody knows which one
     # is the output.
-    if len(rings) == 1 and not any(named[place][0] == "voltage" for place in free):
-        command = (
-            f'fraclink identify-structure {shlex.quote(weighing.source)} "k/(s**a + w)*exp(-L*s)" '
-            f"--ring-down --output {_called(weighing, rings[0])} "
-            f"--period-ms {1e3 * _period(weighing, time):.6g} --bound k=-1e9,1e9"
-        )
-        return _dead_end(
-            table,
-            "without a motor that moves",
-            f"if the link was bent and let go, run {command}",
-        )
-    if len(free) > 1:
+    elif missing == "motor_angle" and len(rings) == 1 and not driven:
+        channels = f"--ring-down --output {names[rings[0]]}"
+        problem = "without a motor that moves"
+        remedy = "if the link was bent and let go, run"
+    elif missing == "motor_angle" and len(free) > 1:
         # Of two signals that belong together any structure can be fitted, whatever they
         # are; which one drives is for the user to say.
+        channels = f"--input {names[free[0]]} --output {names[free[1]]}"
+        problem = "without the motor angle, from which a link is identified"
+        remedy = "if one of its signals drives the other, run"
+    if channels:
         command = (
-            f'fraclink identify-structure {shlex.quote(weighing.source)} "k/(s**a + w)*exp(-L*s)" '
-            f"--input {_called(weighing, free[0])} --output {_called(weighing, free[1])} "
-            f"--period-ms {1e3 * _period(weighing, time):.6g} --bound k=-1e9,1e9"
+            f"fraclink identify {file} --structure {mode} {channels} "
+            f"--period-ms {1e3 * period:.6g} --bound k=-1e9,1e9"
         )
-        return _dead_end(
-            table,
-            "without the motor angle, from which a link is identified",
-            f"if one of its signals drives the other, run {command}",
-        )
-    return _without(table, "the motor angle")
-
-
-def _dead_end(table: LogTable, problem: str, remedy: str) -> LogError:
-    allowed = "a time, the motor angle, and the link's torque or deflection, each of which moves"
-    return LogError(
-        "columns", ", ".join(table.names[:12]), problem, allowed=allowed, remedy=remedy
+        return _without_model(table, problem, f"{remedy} {command}")
+    what = "the motor angle"
+    if missing == "output":
+        what = "the output of the link (torque or deflection)"
+    return _without_model(
+        table,
+        f"without {what}",
+        "record both signals together: a link is identified from the motor's motion to its output",
     )
 
 
-def _without(table: LogTable, words: str) -> LogError:
-    remedy = "record both signals together: a link is identified from the motor's motion to its output"
-    return _dead_end(table, f"without {words}", remedy)
-
-
-def _called(weighing: Weighing, place: int) -> str:
-    return shlex.quote(weighing.label(place))
-
-
-def _period(weighing: Weighing, time: Channel) -> float:
-    stamps = stamps_of(weighing, time)
-    return float(stamps[-1] - stamps[0]) / max(1, stamps.size - 1)
+def _without_model(table: LogTable, problem: str, remedy: str) -> LogError:
+    allowed = "a time, the motor angle, and the link's torque or deflection, each of which moves"
+    names = ", ".join(table.names[:12])
+    return LogError("columns", names, problem, allowed=allowed, remedy=remedy)

@@ -6,40 +6,56 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
+from fraclink._identify import Fit, identify
+from fraclink._identify.columns import lead_of, motion_at_start
+from fraclink._identify.shape import moving_angle
 from fraclink._reading.columns import converter_step
-from fraclink.findings import Finding, worst_first
-from fraclink.logs._channels import (
-    Mode,
-    clipping,
-    constant_channels,
-    find_mode,
-    labels,
-    outliers,
-    quantisation,
-    range_of_angle,
-    rest_at_start,
-    voltage_limit,
-)
+from fraclink.errors import FieldError
+from fraclink.findings import Finding, Findings, worst_first
 from fracsys.checks import checked
+
+__all__ = ["diagnose", "share_of", "vibration_of"]
+
+# What a fit of one mode finds of the columns and not of the model.
+_OF_COLUMNS = ("W209", "W211", "W324")
+_CLIPPED = 0.005  # share of samples at the extreme value
+# times as many samples at the extreme as one step inside; a sine's crest has 2.4 times
+# as many
+_PILE = 4.0
+_FAR = 8.0  # times the range that holds 99 % of the samples: no motion goes there
+# levels: beyond a converter of 14 bits the steps are those of the numbers' text
+_FINE = 20_000
+_OFFSET_INFO, _OFFSET_WARNING = 0.1, 0.5  # of the standard deviation of the motion
+_PERIODS = 3.0  # fewer do not separate damping from amplitude
+_SAMPLES = (
+    10.0  # a period: below it the hold between samples matters as much as the damping
+)
+_EXPLAINED = 0.3  # of the output's variance: below it no mode was found
+_SWAPPED = 0.8  # explained share of the exchanged roles: they are called exchanged
+# s: over less, a slow motion cannot be distinguished from a standstill by a coarse
+# encoder
+_WINDOW = 0.05
+_SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
+_DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
 
 
 @checked
-def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, ...]:
+def diagnose(experiment: Experiment, rig: Rig | None = None) -> Findings:
     """Examine a log before a model is fitted to it; the gravest findings come first.
 
     Looks at the start (at rest?), the gauge's offset and sign, the delay of the output,
     quantisation, clipping, stiction, outliers, excitation of the resonance, number of
-    periods and samples in each. What needs a vibration stands on the one mode Γ/θm = c
-    s²/(s² + 2ζωs + ω²)·e^(−τs) that explains most of the output, found by a scan that
-    needs no guess.
+    periods and samples in each. What needs a vibration stands on the fit of one mode
+    Γ/θm = c s²/(s² + 2ζωs + ω²)·e^(−τs), which needs no guess.
 
-    The findings have codes W205 … W237; ``error`` means that the log cannot be used as
+    The findings have codes W202 … W324; ``error`` means that the log cannot be used as
     it is.
 
     Parameters
@@ -54,153 +70,253 @@ def diagnose(experiment: Experiment, rig: Rig | None = None) -> tuple[Finding, .
     >>> any(finding.severity == "error" for finding in findings)
     False
     """
-    return worst_first(_all(experiment, rig))
+    return Findings(worst_first(_findings(experiment, rig)))
 
 
-def _all(experiment: Experiment, rig: Rig | None) -> Iterator[Finding]:
-    yield from experiment.findings
-    yield from labels(experiment, rig)
-    dead = list(constant_channels(experiment))
-    yield from dead
+def vibration_of(log: Experiment) -> Fit | None:
+    """The one mode that explains most of the output; None where nothing moves, or the
+    log is too short.
+    """
+    with np.errstate(all="ignore"):
+        try:
+            return identify(log, "D-IOM", details=False)
+        except (FieldError, ArithmeticError):
+            return None
+
+
+def share_of(mode: Fit | None) -> float:
+    """Share of the output's variance that a mode explains, 0 to 1."""
+    return 0.0 if mode is None or not mode.nmse < 1 else 1 - mode.nmse
+
+
+def _findings(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    yield from log.findings
+    yield from _labels(log, rig)
+    constant = list(_constant_channels(log))
+    yield from constant
     # Without two signals that move there is no mode to speak of: what follows would
     # find fault with noise.
-    if dead:
+    if constant:
         return
-    yield from range_of_angle(experiment)
-    yield from outliers(experiment)
-    yield from clipping(experiment, rig)
-    yield from voltage_limit(experiment, rig)
-    yield from stiction(experiment)
-    mode = find_mode(experiment.motor_angle, experiment.output, experiment.period)
-    # The same scan with the roles exchanged: a motor angle follows from its torque as a
-    # double integral, so that a swap shows as a large share this way and a small one
-    # that way.
-    reverse = find_mode(experiment.output, experiment.motor_angle, experiment.period)
-    yield from mode_findings(experiment, mode, reverse)
-    offset, spread = _offset(experiment, mode)
-    yield from rest_at_start(experiment, offset, spread)
-    yield from quantisation(experiment, mode)
+    yield from _outliers(log)
+    yield from _limits(log, rig)
+    yield from _stiction(log)
+    mode = vibration_of(log)
+    yield from _mode(log, mode)
+    yield from _rest_at_start(log, mode)
+    yield from _quantisation(log, mode)
 
 
-def _offset(experiment: Experiment, mode: Mode | None) -> tuple[float, float]:
-    """Offset of the output and the standard deviation of the motion in it, in units of
-    the output.
+def _labels(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    """What the log says of itself: the payload, and whether it was simulated."""
+    payload = log.payload
+    if log.simulated:
+        yield Finding(
+            "W230",
+            "info",
+            "the log says that it was simulated",
+            {},
+            "results describe a model, not a rig",
+        )
+    if payload is None:
+        yield Finding(
+            "W216",
+            "warning",
+            "no payload is stated for this log",
+            {},
+            "state it (--payload, or # payload_kg: in the log): from a known one a model scales to others",
+        )
+    # A percent: the rates of a timer's dividers lie farther apart, and a timer's
+    # crystal is off by less.
+    if rig is not None and abs(log.period - rig.period) > 0.01 * rig.period:
+        yield Finding(
+            "W217",
+            "info",
+            f"the log has a sample every {1e3 * log.period:.4g} ms, the rig's law runs every "
+            f"{1e3 * rig.period:.4g} ms",
+            {"log_period_s": log.period, "rig_period_s": rig.period},
+            "the model does not depend on it; check period_ms if they should be the same",
+        )
+    if payload is None or rig is None:
+        return
+    low, high = rig.payloads.low, rig.payloads.high
+    if doubt := rig.payloads.doubt(payload):
+        yield doubt
+    elif not low <= payload <= high:
+        yield Finding(
+            "W216",
+            "info",
+            f"the payload of {payload:g} kg lies outside the rig's range",
+            {"payload": payload, "low": low, "high": high},
+            "check the label",
+        )
 
-    A link that starts and ends at rest has a torque of zero mean over many periods: Γ =
-    mL²θt'' integrates to a change of velocity.
-    """
-    offset = float(experiment.output.mean())
-    # What the mode does not explain is noise, offset or another mode: it is no motion
-    # that an offset could be compared with.
-    residual = mode.residual if mode is not None else 0.0
-    spread = float(experiment.output.std())
-    return offset, max(spread**2 - residual**2, 0.0) ** 0.5 or spread
+
+def _channels(log: Experiment) -> tuple[tuple[str, NDArray[np.float64], str], ...]:
+    """Name in words, values and unit of the two channels."""
+    return (
+        ("motor angle", log.motor_angle, "rad"),
+        (log.output_kind, log.output, log.output_unit),
+    )
 
 
-# --- the vibration mode: roles, sign, delay, excitation, periods, sampling -------------------------------
+def _constant_channels(log: Experiment) -> Iterator[Finding]:
+    """A channel that moves by less than a billionth of its value tells nothing."""
+    for name, values, unit in _channels(log):
+        spread, size = float(values.std()), float(np.abs(values).max())
+        # Decimals of nine digits leave that much of a constant.
+        if spread <= 1e-9 * size:
+            state = f"constant at {float(values[0]):.6g} {unit}"
+            remedy = "check the gauge and its amplifier"
+            if name == "motor angle":
+                remedy = "excite the arm: a pulse, a PRBS or a square wave"
+            yield Finding(
+                "W202",
+                "error",
+                f"the {name} is {state if size else 'zero throughout'}",
+                {"standard_deviation": spread},
+                remedy,
+            )
 
 
-_PERIODS = 3.0  # fewer do not separate damping from amplitude
-_SAMPLES = (
-    10.0  # a period: below it the hold between samples matters as much as the damping
-)
-_EXPLAINED = 0.3  # of the output's energy: below it no mode was found
-_SWAPPED = (
-    0.8  # explained share of the exchanged roles from which they are called exchanged
-)
+def _outliers(log: Experiment) -> Iterator[Finding]:
+    """Samples far outside the range that holds 99 % of the channel."""
+    for name, values, _unit in _channels(log):
+        # Quantiles, as one spike of 100 times the motion would raise a standard
+        # deviation to where it is none itself. At most one sample in a hundred lies
+        # beyond both, so that what is found is always few.
+        low, middle, high = np.quantile(values, (0.005, 0.5, 0.995))
+        # An output that rests in 99 % of the samples has no such range.
+        reach = max(high - middle, middle - low) or float(values.std())
+        distance = np.abs(values - middle)
+        worst = int(np.argmax(distance))
+        if distance[worst] > _FAR * reach:
+            count = int((distance > _FAR * reach).sum())
+            yield Finding(
+                "W224",
+                "error",
+                f"{count} outliers in the {name}, the largest at sample {worst}",
+                {
+                    "value": float(values[worst]),
+                    "median": float(middle),
+                    "outliers": count,
+                    "time_s": worst * log.period,
+                },
+                "remove or repair these rows: a fit by least squares follows them",
+            )
 
 
-def mode_findings(
-    experiment: Experiment, mode: Mode | None, reverse: Mode | None
-) -> Iterator[Finding]:
-    """Findings on the mode from motor angle to output; `reverse` is the best one with
-    the roles exchanged.
-    """
+def _limits(log: Experiment, rig: Rig | None) -> Iterator[Finding]:
+    """Samples at the limits of gauge and amplifier, known or seen."""
+    values = log.output
+    # A continuous signal has no levels: a five-hundredth of its range stands for one,
+    # which the crest of a sine fills 2.4 times as full as the next, too.
+    step = converter_step(values) or float(np.ptp(values)) / 500
+    for side, sign in (("largest", 1), ("smallest", -1)):
+        depth = ((sign * values).max() - sign * values) / step
+        top, inside = depth <= 0.5, (depth > 0.5) & (depth <= 1.5)
+        piled = top.sum() > _PILE * max(int(inside.sum()), 1)
+        if piled and top.mean() > _CLIPPED:
+            yield Finding(
+                "W213",
+                "warning",
+                f"{100 * top.mean():.3g} % of the samples lie at the {side} output: it seems clipped",
+                {
+                    "value": float(values[np.argmax(top)]),
+                    "samples": int(top.sum()),
+                    "time_s": float(np.argmax(top)) * log.period,
+                },
+                "move less or lower the amplifier's gain; a clipped torque biases every fit",
+            )
+    if rig is None:
+        return
+    # The gauge's limit is a torque: a deflection's converter has one of its own that no
+    # rig file states. An amplifier that saturates is recorded a converter's step below
+    # what its data sheet says.
+    limit = rig.gauge.limit if log.output_kind == "torque" else math.inf
+    past = np.abs(values) >= 0.99 * limit
+    if past.any():
+        yield Finding(
+            "W213",
+            "warning",
+            f"{past.sum()} samples of the torque reach the gauge's limit of {limit:g} N·m",
+            {
+                "limit": limit,
+                "samples": int(past.sum()),
+                "time_s": float(np.argmax(past)) * log.period,
+            },
+            "move less or lower the amplifier's gain",
+        )
+    limit = rig.motor.voltage_limit
+    full = np.abs(log.voltage if log.voltage is not None else 0.0) >= 0.99 * limit
+    if full.any():
+        share = float(full.mean())
+        yield Finding(
+            "W236",
+            "info",
+            f"the voltage is at its limit in {100 * share:.3g} % of the samples",
+            {
+                "limit": limit,
+                "share": share,
+                "time_s": float(np.argmax(full)) * log.period,
+            },
+            "the link's model is not affected; a motor model is",
+        )
+
+
+def _mode(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
+    """The vibration: roles, sign, delay, excitation, periods, sampling."""
     if mode is None:
-        yield _too_short(experiment)
+        yield Finding(
+            "W204",
+            "error",
+            f"{log.output.size} samples are too few to find a vibration",
+            {"samples": log.output.size, "duration_s": log.duration},
+            "record at least 200 samples and three periods of the vibration",
+        )
         return
-    # Half as much: where one vibration fills the log, either signal explains the other
-    # well.
-    if (
-        reverse is not None
-        and reverse.share > _SWAPPED
-        and mode.share < 0.5 * reverse.share
-    ):
-        yield _swapped(mode, reverse)
+    # A motor angle follows from its torque as a double integral, so that a swap shows
+    # as a large share this way and a small one that way. Half as much: where one
+    # vibration fills the log, either signal explains the other well.
+    exchanged = replace(log, motor_angle=log.output, output=log.motor_angle)
+    share, reverse = share_of(mode), share_of(vibration_of(exchanged))
+    if reverse > _SWAPPED and share < 0.5 * reverse:
+        yield Finding(
+            "W210",
+            "error",
+            "the motor angle follows the output: the two columns seem to be exchanged",
+            {"explained": share, "explained_exchanged": reverse},
+            "exchange motor_angle and the output in [log] of the rig file",
+        )
         return
+    frequency = mode.model.natural_frequency
     # Before sign, periods and delay: those of a mode that explains nothing would be
     # sentences about noise.
-    if mode.share < _EXPLAINED:
-        yield _unexplained(mode)
+    if share < _EXPLAINED:
+        yield Finding(
+            "W233",
+            "warning",
+            "no vibration explained by the motor's motion was found: it is not excited, or hidden by noise",
+            {"explained": share, "best_frequency": frequency},
+            "excite with more amplitude around the expected resonance; check the output's column",
+        )
         return
-    yield _found(mode)
-    if mode.gain < 0:
-        yield _reversed(experiment, mode)
-    yield from _resolution(experiment, mode)
-    # Half a sample is what the parabola through the correlation's crest resolves.
-    if mode.delay > 0.5 * experiment.period:
-        yield _delayed(experiment, mode)
-
-
-def _too_short(experiment: Experiment) -> Finding:
-    return Finding(
-        "W204",
-        "error",
-        f"{experiment.output.size} samples are too few to find a vibration",
-        {"samples": experiment.output.size, "duration_s": experiment.duration},
-        "record at least 200 samples and three periods of the vibration",
-    )
-
-
-def _swapped(mode: Mode, reverse: Mode) -> Finding:
-    return Finding(
-        "W210",
-        "error",
-        "the motor angle follows the output: the two columns seem to be exchanged",
-        {"explained": mode.share, "explained_exchanged": reverse.share},
-        "exchange motor_angle and the output in [log] of the rig file",
-    )
-
-
-def _unexplained(mode: Mode) -> Finding:
-    return Finding(
-        "W233",
-        "warning",
-        "no vibration explained by the motor's motion was found: it is not excited, or hidden by noise",
-        {"explained": mode.share, "best_frequency": mode.frequency},
-        "excite with more amplitude around the expected resonance; check the output's column",
-    )
-
-
-def _found(mode: Mode) -> Finding:
-    return Finding(
+    yield from (each for each in mode.findings if each.code in _OF_COLUMNS)
+    yield Finding(
         "W235",
-        "info" if mode.share > 0.6 else "warning",
-        f"a mode at {mode.frequency:.4g} rad/s explains {100 * mode.share:.3g} % of the output",
+        "info" if share > 0.6 else "warning",
+        f"a mode at {frequency:.4g} rad/s explains {100 * share:.3g} % of the output",
         {
-            "frequency": mode.frequency,
-            "damping_ratio": mode.damping_ratio,
-            "explained": mode.share,
+            "frequency": frequency,
+            "damping_ratio": mode.model.damping / (2 * frequency),
+            "explained": share,
         },
         ""
-        if mode.share > 0.6
+        if share > 0.6
         else "the rest is noise, offset, another mode or history before the log",
     )
-
-
-def _reversed(experiment: Experiment, mode: Mode) -> Finding:
-    return Finding(
-        "W211",
-        "error",
-        f"the {experiment.output_kind} has the wrong sign: where the motor speeds up it must be positive",
-        {"gain": mode.gain, "explained": mode.share},
-        f"state sign = -1 for the {experiment.output_kind} (or for the motor angle) in [log] of the rig file",
-    )
-
-
-def _resolution(experiment: Experiment, mode: Mode) -> Iterator[Finding]:
-    cycle = 2 * math.pi / mode.frequency
-    periods, samples = experiment.duration / cycle, cycle / experiment.period
+    cycle = 2 * math.pi / frequency
+    periods, samples = log.duration / cycle, cycle / log.period
     if periods < _PERIODS:
         yield Finding(
             "W204",
@@ -216,81 +332,124 @@ def _resolution(experiment: Experiment, mode: Mode) -> Iterator[Finding]:
             # fit rests on the hold there.
             "warning" if samples > 4 else "error",
             f"there are {samples:.3g} samples in a period of the vibration",
-            {"samples_per_period": samples, "period_s": experiment.period},
+            {"samples_per_period": samples, "period_s": log.period},
             f"record with a period below {cycle / _SAMPLES * 1e3:.3g} ms",
+        )
+    phase = mode.delay * frequency
+    if mode.delay > 0.5 * log.period:
+        yield Finding(
+            "W234",
+            # A delay τ turns the phase at the resonance by ωτ, as an order below 2
+            # does: ten degrees pass for λ = 1.9.
+            "warning" if phase > math.radians(10) else "info",
+            f"the output lags by about {mode.delay * 1e3:.3g} ms ({math.degrees(phase):.2g}° at the resonance)",
+            {
+                "delay_s": mode.delay,
+                "samples": mode.delay / log.period,
+                "phase": phase,
+            },
+            "it is fitted with the model; if ignored, it would look like a fractional order",
         )
 
 
-def _delayed(experiment: Experiment, mode: Mode) -> Finding:
-    samples = mode.delay / experiment.period
-    phase = math.degrees(mode.delay * mode.frequency)
-    return Finding(
-        "W234",
-        # A delay τ turns the phase at the resonance by ωτ, as an order below 2 does:
-        # ten degrees pass for λ = 1.9.
-        "warning" if phase > 10 else "info",
-        f"the output lags by about {mode.delay * 1e3:.3g} ms ({phase:.2g}° at the resonance)",
-        {"delay_s": mode.delay, "samples": samples, "phase": math.radians(phase)},
-        "it is fitted with the model; if ignored, it would look like a fractional order",
+def _rest_at_start(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
+    """Offset of the gauge, and whether the link is at rest before the motion begins."""
+    # A link that starts and ends at rest has a torque of zero mean over many periods: Γ
+    # = mL²θt'' integrates to a change of velocity. What the mode does not explain is
+    # noise, offset or another mode: it is no motion that an offset could be compared
+    # with.
+    offset, spread = float(log.output.mean()), float(log.output.std())
+    moving = spread * math.sqrt(share_of(mode)) or spread
+    ratio = abs(offset) / moving
+    if ratio > _OFFSET_INFO:
+        yield Finding(
+            "W212",
+            "warning" if ratio > _OFFSET_WARNING else "info",
+            f"the {log.output_kind} has an offset of {offset:.4g} {log.output_unit}, "
+            f"{100 * ratio:.3g} % of the motion in it",
+            {"offset": offset, "motion": moving},
+            "it is fitted with the model; balance the gauge bridge if it grows",
+        )
+    begins = motion_at_start(log.motor_angle, log.output - offset, moving)
+    lead = lead_of(log.output)
+    if begins is None:
+        return
+    # `identify` starts from what the motor did before a cut, where that is known from a
+    # rest on. The rest must last as long as that of a log that was not cut: behind a
+    # gap in the stamps a few samples that hardly differ are no rest.
+    angle = moving_angle(log)  # of a very long history its end
+    still = float(np.ptp(angle[:lead])) <= 0.02 * float(np.ptp(angle))
+    known = still and angle.size - log.output.size >= lead
+    yield Finding(
+        "W231",
+        "info" if known else "warning",
+        f"the log does not start at rest: {begins} in its first {lead * log.period:.3g} s",
+        {
+            "first_output": float(log.output[:lead].mean()),
+            "offset": offset,
+            "first_move": float(np.ptp(log.motor_angle[:lead])),
+            "time_s": 0.0,
+        },
+        "identify starts from what the motor did before the cut; other fits assume rest at the cut"
+        if known
+        else "start recording before the motion, or cut the log where the arm is at rest "
+        "(keep=, --keep): models assume rest",
     )
 
 
-# --- stiction: the motor stands still though it is driven ------------------------------------------------
+def _quantisation(log: Experiment, mode: Fit | None) -> Iterator[Finding]:
+    """Steps of the converter against the signal and against what the mode leaves
+    unexplained.
+    """
+    rest = float(log.output.std()) * math.sqrt(1 - share_of(mode))
+    for (name, values, unit), finest in zip(_channels(log), (0.0, rest), strict=True):
+        step = converter_step(values)
+        levels = float(np.ptp(values)) / step if step else math.inf
+        if levels > _FINE:
+            continue
+        # A step q is noise of q/√12: of 50 levels 0.6 % of the range, and of twice what
+        # the mode leaves a third of the power of that.
+        coarse = levels < 50 or step > 2 * finest > 0
+        yield Finding(
+            "W214",
+            "warning" if coarse else "info",
+            f"the {name} has steps of {step:.4g} {unit}: {levels:.0f} levels",
+            {"step": step, "levels": levels, "noise_of_steps": step / math.sqrt(12)},
+            "move further or use a finer converter"
+            if coarse
+            else "fine enough for a fit",
+        )
 
 
-# s: over less, a slow motion cannot be distinguished from a standstill by a coarse
-# encoder
-_WINDOW = 0.05
-_SHORTEST = 0.02  # s: a standstill shorter than that is a reversal
-_DRIVEN = 0.02  # of the largest voltage: less is an idle amplifier's offset
-
-
-def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
-    """First sample and length of the longest stretch that is true; 0 and 0 without one."""
-    # Zeros at both ends, so that stretches that begin or end the log have two edges as
-    # well.
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
-    if not edges.size:
-        return 0, 0
-    longest = int(np.argmax(edges[1::2] - edges[::2]))
-    return int(edges[2 * longest]), int(edges[2 * longest + 1] - edges[2 * longest])
-
-
-def _still(angle: NDArray[np.float64], window: int, reach: float) -> NDArray[np.bool_]:
-    """Where the angle moves by no more than `reach` within `window` samples around."""
-    moves = np.abs(angle[window:] - angle[:-window])
-    still = np.zeros(angle.size, dtype=bool)
-    # The verdict of a window belongs to its middle: the motor stood still before and
-    # after it.
-    still[window // 2 : window // 2 + moves.size] = moves <= reach
-    return still
-
-
-def stiction(experiment: Experiment) -> Iterator[Finding]:
+def _stiction(log: Experiment) -> Iterator[Finding]:
     """A motor that stands still under voltage, with the voltage that did not move it.
 
     Without a voltage a standstill cannot be distinguished from a reference that stands
     still.
     """
-    if experiment.voltage is None:
+    if log.voltage is None:
         return
-    step = converter_step(experiment.motor_angle)
-    # One step of the encoder may flicker at rest; two are motion.
-    still = _still(
-        experiment.motor_angle, max(3, round(_WINDOW / experiment.period)), 1.5 * step
-    )
-    driven = np.abs(experiment.voltage) > _DRIVEN * float(
-        np.abs(experiment.voltage).max()
-    )
-    shortest = max(5, round(_SHORTEST / experiment.period))
+    size, angle = np.abs(log.voltage), log.motor_angle
+    driven = size > _DRIVEN * float(size.max())
+    # One step of the encoder may flicker at rest; two are motion. The verdict of a
+    # window belongs to its middle: the motor stood still before and after it.
+    window = max(3, round(_WINDOW / log.period))
+    still = np.zeros(angle.size, dtype=bool)
+    still[window // 2 : window // 2 + angle.size - window] = np.abs(
+        angle[window:] - angle[:-window]
+    ) <= 1.5 * converter_step(angle)
     stuck = still & driven
-    first, longest = _longest_run(stuck)
-    if not driven.any() or longest < shortest:
+    # Zeros at both ends, so that stretches that begin or end the log have two edges as
+    # well.
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], stuck, [0]))))
+    lengths = edges[1::2] - edges[::2]
+    shortest = max(5, round(_SHORTEST / log.period))
+    if lengths.size == 0 or lengths.max() < shortest:
         return
-    share = float(stuck.sum() / driven.sum())
+    share, longest = float(stuck.sum() / driven.sum()), int(np.argmax(lengths))
     # Not the largest: the voltage that breaks the motor loose belongs to the last
     # sample of a standstill.
-    held = float(np.quantile(np.abs(experiment.voltage[stuck]), 0.95))
+    held = float(np.quantile(size[stuck], 0.95))
     yield Finding(
         "W232",
         "warning" if share > 0.1 else "info",
@@ -298,8 +457,8 @@ def stiction(experiment: Experiment) -> Iterator[Finding]:
         {
             "share": share,
             "voltage": held,
-            "longest_s": longest * experiment.period,
-            "time_s": first * experiment.period,
+            "longest_s": float(lengths[longest]) * log.period,
+            "time_s": float(edges[2 * longest]) * log.period,
         },
         "stiction: compensate it in the motor loop; the model of the link is not affected",
     )

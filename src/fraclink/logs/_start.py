@@ -6,23 +6,23 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fraclink._arm.draft import draft_text
 from fraclink._arm.experiment import Experiment
-from fraclink._arm.log_columns import ColumnStatement, LogColumns
-from fraclink._display import displayed
+from fraclink._arm.log_columns import LogColumns
+from fraclink._display import Overview, Row, Table, displayed
 from fraclink._files import output_path, write_text
 from fraclink._identify import Fit, identify
 from fraclink._reading.formats import read_table
 from fraclink._reading.reading import read_log
-from fraclink._reading.text import LogTable
+from fraclink._reading.table import LogTable
 from fraclink.errors import LogError
 from fraclink.findings import Finding, errors_of
 from fraclink.logs._diagnosis import diagnose
-from fraclink.logs._guess import Guess, GuessedColumns, Question, guess_columns
-from fraclink.logs._weighing import answered, statements
+from fraclink.logs._match import match_table
+from fraclink.logs._questions import Guess, Question, statements
 from fracsys.checks import Payload, Period, checked
 
 __all__ = ["START_FILES", "Start", "start"]
@@ -67,6 +67,34 @@ class Start:
     def passed(self) -> bool:
         """Whether neither the log nor the model has an error."""
         return self.fit.passed and not errors_of(self.findings)
+
+    def overview(self) -> Overview:
+        """What the log was taken for and why, and the first model."""
+        model, check = self.fit.overview(), len(self.uncertain)
+        guesses = (
+            (
+                Row("part", "log", guess.part),
+                Row("value", "taken as", guess.value),
+                Row("certainty", "certainty", guess.certainty),
+                Row("evidence", "evidence", guess.evidence),
+            )
+            for guess in self.guesses
+        )
+        checked = f"; {check} of {len(self.guesses)} guesses to check" if check else ""
+        rows = (
+            Row("columns", "", self.columns),
+            Row("fit", "", self.fit),
+            Row("decisions", "", self.decisions),
+            Row("blanks", "", self.blanks),
+            *(replace(row, key="") for row in model.rows),
+        )
+        return Overview(
+            model.headline + checked,
+            "passed" if self.passed else "not shown",
+            rows,
+            (Table.of("guesses", guesses),),
+            (*errors_of(self.findings), *self.fit.findings),
+        )
 
     @property
     def uncertain(self) -> tuple[Guess, ...]:
@@ -134,8 +162,7 @@ def start(
         as in `read_log`.
     ask
         called with each `Question` that the log leaves open; its answer is a text such
-        as those that the question lists, "" for the default. Without it the defaults
-        are assumed, and a question without one is an error.
+        as those that the question lists. Without it an open question is an error.
 
     Raises
     ------
@@ -148,41 +175,51 @@ def start(
     Examples
     --------
     >>> from fraclink._reading.reading import bundled_log
-    >>> found = start(bundled_log("pulse_30g"))
-    >>> found.columns.motor_angle.unit, found.fit.structure, found.passed
+    >>> first = start(bundled_log("pulse_30g"))
+    >>> first.columns.motor_angle.unit, first.fit.structure, first.passed
     ('rad', 'UD-FOM', True)
     """
     place = Path(log)
     stated = statements(column, period)
     decisions = len(stated) + (payload is not None)
-    table = read_table(place, numbered=True)
-    found, answers = _resolved(table, str(log), stated, ask, interpolate)
-    assert found.columns is not None  # `_resolved` ends with columns or an error  # noqa: S101
+    table = read_table(place)
+    state = match_table(table, stated, str(log), interpolate)
+    while state.questions:
+        if ask is None:
+            raise _open(table, state.questions)
+        # One at a time: an answer often settles what else was open, and all of it is
+        # matched again.
+        question = state.questions[0]
+        answer = question.statement(ask(question), stated.get(question.role))
+        stated[question.role] = answer
+        decisions += 1
+        state = match_table(table, stated, str(log), interpolate)
+    assert state.columns is not None  # without a question  # noqa: S101
     # Through the one reader: what was guessed is stated to it, and it refuses or
     # converts as it does for everybody.
     experiment = read_log(
         place,
-        columns=found.columns,
+        columns=state.columns,
         payload=payload,
         resample=resample,
         interpolate=interpolate,
     )
     fit = identify(experiment)
-    guesses = (*found.guesses, *_of_the_fit(experiment, fit, payload))
+    guesses = (*state.guesses, *_of_the_fit(experiment, fit, payload))
     return Start(
         guesses,
-        found.columns,
+        state.columns,
         experiment,
         diagnose(experiment),
         fit,
         draft_text(
             place.stem[:100] or "arm",
             experiment.period,
-            found.columns,
+            state.columns,
             _remarks(guesses),
             known=_known(experiment, fit, payload),
         ),
-        decisions + answers,
+        decisions,
     )
 
 
@@ -208,35 +245,6 @@ def _known(
     return known
 
 
-def _resolved(
-    table: LogTable,
-    source: str,
-    stated: dict[str, ColumnStatement],
-    ask: Ask | None,
-    interpolate: bool,
-) -> tuple[GuessedColumns, int]:
-    """The columns once every question is answered or assumed, and the number of
-    answers.
-    """
-    answers = 0
-    while True:
-        found = guess_columns(
-            table, stated, assume=ask is None, interpolate=interpolate, source=source
-        )
-        if not found.questions:
-            return found, answers
-        if ask is None:
-            raise _open(table, found.questions)
-        # One at a time: an answer often settles what else was open, and all of it is
-        # weighed again.
-        question = found.questions[0]
-        statement = stated.get(question.role, ColumnStatement(question.role))
-        stated[question.role] = answered(
-            statement, question, ask(question) or question.default
-        )
-        answers += 1
-
-
 def _open(table: LogTable, questions: tuple[Question, ...]) -> LogError:
     return LogError(
         "columns",
@@ -252,16 +260,18 @@ def _of_the_fit(
 ) -> tuple[Guess, ...]:
     """What the reader and the fit add to the guesses: period, payload and delay."""
     evidence = f"{experiment.motor_angle.size} samples, {experiment.duration:.4g} s"
-    found = [Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)]
+    guesses = [
+        Guess("period", f"{1e3 * experiment.period:.6g} ms", "certain", evidence)
+    ]
     if experiment.payload is not None:
         source = "as stated" if payload is not None else "in the log's header"
-        found.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
+        guesses.append(Guess("payload", f"{experiment.payload:g} kg", "stated", source))
     late, error = f"{1e3 * fit.delay:.3g} ms", fit.standard_errors.get("delay")
     fitted = "fitted with the model" + (
         "" if error is None else f", ± {1e3 * error:.2g} ms"
     )
-    found.append(Guess("delay of the output", late, "certain", fitted))
-    return tuple(found)
+    guesses.append(Guess("delay of the output", late, "certain", fitted))
+    return tuple(guesses)
 
 
 # The guesses that stand above each line of the rig file's [log] table.

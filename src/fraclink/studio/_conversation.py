@@ -80,8 +80,13 @@ def _hello(session: Session, given: Mapping[str, Any]) -> Reply:
 
 def _subject(session: Session) -> Subject:
     if session.subject is None:
-        allowed, remedy = "a link model", "identify a log first (step 3)"
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "model",
+            None,
+            "missing",
+            allowed="a link model",
+            remedy="identify a log first (step 3)",
+        )
     return session.subject
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from fraclink._arm.log_columns import parse_columns
 from fraclink._arm.rig import Rig
 from fraclink._reading.reading import bundled_log
-from fraclink.studio._messages import USUAL
 from fraclink.trials._study import Study
 
 if TYPE_CHECKING:
@@ -156,13 +155,7 @@ def _python_columns(texts: Sequence[str]) -> str:
         beside += "" if found.scale == 1.0 else f", scale={found.scale!r}"
         return f"fl.Channel({found.column!r}, {found.unit!r}{beside})"
 
-    given = [
-        channel("time"),
-        channel("motor_angle"),
-        channel(columns.output_kind),
-        repr(columns.output_kind),
-    ]
-    given += [channel("voltage")] if "voltage" in columns.channels() else []
+    given = (f"{role}={channel(role)}" for role in columns.channels())
     return f"fl.LogColumns({', '.join(given)})"
 
 
@@ -222,7 +215,7 @@ def as_command(
     if model is not None:
         words += ["--model", str(model)]
     for name, value in request.items():
-        if value is None or value == USUAL.get(name):
+        if value is None or value is False:
             continue
         words.append(f"--{name.replace('_', '-')}")
         # A flag has no word behind it.
@@ -245,7 +238,7 @@ def as_python(request: Mapping[str, Any], rig: str, model: Path | None) -> str:
         lines.append(f"fit = fl.load({str(model)!r})")
     lines += ["design = fl.design(", f"    {link}, rig,"]
     for name, value in request.items():
-        if value is None or value == USUAL.get(name):
+        if value is None or value is False:
             continue
         if name == "phase_margin_deg":
             lines.append(f"    phase_margin=fl.deg({_plain(value)}),")

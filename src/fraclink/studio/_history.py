@@ -73,11 +73,13 @@ class History:
     def go(self, at: int) -> dict[str, Any]:
         """Make the state number `at` the one that stands, and return it."""
         if not 0 <= at < len(self.states):
-            allowed, remedy = (
-                f"0 to {len(self.states) - 1}",
-                "undo ends at the first state",
+            raise FieldError(
+                "at",
+                at,
+                "out of range",
+                allowed=f"0 to {len(self.states) - 1}",
+                remedy="undo ends at the first state",
             )
-            raise FieldError("at", at, "out of range", allowed=allowed, remedy=remedy)
         if at != self.at:
             self._write({"at": at})
         return self.states[at]

@@ -17,9 +17,11 @@ from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES
 from fraclink._arm.log_columns import UNITS, LogColumns
 from fraclink._arm.rig import Rig
+from fraclink._display import number
 from fraclink._files import sha256_of
 from fraclink._identify import Fit
-from fraclink._identify.looked_at import error_map, welch_response
+from fraclink._identify.error_map import error_map
+from fraclink._identify.welch import welch_response
 from fraclink._reading.formats import read_table
 from fraclink._reading.reading import (
     ChannelSummary,
@@ -29,16 +31,12 @@ from fraclink._reading.reading import (
     read_log,
 )
 from fraclink.errors import FieldError, LogError
-from fraclink.logs._guess import guess_columns
-from fraclink.logs._weighing import statements
+from fraclink.logs import match
 from fraclink.studio._messages import Reply
 from fraclink.studio._session import Session, bare
 from fraclink.trials._stages import examined
 from fraclink.trials._study import Study
-from fraclink.view import _tables as tables
-from fraclink.view._fits import worth_reading
-from fraclink.view._text import number
-from fraclink.view._words import oscillates
+from fraclink.view._text import grid_of
 
 __all__ = ["LOG_VERBS", "fit_answer"]
 
@@ -93,9 +91,12 @@ def _choose_log(session: Session, given: Mapping[str, Any]) -> Reply:
     elif name in bundled_logs():
         session.source = bundled_log(str(name))
     elif name is not None:
-        allowed, remedy = ", ".join(bundled_logs()), "drop a file, or take one of these"
         raise FieldError(
-            "log", str(name)[:80], "unknown", allowed=allowed, remedy=remedy
+            "log",
+            str(name)[:80],
+            "unknown",
+            allowed=", ".join(bundled_logs()),
+            remedy="drop a file, or take one of these",
         )
     return _listing(session)
 
@@ -111,14 +112,14 @@ def _listing(session: Session) -> Reply:
     if session.source is None:
         return Reply(head | _experiment(session)[0], _experiment(session)[1])
     listing = inspect_log(session.source)
-    table = read_table(session.source, numbered=True)
+    table = read_table(session.source)
     curves = {
         f"spark{k}": thinned(_scaled(_finite(values)), _SPARKS)
         for k, values in enumerate(table.values)
     }
-    # assume: a listing proposes, it does not read; a guess that is wrong is dragged
-    # away by hand.
-    guessed = guess_columns(table, {}, assume=True)
+    # A listing proposes, it does not read; a guess that is wrong is dragged away by
+    # hand.
+    guessed = match(session.source)
     roles = {} if guessed.columns is None else guessed.columns.channels()
     places = {channel.column: role.replace("_", " ") for role, channel in roles.items()}
     channels = listing.channels
@@ -180,12 +181,12 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         or len(texts) > _TEXTS
         or not all(isinstance(t, str) for t in texts)
     ):
-        allowed, remedy = (
-            f"at most {_TEXTS} texts",
-            "state a column as motor_angle=theta [deg]",
-        )
         raise FieldError(
-            "columns", str(texts)[:80], "not statements", allowed=allowed, remedy=remedy
+            "columns",
+            str(texts)[:80],
+            "not statements",
+            allowed=f"at most {_TEXTS} texts",
+            remedy="state a column as motor_angle=theta [deg]",
         )
     if session.source is None or session.study.rig is None:
         raise FieldError(
@@ -193,23 +194,18 @@ def _set_columns(session: Session, given: Mapping[str, Any]) -> Reply:
         )
     columns = None
     if texts:
-        guessed = guess_columns(
-            read_table(session.source, numbered=True),
-            statements(texts, None),
-            assume=True,
-        )
+        guessed = match(session.source, column=texts)
         columns = guessed.columns
         if columns is None:
-            # What is left has no default, such as a unit: a wrong one would be a wrong
-            # controller. Questions with a default are answered by it; the page shows
-            # the outcome, and a click turns a sign.
+            # What is left, such as a unit, is no guess: a wrong one would be a wrong
+            # controller.
             asked = " ".join(question.text for question in guessed.questions)
-            allowed, remedy = (
-                "an answer to each question",
-                "drag the channel to its place",
-            )
             raise FieldError(
-                "columns", ", ".join(texts)[:200], asked, allowed=allowed, remedy=remedy
+                "columns",
+                ", ".join(texts)[:200],
+                asked,
+                allowed="an answer to each question",
+                remedy="drag the channel to its place",
             )
     rig = session.study.rig
     keep = _stretch(given.get("keep"))
@@ -264,9 +260,12 @@ def _stretch(given: object) -> tuple[float, float] | None:
         and all(type(t) in (int, float) for t in given)
     ):
         return float(given[0]), float(given[1])
-    allowed, remedy = "two numbers of seconds", "mark the stretch again"
     raise FieldError(
-        "keep", str(given)[:40], "not a stretch", allowed=allowed, remedy=remedy
+        "keep",
+        str(given)[:40],
+        "not a stretch",
+        allowed="two numbers of seconds",
+        remedy="mark the stretch again",
     )
 
 
@@ -275,12 +274,11 @@ def _experiment(session: Session) -> tuple[dict[str, Any], dict[str, Real]]:
     log = session.study.experiment
     if log is None:
         return {"experiment": None}, {}
-    rows = tables.log_table(log)
     # The log's own and those of its examination overlap: each is told once.
     findings = tuple(dict.fromkeys((*log.findings, *session.study.findings)))
     shown = session.whole or log
     head = {
-        "experiment": {"rows": rows.rows, "findings": findings, "duration": shown.duration,
+        "experiment": {"findings": findings, "duration": shown.duration,
                        "kind": log.output_kind, "payload": log.payload,
                        "keep": session.stretch if session.whole else None, "whole": session.whole is not None}
     }  # fmt: skip
@@ -329,16 +327,12 @@ def _models(session: Session, given: Mapping[str, Any]) -> Reply:
     if wanted is not None:
         fit = session.study.fits.get(str(wanted))
         if fit is None:
-            allowed, remedy = (
-                ", ".join(session.study.fits) or "a fit",
-                "fit the log first",
-            )
             raise FieldError(
                 "structure",
                 str(wanted)[:40],
                 "not fitted",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=", ".join(session.study.fits) or "a fit",
+                remedy="fit the log first",
             )
         # The design was made for the other model, and must not stand beside this one as
         # if it were its own.
@@ -353,7 +347,7 @@ def fit_answer(session: Session) -> Reply:
     study = session.study
     log, fits = study.experiment, study.fits
     said = "Not fitted yet." if log is not None else "Read a log first (steps 1 and 2)."
-    said = f"The arm {words_of(study.fit)}." if study.fit is not None else said
+    said = f"The arm {study.fit.model.sentence}." if study.fit is not None else said
     head: dict[str, Any] = {
         "ok": True,
         **session.overview(),
@@ -366,10 +360,8 @@ def fit_answer(session: Session) -> Reply:
     if not fits:
         return Reply(head, curves)
     used = study.fit.structure if study.fit else ""
-    head["table"] = {
-        "header": tables.fits_table(fits).header,
-        "rows": tables.fits_table(fits).rows,
-    }
+    if study.comparison:
+        head["table"] = grid_of(study.comparison.table)
     head["conclusion"] = study.comparison.verdict if study.comparison else ""
     head["fits"] = [_card(name, fit, name == used) for name, fit in fits.items()]
     if log is not None and study.fit is not None:
@@ -455,27 +447,11 @@ def _card(name: str, fit: Fit, used: bool) -> dict[str, Any]:
         "what": STRUCTURES[name].sentence,
         "used": used,
         "passed": fit.passed,
-        "words": words_of(fit),
-        "rows": tables.fit_table(fit).rows,
-        "findings": worth_reading(fit.findings),
+        "words": fit.model.sentence,
+        "findings": [f for f in fit.findings if f.severity != "info"],
         "heldout_nmse": fit.heldout_nmse,
         "at": [abs(fit.model.pole), fit.model.order],
     }
-
-
-def words_of(fit: Fit) -> str:
-    """Return what a fit means for the arm, in the words of a workshop.
-
-    >>> from fraclink._identify import identify
-    >>> words_of(identify(read_log(bundled_log("prbs_30g")), "UD-FOM", details=False))
-    'swings at 1.89 Hz with 6.6 % damping, gauge 2.1 ms late'
-    """
-    pole, delay = fit.model.pole, fit.delay
-    late = f"gauge {abs(1e3 * delay):.1f} ms {'late' if delay >= 0 else 'early'}"
-    if not oscillates(pole):  # overdamped, or a D-FOM that ended at ω₀ = 0
-        return f"does not oscillate, {late}"
-    swing = f"swings at {abs(pole.imag) / (2 * math.pi):.3g} Hz"
-    return f"{swing} with {100 * -pole.real / abs(pole):.2g} % damping, {late}"
 
 
 def _spectrum(output: Real, residual: Real, period: float) -> dict[str, Real]:

@@ -20,13 +20,11 @@ from numpy.typing import ArrayLike
 from fraclink._design import Specification
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._protocol import LONGEST
-from fraclink.view._records import plain
-from fracsys.checks import PhaseMarginDeg
-from fracsys.checks.rules import rule
+from fraclink.view._text import plain
+from fracsys.checks import PhaseMarginDeg, rule
 
 __all__ = [
     "NAMES",
-    "USUAL",
     "Message",
     "Reply",
     "checked_request",
@@ -108,12 +106,11 @@ def parsed(text: object) -> Message:
 
 
 def _refused(value: object) -> FieldError:
-    allowed = f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters'
     return FieldError(
         "message",
         value,
         "not a request",
-        allowed=allowed,
+        allowed=f'{{"seq": 0, "verb": "preview", …}}, at most {LONGEST} characters',
         remedy="send one JSON object",
     )
 
@@ -141,15 +138,21 @@ def refusal(error: FraclinkError) -> Reply:
 
 # --- what a page asks of a design -----------------------------------------------------------------------
 
+_PYTHON_ONLY = (
+    "phase_margin",
+    "natural_frequencies",
+    "motor_loop",
+    "placement",
+    "settling_time",
+)
 # Every option has the range that the library states for it; the command line gives the
 # margin in degrees.
 _HINTS: dict[str, Any] = {
     name: hint
     for name, hint in get_type_hints(Specification, include_extras=True).items()
-    if name not in ("phase_margin", "natural_frequencies")
+    if name not in _PYTHON_ONLY
 } | {"phase_margin_deg": Annotated[PhaseMarginDeg | None, ""], "box": bool}
 NAMES = tuple(_HINTS)
-USUAL = {"margins": "loop", "inner": "ideal", "placement": "tustin", "box": False}
 
 
 def checked_request(given: object) -> dict[str, Any]:
@@ -163,19 +166,21 @@ def checked_request(given: object) -> dict[str, Any]:
     (0.02, 0.04)
     """
     if not isinstance(given, Mapping):
-        allowed, remedy = "an object of options", "send the options by name"
         raise FieldError(
             "state",
             type(given).__name__,
             "not an object",
-            allowed=allowed,
-            remedy=remedy,
+            allowed="an object of options",
+            remedy="send the options by name",
         )
     for name in given:
         if name not in _HINTS:
-            allowed, remedy = ", ".join(NAMES), "leave it out"
             raise FieldError(
-                "state", str(name), "unknown option", allowed=allowed, remedy=remedy
+                "state",
+                str(name),
+                "unknown option",
+                allowed=", ".join(NAMES),
+                remedy="leave it out",
             )
     found = {}
     for name, hint in _HINTS.items():
@@ -184,9 +189,8 @@ def checked_request(given: object) -> dict[str, Any]:
         value = given.get(name)
         if isinstance(value, list):
             value = tuple(value)
-        found[name] = (
-            USUAL.get(name) if value is None else rule(hint).check(name, value)
-        )
+        absent = False if hint is bool else None
+        found[name] = absent if value is None else rule(hint).check(name, value)
     return found
 
 

@@ -59,7 +59,7 @@ def _share(
     path = output_path(session.folder / "arm.html", force=force)
     return [
         write_arm_page(session.study, path)
-    ], f"fraclink share {session.folder} --out {path}"
+    ], f"fraclink report {session.folder} --arm --out {path}"
 
 
 def _report(
@@ -91,8 +91,13 @@ def _export(session: Session, given: Mapping[str, Any]) -> Reply:
         )
     made, law = session.study.design, session.study.law
     if made is None or law is None:
-        allowed, remedy = "a study with a design", "make one in step 4"
-        raise FieldError("design", None, "missing", allowed=allowed, remedy=remedy)
+        raise FieldError(
+            "design",
+            None,
+            "missing",
+            allowed="a study with a design",
+            remedy="make one in step 4",
+        )
     session.folder.mkdir(parents=True, exist_ok=True)
     paths, command = _TARGETS[target](
         session, made, law, precision, given.get("force") is True
@@ -131,7 +136,7 @@ def _board(session: Session, given: Mapping[str, Any]) -> Reply:
         ["coefficients (flash)", f"{flash} bytes", f"{room[0]} bytes"],
         [f"instructions a period, Cortex-M4F, {modes} modes",
          *(counts if precision == "single" else ["not counted: it has no such unit"] * 2)],
-        ["last line of the self-test", *[f"hash {expected(law).hash:08X}"] * 2],
+        ["last line of the self-test", *[f"hash {expected(law):08X}"] * 2],
     ]  # fmt: skip
     return Reply({"ok": True, "board": rows, "power_on": power_on(made)})
 

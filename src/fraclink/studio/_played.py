@@ -40,9 +40,12 @@ def _play(session: Session, given: Mapping[str, Any]) -> Reply:
         _number(given, name) for name in _NUMBERS
     )
     if duration > _LONGEST:
-        allowed, remedy = f"<= {_LONGEST:g} s", "take a shorter run"
         raise FieldError(
-            "duration", duration, "too long", allowed=allowed, remedy=remedy
+            "duration",
+            duration,
+            "too long",
+            allowed=f"<= {_LONGEST:g} s",
+            remedy="take a shorter run",
         )
     reference = smooth_step(move, time).then(
         smooth_step(-move, time, start=half - time)
@@ -110,13 +113,11 @@ def _fault(session: Session, given: Mapping[str, Any]) -> Reply:
     )
     fault = fault_named(case.fault)
     bench = Bench.of(made, made.rig)
-    # In double precision and with seed 1, as the campaign of this page judged it:
-    # another precision is another run.
-    seen = observe(bench, case, bench.law.in_precision("double"))
-    run = seen.faulty
+    # With seed 1, as the campaign of this page judged it.
+    run = observe(bench, case).faulty
     curves: dict[str, Any] = {
-        "reference": run.wanted, "tip": run.tip, "motor": run.motor, "torque": run.torque,
-        "gauge": run.gauge, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
+        "reference": run.reference, "tip": run.tip_angle, "motor": run.motor_angle, "torque": run.torque,
+        "gauge": run.torque_measured, "voltage": run.voltage, "mode": run.mode, "reason": run.reason,
     }  # fmt: skip
     what = (
         f"{fault.number}, severity {case.severity}, {1e3 * payload:g} g: {fault.title}"

@@ -21,12 +21,13 @@ from fraclink._arm.rig import Rig
 from fraclink._design import Design
 from fraclink._design.assess import phase_budget
 from fraclink._design.completed import design_for
+from fraclink._display import number
 from fraclink._law import Law
 from fraclink._law.refit import refitted
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
 from fraclink.studio._messages import Reply, checked_request, refusal, wanted_of
 from fraclink.studio._regions import fan_of, parted, violated
-from fraclink.view._text import grams, number
+from fraclink.view._text import grams
 
 __all__ = ["Subject", "blocks_of", "nearest", "preview"]
 
@@ -137,16 +138,12 @@ def nearest(subject: Subject, state: object) -> Reply:
         offer["phase_margin_deg"] = float(f"{margin:.6g}")
     if offer:
         return Reply({"ok": True, "state": request | offer})
-    allowed, remedy = (
-        "a request near one that is feasible",
-        "move crossover or margin by hand",
-    )
     raise FieldError(
         "state",
         "this request",
         "far from anything feasible",
-        allowed=allowed,
-        remedy=remedy,
+        allowed="a request near one that is feasible",
+        remedy="move crossover or margin by hand",
     )
 
 
@@ -195,8 +192,8 @@ def _shown(subject: Subject, made: Design, assumed: tuple[str, ...]) -> Reply:
 def _controller(made: Design) -> dict[str, Any]:
     c = made.controller
     return {
-        "k_d": c.gain,
-        "beta": c.order,
+        "k_d": c.derivative_gain,
+        "beta": c.derivative_order,
         "delta": c.filter_time,
         "n": c.filter_order,
         "upper": made.gain_crossover_upper,
@@ -212,8 +209,8 @@ def _facts(made: Design) -> list[tuple[str, str]]:
     return [
         ("ω_c", f"{number(made.gain_crossover)} rad/s"),
         ("φ_m", f"{number(math.degrees(made.phase_margin))}°"),
-        ("k_d", number(c.gain)),
-        ("β", number(c.order)),
+        ("k_d", number(c.derivative_gain)),
+        ("β", number(c.derivative_order)),
         ("δ", f"{number(1e3 * c.filter_time, 3)} ms" if c.filter_time else "none"),
         ("n", str(c.filter_order)),
         ("ω̄_c", f"{number(made.gain_crossover_upper)} rad/s"),

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
-from fraclink._design.feasibility import feasibility_map
+from fraclink._design.assess import feasibility_map
+from fraclink._display import number
 from fraclink.errors import FieldError
 from fraclink.studio._messages import checked_request
-from fraclink.view._text import number
 
 __all__ = [
     "Region",
@@ -154,12 +154,11 @@ def checked_regions(given: object) -> tuple[Region, ...]:
 
 
 def _refused(value: object) -> FieldError:
-    allowed = f"at most {_MOST} of {{plot: gain or nichols, left < right, low < high}}, finite"
     return FieldError(
         "regions",
         str(value)[:80],
         "no regions",
-        allowed=allowed,
+        allowed=f"at most {_MOST} of {{plot: gain or nichols, left < right, low < high}}, finite",
         remedy="draw them again",
     )
 
@@ -185,7 +184,7 @@ def map_of(subject: Any, state: object) -> dict[str, Any]:
     fastest = float(subject.link_frequencies.max()) ** (2.0 / subject.model.order)
     crossovers = np.geomspace(0.5 * slowest, _FASTEST * fastest, _CROSSOVERS)
     margins = np.linspace(10.0, _WIDEST, _MARGINS)
-    names = ("payloads", "margins", "filter_time", "inner", "placement")
+    names = ("payloads", "filter_time")
     given = {name: request[name] for name in names if request[name] is not None}
     if "payloads" not in given:
         given["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)

@@ -17,12 +17,14 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from fraclink.view._pages import squeezed, template_text, tightened
+from fraclink.view._pages import squeezed, template_text
 
 if TYPE_CHECKING:
     from fraclink.studio._session import Session
@@ -156,10 +158,7 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     for.
     """
     found = {
-        f"/{path.name}": (
-            _served(path.name, path.read_bytes()),
-            _KINDS[Path(path.name).suffix],
-        )
+        f"/{path.name}": (path.read_bytes(), _KINDS[Path(path.name).suffix])
         for path in _PAGE.iterdir()
         if Path(path.name).suffix in _KINDS
     }
@@ -172,13 +171,6 @@ def _contents() -> dict[str, tuple[bytes, str]]:
     found["/arm_box.css"] = (style.encode(), "text/css")
     found["/arm_box.js"] = (_arm_module().encode(), "text/javascript")
     return found
-
-
-def _served(name: str, content: bytes) -> bytes:
-    """A script without what only its readers need, a fifth of it; anything else as it
-    is.
-    """
-    return tightened(content.decode()).encode() if name.endswith(".js") else content
 
 
 def _arm_module() -> str:
@@ -212,6 +204,7 @@ def application(studio: Studio) -> Any:
 
     routes = [Route(path, page) for path in contents]
     app = Starlette(
+        middleware=[Middleware(GZipMiddleware)],
         routes=[
             *routes,
             Route("/upload", upload, methods=["POST"]),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import socket
 import time
 import webbrowser
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["serve"]
 
+_HOST = "127.0.0.1"
 _ALONE = 600.0  # [s] without a page, after which the studio ends
 _LOOK = 0.5  # [s] between two looks
 _PING = 20.0  # [s]
@@ -31,9 +31,7 @@ _PING = 20.0  # [s]
 def serve(
     opening: Callable[[], Session],
     *,
-    host: str = "127.0.0.1",
     port: int = 0,
-    unsafe_remote: bool = False,
     open_page: bool = True,
     say: Callable[[str], None] = print,
 ) -> Session:
@@ -45,10 +43,9 @@ def serve(
     opening
         makes the session; it runs while the browser loads the page, and what it raises
         ends the studio.
-    host, port
-        where to listen; port 0 takes one that is free. An address that others can reach
-        needs `unsafe_remote`: everybody who learns the token can then read and change
-        the study.
+    port
+        where to listen on this machine alone (127.0.0.1); 0 takes one that is free.
+        From another machine the page is reached through ``ssh -L``.
     open_page
         whether to open the browser.
     say
@@ -57,16 +54,12 @@ def serve(
     Raises
     ------
     FieldError
-        the address is not of this machine alone, or is taken; or what `opening` raises.
+        the port is taken; or what `opening` raises.
     """
-    listener = _listening(host, port, unsafe_remote)
+    listener = _listening(port)
     port = listener.getsockname()[1]
-    shown = f"[{host}]" if ":" in host else host
-    hosts = {f"{shown}:{port}"} | (
-        {f"127.0.0.1:{port}", f"localhost:{port}"} if _is_loopback(host) else set()
-    )
-    studio = Studio(opening, hosts=hosts)
-    address = f"http://{shown}:{port}/#{studio.token}"
+    studio = Studio(opening, hosts=(f"{_HOST}:{port}", f"localhost:{port}"))
+    address = f"http://{_HOST}:{port}/#{studio.token}"
     settings = uvicorn.Config(
         application(studio),
         log_level="critical",  # its lines would name the addresses of pages
@@ -126,30 +119,13 @@ async def _watch(server: uvicorn.Server, studio: Studio) -> None:
             server.should_exit = True
 
 
-def _is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def _listening(host: str, port: int, unsafe_remote: bool) -> socket.socket:
-    if not unsafe_remote and not _is_loopback(host):
-        problem, allowed = (
-            "an address that others can reach",
-            "127.0.0.1, localhost or ::1",
-        )
-        remedy = "leave it out, or give --unsafe-remote on a network of your own"
-        raise FieldError("host", host, problem, allowed=allowed, remedy=remedy)
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+def _listening(port: int) -> socket.socket:
+    listener = socket.socket()
     # Or a studio that is started again on its port waits a minute for the last one's
     # sockets.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((host, port))
+        listener.bind((_HOST, port))
         # before the address is said: whoever opens it at once waits and is not refused
         listener.listen()
     except OSError as error:
@@ -160,6 +136,6 @@ def _listening(host: str, port: int, unsafe_remote: bool) -> socket.socket:
         )
         why = error.strerror or str(error)
         raise FieldError(
-            "port", f"{host}:{port}", why, allowed=allowed, remedy=remedy
+            "port", f"{_HOST}:{port}", why, allowed=allowed, remedy=remedy
         ) from error
     return listener

@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from threading import Lock
@@ -16,6 +16,7 @@ from typing import Any
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
+from fraclink._display import Table, marked, state_of
 from fraclink._files import kind_of, sha256_of
 from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
@@ -26,14 +27,19 @@ from fraclink.studio._preview import Subject, blocks_of
 from fraclink.studio._regions import parted
 from fraclink.trials._stages import designed, moved, subject
 from fraclink.trials._study import Study, load_study, save_study
-from fraclink.view import _tables as tables
 from fraclink.view._arm_box import arm_box
-from fraclink.view._text import marked, sentence
+from fraclink.view._text import grid_of, sentence
 
 __all__ = ["Session", "SupersededError", "bare", "opened"]
 
 # Files of a study that no longer belong to it once the design is another one.
-_OUTDATED = ("run-*g.npz", "certificate.json", "faults.json", "model-*.json")
+_OUTDATED = (
+    "run-*g.npz",
+    "twin-*g.npz",
+    "certificate.json",
+    "faults.json",
+    "model-*.json",
+)
 _BARE: dict[str, Any] = {
     "design": None,
     "law": None,
@@ -107,7 +113,6 @@ class Session:
         if made is not None:
             asked = {
                 "payloads": made.payloads,
-                "margins": made.margins_kind,
                 "box": made.box is not None,
             }
             asked["gain_crossover"] = made.gain_crossover
@@ -208,20 +213,18 @@ class Session:
             "folder": str(self.folder),
             "of": self.subject.key if self.subject else "",
             "title": " · ".join([*([study.rig.name] if study.rig else []), str(self.folder)]),
-            "spoken": ", ".join(f"{name} {scope.state}" for name, _, scope in tables.scopes(verdict)),
-            "verdict": [
-                {"name": name, "what": what, "state": scope.state, "shown": marked(scope.state),
-                 "reasons": scope.reasons or ["nothing against it"]}
-                for name, what, scope in tables.scopes(verdict)
-            ],
+            "spoken": verdict.sentence,
+            "sentence": study.sentence,
+            "verdict": grid_of(verdict.overview().tables[0]).lines,
             "remarks": verdict.remarks,
             "marks": {step: [marked(mark)[0], mark] for step, mark in self.marks().items()},
             "assumptions": study.assumptions,
             "design": None if made is None else {
-                "requirements": _rows(tables.requirements_table(made.requirements), (0, 1, 2, 5)),
-                "controller": _rows(tables.controller_table(made, study.law)),
+                "requirements": grid_of(
+                    made.overview().tables[0].columns("requirement", "required", "achieved", "verdict")
+                ),
                 "findings": made.findings,
-                "moves": _rows(tables.moves_table(study.runs)),
+                "moves": grid_of(Table.of("", (run.rows for run in study.runs))),
                 "passed": made.passed,
             },
             "certificate": study.certificate is not None,
@@ -237,7 +240,7 @@ class Session:
     def _proof_said(self) -> str:
         study = self.study
         if study.certificate is not None:
-            return sentence(tables.proof_sentence(study.certificate))
+            return sentence(study.certificate.sentence)
         return f"Not proved: {study.uncertified}" if study.uncertified else ""
 
     def marks(self) -> dict[str, str]:
@@ -259,10 +262,10 @@ class Session:
             if errors_of(log)
             else "passed",
             "channels": "not run" if study.experiment is None else "passed",
-            "model": "not run" if study.fit is None else tables.state_of(study.fit),
+            "model": "not run" if study.fit is None else state_of(study.fit.passed),
             "design": verdict.promise.state,
             "move": verdict.model.state,
-            "proof": "failed" if "failed" in (proof, verdict.reality.state) else proof,
+            "proof": "failed" if "failed" in (proof, verdict.twin.state) else proof,
             "board": "not run"
             if not self.written
             else "passed"
@@ -298,13 +301,12 @@ class Session:
             if n in there and there[n] != self._kept.get(n)
         )
         if changed and not force:
-            problem = "already there, or changed since it was read"
-            allowed, remedy = (
-                "files that this studio wrote or read",
-                "replace them, or open the folder again",
-            )
             raise FieldError(
-                "folder", ", ".join(changed), problem, allowed=allowed, remedy=remedy
+                "folder",
+                ", ".join(changed),
+                "already there, or changed since it was read",
+                allowed="files that this studio wrote or read",
+                remedy="replace them, or open the folder again",
             )
         self.folder.mkdir(parents=True, exist_ok=True)
         save_study(self.study, self.folder)
@@ -383,10 +385,3 @@ def _digests(folder: Path) -> dict[str, str]:
         for path in sorted(folder.iterdir())
         if path.suffix in kinds
     }
-
-
-def _rows(table: Any, columns: tuple[int, ...] | None = None) -> Mapping[str, Any]:
-    """A table as the page shows it: all of its columns, or those."""
-    rows = [table.header, *table.shown]
-    cut = rows if columns is None else [[row[k] for k in columns] for row in rows]
-    return {"header": cut[0], "rows": cut[1:]}

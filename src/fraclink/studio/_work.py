@@ -29,8 +29,7 @@ from fraclink.trials._arms import replay_run
 from fraclink.trials._campaign import Campaign, load_campaign
 from fraclink.trials._faults import FaultTable
 from fraclink.trials._study import Study, load_study, save_study
-from fraclink.view import _tables as tables
-from fraclink.view._text import grams, sentence
+from fraclink.view._text import grams, grid_of, sentence
 from fracsys.checks import Between
 
 __all__ = ["JOBS", "WORK_VERBS", "Job", "moves_of_arms", "proof_of", "swept"]
@@ -134,12 +133,12 @@ class Job:
                 if said.strip()
                 else f"ended with code {code}"
             )
-            allowed, remedy = (
-                "a job that ends",
-                "see the message; the study is as it was",
-            )
             raise FieldError(
-                self.verb, code, f"failed: {why}", allowed=allowed, remedy=remedy
+                self.verb,
+                code,
+                f"failed: {why}",
+                allowed="a job that ends",
+                remedy="see the message; the study is as it was",
             )
 
     def _taken(self, place: Path, asked: Mapping[str, Any]) -> Reply:
@@ -179,9 +178,12 @@ def _checked(name: str, bounds: Between, value: object) -> Any:
 
 
 def _cancelled(verb: str) -> FieldError:
-    allowed, remedy = "a job that ends", "start it again when you want it"
     return FieldError(
-        verb, "cancelled", "stopped as you asked", allowed=allowed, remedy=remedy
+        verb,
+        "cancelled",
+        "stopped as you asked",
+        allowed="a job that ends",
+        remedy="start it again when you want it",
     )
 
 
@@ -295,11 +297,10 @@ def proof_of(study: Study) -> dict[str, Any]:
                 1e3 * statement.payload_high,
             ],  # [g], [ms]: its box on the map
             "delays": [1e3 * statement.delay_low, 1e3 * statement.delay_high],
-            "text": sentence(tables.proof_sentence(study.certificate)),
+            "text": sentence(study.certificate.sentence),
         }
     if study.arms is not None:
-        spread = tables.spread_table(study.arms)
-        found["spread"] = {"header": spread.header, "rows": spread.rows}
+        found["spread"] = grid_of(study.arms.overview().tables[0])
         failure = study.arms.failure
         found["failures"] = {
             "count": failure.count,
@@ -307,9 +308,8 @@ def proof_of(study: Study) -> dict[str, Any]:
             "failed": study.arms.failed[:12],
         }
     if study.faults is not None:
-        rows = tables.faults_table(study.faults)
-        found["faults"] = {"header": rows.header, "rows": rows.shown}
-        found["faults_said"] = tables.faults_sentence(study.faults)
+        found["faults"] = grid_of(study.faults.overview().tables[0])
+        found["faults_said"] = study.faults.sentence
         found["cells"] = _cells(study.faults)
     return found
 

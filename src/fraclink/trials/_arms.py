@@ -4,8 +4,8 @@ repeated on demand.
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Annotated
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,14 @@ from fraclink._simulate.kernel import SUBSTEPS, LumpedArms, run_lumped, shared_r
 from fraclink._simulate.links import batch_links, link_poles
 from fraclink._simulate.metrics import Signals, judge_many, measure_many
 from fraclink._simulate.run import Run
-from fraclink._simulate.simulate import estimates_of_model, model_run
+from fraclink._simulate.simulate import model_run
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import PART_RUNS, Campaign, draw
-from fracsys.checks import Between, checked, is_whole
+from fracsys.checks import Between, checked
 
 __all__ = ["arm_of", "replay_run", "simulate_part"]
 
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 # runs simulated before they are measured: 50 × 1000 periods × 6 signals stay in the
 # cache
@@ -47,13 +46,13 @@ def simulate_part(
     Between(0, campaign.parts - 1).check("part", part)
     runs = campaign.part_runs(part)
     values = draw(campaign.draws, campaign.seed, part, runs)
-    path = unit_paths(campaign)
-    blocks = [
-        _measured_block(campaign, values, path, part, at)
-        for at in range(0, runs, BLOCK)
-    ]
+    blocks = []
+    for at in range(0, runs, BLOCK):
+        block = block_of(campaign, values, part, at)
+        rows, metrics = _measured(campaign, block)
+        blocks.append(metrics | judge_many(_judged(campaign, block, rows), metrics))
     measured = {
-        name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]
+        name: np.concatenate([each[name] for each in blocks]) for name in blocks[0]
     }
     number = np.arange(part * PART_RUNS, part * PART_RUNS + runs, dtype=np.int64)
     # Drawn as a whole number of 31 bits, whatever is followed, so that a seed draws the
@@ -79,102 +78,33 @@ def unit_paths(campaign: Campaign, times: int = 1) -> Real:
     return np.ascontiguousarray(np.stack(rows))
 
 
-def _measured_block(
-    campaign: Campaign, values: dict[str, Real], path: Real, part: int, at: int
-) -> dict[str, NDArray[np.generic]]:
+@dataclass(frozen=True)
+class Block:
+    """Some arms of a part, which reference each follows, and the period of each link's
+    vibration [s], shape (R,).
+    """
+
+    arms: LumpedArms
+    chosen: NDArray[np.int32]
+    vibration: Real
+
+    def rows(self, rows: NDArray[np.intp]) -> Block:
+        """Return some of the arms."""
+        return Block(self.arms.rows(rows), self.chosen[rows], self.vibration[rows])
+
+
+def block_of(campaign: Campaign, values: dict[str, Real], part: int, at: int) -> Block:
+    """Return the block of arms of a part's draws that begins with run `at`."""
+    rig, period = campaign.rig, campaign.law.period
     own = {name: column[at : at + BLOCK] for name, column in values.items()}
-    arms, chosen = block_of(campaign, own, part * PART_RUNS + at)
-    block, metrics = _measured(campaign, arms, chosen, path, _vibration(campaign, own))
-    return metrics | judge_many(block, metrics)
-
-
-def _vibration(campaign: Campaign, own: dict[str, Real]) -> Real:
-    """Period of each link's vibration [s], shape (R,)."""
-    # The pole Ω e^(iπ/λ) turns by Ω sin(π/λ) a second. With Ω alone λ = 1.9 would make
-    # the windows in which growth and residue are measured 0.3 % short, λ = 1.5 13 %.
-    stiff, order, damping = _links_of(campaign, own)
-    pole = np.exp(link_poles(campaign.model, stiff, order, damping))
-    return np.asarray(2.0 * np.pi / (stiff ** (1.0 / order) * pole.imag))
-
-
-def _links_of(campaign: Campaign, own: dict[str, Real]) -> tuple[Real, Real, Real]:
-    """ω₀², λ and μ of each link, shape (R,)."""
     # Equation (5) for each arm: the link is massless, so that stiffness and payload say
     # its frequency. μ is the same for every payload, as `LinkModel.at_payload` has it.
-    stiff = own["stiffness"] / (own["payload"] * campaign.rig.link.length**2)
-    return stiff, own["order"], campaign.model.damping * own["damping"]
-
-
-def _measured(
-    campaign: Campaign,
-    arms: LumpedArms,
-    chosen: NDArray[np.int32],
-    path: Real,
-    vibration: Real,
-) -> tuple[Signals, dict[str, Real]]:
-    """The signals and metrics of a block; a vibration that seems to grow is followed
-    for twice as long.
-
-    Noise rings a good arm so that its envelope rises through a whole run once in some
-    thousand runs, which a campaign of a thousand would call an unstable arm once in a
-    few; an unstable arm goes on growing.
-    """
-    block = _signals(campaign, arms, chosen, path, vibration)
-    metrics = measure_many(block)
-    grown = np.flatnonzero(metrics["growth"] > 0.0)
-    if grown.size:
-        # The same arms with the same noise up to the end of the first look, and as long
-        # again behind it: an envelope that noise lifted falls back, one that grows is
-        # larger by e^(growth · duration).
-        longer = _signals(
-            campaign,
-            arms.rows(grown),
-            chosen[grown],
-            unit_paths(campaign, 2),
-            vibration[grown],
-        )
-        metrics["growth"][grown] = measure_many(longer)["growth"]
-    return block, metrics
-
-
-def _signals(
-    campaign: Campaign,
-    arms: LumpedArms,
-    chosen: NDArray[np.int32],
-    path: Real,
-    vibration: Real,
-) -> Signals:
-    shared = shared_rig(campaign.rig, campaign.law, campaign.motor_loop)
-    (tip, motor_reference, voltage), marks = run_lumped(
-        campaign.law, shared, arms, path, chosen, estimator=campaign.estimator
-    )
-    flags, mode, reason = marks
-    return Signals(
-        reference=arms.amplitude[:, None] * path[chosen, 0],
-        tip=tip,
-        motor_reference=motor_reference,
-        voltage=voltage,
-        flags=flags,
-        mode=mode,
-        reason=reason,
-        period=campaign.law.period,
-        # Of the reference alone: the judge adds the vibration periods in which what is
-        # left is measured.
-        ended=np.array([each.duration for each in campaign.references])[chosen],
-        vibration_period=vibration,
-    )
-
-
-def block_of(
-    campaign: Campaign, own: dict[str, Real], first: int
-) -> tuple[LumpedArms, NDArray[np.int32]]:
-    """Return the arms of what was drawn for runs `first` …, and which reference each
-    follows.
-    """
-    rig, period = campaign.rig, campaign.law.period
-    count = len(own["payload"])
-    links = batch_links(campaign.model, *_links_of(campaign, own), period)
-    number = first + np.arange(count, dtype=np.uint64)
+    stiff = own["stiffness"] / (own["payload"] * rig.link.length**2)
+    order, damping = own["order"], campaign.model.damping * own["damping"]
+    # The pole Ω e^(iπ/λ) turns by Ω sin(π/λ) a second. With Ω alone λ = 1.9 would make
+    # the windows in which growth and residue are measured 0.3 % short, λ = 1.5 13 %.
+    pole = np.exp(link_poles(campaign.model, stiff, order, damping))
+    number = part * PART_RUNS + at + np.arange(len(stiff), dtype=np.uint64)
     with np.errstate(
         over="ignore"
     ):  # an odd multiplier folds the run's number into the seed: a bijection
@@ -182,25 +112,74 @@ def block_of(
             number * np.uint64(0x9E3779B97F4A7C15) + np.uint64(campaign.seed),
             dtype=np.uint64,
         )
-    same = (
+    as_drawn = (
         "stiffness",
         "motor_gain",
         "viscous_friction",
         "coulomb_torque",
         "gauge_offset",
         "delay_samples",
+        "amplitude",
+        "gauge_gain",
     )
-    values = {name: own[name] for name in (*same, "amplitude", "gauge_gain")}
     arms = LumpedArms.of(
         rig,
-        links,
+        batch_links(campaign.model, stiff, order, damping, period),
         seeds,
         noise=rig.gauge.noise * own["noise"],
         gauge_delay=own["gauge_delay"] / period,
         payload_given=own["payload_given"] * own["payload"],
-        **values,
+        **{name: own[name] for name in as_drawn},
     )
-    return arms, (own["shape"] % len(campaign.references)).astype(np.int32)
+    chosen = (own["shape"] % len(campaign.references)).astype(np.int32)
+    vibration = 2.0 * np.pi / (stiff ** (1.0 / order) * pole.imag)
+    return Block(arms, chosen, np.asarray(vibration))
+
+
+def _rows(campaign: Campaign, block: Block, times: int = 1) -> dict[str, Any]:
+    """The signals of a block's runs, `times` as long as the campaign's."""
+    path = unit_paths(campaign, times)
+    rows = run_lumped(
+        campaign.law,
+        shared_rig(campaign.rig, campaign.law, campaign.motor_loop),
+        block.arms,
+        path,
+        block.chosen,
+        estimator=campaign.estimator,
+    )
+    # The kernel scales the unit reference by the amplitude; whoever looks at a run sees
+    # what the arm followed.
+    return rows | {"reference": block.arms.amplitude[:, None] * path[block.chosen, 0]}
+
+
+def _judged(campaign: Campaign, block: Block, rows: dict[str, Any]) -> Signals:
+    # The end of the reference alone: the judge adds the vibration periods in which what
+    # is left is measured.
+    ended = np.array([each.duration for each in campaign.references])[block.chosen]
+    return Signals.of(rows, campaign.law.period, ended, block.vibration)
+
+
+def _measured(
+    campaign: Campaign, block: Block
+) -> tuple[dict[str, Any], dict[str, Real]]:
+    """The signals and metrics of a block; a vibration that seems to grow is followed
+    for twice as long.
+
+    Noise rings a good arm so that its envelope rises through a whole run once in some
+    thousand runs, which a campaign of a thousand would call an unstable arm once in a
+    few; an unstable arm goes on growing.
+    """
+    rows = _rows(campaign, block)
+    metrics = measure_many(_judged(campaign, block, rows))
+    grown = np.flatnonzero(metrics["growth"] > 0.0)
+    if grown.size:
+        # The same arms with the same noise up to the end of the first look, and as long
+        # again behind it: an envelope that noise lifted falls back, one that grows is
+        # larger by e^(growth · duration).
+        some = block.rows(grown)
+        longer = _judged(campaign, some, _rows(campaign, some, 2))
+        metrics["growth"][grown] = measure_many(longer)["growth"]
+    return rows, metrics
 
 
 # ── one run again
@@ -209,13 +188,12 @@ def block_of(
 
 def _drawn(campaign: Campaign, run: int) -> tuple[dict[str, Real], int]:
     """All draws of the run's part, and the run's place in it."""
-    if not is_whole(run, 0, campaign.runs - 1):
-        allowed = f"0 … {campaign.runs - 1}"
+    if not 0 <= run < campaign.runs:
         raise FieldError(
             "run",
             run,
             "not in the campaign",
-            allowed=allowed,
+            allowed=f"0 … {campaign.runs - 1}",
             remedy="give a run's number",
         )
     part, at = divmod(run, PART_RUNS)
@@ -264,44 +242,26 @@ def replay_run(campaign: Campaign, run: int) -> Run:
 
     >>> import fraclink as fl
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> replay_run(Campaign.of(rig, rig.model, law, runs=100), 44).verdict.passed
     True
     """
     _, link, own = arm_of(campaign, run)
     values, at = _drawn(campaign, run)
-    first = at - at % BLOCK  # the grid of a block's links depends on all of its arms
-    block = {name: column[first : first + BLOCK] for name, column in values.items()}
-    arms, chosen = block_of(campaign, block, run - at + first)
-    row = np.array([at - first])
-    arms, chosen = arms.rows(row), chosen[row]
-    path = unit_paths(campaign)
-    signals, marks = run_lumped(
-        campaign.law,
-        shared_rig(campaign.rig, campaign.law, campaign.motor_loop),
-        arms,
-        path,
-        chosen,
-        everything=True,
-        estimator=campaign.estimator,
-    )
-    bank = campaign.estimator
-    _, metrics = _measured(
-        campaign, arms, chosen, path, _vibration(campaign, block)[row]
-    )
+    # The grid of a block's links depends on all of its arms.
+    first = at - at % BLOCK
+    whole = block_of(campaign, values, run // PART_RUNS, first)
+    block = whole.rows(np.array([at - first]))
+    rows, metrics = _measured(campaign, block)
+    arms, estimator = block.arms, campaign.estimator
     return model_run(
         campaign.law,
         link,
-        # The kernel scales the unit reference by the amplitude; whoever looks at the
-        # run sees what the arm followed.
-        own["amplitude"] * path[chosen[0], 0],
-        signals[:, 0],
-        marks[:, 0],
-        ended=campaign.references[chosen[0]].duration,
+        {name: signal[0] for name, signal in rows.items()},
+        ended=campaign.references[block.chosen[0]].duration,
         growth=float(metrics["growth"][0]),
-        estimates=None
-        if bank is None
-        else (bank, estimates_of_model(bank, signals[:, 0])),
+        estimator=estimator,
         about={
             "arm": "model",
             "rig": campaign.rig.name,
@@ -315,9 +275,8 @@ def replay_run(campaign: Campaign, run: int) -> Run:
             "seed": int(arms.seed[0]),
             "delay_samples": int(own["delay_samples"]),
             "substeps": SUBSTEPS,
-            "compensation": "ideal",
             "payload_given": float(arms.payload_given[0])
-            if bank is None
+            if estimator is None
             else ESTIMATED,
         },
     )

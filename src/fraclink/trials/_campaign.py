@@ -7,10 +7,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from dataclasses import field as with_default
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Annotated, Literal
 
 import numpy as np
@@ -19,12 +19,19 @@ from scipy.special import ndtr, ndtri
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.loop import with_payload
-from fraclink._arm.reference import Reference, SampledReference, sampled, smooth_step
+from fraclink._arm.reference import (
+    Path,
+    Reference,
+    SampledReference,
+    sampled,
+    smooth_step,
+)
 from fraclink._arm.rig import Rig
-from fraclink._files import from_plain, read_json, write_json
+from fraclink._files import document, load, save
+from fraclink._files.codec import plain
 from fraclink._law import Law, equip
 from fraclink._law.estimator import PayloadEstimator, payload_estimator
-from fraclink.errors import FieldError, FileFormatError, SizeError
+from fraclink.errors import FieldError, SizeError
 from fracsys.checks import Between, checked
 
 __all__ = [
@@ -41,7 +48,7 @@ __all__ = [
 
 Real = NDArray[np.float64]
 
-KIND, FORMAT = "campaign", 1
+FILE = "campaign.json"
 # runs of a part: a second of work is what a kill can cost, and a file of 100 kB
 PART_RUNS = 1000
 LARGEST = 10**9  # runs; a year of one core is a slip of the pen
@@ -175,12 +182,11 @@ class Draws:
         for name, (low, high, closed) in _RANGES.items():
             own = getattr(self, name)
             if own.low < low or own.high > high or (own.low == low and not closed):
-                words = f"{low:g} {'<=' if closed else '<'} {name} <= {high:g}"
                 raise FieldError(
                     f"draws.{name}",
                     (own.low, own.high),
                     "out of range",
-                    allowed=words,
+                    allowed=f"{low:g} {'<=' if closed else '<'} {name} <= {high:g}",
                     remedy="narrow it",
                 )
 
@@ -247,6 +253,7 @@ def draw(draws: Draws, seed: int, part: int, runs: int) -> dict[str, Real]:
 
 
 @checked
+@document("campaign", version=2, period=lambda campaign: campaign.law.period)
 @dataclass(frozen=True)
 class Campaign:
     """Monte Carlo runs of one law on arms that differ: payload, stiffness, λ, motor,
@@ -271,20 +278,19 @@ class Campaign:
     duration: Annotated[
         float, Between(max(SHAPES) + 1.0, 600.0, "s", remedy="leave time to settle")
     ] = DURATION
-    reference: Reference | None = None
+    reference: Path | SampledReference | None = None
     payloads: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         # A second to settle: less, and every run would fail for the length of the
         # campaign and not for its arm.
         if self.reference is not None and self.reference.duration + 1.0 > self.duration:
-            allowed, remedy = f"<= {self.duration - 1.0:g} s", "run for longer"
             raise FieldError(
                 "reference",
                 self.reference.duration,
                 "too long",
-                allowed=allowed,
-                remedy=remedy,
+                allowed=f"<= {self.duration - 1.0:g} s",
+                remedy="run for longer",
             )
         if self.runs > LARGEST:
             raise SizeError(
@@ -327,11 +333,8 @@ class Campaign:
         among it.
         """
         # Sorted keys and the shortest decimals that read back: the same text on every
-        # machine, and in every version.
-        text = (
-            json.dumps({"rig": self.rig.tables()} | _about(self), sort_keys=True)
-            + self.law.digest
-        )
+        # machine.
+        text = json.dumps(plain(replace(self, runs=1), Campaign), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     @staticmethod
@@ -359,14 +362,14 @@ class Campaign:
 
         >>> import fraclink as fl
         >>> rig = fl.Rig.named("paper-2023")
-        >>> controller = fl.Controller(gain=0.069876, order=0.612197, link=rig.model)
+        >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
         >>> law = fl.discretize(controller, rig.period, order=4)
         >>> Campaign.of(rig, rig.model, law, runs=2500).parts
         3
         """
         own = (
             equip(law, rig, model)
-            if motor_loop == "sampled" and law.drive is None
+            if motor_loop == "sampled" and law.motor_loop is None
             else law
         )
         chosen = draws_for(rig, model) if draws is None else draws
@@ -379,6 +382,11 @@ class Campaign:
         # that nobody planned.
         length = max(DURATION, reference.duration + REST)
         chosen = replace(chosen, amplitude=_always(1.0))
+        if not isinstance(reference, Path | SampledReference):
+            # what a file can hold of any other reference
+            count = math.ceil(reference.duration / own.period) + 1
+            rows = sampled(reference, own.period, count)
+            reference = SampledReference(own.period, rows)
         return Campaign(
             rig,
             model,
@@ -393,89 +401,19 @@ class Campaign:
         )
 
 
-def _about(campaign: Campaign) -> dict[str, object]:
-    estimated = (
-        {} if campaign.payloads is None else {"estimated": list(campaign.payloads)}
-    )
-    return (
-        _followed(campaign)
-        | estimated
-        | {
-            "model": asdict(campaign.model),
-            "draws": asdict(campaign.draws),
-            "seed": campaign.seed,
-            "inner": campaign.motor_loop,
-            "duration": campaign.duration,
-            "part_runs": PART_RUNS,
-            "shapes": list(SHAPES),
-        }
-    )
-
-
-def _followed(campaign: Campaign) -> dict[str, object]:
-    """The reference's samples, nothing where there is none: such a campaign keeps its
-    fingerprint.
-    """
-    reference, period = campaign.reference, campaign.law.period
-    if reference is None:
-        return {}
-    return {
-        "reference": sampled(
-            reference, period, math.ceil(reference.duration / period) + 1
-        ).tolist()
-    }
-
-
-def save_campaign(campaign: Campaign, folder: Path) -> None:
-    """Write rig.toml, law.json and campaign.json into `folder`: all that a worker
-    needs.
-    """
+def save_campaign(campaign: Campaign, folder: FilePath) -> None:
+    """Write campaign.json into `folder`: all that a worker needs."""
     folder.mkdir(parents=True, exist_ok=True)
-    campaign.rig.save(folder / "rig.toml")
-    campaign.law.save(folder / "law.json")
-    record = _about(campaign) | {
-        "runs": campaign.runs,
-        "fingerprint": campaign.fingerprint,
-    }
-    write_json(folder / "campaign.json", KIND, FORMAT, record)
+    save(campaign, folder / FILE, force=True)
 
 
-def load_campaign(folder: Path | str) -> Campaign:
-    """Read back what `save_campaign` wrote; FileFormatError where a file is damaged or
-    does not belong.
+def is_campaign(folder: FilePath) -> bool:
+    """Whether `save_campaign` wrote into the folder."""
+    return (folder / FILE).is_file()
+
+
+def load_campaign(folder: FilePath | str) -> Campaign:
+    """Read back what `save_campaign` wrote; FileFormatError where the file is damaged
+    or edited.
     """
-    place = Path(folder)
-    data = read_json(place / "campaign.json", KIND, (FORMAT,))
-    try:
-        law, rows = Law.load(place / "law.json"), data.get("reference")
-        campaign = Campaign(
-            rig=Rig.load(place / "rig.toml"),
-            model=from_plain(LinkModel, data["model"], "model"),
-            law=law,
-            draws=Draws(
-                **{name: Distribution(**d) for name, d in data["draws"].items()}
-            ),
-            runs=data["runs"],
-            seed=data["seed"],
-            motor_loop=data["inner"],
-            duration=data["duration"],
-            reference=None if rows is None else SampledReference(law.period, rows),
-            payloads=tuple(data["estimated"]) if "estimated" in data else None,
-        )
-    except (AttributeError, KeyError, TypeError) as error:
-        raise FileFormatError(
-            "campaign",
-            str(error),
-            "missing or unknown",
-            allowed="a campaign's folder",
-            remedy="start anew",
-        ) from error
-    if data.get("fingerprint") != campaign.fingerprint:
-        raise FileFormatError(
-            "fingerprint",
-            data.get("fingerprint"),
-            "not that of the folder's rig, law and draws",
-            allowed=campaign.fingerprint,
-            remedy="do not edit a campaign's files; start a new folder",
-        )
-    return campaign
+    return load(FilePath(folder) / FILE, Campaign)

@@ -1,40 +1,42 @@
-"""What the run of a fault must have shown: one requirement, one measurement, one limit."""
+"""What the run of a fault must have shown: one requirement, one measurement, one limit,
+by the names that faults.toml uses.
+"""
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fraclink import _kernels
 from fraclink._law import MODES, REASONS, Law
+from fraclink._simulate.run import Run
+from fraclink.trials._fault_injections import JITTER
 from fraclink.trials._fault_trial import (
-    LAST,
+    BACK_AT,
+    MOVE_BEGINS,
     PHASES,
     RUN,
-    STARTED,
+    WORDS,
     Bench,
     Case,
-    TrialSignals,
 )
 
-__all__ = [
-    "Check",
-    "Evidence",
-    "Requirement",
-    "bounded",
-    "final",
-    "flagged",
-    "limit_cycle",
-    "only",
-    "peak",
-    "peak_over_best",
-    "peak_ratio",
-    "reacts",
-    "settled",
-    "shared_checks",
-]
+__all__ = ["Check", "Evidence", "check_named", "shared_checks"]
+
+# [rad] between tip and reference: an arm that is farther away with its drive closed is
+# a danger, whatever the requirement that it misses. Set for a flipped bit (F29), and
+# the limit wherever no law can do better.
+SAFE = 0.3
+ANY = 10**6  # periods: the catalogue states no number
+OTHER_MODE = "periods in another mode than allowed"
+# bits of law.h
+FLAGS = {"encoder": 1, "gauge": 2, "reference": 4, "missed": 8, "repeated": 16}
+FLAGS |= {"started": _kernels.LAW_FLAG_STARTED}
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,8 @@ class Check:
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """A faulty run, the clean run of the same payload, noise and move, and when the
-    fault came.
+    fault came. memory: the law's at the end of the faulty run. best: the run of a law
+    that knows of the fault at once.
     """
 
     bench: Bench
@@ -71,12 +74,11 @@ class Evidence:
     law: Law
     row: int
     marks: NDArray[np.bool_]
-    faulty: TrialSignals
-    clean: TrialSignals
+    faulty: Run
+    clean: Run
+    memory: bytes
     detail: str = ""
-    best: TrialSignals | None = (
-        None  # of a law that knows of the fault at once, see `FaultRule.best`
-    )
+    best: Run | None = None
 
     @property
     def peak(self) -> float:
@@ -93,7 +95,11 @@ class Evidence:
         """|mean tip error| of the last second [rad]."""
         # A mean and not the last sample: the gauge's noise alone moves the tip by 5
         # mrad.
-        return abs(float(self.faulty.error[-round(LAST / self.law.period) :].mean()))
+        return abs(float(self.faulty.error[self.last(1.0)].mean()))
+
+    def last(self, seconds: float) -> slice:
+        """The periods of the last seconds of the run."""
+        return slice(-round(seconds / self.law.period), None)
 
     @property
     def marked(self) -> NDArray[np.bool_]:
@@ -109,191 +115,400 @@ class Evidence:
         other = np.flatnonzero(self.faulty.mode[self.row :] > RUN)
         return int(other[0]) + 1 if other.size else -1
 
-    @property
-    def end(self) -> tuple[str, str]:
-        """Last mode and reason in words."""
-        return MODES[self.faulty.mode[-1]], REASONS[self.faulty.reason[-1]]
-
     def pick(self, *values: float) -> float:
         """Return the value of the case's severity."""
         return values[self.case.severity - 1]
 
 
-# [rad] between tip and reference: an arm that is farther away with its drive closed is
-# a danger, whatever the requirement that it misses. Set for a flipped bit (F29), and
-# the limit wherever no law can do better.
-SAFE = 0.3
-OTHER_MODE = "periods in another mode than allowed"
-ANY = 10**6  # periods: the catalogue states no number
-
-Requirement = Callable[[Evidence], Check]
+Measurement = Callable[..., Check]
 
 
-def only(*modes: int) -> Requirement:
+def check_named(words: str) -> Callable[[Evidence], Check]:
+    """Return the requirement that words state: its name, then its numbers and words."""
+    name, *rest = words.split()
+    values = [_value(word) for word in rest]
+    return lambda e: CHECKS[name](e, *values)
+
+
+def _value(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word.replace("_", " ")
+
+
+# ── of any fault
+# ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def only(e: Evidence, *modes: str) -> Check:
     """No other mode than `modes` after the law started: no other trip."""
-
-    def check(e: Evidence) -> Check:
-        # A law is idle until it has read both sensors once, whatever the fault.
-        begun = int(np.argmax((e.faulty.flags & STARTED) != 0))
-        others = int(np.count_nonzero(~np.isin(e.faulty.mode[begun:], modes)))
-        return Check.at_most(OTHER_MODE, others, 0)
-
-    return check
+    # A law is idle until it has read both sensors once, whatever the fault.
+    begun = int(np.argmax((e.faulty.flags & FLAGS["started"]) != 0))
+    allowed = [MODES.index(mode) for mode in modes]
+    others = np.count_nonzero(~np.isin(e.faulty.mode[begun:], allowed))
+    return Check.at_most(OTHER_MODE, int(others), 0)
 
 
-def flagged(bit: int, name: str) -> Requirement:
+def flagged(e: Evidence, name: str) -> Check:
     """Every marked period carries a flag, in that very period."""
-
-    def check(e: Evidence) -> Check:
-        missing = int(np.count_nonzero(e.marked & ((e.faulty.flags & bit) == 0)))
-        # A fault that was never injected must not pass.
-        return Check.at_most(
-            f"bad periods without the {name} flag", missing if e.marked.any() else 1, 0
-        )
-
-    return check
-
-
-def reacts(mode: int, within: int, *reasons: int) -> Requirement:
-    """The first other mode is `mode`, for one of `reasons`, within that many periods,
-    and it stays.
-    """
-
-    def check(e: Evidence) -> Check:
-        first = e.row + e.reacted - 1
-        missed = ""
-        if e.reacted < 0:
-            missed = " (never)"
-        elif e.faulty.mode[first] != mode:
-            missed = f" (went {MODES[e.faulty.mode[first]]})"
-        elif reasons and e.faulty.reason[first] not in reasons:
-            missed = f" (for {REASONS[e.faulty.reason[first]]})"
-        # A higher mode may follow (degraded, then off); to come back is not for a law
-        # to decide, since a fault that pauses is not gone.
-        elif np.any(e.faulty.mode[first:] < mode):
-            missed = " (did not latch)"
-        return Check.at_most(
-            f"periods until {MODES[mode]}{missed}",
-            np.inf if missed else e.reacted,
-            within,
-        )
-
-    return check
-
-
-def peak_ratio(limit: float) -> Requirement:
-    """Largest tip error over that of the clean run."""
-    return lambda e: Check.at_most(
-        "peak tip error over clean", e.peak / e.clean_peak, limit
+    missing = int(np.count_nonzero(e.marked & ((e.faulty.flags & FLAGS[name]) == 0)))
+    # A fault that was never injected must not pass.
+    return Check.at_most(
+        f"bad periods without the {name} flag", missing if e.marked.any() else 1, 0
     )
 
 
-def peak_over_best(ratio: float) -> Requirement:
-    """Largest tip error over that of the clean run, or of a law that knows of the fault
-    at once.
-
-    The larger of the two: no law can do better than to know at once, and a smaller
-    bound asks for more.
+def reacts(e: Evidence, mode: str, within: float, *reasons: str) -> Check:
+    """The first other mode is `mode`, for one of `reasons`, within that many periods,
+    and it stays.
     """
+    first = e.row + e.reacted - 1
+    wanted = MODES.index(mode)
+    missed = ""
+    if e.reacted < 0:
+        missed = " (never)"
+    elif e.faulty.mode[first] != wanted:
+        missed = f" (went {MODES[e.faulty.mode[first]]})"
+    elif REASONS[e.faulty.reason[first]] not in reasons:
+        missed = f" (for {REASONS[e.faulty.reason[first]]})"
+    # A higher mode may follow (degraded, then off); to come back is not for a law to
+    # decide, since a fault that pauses is not gone.
+    elif np.any(e.faulty.mode[first:] < wanted):
+        missed = " (did not latch)"
+    measured = np.inf if missed else e.reacted
+    return Check.at_most(f"periods until {mode}{missed}", measured, within)
 
-    def check(e: Evidence) -> Check:
-        best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
-        return Check.at_most(
-            "peak tip error [rad]", e.peak, ratio * max(e.clean_peak, best)
-        )
 
-    return check
+def peak_ratio(e: Evidence, limit: float) -> Check:
+    """Largest tip error over that of the clean run."""
+    return Check.at_most("peak tip error over clean", e.peak / e.clean_peak, limit)
 
 
-def peak(limit: float, *, phases: tuple[str, ...] = PHASES) -> Requirement:
+def peak_over_best(e: Evidence, ratio: float) -> Check:
+    """Largest tip error over that of the clean run, or of a law that knows of the fault
+    at once: no law can do better, and a smaller bound asks for more.
+    """
+    best = 0.0 if e.best is None else float(np.abs(e.best.error).max())
+    return Check.at_most(
+        "peak tip error [rad]", e.peak, ratio * max(e.clean_peak, best)
+    )
+
+
+def peak(e: Evidence, limit: float, *phases: str) -> Check:
     """Largest tip error [rad]; in other phases, how far the tip ran after the fault.
 
     A drive that is switched off at the beginning of a move leaves the whole move
     undone, which is no harm.
     """
-
-    def check(e: Evidence) -> Check:
-        if e.case.phase in phases:
-            return Check.at_most("peak tip error [rad]", e.peak, limit)
-        # From where the tip was when it happened: what had been moved before is no
-        # doing of the fault.
-        after = e.faulty.tip[e.row :]
-        return Check.at_most(
-            "tip travel after the fault [rad]", np.abs(after - after[0]).max(), limit
-        )
-
-    return check
+    if e.case.phase in (phases or PHASES):
+        return Check.at_most("peak tip error [rad]", e.peak, limit)
+    # From where the tip was when it happened: what had been moved before is no doing of
+    # the fault.
+    after = e.faulty.tip_angle[e.row :]
+    travel = np.abs(after - after[0]).max()
+    return Check.at_most("tip travel after the fault [rad]", travel, limit)
 
 
-def final(limit: float) -> Requirement:
+def final(e: Evidence, limit: float) -> Check:
     """Mean tip error of the last second [rad]."""
-    return lambda e: Check.at_most("final tip error [rad]", e.final, limit)
+    return Check.at_most("final tip error [rad]", e.final, limit)
 
 
-def bounded(limit: float) -> Requirement:
+def bounded(e: Evidence, limit: float) -> Check:
     """The run reached its end and the tip stayed within `limit` [rad] of the reference."""
-    return lambda e: Check.at_most(
-        "peak tip error [rad]", e.peak if e.faulty.finished else np.inf, limit
-    )
+    peak = e.peak if e.faulty.finished else np.inf
+    return Check.at_most("peak tip error [rad]", peak, limit)
 
 
-def settled(after: float, band: float = 0.02) -> Requirement:
-    """The tip is within `band` [rad] of reference or clean run from `after` [s] behind
-    the fault on.
+def settled(e: Evidence, after: float) -> Check:
+    """The tip is within 0.02 rad of reference or clean run from `after` [s] behind the
+    fault on.
     """
-
-    def check(e: Evidence) -> Check:
-        # The clean run, too, as the move itself has an error of its own.
-        apart = np.minimum(
-            np.abs(e.faulty.error),
-            np.abs(e.faulty.tip - e.clean.tip[: len(e.faulty.tip)]),
-        )
-        outside = np.flatnonzero(apart[e.row :] > band)
-        time = (int(outside[-1]) + 1) * e.law.period if outside.size else 0.0
-        return Check.at_most(
-            "recovery [s]", time if e.faulty.finished else np.inf, after
-        )
-
-    return check
+    # The clean run, too, as the move itself has an error of its own.
+    tip = e.faulty.tip_angle
+    apart = np.minimum(
+        np.abs(e.faulty.error), np.abs(tip - e.clean.tip_angle[: len(tip)])
+    )
+    outside = np.flatnonzero(apart[e.row :] > 0.02)
+    time = (int(outside[-1]) + 1) * e.law.period if outside.size else 0.0
+    return Check.at_most("recovery [s]", time if e.faulty.finished else np.inf, after)
 
 
-def limit_cycle(limit: float) -> Requirement:
+def limit_cycle(e: Evidence, limit: float) -> Check:
     """Half the peak-to-peak tip angle in the last two seconds [rad]."""
+    size = 0.5 * np.ptp(e.faulty.tip_angle[e.last(2.0)])
+    return Check.at_most("limit cycle [rad]", size, limit)
 
-    def check(e: Evidence) -> Check:
-        last = e.faulty.tip[-round(2.0 / e.law.period) :]
-        return Check.at_most("limit cycle [rad]", 0.5 * np.ptp(last), limit)
 
-    return check
+# ── of one fault
+# ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def held(e: Evidence) -> Check:
+    first = e.row + e.reacted - 1
+    # To the bit: a command that is held is not computed again.
+    moved = np.ptp(e.faulty.motor_reference[first:]) if e.reacted > 0 else np.inf
+    return Check.at_most("change of the held motor reference [rad]", moved, 0.0)
+
+
+def settling(e: Evidence, ratio: float) -> Check:
+    # The ratio, since the clean run's own settling depends on payload and noise.
+    faulty, clean = (
+        _last_outside(run, 0.02, e) - MOVE_BEGINS for run in (e.faulty, e.clean)
+    )
+    return Check.at_most("settling time over clean", faulty / clean, ratio)
+
+
+def recovery(e: Evidence, ratio: float) -> Check:
+    """Settling of the move back over that of a law that was never asked for more than
+    it could give.
+
+    Not over the clean run: whoever stands at the limit joins a reference that comes
+    back at full speed, and the blow of that speed rings the link, whatever the law
+    remembers.
+    """
+    assert e.best is not None  # faults.toml states it  # noqa: S101
+    # 2 % of the move back
+    faulty, best = (
+        _last_outside(run, 0.015, e) + e.law.period - BACK_AT
+        for run in (e.faulty, e.best)
+    )
+    name = "settling time of the move back over that without wind-up"
+    return Check.at_most(name, faulty / best, ratio)
+
+
+def _last_outside(run: Run, band: float, e: Evidence) -> float:
+    """When the tip error was outside `band` for the last time [s]."""
+    return float(np.flatnonzero(np.abs(run.error) > band)[-1]) * e.law.period
+
+
+def noise_bound(e: Evidence, *deviations: float) -> Check:
+    """rms of the command against Ms σ/c ‖Ĉ‖₂: the sensitivity amplifies what the
+    correction passes.
+    """
+    # Middles of 4096 equal parts of the band up to Nyquist: the rule that is exact for
+    # a periodic function, and Ĉ(z) is one.
+    grid = (np.arange(4096) + 0.5) * math.pi / 4096 / e.law.period
+    energy = math.sqrt(float(np.mean(np.abs(e.law.frequency_response(grid)) ** 2)))
+    bound = e.pick(*deviations) / e.law.stiffness * energy / e.bench.modulus_margin
+    size = float(np.std(e.faulty.motor_reference[e.last(2.0)]))
+    return Check.at_most("rms of the command at rest [rad]", size, bound)
+
+
+def one_count(e: Evidence, *counts: float) -> Check:
+    return final(e, 2 * math.pi / e.pick(*counts))
+
+
+def jitter_peak(e: Evidence, ratio: float) -> Check:
+    """More than clean by a ratio, and by what two instants of sampling, each off by 1
+    ms, are apart at full speed.
+
+    The arm follows the table of the reference by what it sampled before, and is seen at
+    an instant that is off the other way: 2 v δ, which no law can know of.
+    """
+    speed = float(np.abs(np.diff(e.clean.reference)).max()) / e.law.period
+    limit = ratio * e.clean_peak + 2 * speed * JITTER
+    return Check.at_most("peak tip error [rad]", e.peak, limit)
+
+
+def gap_peak(e: Evidence, ratio: float, *periods: float) -> Check:
+    """More than clean by a ratio, and by what the motor has gone astray by before the
+    law is called again.
+
+    While the task does not run, the motor keeps its last voltage, that of one sample of
+    noise: up to there the two runs have the same noise, so that the difference of their
+    motors is the gap's alone.
+    """
+    back = e.row + int(e.pick(*periods))
+    astray = abs(float(e.faulty.motor_angle[back] - e.clean.motor_angle[back]))
+    return Check.at_most("peak tip error [rad]", e.peak, ratio * e.clean_peak + astray)
+
+
+def off_at_once(e: Evidence, *periods: float) -> Check:
+    """The watchdog has already stopped the drive; the law must know by itself that it
+    was away, and say so at its first call.
+    """
+    reaction = reacts(e, "off", ANY, "missed periods")
+    calls = e.reacted - e.pick(*periods) if reaction.passed else math.inf
+    return Check.at_most("calls of the law until off", calls, 1)
+
+
+def overshoot(e: Evidence, limit: float, *jumps: float) -> Check:
+    # Only beyond the last reference, in the direction of the jump, which is upward at
+    # every severity.
+    beyond = max(0.0, float(e.faulty.tip_angle.max()) - float(e.faulty.reference[-1]))
+    return Check.at_most("overshoot over the jump", beyond / e.pick(*jumps), limit)
+
+
+def refused(e: Evidence, *reasons: str) -> Check:
+    # In every period and for that reason: a law that starts after some calls, or
+    # refuses for another cause, has not understood its block.
+    reason = REASONS.index(reasons[e.case.severity - 1])
+    wrong = (e.faulty.mode != MODES.index("idle")) | (e.faulty.reason != reason)
+    words = f"periods not refused for reason {reason}"
+    return Check.at_most(words, int(np.count_nonzero(wrong)), 0)
+
+
+def silent(e: Evidence) -> Check:
+    """Voltage and motor reference of a law that must not have started."""
+    rows = e.marked if e.marks.any() else slice(None)
+    out = np.abs(
+        [e.faulty.motor_reference[rows], e.faulty.extras["voltage_asked"][rows]]
+    )
+    return Check.at_most("output of a law that is not started", out.max(), 0.0)
+
+
+def bumpless(e: Evidence) -> Check:
+    apart = np.abs(e.faulty.motor_reference - e.faulty.motor_angle_measured)[e.marked]
+    name = "first command from the motor angle [rad]"
+    return Check.at_most(name, apart.max(), e.law.limits.motor_step)
+
+
+def blind_is_idle(e: Evidence) -> Check:
+    wrong = np.count_nonzero(e.marked & (e.faulty.mode != MODES.index("idle")))
+    return Check.at_most("blind periods in another mode than idle", int(wrong), 0)
+
+
+def wiring(e: Evidence, which: str, wanted: str) -> Check:
+    """What the wiring test says of the faulty or the clean run."""
+    run = e.clean if which == "clean" else e.faulty
+    answer = e.law.check_wiring(run.motor_angle_measured, run.torque_measured)
+    name = f"wiring test of the {which} run (it says: {answer})"
+    return Check.at_most(name, answer != wanted, 0)
+
+
+def swap_reaction(e: Evidence) -> Check:
+    """Off; or no harm, where the exchange is over before its readings were incredible
+    for a guard's time.
+
+    A torque that lies within `residual_angle` of the motor's model is, to every guard,
+    the angle of a good encoder: in the first quarter of a second of a move no law can
+    tell. What is left is the harm, for which the limit is that of a flipped bit.
+    """
+    off = reacts(e, "off", ANY, "encoder", "motor away from its model")
+    if off.passed or e.detail == "for ever":
+        return off
+    name = "peak tip error while either reading is credible [rad]"
+    return Check.at_most(name, e.peak, SAFE)
+
+
+def payload_peak(e: Evidence, *factors: float) -> Check:
+    payload = e.case.payload * e.pick(*factors)
+    low, _, high = e.bench.payloads
+    # The lightest payload times its factor of 1 is the design's own bound but for
+    # rounding.
+    if low <= payload * (1 + 1e-9) and payload <= high:
+        return peak_ratio(e, 1.2)
+    # outside the design: bounded, with the limit of a lost payload
+    return bounded(e, 0.1)
+
+
+def hit_reaction(e: Evidence) -> Check:
+    if e.case.severity < 3:
+        return settled(e, 1.0)
+    check = reacts(e, "hold", ANY, "link overloaded")
+    felt, limit = float(np.abs(e.faulty.torque).max()), e.law.limits.torque_trip
+    name = f"{check.name}; torque reached {felt:.3g} of {limit:.3g} N·m"
+    return Check.at_most(name, check.measured, check.limit)
+
+
+def hunting(e: Evidence, limit: float, *factors: float) -> Check:
+    """Half the peak-to-peak at rest: a limit, or what friction that is not compensated
+    holds the motor by.
+
+    Within (x - 1) times the compensated voltage over the motor loop's stiffness, the
+    proportional action does not move the motor; only the integral does, and hunts
+    through that band.
+    """
+    loop = e.law.motor_loop
+    assert loop is not None  # a bench gives every law one  # noqa: S101
+    band = (e.pick(*factors) - 1.0) * loop.coulomb_voltage / loop.pid.stiffness
+    return limit_cycle(e, max(limit, band))
+
+
+@functools.lru_cache(maxsize=1)  # two measurements of the same hour
+def _quiet(e: Evidence, seconds: float) -> tuple[NDArray[np.uint32], bytes]:
+    """Let the law go on with constant inputs; return its modes and its memory.
+
+    They must be those of an arm that is really at rest. One sample of the gauge's
+    noise, held for an hour, is a torque that the law answers with a voltage, and the
+    correction goes on with what noise left in its modes: an encoder that then does not
+    move is a fault, for which the law trips rightly. So the noise is left out of the
+    end of the run; each input is the mean of the last second, the reference what the
+    tip then is.
+    """
+    count = round(seconds / e.law.period)
+    angle, torque = (
+        float(np.mean(signal[e.last(1.0)]))
+        for signal in (e.faulty.motor_angle_measured, e.faulty.torque_measured)
+    )
+    # The reference is the tip estimate θm − Γ/c of that rest, so that the error is zero
+    # and stays so.
+    inputs = (angle - torque / e.law.stiffness, 0.0, angle, torque)
+    state, outputs = e.law.run(
+        e.memory,
+        *(np.full(count, value) for value in inputs),
+        first_tick=len(e.faulty.time) + 1,
+    )
+    return outputs.mode, state
+
+
+def denormals(e: Evidence, *seconds: float) -> Check:
+    """Denormal numbers in the law's memory after long quiet."""
+    memory = np.frombuffer(_quiet(e, e.pick(*seconds))[1], dtype=np.uint8)
+    real = np.float32 if e.law.precision == "single" else np.float64
+    reals = memory[4 * WORDS :].view(real)
+    # Many processors take a hundred times as long for a denormal number: a state that
+    # decays into them would miss its period after an hour of silence.
+    count = np.count_nonzero((reals != 0) & (np.abs(reals) < np.finfo(real).tiny))
+    return Check.at_most("denormal numbers left in the state", int(count), 0)
+
+
+def quiet_trips(e: Evidence, *seconds: float) -> Check:
+    others = np.count_nonzero(_quiet(e, e.pick(*seconds))[0] != RUN)
+    return Check.at_most("quiet periods in another mode than run", int(others), 0)
+
+
+CHECKS: dict[str, Measurement] = {
+    function.__name__: function
+    for function in (
+        *(only, flagged, reacts, peak_ratio, peak_over_best, peak, final, bounded),
+        *(settled, limit_cycle, held, settling, recovery, noise_bound, one_count),
+        *(jitter_peak, gap_peak, off_at_once, overshoot, refused, silent, bumpless),
+        *(blind_is_idle, wiring, swap_reaction, payload_peak),
+        *(hit_reaction, hunting, denormals, quiet_trips),
+    )
+}
 
 
 def shared_checks(e: Evidence) -> tuple[Check, ...]:
     """Return the global criteria G1–G3 of the faulty run: finite, in limits, slew."""
-    signals, limits, drive = e.faulty, e.law.limits, e.law.drive
+    signals, limits, loop = e.faulty, e.law.limits, e.law.motor_loop
     # The limits themselves round to the block's precision, by 6e-8 of their value in 24
     # bits.
     slack = 1e-6 if e.law.precision == "single" else 1e-12
     # What leaves the law, and what the motor gets of it: each by itself may hide what
     # the other shows.
-    outputs = np.vstack((signals.command, signals.asked, signals.voltage))
-    infinite = int(np.count_nonzero(~np.isfinite(outputs)))
-    step = np.abs(np.diff(signals.command))
+    command, asked = signals.motor_reference, signals.extras["voltage_asked"]
+    infinite = np.count_nonzero(~np.isfinite([command, asked, signals.voltage]))
+    step = np.abs(np.diff(command))
     # A law that starts anew does not know what the one before asked for: it begins at
     # the motor.
-    known = (signals.flags[1:] & STARTED) == 0
+    known = (signals.flags[1:] & FLAGS["started"]) == 0
     # A step from or to what is no number has no size: it counts as the largest.
     worst = float(step[known].max(initial=0.0)) if np.isfinite(step).all() else np.inf
-    volts = np.inf if drive is None else drive.voltage_limit
-    command, asked = np.abs(signals.command).max(), np.abs(signals.asked).max()
+    volts = np.inf if loop is None else loop.voltage_limit
+    most = 1 + slack
     return (
-        Check.at_most("G1: outputs that are not finite", infinite, 0),
+        Check.at_most("G1: outputs that are not finite", int(infinite), 0),
         Check.at_most(
-            "G2: |motor reference| [rad]", command, limits.motor_limit * (1 + slack)
+            "G2: |motor reference| [rad]",
+            np.abs(command).max(),
+            limits.motor_limit * most,
         ),
-        Check.at_most("G2: |voltage| [V]", asked, volts * (1 + slack)),
+        Check.at_most("G2: |voltage| [V]", np.abs(asked).max(), volts * most),
         Check.at_most(
-            "G3: motor reference step [rad]",
-            worst,
-            limits.motor_step * (1 + slack) + slack,
+            "G3: motor reference step [rad]", worst, limits.motor_step * most + slack
         ),
     )

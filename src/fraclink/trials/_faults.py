@@ -5,48 +5,48 @@ a verdict.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from importlib.resources import files
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from fraclink._files import document
-from fraclink._law import MODES, REASONS, Law
+from fraclink._display import Overview, Row, Table, displayed, state_of
+from fraclink._files import document, from_plain
+from fraclink._law import Law
+from fraclink._simulate.run import Run
 from fraclink.errors import FieldError
 from fraclink.trials._fault_checks import (
     OTHER_MODE,
     SAFE,
     Check,
     Evidence,
+    check_named,
     shared_checks,
 )
-from fraclink.trials._fault_rules import CATALOGUE, Fault, fault_named
+from fraclink.trials._fault_injections import inject
 from fraclink.trials._fault_trial import (
-    MOVE,
+    MOVES,
     PHASES,
     RUN,
     Bench,
     Case,
     Phase,
     Trial,
-    TrialSignals,
+    end_of,
     execute,
 )
 from fracsys.checks import Between, Payload, checked
 
 __all__ = [
     "CATALOGUE",
-    "PHASES",
-    "Bench",
-    "Case",
-    "Check",
-    "Evidence",
+    "GROUPS",
     "Fault",
+    "FaultSummary",
     "FaultTable",
     "Outcome",
-    "Row",
-    "TrialSignals",
     "cases",
     "fault_named",
     "observe",
@@ -54,16 +54,95 @@ __all__ = [
     "run_faults",
 ]
 
-CleanRuns = dict[tuple[object, ...], TrialSignals]
-GROUPS = (
-    "met",
-    "slower than promised",
-    "trips without need",
-    "unsafe",
-)  # in the order of severity
+CleanRuns = dict[tuple[object, ...], Run]
+Steps = tuple[Mapping[str, Any], ...]
+# in the order of severity
+GROUPS = ("met", "slower than promised", "trips without need", "unsafe")
 
 
-# ---- the table of verdicts ---------------------------------------------------------------------------
+# ── the catalogue
+# ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A row of the catalogue, as faults.toml explains it.
+
+    reaction: A ride through, B degrade, C hold, D off, "-" for another requirement.
+    inject: the steps that break a trial; require: what its run must have shown.
+    prepare: steps for the faulty and the clean run alike. best: steps after the fault's
+    own that show what a law would do that knows of the fault at once. move: the
+    reference's name. duration of the run [s]. cause: why the shipped law misses the
+    requirement on the paper's arm. note: what the campaign cannot show.
+    """
+
+    number: str
+    title: str
+    injection: str
+    severities: tuple[str, str, str]
+    required: str
+    reaction: Literal["A", "B", "C", "D", "-"]
+    inject: Steps
+    require: tuple[str, ...]
+    phases: tuple[str, ...] = ("start", "mid", "rest")
+    prepare: Steps = ()
+    best: Steps = ()
+    move: str = "move"
+    duration: float = 7.0
+    nominal: bool = False
+    skips: tuple[tuple[int, str], ...] = ()
+    cause: str = ""
+    note: str = ""
+
+    def trial(self, bench: Bench, case: Case, law: Law) -> Trial:
+        """Return the trial of a case before it is broken."""
+        trial = Trial(bench, case, law, MOVES[self.move], self.duration)
+        inject(trial, self.prepare)
+        return trial
+
+    def checks(self, evidence: Evidence) -> tuple[Check, ...]:
+        """Return what is required of every run, and of this fault's."""
+        own = (check_named(words)(evidence) for words in self.require)
+        return (*shared_checks(evidence), *own)
+
+
+def _catalogue() -> tuple[Fault, ...]:
+    # Read at import, as every command names the faults; the table is data that a user
+    # may read, without code.
+    rows = tomllib.loads(
+        files("fraclink").joinpath("trials/faults.toml").read_text("utf-8")
+    )
+    return tuple(
+        from_plain(Fault, {"number": number, **row}, number)
+        for number, row in sorted(rows.items())
+    )
+
+
+CATALOGUE = _catalogue()
+
+
+@checked
+def fault_named(number: str) -> Fault:
+    """Return a fault by its number; FieldError where there is none.
+
+    >>> fault_named("F07").title
+    'encoder stuck in a move'
+    """
+    # A number typed by hand may be in small letters.
+    known = {fault.number: fault for fault in CATALOGUE}
+    if number.upper() not in known:
+        raise FieldError(
+            "only",
+            number,
+            "not in the catalogue",
+            allowed=f"{CATALOGUE[0].number} … {CATALOGUE[-1].number}",
+            remedy="choose one of these",
+        )
+    return known[number.upper()]
+
+
+# ── the table of verdicts
+# ─────────────────────────────────────────────────────────────────────────────────────────
 
 
 @dataclass(frozen=True)
@@ -93,6 +172,11 @@ class Outcome:
         return not self.failed
 
     @property
+    def failed(self) -> tuple[Check, ...]:
+        """The checks that failed."""
+        return tuple(check for check in self.checks if not check.passed)
+
+    @property
     def group(self) -> str:
         """What a failure means, one of `GROUPS`.
 
@@ -107,11 +191,10 @@ class Outcome:
         astray = self.peak > SAFE and any(
             not name.startswith("settling") for name in names
         )
-        if any(name.startswith(("G1", "G2", "G3")) for name in names):
+        closed = self.mode in ("run", "degraded")
+        if any(name.startswith("G") for name in names) or (astray and closed):
             return "unsafe"
-        if astray and self.mode in ("run", "degraded"):
-            return "unsafe"
-        if any(name.startswith(OTHER_MODE) for name in names):
+        if OTHER_MODE in names:
             return "trips without need"
         return "slower than promised" if names else "met"
 
@@ -120,14 +203,9 @@ class Outcome:
         """The case's name, with what chance chose."""
         return f"{self.case.name}: {self.detail}" if self.detail else self.case.name
 
-    @property
-    def failed(self) -> tuple[Check, ...]:
-        """The checks that failed."""
-        return tuple(check for check in self.checks if not check.passed)
-
 
 @dataclass(frozen=True)
-class Row:
+class FaultSummary:
     """One fault in the summary: its runs, those that fail, the check that fails worst
     and its run.
 
@@ -149,10 +227,37 @@ class Row:
         """Whether every run met the requirement."""
         return self.failed == 0
 
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Its line in a table."""
+        return (
+            Row("number", "", self.number),
+            Row("", "fault", f"{self.number} {self.title}"),
+            Row("", "class", self.reaction),
+            Row("runs", "runs", self.runs),
+            Row("failed", "failed", self.failed),
+            Row("", "group", self.group),
+            Row("passed", "verdict", self.passed),
+        )
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The run that misses its requirement most and why the paper's arm does, and
+        what the campaign does not show.
+        """
+        fault, notes = fault_named(self.number), []
+        if self.example is not None:
+            cause = f"; on the paper's arm: {fault.cause}" if fault.cause else ""
+            notes.append(f"{self.number}: {self.worst}{cause}")
+        if fault.note:
+            notes.append(f"{self.number} does not show: {fault.note}")
+        return tuple(notes)
+
+
+@displayed
 @document(
     "fault-campaign",
-    version=2,
+    version=3,
     sources=lambda table: (
         {"law": table.about["law_sha256"]} if "law_sha256" in table.about else {}
     ),
@@ -175,76 +280,88 @@ class FaultTable:
         """The runs that did not meet their requirement: the failed runs."""
         return tuple(outcome for outcome in self.outcomes if not outcome.passed)
 
-    def rows(self) -> tuple[Row, ...]:
-        """Return one row a fault."""
-        numbers = dict.fromkeys(outcome.case.fault for outcome in self.outcomes)
-        return tuple(self._row(fault_named(number)) for number in numbers)
-
-    def _row(self, fault: Fault) -> Row:
-        mine = [
-            outcome for outcome in self.outcomes if outcome.case.fault == fault.number
-        ]
-        failed = [outcome for outcome in mine if not outcome.passed]
-        # By the factor over the limit: a peak in radians and a reaction in periods have
-        # no other common measure.
-        candidates = ((check, o) for o in failed for check in o.failed)
-        check, example = max(
-            candidates, key=lambda x: _excess(x[0]), default=(None, None)
-        )
-        worst = "" if example is None else f"{check} ({example.name})"
-        counts = (len(mine), len(failed))
-        # A fault is as bad as its worst run.
-        group = max((outcome.group for outcome in mine), key=GROUPS.index)
-        return Row(
-            fault.number,
-            fault.title,
-            fault.reaction,
-            fault.required,
-            *counts,
-            worst,
-            example,
-            group,
-        )
-
-    def markdown(self) -> str:
-        """Return the summary as a Markdown table, then why faults are missed and what
-        is not shown.
-        """
-        lines = [
-            "| fault | what | class | required | runs | failed | group | worst |",
-            "|---|---|---|---|---|---|---|---|",
-        ]
+    @property
+    def sentence(self) -> str:
+        """How many faults meet their requirement in every run."""
         rows = self.rows()
-        for row in rows:
-            cells = (
-                row.number,
-                row.title,
-                row.reaction,
-                row.required,
-                row.runs,
-                row.failed,
-                row.group,
-            )
-            lines.append(
-                # |x| in a check's name would end a cell of Markdown.
-                "| "
-                + " | ".join(
-                    str(cell).replace("|", "\\|") for cell in (*cells, row.worst)
-                )
-                + " |"
-            )
-        faults = [(row, fault_named(row.number)) for row in rows]
-        causes = [
-            f"- {row.number}: {fault.cause}."
-            for row, fault in faults
-            if fault.cause and not row.passed
+        met = sum(row.passed for row in rows)
+        return (
+            f"{met} of {len(rows)} faults meet their requirement in every run, "
+            f"{len(self.outcomes)} runs"
+        )
+
+    def repeated(self, outcome: Outcome) -> str:
+        """The command that runs one case again."""
+        case = outcome.case
+        begun = self.about.get("command", "fraclink campaign faults")
+        return (
+            f"{begun} --only {case.fault} --severity {case.severity} --payload {case.payload!r} "
+            f"--phase {case.phase} --seed {case.seed} --out {case.name}"
+        )
+
+    def overview(self) -> Overview:
+        """One line a fault, those that miss their requirement first; for each of these
+        its worst run by name, which `replay` repeats.
+        """
+        summaries = self.rows()
+        counts = {f.number: {"runs": f.runs, "failed": f.failed} for f in summaries}
+        failures = [
+            {
+                "name": outcome.case.name,
+                "detail": outcome.detail,
+                "failed": [str(check) for check in outcome.failed],
+                "replay": self.repeated(outcome),
+            }
+            for outcome in self.failures
         ]
-        notes = [
-            f"- {row.number}: {fault.note}." for row, fault in faults if fault.note
-        ]
-        lines += ["", "Why, on the paper's arm:", "", *causes] if causes else []
-        lines += ["", "What this does not show:", "", *notes] if notes else []
-        return "\n".join(lines).rstrip("\n") + "\n"
+        return Overview(
+            self.sentence,
+            state_of(self.passed),
+            (
+                Row("runs", "", len(self.outcomes)),
+                Row("failures", "", failures),
+                Row("faults", "", counts),
+            ),
+            # sorted is stable: within met and missed the order of the catalogue stays.
+            (
+                Table.of(
+                    "", (f.rows for f in sorted(summaries, key=lambda f: f.passed))
+                ),
+            ),
+            notes=tuple(note for fault in summaries for note in fault.notes),
+        )
+
+    def rows(self) -> tuple[FaultSummary, ...]:
+        """Return one row a fault."""
+        runs: dict[str, list[Outcome]] = {}
+        for outcome in self.outcomes:
+            runs.setdefault(outcome.case.fault, []).append(outcome)
+        return tuple(
+            _summary_row(fault_named(number), each) for number, each in runs.items()
+        )
+
+
+def _summary_row(fault: Fault, runs: list[Outcome]) -> FaultSummary:
+    failed = [outcome for outcome in runs if not outcome.passed]
+    # By the factor over the limit: a peak in radians and a reaction in periods have no
+    # other common measure.
+    check, example = max(
+        ((check, outcome) for outcome in failed for check in outcome.failed),
+        key=lambda pair: _excess(pair[0]),
+        default=(None, None),
+    )
+    return FaultSummary(
+        fault.number,
+        fault.title,
+        fault.reaction,
+        fault.required,
+        len(runs),
+        len(failed),
+        "" if example is None else f"{check} ({example.name})",
+        example,
+        # A fault is as bad as its worst run.
+        max((outcome.group for outcome in runs), key=GROUPS.index),
+    )
 
 
 def _excess(check: Check) -> float:
@@ -256,7 +373,8 @@ def _excess(check: Check) -> float:
     return check.measured / check.limit if check.limit > 0 else check.measured
 
 
-# ---- running -----------------------------------------------------------------------------------------
+# ── running
+# ───────────────────────────────────────────────────────────────────────────────────────────────────
 
 
 @checked
@@ -287,84 +405,71 @@ def cases(
         if phase in fault.phases and (severity, phase) not in fault.skips
     )
     if not result:
-        allowed = ", ".join(
-            sorted({phase for fault in faults for phase in fault.phases})
-        )
-        problem, remedy = "none in which the fault is run", "choose one of these"
         raise FieldError(
-            "phases", ", ".join(phases), problem, allowed=allowed, remedy=remedy
+            "phases",
+            ", ".join(phases),
+            "none in which the fault is run",
+            allowed=", ".join(
+                sorted({phase for fault in faults for phase in fault.phases})
+            ),
+            remedy="choose one of these",
         )
     return result
 
 
 @checked
-def observe(
-    bench: Bench, case: Case, law: Law, *, clean: CleanRuns | None = None
-) -> Evidence:
-    """Run one case with `law` and return both runs; `clean` keeps the clean ones for
-    the next case.
+def observe(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Evidence:
+    """Run one case and return both runs; `clean` keeps the clean ones for the next
+    case.
 
     Raises FieldError where the clean arm does not stay in mode run: nothing could be
     learnt from its faults.
     """
-    fault = fault_named(case.fault)
-    trial = _trial(bench, fault, case, law)
-    fault.rule.inject(trial)
+    fault, law = fault_named(case.fault), bench.law
+    trial = fault.trial(bench, case, law)
+    inject(trial, fault.inject)
     payload = bench.payloads[1] if fault.nominal else case.payload
-    special = (
-        fault.number if fault.rule.prepare or fault.rule.reference is not MOVE else ""
-    )
-    # All that a clean run depends on. A fault that prepares its arm, or moves
-    # otherwise, has a clean run of its own; the law's digest tells the two precisions
-    # apart.
+    # All that a clean run depends on; one whose arm was prepared is its fault's own.
+    special = fault.number if fault.prepare else fault.move
     key = (payload, case.seed, fault.duration, special, law.digest)
     # A dictionary of the caller's and no cache of the module: a campaign of 8610 runs
     # keeps some 100 clean ones, and frees them.
     known = {} if clean is None else clean
     if key not in known:
-        healthy = execute(
-            _trial(
-                bench, fault, Case(fault.number, 1, payload, "whole", case.seed), law
-            )
-        )
+        whole = Case(fault.number, 1, payload, "whole", case.seed)
+        healthy, _ = execute(fault.trial(bench, whole, law))
         _check_clean(healthy, payload)
         known[key] = healthy
     best = None
-    if fault.rule.best is not None:
-        knowing = _trial(bench, fault, case, law)
+    if fault.best:
         # The same fault, drawn by the same dice, and on top of it what a law would do
         # that knew.
-        fault.rule.inject(knowing)
-        fault.rule.best(knowing)
-        best = execute(knowing)
+        knowing = fault.trial(bench, case, law)
+        inject(knowing, (*fault.inject, *fault.best))
+        best, _ = execute(knowing)
+    run, memory = execute(trial)
     return Evidence(
         bench,
         case,
         trial.law,
         trial.row,
         trial.marks,
-        execute(trial),
+        run,
         known[key],
+        memory,
         trial.detail,
         best,
     )
 
 
-def _trial(bench: Bench, fault: Fault, case: Case, law: Law) -> Trial:
-    trial = Trial(bench, case, law, fault.rule.reference, fault.duration)
-    if fault.rule.prepare is not None:
-        fault.rule.prepare(trial)
-    return trial
-
-
-def _check_clean(run: TrialSignals, payload: float) -> None:
+def _check_clean(run: Run, payload: float) -> None:
     tripped = np.flatnonzero(run.mode > RUN)
     if tripped.size or not run.finished:
-        row = int(tripped[0]) if tripped.size else -1
-        where = f"{MODES[run.mode[row]]} ({REASONS[run.reason[row]]}) at {run.time[row]:.3f} s"
+        mode, reason = end_of(run)
+        time = run.time[tripped[0] if tripped.size else -1]
         raise FieldError(
             "bench",
-            where,
+            f"{mode} ({reason}) at {time:.3f} s",
             f"trips with {1e3 * payload:g} g before anything is broken",
             allowed="a healthy arm that stays in mode run",
             remedy="mend the rig or the design first; the paper's arm needs a gear (--gear 50)",
@@ -372,18 +477,14 @@ def _check_clean(run: TrialSignals, payload: float) -> None:
 
 
 @checked
-def run_case(
-    bench: Bench, case: Case, *, single: bool = True, clean: CleanRuns | None = None
-) -> Outcome:
-    """Run one case and judge it; `single`: in single precision too, which must meet the
-    same.
+def run_case(bench: Bench, case: Case, *, clean: CleanRuns | None = None) -> Outcome:
+    """Run one case with the law that ships and judge it.
 
     A reading of 4.1 N·m for ever, beyond the gauge's range, must degrade the law within
     5 samples:
 
     >>> import fraclink as fl
-    >>> from fraclink._simulate import geared
-    >>> rig = geared(fl.Rig.named("paper-2023"))
+    >>> rig = fl.Rig.named("paper-2023-geared")
     >>> design = fl.design(
     ...     rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0, phase_margin=fl.deg(50)
     ... )
@@ -391,52 +492,18 @@ def run_case(
     >>> outcome.passed, outcome.mode, outcome.reason, outcome.reacted
     (True, 'degraded', 'gauge', 5)
     """
-    # Double precision is the reference; what is reported of a run, peak and final
-    # error, is its.
-    e = observe(bench, case, bench.law.in_precision("double"), clean=clean)
-    checks = _judged(e)
-    if single:
-        other = observe(bench, case, bench.law.in_precision("single"), clean=clean)
-        checks += [
-            Check(
-                f"{check.name}, single precision",
-                check.measured,
-                check.limit,
-                check.passed,
-            )
-            for check in _judged(other)
-            if not check.passed
-        ]
-        # In the same order. A loop that diverges amplifies the rounding: it may take
-        # the modes a few periods apart, and for another of the reasons that are
-        # allowed, to which each run is held on its own.
-        apart = _modes(e.faulty) != _modes(other.faulty)
-        checks.append(Check.at_most("single precision: other modes", int(apart), 0))
-    mode, reason = e.end
+    e = observe(bench, case, clean=clean)
+    checks = fault_named(case.fault).checks(e)
     return Outcome(
         case,
-        tuple(checks),
+        checks,
         e.peak,
         e.clean_peak,
         e.final,
-        mode,
-        reason,
+        *end_of(e.faulty),
         e.reacted,
         e.detail,
     )
-
-
-def _judged(e: Evidence) -> list[Check]:
-    return [
-        *shared_checks(e),
-        *(check(e) for check in fault_named(e.case.fault).rule.require),
-    ]
-
-
-def _modes(signals: TrialSignals) -> list[int]:
-    """Modes in their order, without how long each lasted."""
-    modes = signals.mode.astype(int)
-    return [int(mode) for mode in modes[np.append(True, np.diff(modes) != 0)]]
 
 
 @checked
@@ -444,7 +511,6 @@ def run_faults(
     bench: Bench,
     planned: Sequence[Case],
     *,
-    single: bool = True,
     progress: Callable[[str], None] = lambda name: None,
     watch: Callable[[Outcome], None] = lambda outcome: None,
     about: dict[str, str] | None = None,
@@ -455,8 +521,6 @@ def run_faults(
 
     Parameters
     ----------
-    single
-        whether each case must pass in single precision, too.
     progress
         called with the number of each fault when it begins.
     watch
@@ -464,22 +528,13 @@ def run_faults(
     about
         what the table is to remember.
     """
-    outcomes = []
-    for outcome in _outcomes(bench, planned, single, progress):
-        watch(outcome)
-        outcomes.append(outcome)
+    outcomes: list[Outcome] = []
+    clean: CleanRuns = {}
+    for case in planned:
+        if not outcomes or case.fault != outcomes[-1].case.fault:
+            progress(case.fault)
+        outcomes.append(run_case(bench, case, clean=clean))
+        watch(outcomes[-1])
     return FaultTable(
         tuple(outcomes), {"law_sha256": bench.law.digest, **(about or {})}
     )
-
-
-def _outcomes(
-    bench: Bench, planned: Sequence[Case], single: bool, progress: Callable[[str], None]
-) -> Iterator[Outcome]:
-    clean: CleanRuns = {}
-    current = ""
-    for case in planned:
-        if case.fault != current:
-            current = case.fault
-            progress(current)
-        yield run_case(bench, case, single=single, clean=clean)

@@ -1,52 +1,71 @@
-"""The rivals: every one with the rule it was tuned by, none by hand."""
+"""The rivals: every one with the rule it was tuned by, none by hand.
+
+Each is a law, and runs as the design does, in law.c: the corrected equation (22),
+
+    θm* = θt* + F(z) θ̈t* + Ĉ(z) e,   e = θt* − (θm − Γ/c),
+
+with one feed-forward F for all that use the tip estimate, and a correction Ĉ of their
+own.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_discrete_are
+from scipy.signal import cont2discrete, tf2ss
 
-from fraclink._arm.beam import Beam
 from fraclink._arm.controller import Controller
-from fraclink._arm.motor import DiscretePid
+from fraclink._arm.link import LinkModel
+from fraclink._arm.reference import Reference
 from fraclink._design import deg, design
-from fraclink._law import Drive, Law, Modes, discretize
-from fraclink._simulate.arm import damping_of
-from fraclink._simulate.plant import assemble
-from fraclink.trials._rival_controllers import (
-    integer_mode,
-    lqg_correction,
-    pd_correction,
-)
-from fraclink.trials._setting import (
-    Filter,
-    NominalLoop,
-    Setting,
-    fine_step,
-    law_filter,
-    sampled,
-    tune,
-    tustin,
-)
-from fraclink.trials._shaper import zv_impulses
+from fraclink._law import Law, Modes, discretize
+from fraclink._law.design import Design
+from fraclink.errors import InfeasibleError, NotConvergedError
 
-__all__ = ["FRACLINK", "OFFSET", "Rival", "builders", "collocated", "servo_law"]
+__all__ = ["FRACLINK", "Rival", "Shaped", "builders", "motor_alone"]
 
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-# Derivatives are filtered at 100 rad/s, above the motor servo (80) and below Nyquist
-# (785). Above the servo, since below it the filter would be the loop's slowest lag;
-# below Nyquist, since above it the filter would not filter.
-FILTER_TIME = 0.01
-# Five times the noise of the paper's gauge: 32 mrad of apparent bend, more than the
-# band of 2 % in which a move of 1 rad settles.
-OFFSET = 0.05  # [N·m], the gauge offset of the offset test
+FRACLINK = "fraclink"
 # Far above every angle, torque and speed of an arm, and a number that a block in single
 # precision holds.
 UNBOUNDED = 1e6
-FRACLINK = "fraclink"
-PUBLISHED = "the paper's procedure"
+# [s] of the rivals' filtered derivative: 100 rad/s, above a usual motor loop, since
+# below it the filter would be the loop's slowest lag, and below Nyquist, since above it
+# the filter would not filter
+FILTER_TIME = 0.01
+WIDE = (
+    0.7  # damping ratio of a notch's poles: as wide as it is without a peak of its own
+)
+KNOBS = 100  # geometric steps of a range of gains that are tried
+
+
+def correction_of(a: Real, b: Real, c: Real, d: float) -> Modes:
+    """Return the filter d + c (z − a)⁻¹ b, all poles simple, in the form in which law.c
+    runs a correction: (1 − 1/z)(direct + Σ gain/(z − pole)).
+    """
+    poles, vectors = np.linalg.eig(a)
+    gains = (c @ vectors) * np.linalg.solve(vectors, b)
+    # Over 1 − 1/z = (z − 1)/z, what is constant becomes a pole at 1, and each fraction
+    # g/(z − p) is one at 1 with g/(1 − p) and one at p with −p g/(1 − p).
+    constant = d + float(np.sum(gains / (1.0 - poles)).real)
+    gains = -poles * gains / (1.0 - poles)
+    real, upper = poles.imag == 0.0, poles.imag > 0.0
+    return Modes(
+        d,
+        (1.0, *poles[real].real.tolist()),
+        (constant, *gains[real].real.tolist()),
+        tuple(poles[upper].tolist()),
+        # one of each conjugate pair stands for both
+        tuple((2.0 * gains[upper]).tolist()),
+    )
 
 
 @dataclass(frozen=True)
@@ -54,290 +73,297 @@ class Rival:
     """One contender.
 
     rule: how it was tuned; knob: the value that the rule gave; peak: Ms at the nominal
-    payload on the lumped model (1 without feedback of the tip); states and
-    multiplications: of the outer controller per tick, with feed-forward; law: what runs
-    in the inner loop, the whole controller where `correction` and `impulses`
-    are None.
+    payload on the model (1 without feedback of the tip); law: what runs; impulses:
+    times [s] and sizes of an input shaper.
     """
 
     name: str
     rule: str
     knob: str
     peak: float
-    states: int
-    multiplications: int
     law: Law
-    correction: Filter | None = None
-    impulses: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    impulses: tuple[tuple[float, float], ...] = ()
+
+    def shaped(self, reference: Reference) -> Reference:
+        """Return what the arm follows of a reference."""
+        return Shaped(reference, self.impulses) if self.impulses else reference
+
+
+class Shaped(Reference):
+    """A reference convolved with impulses: exact, angle, velocity and acceleration."""
+
+    def __init__(
+        self, reference: Reference, impulses: tuple[tuple[float, float], ...]
+    ) -> None:
+        self._reference, self._impulses = reference, impulses
+        self.duration = float(reference.duration + impulses[-1][0])
+
+    def derivative(self, time: ArrayLike, order: int) -> Real:
+        """Return the derivative of `order` [rad/s^order] at `time` [s]."""
+        parts = (
+            size * self._reference.derivative(np.asarray(time) - delay, order)
+            for delay, size in self._impulses
+        )
+        return np.asarray(sum(parts))
 
 
 Builder = Callable[[], Rival]
 
 
-def servo_law(law: Law) -> Law:
+def open_guards(law: Law) -> Law:
     """Return the law with guards that never act: what is compared is control, for all
     rivals alike.
     """
     # Every threshold but the fade, which is no threshold: the numbers are angles,
     # torques and speeds.
-    limits = asdict(law.limits)
-    wide = {
-        k: UNBOUNDED
-        for k, v in limits.items()
-        if isinstance(v, float) and k != "fade_step"
+    wide: dict[str, Any] = {
+        name: UNBOUNDED
+        for name, value in asdict(law.limits).items()
+        if isinstance(value, float) and name != "fade_step"
     }
-    limits_type = type(law.limits)
-    return replace(law, limits=limits_type(**(limits | wide)))
+    return replace(law, limits=replace(law.limits, **wide))
 
 
-def _bare(law: Law) -> Law:
-    return replace(servo_law(law), correction=Modes(0.0), feedforward=Modes(0.0))
-
-
-def _forward_cost(law: Law) -> tuple[int, int]:
-    modes = law.feedforward
-    # The direct gain, and for each mode its pole and its gain.
-    return len(modes.poles), 1 + 2 * len(modes.poles)
-
-
-def _law_cost(law: Law) -> tuple[int, int]:
-    """States and multiplications of law.c's outer part: Ĉ, feed-forward, 1/c."""
-    modes = law.correction
-    states, products = _forward_cost(law)
-    # One for the factor 1 − z⁻¹ of the correction, which remembers the error before.
-    states += 1 + len(modes.poles) + 2 * len(modes.pair_poles)
-    return states, products + 2 + 2 * len(modes.poles) + 6 * len(modes.pair_poles)
-
-
-def _filter_cost(law: Law, correction: Filter) -> tuple[int, int]:
-    """A filter of order n as a transfer function: n states, 2n + 1 products, and
-    feed-forward.
+def motor_alone(law: Law) -> Law:
+    """Return the motor loop of the law alone: the motor follows the reference, and
+    nothing looks at the tip.
     """
-    states, products = _forward_cost(law)
-    return states + correction.order, products + 1 + 2 * correction.order + 1
+    return replace(law, correction=Modes(0.0), feedforward=Modes(0.0))
 
 
-def _by_law(name: str, rule: str, controller: Controller, setting: Setting) -> Rival:
-    law = discretize(controller, setting.rig.period)
+def builders(design: Design) -> dict[str, Builder]:
+    """Return how every rival is made, fraclink first; tuning happens when a builder is
+    called.
+    """
+    link = design.model.at_payload(design.rig.payloads.nominal)
+    w, ratio = integer_mode(link)
+    bare = motor_alone(open_guards(design.law()))
+    request = "the request: gain crossover, phase margin, payloads"
+    impulses = zv_impulses(w, ratio)
+    return {
+        FRACLINK: lambda: _by_law(FRACLINK, request, design.controller, design),
+        "motor PID alone": lambda: Rival(
+            "motor PID alone",
+            "the motor follows the reference, and nothing looks at the tip",
+            f"pole {design.rig.motor_loop.pole:.4g} rad/s",
+            1.0,
+            bare,
+        ),
+        "ZV shaping": lambda: Rival(
+            "ZV shaping",
+            "two impulses from the nominal mode and its damping; motor PID, no feedback "
+            "of the tip",
+            f"half a period of {impulses[-1][0]:.4g} s",
+            1.0,
+            bare,
+            impulses,
+        ),
+        "PD on the tip": lambda: _tuned(
+            "PD on the tip",
+            "zero at the nominal mode, notch at the second where it is known",
+            lambda gain: pd_correction(link, gain, design.rig.period),
+            # from a loop that does nothing to one that is unstable on every arm
+            (1e-3, 10.0),
+            design,
+        ),
+        "LQG": lambda: _tuned(
+            "LQG",
+            "integer model, offset state in the Kalman filter, weight of the tip",
+            lambda weight: lqg_correction(link, design, weight),
+            (1e-4, 1e4),
+            design,
+        ),
+        "the paper's procedure": lambda: _published(design),
+    }
+
+
+def _by_law(name: str, rule: str, controller: Controller, tuned_for: Design) -> Rival:
+    law = discretize(controller, tuned_for.rig.period)
+    peak = sensitivity_peak(tuned_for, law.frequency_response)
     # One motor loop for all: a law equipped for its own controller would have guards,
     # and so limits, of its own.
-    law = servo_law(replace(law, drive=setting.law.drive))
+    law = open_guards(replace(law, motor_loop=tuned_for.law().motor_loop))
     c = controller
-    knob = f"k_d {c.gain:.4g}, β {c.order:.4g}, δ {c.filter_time:.3g} s, n {c.filter_order}"
-    states, products = _law_cost(law)
-    return Rival(
-        name, rule, knob, setting.loop.peak(law_filter(law)), states, products, law
+    knob = (
+        f"k_d {c.derivative_gain:.4g}, β {c.derivative_order:.4g}, "
+        f"δ {c.filter_time:.3g} s, n {c.filter_order}"
     )
+    return Rival(name, rule, knob, peak, law)
+
+
+def _published(tuned_for: Design) -> Rival:
+    result = design(
+        tuned_for.model,
+        tuned_for.rig,
+        payloads=tuned_for.payloads,
+        gain_crossover=16.0,
+        phase_margin=deg(70.0),
+        filter_order=2,
+        procedure="published",
+        law=False,
+    )
+    rule = "(54)-(57): 16 rad/s, 70° for M = 1 without sampling, δ by the 10 % rule"
+    return _by_law("the paper's procedure", rule, result.controller, tuned_for)
+
+
+# ── one knob each, turned until Ms is that of the design
+# ─────────────────────────────────────────────────────────────
+
+
+def sensitivity_peak(tuned_for: Design, response: Callable[[Real], Complex]) -> float:
+    """Return Ms = max |1/(1 + L)| of a correction at the nominal payload on the model,
+    infinite where the loop is unstable.
+    """
+    margins = tuned_for.sampled_at(tuned_for.rig.payloads.nominal, realisation=response)
+    return 1.0 / margins.modulus_margin if margins.stable else math.inf
 
 
 def _tuned(
     name: str,
     rule: str,
-    knob: str,
-    setting: Setting,
-    make: Callable[[float], Filter],
-    limits: tuple[float, float],
+    correction: Callable[[float], Modes],
+    knobs: tuple[float, float],
+    tuned_for: Design,
 ) -> Rival:
-    value, correction, reached = tune(setting.loop, make, limits, setting.target)
-    states, products = _filter_cost(setting.law, correction)
+    """Return the rival with the largest knob of the first range of knobs whose Ms is at
+    or below that of the design; where none is, with the knob of the least Ms.
+
+    Larger knobs that come back under the target lie behind a worse range and are not
+    taken.
+    """
+    open_law = open_guards(tuned_for.law())
+
+    def peak(knob: float) -> float:
+        law = replace(open_law, correction=correction(knob))
+        return sensitivity_peak(tuned_for, law.frequency_response)
+
+    target = 1.0 / tuned_for.sampled_at(tuned_for.rig.payloads.nominal).modulus_margin
+    values = np.geomspace(*knobs, KNOBS)
+    peaks = np.array([peak(value) for value in values.tolist()])
+    if not np.isfinite(peaks).any():
+        raise NotConvergedError(
+            "tuning",
+            reached=math.inf,
+            wanted=1.0,
+            remedy="no knob of the range stabilises the nominal arm",
+        )
+    good = np.append(peaks <= target, False)
+    chosen, said = int(np.argmin(peaks)), " (that Ms is out of reach: the least)"
+    if good.any():
+        first = int(np.argmax(good))
+        chosen, said = first + int(np.argmin(good[first:])) - 1, ""
+    knob = float(values[chosen])
     return Rival(
         name,
-        rule,
-        f"{knob} {value:.4g}"
-        + ("" if reached else " (that Ms is out of reach: the least it can have)"),
-        setting.loop.peak(correction),
-        states,
-        products,
-        _bare(setting.law),
-        correction=correction,
+        f"{rule}, for the Ms of fraclink's design at the nominal payload",
+        f"gain {knob:.4g}{said}",
+        float(peaks[chosen]),
+        replace(open_law, correction=correction(knob)),
     )
 
 
-def _feedback_rivals(setting: Setting) -> dict[str, Builder]:
-    """Rivals with feedback of the tip estimate; one knob each, turned until Ms is that
-    of the design.
+def integer_mode(model: LinkModel) -> tuple[float, float]:
+    """Return (frequency [rad/s], damping ratio) of the link's pole: its nearest
+    integer-order model.
+
+    >>> w, ratio = integer_mode(LinkModel(stiffness=1.56, natural_frequency=11.094, order=1.92))
+    >>> round(w, 3), round(ratio, 4)
+    (12.264, 0.0654)
     """
-    period, model, rig = setting.rig.period, setting.model, setting.rig
-    frequency, _ = integer_mode(model)
-    # A filter for a gauge without noise would have infinite gain: a tenth of a
-    # millinewton-metre is below every converter's step.
-    noise = max(rig.gauge.noise, 1e-4) / model.stiffness
-    pole, delay = setting.law.inner_pole, rig.motor_loop.delay_samples
-    same = "same Ms as fraclink's design at the nominal payload"
+    pole = model.pole
+    return abs(pole), -pole.real / abs(pole)
 
-    def tuned(
-        name: str,
-        rule: str,
-        knob: str,
-        make: Callable[[float], Filter],
-        limits: tuple[float, float],
-    ) -> tuple[str, Builder]:
-        return name, lambda: _tuned(name, rule, knob, setting, make, limits)
 
-    return dict(
-        (
-            tuned(
-                "PD on the tip estimate",
-                f"zero at the nominal mode, gain for the {same}",
-                "gain",
-                lambda g: pd_correction(
-                    g, corner=frequency, filter_time=FILTER_TIME, period=period
-                ),
-                # Gains from a loop that does nothing to one that is unstable on every
-                # arm: the scan finds where Ms is met.
-                (1e-3, 10.0),
-            ),
-            tuned(
-                "LQG",
-                f"integer model, offset state in the Kalman filter, control weight for the {same}",
-                "tip weight",
-                lambda q: lqg_correction(
-                    model, period=period, pole=pole, delay=delay, noise=noise, weight=q
-                ),
-                (1e-4, 1e4),
-            ),
+def pd_correction(link: LinkModel, gain: float, period: float) -> Modes:
+    """Return gain·(1 + s/ω)/(1 + T s), with a notch at the second mode where the link
+    knows one.
+    """
+    w, _ = integer_mode(link)
+    above, below = np.array([gain / w, gain]), np.array([FILTER_TIME, 1.0])
+    mode = link.second_mode
+    # Above the Nyquist frequency the notch would stand at an alias.
+    if mode is not None and mode.frequency * period < math.pi:
+        near, wide = (
+            [1.0, 2.0 * ratio * mode.frequency, mode.frequency**2]
+            for ratio in (mode.damping_ratio, WIDE)
         )
-    )
+        above, below = np.polymul(above, near), np.polymul(below, wide)
+    top, bottom, _ = cont2discrete((above, below), period, "bilinear")
+    a, b, c, d = tf2ss(top[0], bottom)
+    return correction_of(a, b[:, 0], c[0], float(d[0, 0]))
 
 
-def _shaping(setting: Setting) -> Rival:
-    frequency, ratio = integer_mode(setting.model)
-    times, sizes = zv_impulses(frequency, ratio)
-    return Rival(
-        "ZV shaping",
-        "impulses from the nominal mode and its damping; motor servo, no feedback of the tip",
-        f"half period {times[1]:.4g} s",
-        1.0,
-        # A shaper keeps the samples of its reference up to the last impulse.
-        math.ceil(float(times[-1]) / setting.rig.period),
-        len(sizes),
-        _bare(setting.law),
-        impulses=(tuple(times.tolist()), tuple(sizes.tolist())),
-    )
+def lqg_correction(link: LinkModel, tuned_for: Design, weight: float) -> Modes:
+    """Return an LQG correction with the gauge's offset as a state of its Kalman filter.
 
-
-def published(setting: Setting) -> tuple[str, Controller]:
-    """Return (54)-(57) of the paper with M = 1 and no sampling, at its 16 rad/s and 70°."""
-    payloads = setting.rig.payloads
-    result = design(
-        setting.model,
-        setting.rig,
-        payloads=(payloads.low, payloads.high),
-        gain_crossover=16.0,
-        phase_margin=deg(70.0),
-        # With hold and delay the paper's own specification is not feasible.
-        margins="ideal",
-        filter_order=2,
-        law=False,
-    )
-    rule = "(54)-(57): 16 rad/s, 70° for M = 1 without sampling, δ by the 10 % rule"
-    return rule, result.controller
-
-
-def builders(setting: Setting) -> dict[str, Builder]:
-    """Return how every rival is made, fraclink first; tuning happens when a builder is
-    called.
+    The regulator minimises Σ tip² + u²/weight of the held and delayed arm. The filter
+    takes a motor reference noise of 10 mrad, the gauge's noise, and an offset that
+    walks 3 mrad in ten seconds; the controller works on the tip error, so the offset it
+    has found is left alone.
     """
+    rig = tuned_for.rig
+    period, pole, delay = rig.period, rig.motor_loop.pole, rig.motor_loop.delay_samples
+    # A gauge without noise would have a filter of infinite gain: a tenth of a
+    # millinewton-metre is below every converter's step.
+    noise = max(rig.gauge.noise, 1e-4) / link.stiffness
+    w, ratio = integer_mode(link)
+    # Motor reference to tip angle: M(s) and the link's mode, states θm, θ̇m, θt, θ̇t.
+    a = np.zeros((4, 4))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1] = [-(pole**2), -2.0 * pole, 0.0, 0.0]
+    a[3] = [w**2, 0.0, -(w**2), -2.0 * ratio * w]
+    b = np.array([[0.0], [pole**2], [0.0], [0.0]])
+    held, drive, *_ = cont2discrete((a, b, np.eye(4), np.zeros((4, 1))), period)
+    if delay > 1:
+        # its controller has as many poles at 0, and law.c runs simple ones
+        raise InfeasibleError("delay_samples", f"{delay} periods, of which LQG has one")
+    # The delay is a queue of held inputs: the oldest drives the arm.
+    n = 4 + delay
+    queue = np.zeros((n, n + 1))
+    queue[:4, :4], queue[:4, 4:5] = held, drive
+    queue[4:, 5:] = np.eye(delay)
+    whole, enter = queue[:, :n], queue[:, n]
+    row = np.zeros(n)
+    row[2] = 1.0
+    # One knob: `weight` prices the motor's reference against the tip.
+    cost = solve_discrete_are(
+        whole, enter[:, None], np.outer(row, row), np.array([[1.0 / weight]])
+    )
+    gain = (enter @ cost @ whole) / (1.0 / weight + enter @ cost @ enter)
 
-    request = "the request: gain crossover, phase margin, payloads"
-    return {
-        FRACLINK: lambda: _by_law(FRACLINK, request, setting.controller, setting),
-        "collocated PD": lambda: collocated(setting, _bare(setting.law)),
-        "ZV shaping": lambda: _shaping(setting),
-        **_feedback_rivals(setting),
-        PUBLISHED: lambda: _by_law(PUBLISHED, *published(setting), setting),
-    }
+    wide = np.eye(n + 1)
+    wide[:n, :n] = whole
+    seen = np.append(row, 1.0)
+    # 1e-12 keeps the Riccati equation well posed for states that the input does not
+    # reach at once.
+    process = np.zeros((n + 1, n + 1))
+    process[:n, :n] = np.outer(enter, enter) * 0.01**2 + 1e-12 * np.eye(n)
+    # slower than any move: a filter that let the offset go faster would take the bend
+    # of a move for it
+    process[n, n] = 3e-3**2 * period / 10.0
+    spread = solve_discrete_are(wide.T, seen[:, None], process, np.array([[noise**2]]))
+    kalman = spread @ seen / (noise**2 + seen @ spread @ seen)
+
+    # y = tip estimate = −e. Predictor form, so that no product of direct terms arises.
+    correct = np.eye(n + 1) - np.outer(kalman, seen)
+    state = wide @ correct
+    state[:n] -= np.outer(enter, gain) @ correct[:n]
+    feed = wide @ kalman
+    feed[:n] -= enter * float(gain @ kalman[:n])
+    # u = −gain (correct x + kalman y), y = −e
+    return correction_of(state, -feed, -(gain @ correct[:n]), float(gain @ kalman[:n]))
 
 
-DERIVATIVE_POLE = (
-    300.0  # [rad/s] of the filtered derivative, about the inner loop's own filter
-)
+def zv_impulses(frequency: float, ratio: float) -> tuple[tuple[float, float], ...]:
+    """Return the zero-vibration shaper of a mode of `frequency` [rad/s], (1, K): what
+    half a damped period leaves of a vibration is K = exp(−ζπ/√(1 − ζ²)).
 
+    Singer and Seering, ASME J. Dyn. Sys. 112 (1990) 76.
 
-def _gains(setting: Setting, pole: float) -> tuple[float, float]:
-    """Proportional [V/rad] and derivative gain [V·s/rad] for two hub poles at −`pole`
-    without the link.
+    >>> [(round(time, 4), size) for time, size in zv_impulses(10.0, 0.0)]
+    [(0.0, 0.5), (0.3142, 0.5)]
     """
-    motor = setting.rig.motor
-    # s² + (B + A k_d) s + A k_p = (s + p)²; a motor whose own friction is more than 2p
-    # needs no derivative.
-    return pole**2 / motor.gain, max(2.0 * pole - motor.decay, 0.0) / motor.gain
-
-
-def _controller(setting: Setting, pole: float) -> Filter:
-    proportional, derivative = _gains(setting, pole)
-    c = DERIVATIVE_POLE
-    return tustin(
-        np.array([[-c]]),
-        np.ones(1),
-        np.array([-derivative * c * c]),
-        # k_p + k_d s c/(s + c) = k_p + k_d c − k_d c²/(s + c): one state.
-        proportional + derivative * c,
-        setting.rig.period,
-    )
-
-
-def _hub(setting: Setting) -> NominalLoop:
-    """Voltage to motor angle of the lumped arm on its free hub, held and delayed."""
-    model, motor, period = setting.model, setting.rig.motor, setting.rig.period
-    length = setting.rig.link.length
-    # Equation (5) backwards: the payload with which the massless beam has the model's
-    # frequency.
-    mass = model.stiffness / (model.natural_frequency * length) ** 2
-    ratio = motor.gear_ratio
-    plant = assemble(
-        Beam(length, model.stiffness * length / 3.0, 0.0, mass),
-        damping_of(model),
-        drive="motor",
-        step=fine_step(period),
-        hub_inertia=ratio**2 * motor.inertia,
-        hub_friction=ratio**2 * motor.viscous_friction,
-    )
-    gain = ratio * motor.torque_constant
-    held = sampled(
-        plant, plant.outputs[0], period, setting.rig.motor_loop.delay_samples, gain=gain
-    )
-    return NominalLoop(held, period, model.stiffness)
-
-
-def collocated(setting: Setting, bare: Law) -> Rival:
-    """Return the collocated PD with the hub's double pole raised until Ms is that of
-    fraclink's design.
-    """
-
-    loop = _hub(setting)
-    pole, controller, _ = tune(
-        loop, lambda p: _controller(setting, p), (1.0, 300.0), setting.target
-    )
-    proportional, derivative = _gains(setting, pole)
-    inner = setting.law.drive
-    assert inner is not None  # the setting's law drives a motor  # noqa: S101
-    shape = inner.loop
-    c = DERIVATIVE_POLE
-    half = 0.5 * setting.rig.period
-    weight = half / (1.0 + c * half)
-    pd = DiscretePid(
-        period=shape.period,
-        direct=proportional,
-        angle_direct=derivative * c,
-        integral_gain=0.0,
-        filter_gain=0.0,
-        angle_filter_gain=-derivative * c * c,
-        integral_now=shape.integral_now,
-        integral_before=shape.integral_before,
-        filter_now=weight,
-        filter_before=weight,
-        filter_decay=(1.0 - c * half) / (1.0 + c * half),
-    )
-    # Encoder only: a compensation of the coupling torque would be feedback of the
-    # gauge.
-    drive: Drive = replace(inner, loop=pd, torque_voltage=0.0)
-    return Rival(
-        "collocated PD",
-        "encoder only; hub's double pole raised to the same Ms as fraclink's design at the motor's voltage",
-        f"hub pole {pole:.4g} rad/s",
-        loop.peak(controller),
-        1,
-        4,
-        replace(bare, drive=drive),
-    )
+    damped = math.sqrt(1.0 - ratio**2)
+    decay = math.exp(-ratio * math.pi / damped)
+    half = math.pi / (frequency * damped)
+    return (0.0, 1.0 / (1.0 + decay)), (half, decay / (1.0 + decay))

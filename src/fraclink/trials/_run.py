@@ -10,25 +10,24 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing
-import re
 import sys
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Executor, as_completed
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._files import atomic_write, checked_path
-from fraclink.errors import FieldError, MissingExtraError, NotConvergedError
+from fraclink.errors import FieldError, MissingExtraError
 from fraclink.trials._arms import simulate_part
 from fraclink.trials._campaign import (
     Campaign,
+    is_campaign,
     load_campaign,
     save_campaign,
 )
@@ -38,19 +37,14 @@ __all__ = [
     "Progress",
     "compute",
     "part_path",
-    "parts_there",
     "process_pool",
     "read_part",
     "run_campaign",
     "write_part",
 ]
 
-# pools that die one after the other without a single part done: something kills every
-# one of them
-PATIENCE = 5
+PARTS = "part-*.parquet"
 CONNECT = 10  # [s] to reach a scheduler
-# parts handed out per worker: one computed, one waiting, so that a worker never idles
-IN_FLIGHT = 2
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,7 @@ class Progress:
     """How far a campaign is: runs finished before this call, finished by now, and
     wanted.
 
-    failed: of those that this call finished; counted where `watch` is given.
+    failed: of those that this call finished.
     """
 
     before: int
@@ -85,7 +79,7 @@ def run_campaign(
         what to run; a folder of another campaign is refused, a longer one of the same
         continues.
     folder
-        where rig.toml, law.json, campaign.json and part-*.parquet are kept.
+        where campaign.json and part-*.parquet are kept.
     workers
         processes on this machine, 1 … 1024; the result does not depend on it. One is
         this process. More import the script that runs: it calls this below ``if
@@ -99,38 +93,30 @@ def run_campaign(
     Raises
     ------
     FieldError
-        the folder belongs to another campaign, or cannot be written (finished parts are
-        kept); the script has no such line.
-    NotConvergedError
-        worker processes die without finishing anything.
+        the folder belongs to another campaign, or cannot be written; a worker process
+        died (finished parts are kept); the script has no such line.
     """
     place = checked_path("folder", folder)
     _claim(campaign, place)
     # Read in full and compared with its digests, not only looked for: a file that a
     # kill or an editor left would otherwise be summarised.
     missing = [
-        part for part in range(campaign.parts) if not _is_done(campaign, place, part)
+        part
+        for part in range(campaign.parts)
+        if read_part(campaign, place, part) is None
     ]
     before = campaign.runs - sum(campaign.part_runs(part) for part in missing)
     progress = Progress(before, before, campaign.runs)
     try:
-        if scheduler:
-            source = _on_cluster(place, missing, scheduler)
-        else:
-            # Closed at the end, whatever ends it: an exception of `watch` must not
-            # leave processes behind.
-            source = (
-                _on_pool(place, missing, workers)
-                if workers > 1
-                else _here(place, missing)
-            )
-        with closing(source) as finished:
-            for part in finished:
-                done = progress.done + campaign.part_runs(part)
-                failed = progress.failed + (
-                    _failures(campaign, place, part) if watch is not None else 0
+        # Closed at the end, whatever ends it: an exception of `watch` must not leave
+        # processes behind.
+        with closing(_computed(place, missing, workers, scheduler)) as finished:
+            for part, failures in finished:
+                progress = replace(
+                    progress,
+                    done=progress.done + campaign.part_runs(part),
+                    failed=progress.failed + failures,
                 )
-                progress = Progress(before, done, campaign.runs, failed)
                 if watch is not None:
                     watch(progress)
     except OSError as error:
@@ -146,7 +132,7 @@ def run_campaign(
 
 def _claim(campaign: Campaign, place: Path) -> None:
     """Make the folder this campaign's, or refuse it."""
-    if (place / "campaign.json").exists():
+    if is_campaign(place):
         known = load_campaign(place)
         if known.fingerprint != campaign.fingerprint:
             raise FieldError(
@@ -160,14 +146,6 @@ def _claim(campaign: Campaign, place: Path) -> None:
         # is; the file keeps the longer.
         if known.runs >= campaign.runs:
             return
-    elif (other := _not_ours(campaign, place)) is not None:
-        raise FieldError(
-            "out",
-            str(place),
-            f"a folder with another {other}, which a campaign would replace",
-            allowed="a new folder, or one of the same campaign",
-            remedy="choose another folder",
-        )
     try:
         save_campaign(campaign, place)
     except OSError as error:
@@ -180,96 +158,35 @@ def _claim(campaign: Campaign, place: Path) -> None:
         ) from error
 
 
-def _not_ours(campaign: Campaign, place: Path) -> str | None:
-    """The file of a study or a person, in a folder without a campaign, that this
-    campaign would overwrite.
+def compute(folder: str, part: int) -> tuple[int, int]:
+    """Compute one part of the campaign kept in `folder` and return its number and how
+    many of its runs failed; plain values, as a worker process receives and sends them.
     """
-    # A kill between the first file and campaign.json leaves the files of this campaign:
-    # they are the same.
-    with TemporaryDirectory() as folder:
-        save_campaign(campaign, Path(folder))
-        for name in ("rig.toml", "law.json"):
-            there = place / name
-            if (
-                there.is_file()
-                and there.read_bytes() != (Path(folder) / name).read_bytes()
-            ):
-                return name
-    return None
+    return part, write_part(load_campaign(folder), Path(folder), part)
 
 
-def _is_done(campaign: Campaign, place: Path, part: int) -> bool:
-    return (
-        part_path(place, part).exists() and read_part(campaign, place, part) is not None
-    )
-
-
-def _failures(campaign: Campaign, place: Path, part: int) -> int:
-    found = read_part(campaign, place, part, names=("passed",))
-    return 0 if found is None else int(np.count_nonzero(found["passed"] == 0))
-
-
-def compute(folder: str, part: int) -> int:
-    """Compute one part of the campaign kept in `folder`; what a worker process
-    receives, as plain values.
+def _computed(
+    place: Path, missing: list[int], workers: int, scheduler: str | None
+) -> Generator[tuple[int, int], None, None]:
+    """Give what `compute` returns of every missing part, in the order in which they are
+    finished.
     """
-    write_part(load_campaign(folder), Path(folder), part)
-    return part
+    folder = str(place.resolve())
+    if workers == 1 and not scheduler:
+        # One worker needs no process of its own: a second to start it, and no script
+        # that is run again.
+        yield from (compute(folder, part) for part in missing)
+        return
+    with cluster(scheduler) if scheduler else process_pool(workers) as executor:
+        tasks = [executor.submit(compute, folder, part) for part in missing]
+        yield from (task.result() for task in as_completed(tasks))
 
 
-def _here(place: Path, missing: list[int]) -> Generator[int, None, None]:
-    """One worker needs no process of its own: a second to start it, and no script that
-    is run again.
-    """
-    for part in missing:
-        yield compute(str(place), part)
-
-
-def _on_pool(
-    place: Path, missing: list[int], workers: int
-) -> Generator[int, None, None]:
-    left, deaths = list(missing), 0
-    while left:
-        done: list[int] = []
-        try:
-            for part in _one_pool(place, left, workers):
-                done.append(part)
-                # A pool that brings something home is no sick machine: only deaths in a
-                # row count.
-                deaths = 0
-                yield part
-        except BrokenProcessPool as error:
-            deaths += 1
-            if deaths >= PATIENCE:
-                raise NotConvergedError(
-                    "campaign workers",
-                    reached=0,
-                    wanted=len(left),
-                    remedy="the system kills every worker: give fewer workers, or look for lack of memory",
-                ) from error
-        left = [part for part in left if part not in set(done)]
-
-
-def _one_pool(
-    place: Path, parts: list[int], workers: int
-) -> Generator[int, None, None]:
-    # Reversed, so that the first part is popped first and a campaign that is looked at
-    # meanwhile is filled from its beginning.
-    waiting, running = list(reversed(parts)), set[Future[int]]()
-    with process_pool(workers) as pool:
-        while waiting or running:
-            while waiting and len(running) < IN_FLIGHT * workers:
-                running.add(pool.submit(compute, str(place), waiting.pop()))
-            finished, running = wait(running, return_when=FIRST_COMPLETED)
-            for future in finished:
-                yield future.result()
-
-
-def _on_cluster(
-    place: Path, missing: list[int], scheduler: str | None
-) -> Generator[int, None, None]:
+@contextmanager
+def cluster(scheduler: str) -> Iterator[Executor]:
+    """Give the workers of a Dask scheduler."""
     try:
-        from distributed import Client, as_completed
+        from distributed import Client
     except ImportError as error:
         raise MissingExtraError("distributed", "cluster") from error
     try:
@@ -283,19 +200,11 @@ def _on_cluster(
             remedy="start one: dask scheduler; dask worker ADDRESS",
         ) from error
     with client:
-        # retries: Dask gives the parts of a worker that died to another one Keys that
+        # retries: Dask gives the parts of a worker that died to another one. Keys that
         # are not derived from the arguments: Dask would otherwise hand out the answer
         # of an earlier campaign for the same folder and part, although its files are
         # gone.
-        futures = client.map(
-            compute,
-            [str(place.resolve())] * len(missing),
-            missing,
-            pure=False,
-            retries=3,
-        )
-        for future in as_completed(futures):
-            yield future.result()
+        yield client.get_executor(pure=False, retries=3)
 
 
 # ── processes
@@ -303,12 +212,12 @@ def _on_cluster(
 
 
 @contextmanager
-def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+def process_pool(workers: int) -> Iterator[Executor]:
     """Give a pool of `workers` processes; at the end what waits is cancelled and what
     runs is awaited.
 
-    Raises FieldError where the workers die because each runs the user's script again,
-    BrokenProcessPool where they die of anything else.
+    Raises FieldError where a worker dies: because each runs the user's script again, or
+    because the system ends it.
     """
     # spawn: a forked child would inherit threads of numerical libraries in the middle
     # of a lock
@@ -318,7 +227,13 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     except BrokenProcessPool as error:
         script = _unguarded_script()
         if script is None:
-            raise
+            raise FieldError(
+                "workers",
+                workers,
+                "ended by the system while they worked",
+                allowed="as many as the machine has memory for",
+                remedy="finished parts are kept: give fewer, and the same command again",
+            ) from error
         raise FieldError(
             "script",
             script.name,
@@ -350,30 +265,13 @@ def part_path(folder: Path, part: int) -> Path:
     """Return the file of a part; its number has seven digits, so that names sort as
     numbers do.
     """
-    return folder / f"part-{part:07d}.parquet"
-
-
-def parts_there(folder: Path) -> list[int]:
-    """Return the numbers of the parts whose names stand in `folder`, whatever the files
-    hold, in order.
-    """
-    # The folder and not the campaign is walked: one of 10⁹ runs that has just begun has
-    # a million names to ask for, 27 s of processor time, and a file too many would
-    # never be met.
-    found = (
-        re.fullmatch(r"part-(\d{7,12})\.parquet", file.name)
-        for file in folder.glob("part-*.parquet")
-    )
-    numbers = ((int(name[1]), name[0]) for name in found if name)
-    # A number has one name: with an eighth digit in front, or other digits, a part
-    # would be counted twice.
-    return sorted(
-        part for part, name in numbers if part_path(folder, part).name == name
-    )
+    return folder / PARTS.replace("*", f"{part:07d}")
 
 
 def write_part(campaign: Campaign, folder: Path, part: int) -> int:
-    """Simulate a part and write its file in one step; return its number of runs."""
+    """Simulate a part and write its file in one step; return how many of its runs
+    failed.
+    """
     pa, parquet = _parquet()
     place = part_path(folder, part)
     # A kill leaves the half of the file that it cut off: its part is missing, and is
@@ -404,7 +302,7 @@ def write_part(campaign: Campaign, folder: Path, part: int) -> int:
             write_statistics=False,
             write_page_checksum=True,
         )
-    return int(table.num_rows)
+    return int(np.count_nonzero(columns["passed"] == 0))
 
 
 def read_part(

@@ -8,23 +8,21 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from fraclink._arm.draft import doubts_of
 from fraclink._arm.experiment import Experiment
 from fraclink._arm.link import STRUCTURES, LinkModel
-from fraclink._arm.reference import Reference, smooth_step
+from fraclink._arm.reference import smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._certify import certify
-from fraclink._design import Design
 from fraclink._design.completed import design_for
 from fraclink._identify import compare_structures
 from fraclink._identify.fitting import HeldOut
-from fraclink._law import Law
-from fraclink._simulate.run import Run
+from fraclink._simulate.arm import Twin
 from fraclink._simulate.simulate import simulate
 from fraclink.errors import FieldError, FraclinkError, InfeasibleError
-from fraclink.logs._diagnosis import diagnose
+from fraclink.logs import diagnose
 from fraclink.trials._campaign import Campaign
 from fraclink.trials._run import run_campaign
 from fraclink.trials._study import Refusal, Study, save_study
@@ -38,7 +36,6 @@ __all__ = [
     "moved",
     "proved",
     "run",
-    "simulate_move",
 ]
 __all__ += ["subject", "tried"]
 
@@ -46,6 +43,7 @@ __all__ += ["subject", "tried"]
 # offset and noise anew: half a second of work, and a share of failures of 0.3 % is seen
 # with 95 % certainty.
 _ARMS = 1000
+_MOVE, _WATCHED = smooth_step(1.0, duration=0.5), 4.0
 
 
 @checked
@@ -100,12 +98,11 @@ def run(
     (['20 g', '30 g', '40 g'], 'passed', 'not run')
     """
     if structure is not None and structure not in STRUCTURES:
-        allowed = ", ".join(STRUCTURES)
         raise FieldError(
             "structure",
             structure,
             "unknown",
-            allowed=allowed,
+            allowed=", ".join(STRUCTURES),
             remedy="choose one of these",
         )
     begin("examining the log")
@@ -198,11 +195,13 @@ def subject(study: Study) -> tuple[Rig, LinkModel, tuple[str, ...]]:
     else:
         link = study.design.model if study.design else rig.model if rig else None
     if rig is None or link is None:
-        allowed, remedy = (
-            "a rig with its model",
-            "identify a log first, or open a rig that states a model",
+        raise FieldError(
+            "model",
+            None,
+            "missing",
+            allowed="a rig with its model",
+            remedy="identify a log first, or open a rig that states a model",
         )
-        raise FieldError("model", None, "missing", allowed=allowed, remedy=remedy)
     return (rig, *_with_payload(link, rig)) if study.fit else (rig, link, ())
 
 
@@ -213,20 +212,20 @@ def designed(study: Study, **wanted: Any) -> Study:
     design.
     """
     rig, model, assumed = subject(study)
-    made, more = design_for(rig, model, **wanted)
-    made = made.doubted(study.fit.findings if study.fit else ()).with_law()
+    design, more = design_for(rig, model, **wanted)
+    design = design.doubted(study.fit.findings if study.fit else ()).with_law()
     assumptions = (*study.assumptions, *assumed, *more)
     return replace(
         study,
-        design=made,
-        law=made.law() if made.has_law else None,
+        design=design,
+        law=design.law() if design.has_law else None,
         assumptions=assumptions,
     )
 
 
 def moved(study: Study) -> Study:
-    """Return the study with moves of the model: both ends of the payload range, the
-    nominal one within.
+    """Return the study with moves of the model and of the twin: both ends of the payload
+    range, the nominal one within.
     """
     assert study.design is not None  # noqa: S101
     low, high = study.design.payloads
@@ -234,19 +233,37 @@ def moved(study: Study) -> Study:
     # The margin is least at one of the ends, and the nominal payload is the one that
     # people look at.
     payloads = sorted({low, high} | ({nominal} if low < nominal < high else set()))
+    design, law = study.design, study.law or study.design.law()
+    twin = Twin.from_rig(design.rig, model=design.model)
     return replace(
         study,
-        runs=tuple(simulate_move(study.design, m, law=study.law) for m in payloads),
+        runs=tuple(
+            simulate(
+                law,
+                _MOVE,
+                rig=design.rig,
+                model=design.model,
+                payload=m,
+                duration=_WATCHED,
+            )
+            for m in payloads
+        ),
+        twins=tuple(
+            simulate(law, _MOVE, arm=twin, payload=m, duration=_WATCHED)
+            for m in payloads
+        ),
     )
 
 
 def proved(study: Study) -> Study:
     """Return the study with its certificate, or with the reason why there is none."""
     assert study.design is not None  # noqa: S101
-    found = certify(study.design, law=study.law)
-    if found.passed:
-        return replace(study, certificate=found)
-    return replace(study, uncertified=found.verdict.removeprefix("Not certified: "))
+    certificate = certify(study.design, law=study.law)
+    if certificate.passed:
+        return replace(study, certificate=certificate)
+    return replace(
+        study, uncertified=certificate.verdict.removeprefix("Not certified: ")
+    )
 
 
 def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) -> Study:
@@ -262,7 +279,7 @@ def tried(study: Study, arms: int, seed: int = 0, folder: Path | None = None) ->
     with tempfile.TemporaryDirectory() as scratch:
         place = Path(scratch) if folder is None else folder
         run_campaign(campaign, place)
-        return replace(study, arms=summarise(campaign, place))
+        return replace(study, arms=summarise(place))
 
 
 def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...]]:
@@ -277,40 +294,4 @@ def _with_payload(model: LinkModel, rig: Rig) -> tuple[LinkModel, tuple[str, ...
     nominal = rig.payloads.nominal
     return replace(model, payload=nominal), (
         f"the log was made with the nominal payload, {1e3 * nominal:g} g, as none was stated",
-    )
-
-
-@checked
-def simulate_move(
-    made: Design,
-    payload: float,
-    *,
-    law: Law | None = None,
-    reference: Reference | None = None,
-    amplitude: float = 1.0,
-    move_time: float = 0.5,
-    duration: float = 4.0,
-    inner: Literal["ideal", "sampled"] = "sampled",
-    **options: Any,
-) -> Run:
-    """Simulate a move of the tip at `payload` [kg]: `amplitude` [rad] in `move_time`
-    [s], or `reference`.
-
-    `law` is the design's own where it is left out; making it takes a second. `options`
-    are those of `simulate`, such as ``gauge_offset`` [N·m], ``noise`` [N·m] and
-    ``seed``.
-
-    >>> made, _ = design_for(Rig.named("paper-2023"), filter_time=0.0)
-    >>> simulate_move(made, 0.020, amplitude=0.2).payload
-    0.02
-    """
-    return simulate(
-        law if law is not None else made.law(),
-        smooth_step(amplitude, duration=move_time) if reference is None else reference,
-        rig=made.rig,
-        model=made.model,
-        payload=payload,
-        duration=duration,
-        motor_loop=inner,
-        **options,
     )

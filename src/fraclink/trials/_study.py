@@ -18,14 +18,13 @@ from fraclink._arm.link import STRUCTURES
 from fraclink._arm.rig import Rig
 from fraclink._certify import Certificate
 from fraclink._design import Design
-from fraclink._display import displayed
+from fraclink._display import Overview, Row, Table, displayed, number, quantity
 from fraclink._files import checked_path, document, kind_of, load, save
-from fraclink._identify import Comparison, Contest, Fit
+from fraclink._identify import Comparison, Fit
 from fraclink._law import Law
 from fraclink._simulate import Run
 from fraclink.errors import FileFormatError
 from fraclink.findings import Finding, Scope, Verdict
-from fraclink.trials._campaign import load_campaign
 from fraclink.trials._faults import FaultTable
 from fraclink.trials._summary import Summary, summarise
 
@@ -64,7 +63,8 @@ class Study:
     fit that the design used; design, law and certificate; stopped, uncertified and
     untried: why there is none of them, no proof and no arms that differ; refused: the
     request and the nearest that can be met, where it was the request that stopped it;
-    runs: simulated moves, one for each payload;
+    runs: simulated moves, one for each payload; twins: the same moves of the twin, under
+    the law's own compensation;
     arms: the summary of many arms that differ; faults: a fault campaign; assumptions:
     sentences on everything that was not stated.
 
@@ -85,6 +85,7 @@ class Study:
     uncertified: str | None = None
     untried: str | None = None
     runs: tuple[Run, ...] = ()
+    twins: tuple[Run, ...] = ()
     arms: Summary | None = None
     faults: FaultTable | None = None
     assumptions: tuple[str, ...] = ()
@@ -98,7 +99,7 @@ class Study:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict in three scopes."""
+        """The verdict in four scopes."""
         # A design may be good and the log behind it wrong: a reversed gauge fits as
         # well as a right one.
         wrong = [("the log", finding) for finding in self.findings]
@@ -126,8 +127,89 @@ class Study:
                 doubts,
                 bool(self.runs),
             ),
-            self._reality(doubts),
-            ("the log is simulated, not measured",) if self.simulated else (),
+            self._twin(doubts),
+            remarks=("the log is simulated, not measured",) if self.simulated else (),
+        )
+
+    @property
+    def sentence(self) -> str:
+        """What decides, first on every face: what it carries and how fast, in what time
+        it settles, what more delay it stands, and what is tightest.
+        """
+        if self.design is None:
+            return self.stopped or self.verdict.sentence
+        parts = self.design.sentence.split("; ")
+        settled = [run.metrics.settling_time for run in self.runs]
+        if settled:
+            longest = max(settled)
+            parts.insert(
+                1,
+                f"settles within {number(longest, 3)} s"
+                if math.isfinite(longest)
+                else "does not settle with every payload",
+            )
+        return "; ".join(parts)
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """The handful of figures that a reader looks for first."""
+        rows: list[Row] = []
+        if self.fit is not None:
+            rows.append(Row("", "Model", self.fit.overview().headline))
+        if self.design is not None:
+            c = self.design.controller
+            late = f", δ = {quantity(c.filter_time, 'ms', 3)}" if c.filter_time else ""
+            said = f"k_d = {number(c.derivative_gain)}, β = {number(c.derivative_order)}{late}"
+            rows.append(Row("", "Controller", said))
+        if self.certificate is not None:
+            modulus = self.certificate.statement.modulus
+            angle = 2.0 * math.asin(min(1.0, 0.5 * modulus))
+            rows.append(
+                Row(
+                    "",
+                    "Proved for every arm of the box",
+                    f"at least {quantity(angle, 'rad')} of phase margin, "
+                    f"distance to −1 above {number(modulus, 3)}",
+                )
+            )
+        if self.arms is not None:
+            failure = self.arms.failure
+            passed = f"{failure.runs - failure.count} of {failure.runs} passed"
+            rows.append(Row("", "Varied arms", passed))
+        if self.faults is not None:
+            rows.append(Row("", "Faults on the twin", self.faults.sentence))
+        return tuple(rows)
+
+    def overview(self) -> Overview:
+        """The verdict in its scopes, what decides, and the parts that there are."""
+        verdict, parts = self.verdict, []
+        if self.comparison is not None:
+            parts.append(self.comparison.overview())
+        if self.design is not None:
+            parts.append(self.design.overview())
+        rows = (
+            Row("verdict", "", verdict),
+            Row("reasons", "", verdict.reasons),
+            Row("fits", "", tuple(self.fits.values())),
+            *(
+                Row(name, "", getattr(self, name))
+                for name in ("design", "runs", "arms", "assumptions")
+            ),
+        )
+        tables = [table for part in parts for table in part.tables]
+        if self.runs:
+            tables.append(Table.of("", (run.rows for run in self.runs)))
+        said = (note for part in parts for note in part.notes)
+        return Overview(
+            self.sentence,
+            verdict.state,
+            rows,
+            tuple(
+                replace(table, key="")
+                for table in (*verdict.overview().tables, *tables)
+            ),
+            (*self.findings, *(self.design.findings if self.design else ())),
+            (*verdict.remarks, *said),
         )
 
     @property
@@ -139,7 +221,7 @@ class Study:
 
     def _broken_promises(self) -> list[str]:
         missed = [
-            f"{item.name}: {_stated(item.achieved, item.unit)} instead of {_stated(item.wanted, item.unit)}"
+            f"{item.name}: {quantity(item.achieved, item.unit)} instead of {quantity(item.wanted, item.unit)}"
             for item in (self.design.requirements if self.design else ())
             if not item.passed
         ]
@@ -148,9 +230,13 @@ class Study:
         )
         return ([] if self.stopped is None else [self.stopped]) + missed + unproved
 
-    def _reality(self, doubts: list[str]) -> Scope:
+    def _twin(self, doubts: list[str]) -> Scope:
         ran = self.arms is not None or self.faults is not None
-        scope = _scope(self._failures(), doubts, ran)
+        # The twin alone shows no arm that differs: it can refute, and no more.
+        off = [
+            f"twin: {_failed_move(run)}" for run in self.twins if not run.verdict.passed
+        ]
+        scope = _scope(off + self._failures(), doubts, ran)
         return (
             scope
             if self.untried is None
@@ -190,14 +276,6 @@ def _scope(failures: list[str], doubts: list[str], ran: bool) -> Scope:
     return Scope("passed" if ran else "not run")
 
 
-def _stated(value: float, unit: str) -> str:
-    return (
-        f"{math.degrees(value):.1f}°"
-        if unit == "rad"
-        else f"{value:.4g} {unit}".strip()
-    )
-
-
 def _failed_move(run: Run) -> str:
     return f"move at {1e3 * run.payload:g} g: {run.verdict.reason}"
 
@@ -228,6 +306,7 @@ def save_study(study: Study, folder: Path | str) -> None:
         chosen = study.fit is not None and fit.structure == study.fit.structure
         parts["model.json" if chosen else f"model-{name}.json"] = fit
     parts |= {f"run-{1e3 * move.payload:.6g}g.npz": move for move in study.runs}
+    parts |= {f"twin-{1e3 * move.payload:.6g}g.npz": move for move in study.twins}
     for name, part in parts.items():
         # What a study has not got leaves no empty file: a folder tells by its files
         # what was done.
@@ -241,7 +320,7 @@ def save_study(study: Study, folder: Path | str) -> None:
 
 
 def _remarks_of(study: Study) -> _Remarks:
-    found = study.comparison
+    comparison = study.comparison
     return _Remarks(
         structure=study.fit.structure if study.fit else None,
         stopped=study.stopped,
@@ -251,9 +330,9 @@ def _remarks_of(study: Study) -> _Remarks:
         assumptions=study.assumptions,
         findings=study.findings,
         comparison=None
-        if found is None
+        if comparison is None
         else _Preference(
-            found.preferred, found.contest, found.verdict, found.undecided
+            comparison.preferred, comparison.verdict, comparison.undecided
         ),
         verdict=study.verdict,
     )
@@ -268,21 +347,24 @@ def load_study(folder: Path | str) -> Study:
     """
     place = checked_path("folder", folder)
     if not place.is_dir():
-        allowed, remedy = "a folder of results", "check the path"
         raise FileFormatError(
-            "folder", str(place), "not a folder", allowed=allowed, remedy=remedy
+            "folder",
+            str(place),
+            "not a folder",
+            allowed="a folder of results",
+            remedy="check the path",
         )
     by_kind: dict[str, list[Path]] = {}
     for path in sorted(place.iterdir()):
         by_kind.setdefault(_kind(path), []).append(path)
     # A certificate or a table of faults alone has no arm to be shown with.
     if not set(by_kind) & {"rig", "fit", "design", "run", "log"}:
-        allowed, remedy = (
-            "model, design or run files",
-            "run `fraclink run` with --out in this folder",
-        )
         raise FileFormatError(
-            "folder", str(place), "without results", allowed=allowed, remedy=remedy
+            "folder",
+            str(place),
+            "without results",
+            allowed="model, design or run files",
+            remedy="run `fraclink run` with --out in this folder",
         )
     return _gathered(place, by_kind)
 
@@ -299,7 +381,6 @@ class _Preference:
     """What study.json says of a comparison; the fits are files of their own."""
 
     preferred: str
-    contest: Contest
     verdict: str
     undecided: tuple[str, ...] = ()
 
@@ -328,28 +409,30 @@ def _gathered(place: Path, by_kind: Mapping[str, list[Path]]) -> Study:
 
     about = first("study", lambda path: load(path, _Remarks)) or _Remarks()
     fits = {fit.structure: fit for fit in map(Fit.load, by_kind.get("fit", []))}
-    made, proof = first("design", Design.load), first("certificate", Certificate.load)
+    runs = sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
+    design, certificate = (
+        first("design", Design.load),
+        first("certificate", Certificate.load),
+    )
     # A certificate that says no is kept as the file that it is, and is a reason in the
     # verdict, not a proof.
-    refuted = proof is not None and not proof.passed
-    campaign = load_campaign(place / "arms") if (place / "arms").is_dir() else None
+    refuted = certificate is not None and not certificate.passed
     return Study(
-        rig=first("rig", Rig.load) or (made.rig if made else None),
+        rig=first("rig", Rig.load) or (design.rig if design else None),
         experiment=first("log", lambda path: load(path, Experiment)),
         findings=about.findings,
         comparison=_comparison(fits, about.comparison),
         fit=fits.get(str(about.structure or next(iter(fits), None))),
-        design=made,
+        design=design,
         law=first("law", Law.load),
         stopped=about.stopped,
         refused=about.refused,
-        certificate=None if refuted else proof,
-        uncertified=proof.verdict if refuted else about.uncertified,
+        certificate=None if refuted else certificate,
+        uncertified=certificate.verdict if refuted else about.uncertified,
         untried=about.untried,
-        runs=tuple(
-            sorted(map(Run.load, by_kind.get("run", [])), key=lambda move: move.payload)
-        ),
-        arms=None if campaign is None else summarise(campaign, place / "arms"),
+        runs=tuple(move for move in runs if move.about.get("arm") != "twin"),
+        twins=tuple(move for move in runs if move.about.get("arm") == "twin"),
+        arms=None if not (place / "arms").is_dir() else summarise(place / "arms"),
         faults=first("fault-campaign", lambda path: load(path, FaultTable)),
         assumptions=about.assumptions,
     )
@@ -361,6 +444,4 @@ def _comparison(fits: dict[str, Fit], about: _Preference | None) -> Comparison |
     if about is None or set(fits) != set(STRUCTURES):
         return None
     ordered = {name: fits[name] for name in STRUCTURES}
-    return Comparison(
-        ordered, {}, about.preferred, about.contest, about.verdict, about.undecided
-    )
+    return Comparison(ordered, {}, about.preferred, about.verdict, about.undecided)

@@ -33,6 +33,7 @@ from fraclink._simulate.engine import (
 )
 from fraclink._simulate.simulate import link_at
 from fraclink.errors import FieldError
+from fraclink.trials._rivals import motor_alone
 from fraclink.trials._study import Study
 from fraclink.view._pages import squeezed
 
@@ -109,11 +110,11 @@ def _law(study: Study, design: Design) -> tuple[Law, str]:
         law, python = study.law or design.law(), "design.law()"
     else:
         law, python = study.law, 'fl.load("law.json")'
-    # The page's engine compares itself with `simulate`, which runs in double precision
-    # unless told otherwise.
+    # The page's engine is compiled for one precision, the wider: its law is the shipped
+    # one, but for rounding.
     if law.precision != "double":
         law, python = law.in_precision("double"), f'{python}.in_precision("double")'
-    if law.drive is None:  # without it `simulate` would run an ideal motor
+    if law.motor_loop is None:  # without it `simulate` would run an ideal motor
         law, python = (
             equip(law, design.rig, design.model),
             f"fl.extend.equip({python}, design.rig, design.model)",
@@ -193,8 +194,10 @@ def _data(
     noise = max(0.05, 5 * rig.gauge.noise)
     return {
         "engine": _packed(engine_bytes()),
+        # of the law, then of the motor's PID alone, which the page moves beside it
         "blocks": [
-            base64.b64encode(law.in_precision(name).block).decode()
+            base64.b64encode(one.in_precision(name).block).decode()
+            for one in (law, motor_alone(law))
             for name in ("double", "single")
         ],
         # rig, noise, moves, then the links behind one another

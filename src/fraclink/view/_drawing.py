@@ -10,18 +10,31 @@ bytes.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, singledispatch
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from fraclink._files import write_text
 from fraclink.errors import FieldError
-from fraclink.view._marks import ACROSS, DOWN, Frame, Layers, Mark, escaped, percent
+from fraclink.view._marks import (
+    ACROSS,
+    DOWN,
+    Frame,
+    Layers,
+    Mark,
+    escaped,
+    percent,
+    reach,
+)
 from fraclink.view._pages import DARK, LIGHT, literal, template_text
 from fraclink.view._scales import Scale
 
-__all__ = ["Figure", "Panel", "beside", "save_svg", "stand_alone"]
+if TYPE_CHECKING:
+    from functools import _SingleDispatchCallable
+
+__all__ = ["Figure", "Panel", "beside", "figure_of", "save_svg", "stand_alone"]
 
 WIDTH = (
     860.0  # dots of a drawing that stands alone: the text's width on the report's page
@@ -37,15 +50,20 @@ _ROW = 15.0  # dots between two lines of text
 class Panel:
     """What is drawn over one vertical scale; its label stands above it, where it can be
     read.
+
+    scale: the vertical one; without it that of everything drawn.
     """
 
     label: str
-    y: Scale
     marks: Sequence[Mark]
     height: float = 150.0
-    raw: Callable[[Frame], str] | None = (
-        None  # further elements, of drawings that are no curves
-    )
+    scale: Scale | None = None
+
+    @property
+    def y(self) -> Scale:
+        """The vertical scale."""
+        values = (value for mark in self.marks for value in reach(mark)[1])
+        return self.scale or Scale.around(*values)
 
 
 @dataclass(frozen=True)
@@ -53,21 +71,30 @@ class Figure:
     """Panels over one another on one horizontal scale.
 
     name: unique on its page. description: what a reader who does not see it is told.
-    link: figures of one link share their cursor. left: dots for the vertical scale's
-    texts.
+    link: figures of one link share their cursor. scale: the horizontal one; without it
+    that of everything drawn, from end to end, with a logarithmic axis where `log`.
+    left: dots for the vertical scale's texts.
     """
 
     name: str
     description: str
-    x: Scale
     panels: Sequence[Panel]
     xlabel: str = ""
     link: str = ""
+    scale: Scale | None = None
+    log: bool = False
     left: float = 46.0
     width: float = WIDTH
     ticks: int = 9  # at most about as many on the horizontal scale
     rigid: bool = False  # the same in both directions: a plane
     key: tuple[str, ...] = ()  # a title, then what the levels' colours mean
+
+    @property
+    def x(self) -> Scale:
+        """The horizontal scale."""
+        marks = (mark for panel in self.panels for mark in panel.marks)
+        places = (place for mark in marks for place in reach(mark)[0])
+        return self.scale or Scale.around(*places, room=0.0, log=self.log)
 
     def inline(self) -> str:
         """The drawing as an element of a page that has `figure.css`."""
@@ -132,6 +159,14 @@ class Figure:
         return "".join(parts), bottom, right
 
 
+def _no_figure(result: Any) -> Figure | str | None:
+    return None
+
+
+# The drawing of a result, by its class; None where it has none.
+figure_of: _SingleDispatchCallable[Figure | str | None] = singledispatch(_no_figure)
+
+
 def save_svg(text: str, path: Path | str) -> None:
     """Write a drawing to a file, whole or not at all; FieldError for a file of another
     kind.
@@ -139,9 +174,12 @@ def save_svg(text: str, path: Path | str) -> None:
     # Written as .png or .pdf the file would open in no program: refused before anything
     # is written.
     if Path(path).suffix.lower() not in ("", ".svg"):
-        remedy = "end its name in .svg; browsers and Inkscape turn it into other kinds"
         raise FieldError(
-            "path", str(path), "a file of another kind", allowed=".svg", remedy=remedy
+            "path",
+            str(path),
+            "a file of another kind",
+            allowed=".svg",
+            remedy="end its name in .svg; browsers and Inkscape turn it into other kinds",
         )
     write_text(path, text + "\n")
 
@@ -208,9 +246,7 @@ def _panel(panel: Panel, frame: Frame, layers: Sequence[Layers], *, last: bool) 
         layer.below for layer in layers if not layer.below.startswith("<rect")
     )
     curves += "".join(layer.curves for layer in layers)
-    above = (panel.raw(frame) if panel.raw else "") + "".join(
-        layer.above for layer in layers
-    )
+    above = "".join(layer.above for layer in layers)
     frame_line = f'<line class="base" x2="100%" y1="{bottom}" y2="{bottom}"/>'
     place = f'x="{4 - min(frame.left, 46.0):g}" y="{frame.top - 8}"'
     label = (

@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from fraclink._arm.experiment import Experiment
-from fraclink._identify import Fit, LogValidation, StructureFit, Validation
-from fraclink.view._drawing import Figure, Panel
+from fraclink._identify import (
+    Comparison,
+    Fit,
+    LogValidation,
+    StructureFit,
+    Validation,
+)
+from fraclink.logs._start import Start
+from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Band, Curve, Dots, Mark, Upright
 from fraclink.view._scales import Scale, envelope
 
@@ -57,29 +64,15 @@ def _record(
     )
 
 
+@figure_of.register
 def log_figure(log: Experiment) -> Figure:
     """Draw motor angle and output against time."""
     panels = (
-        Panel(
-            "motor angle θm [rad]",
-            Scale.around(log.motor_angle),
-            [_record(log.time, log.motor_angle, 0)],
-        ),
-        Panel(
-            OUTPUT_LABEL[log.output_kind],
-            Scale.around(log.output),
-            [_record(log.time, log.output, 1)],
-        ),
+        Panel("motor angle θm [rad]", [_record(log.time, log.motor_angle, 0)]),
+        Panel(OUTPUT_LABEL[log.output_kind], [_record(log.time, log.output, 1)]),
     )
-    ends = Scale(float(log.time[0]), float(log.time[-1]))
-    return Figure(
-        "log",
-        "The recorded motor angle and output against time",
-        ends,
-        panels,
-        "time [s]",
-        "log",
-    )
+    said = "The recorded motor angle and output against time"
+    return Figure("log", said, panels, "time [s]", "log")
 
 
 def fit_figure(log: Experiment, fit: Fit) -> Figure:
@@ -89,32 +82,24 @@ def fit_figure(log: Experiment, fit: Fit) -> Figure:
     # The last fitted sample: to the right of it the residual is a test, to the left
     # what was minimised.
     edge = float(log.time[fit.fitted_samples - 1])
+    output = _measured(log.time, log.output, fit.predicted, fit.structure)
     panels = (
-        Panel(
-            "angle θm [rad]",
-            Scale.around(log.motor_angle),
-            [_record(log.time, log.motor_angle, 0)],
-            80.0,
-        ),
-        Panel(
-            OUTPUT_LABEL[log.output_kind],
-            Scale.around(log.output, fit.predicted),
-            [
-                _record(log.time, log.output, 0, "measured", wide=True),
-                Curve(*envelope(log.time, fit.predicted), 1, fit.structure),
-            ],
-            180.0,
-        ),
-        Panel(
-            "residual",
-            Scale.around(fit.residual),
-            _rest(log.time, fit.residual, edge),
-            80.0,
-        ),
+        Panel("angle θm [rad]", [_record(log.time, log.motor_angle, 0)], 80.0),
+        Panel(OUTPUT_LABEL[log.output_kind], output, 180.0),
+        Panel("residual", _rest(log.time, fit.residual, edge), 80.0),
     )
-    ends = Scale(float(log.time[0]), float(log.time[-1]))
     said = "The recorded output under its model, and the residual"
-    return Figure("fit", said, ends, panels, "time [s]", "log")
+    return Figure("fit", said, panels, "time [s]", "log")
+
+
+def _measured(
+    time: Floats, measured: Floats, predicted: Floats, name: str
+) -> list[Mark]:
+    """A measured record under a prediction of that name."""
+    return [
+        _record(time, measured, 0, "measured", wide=True),
+        Curve(*envelope(time, predicted), 1, name),
+    ]
 
 
 def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Mark]:
@@ -123,34 +108,26 @@ def _rest(time: Floats, residual: Floats, edge: float, line: int = 1) -> list[Ma
     return [_record(time, residual, line), *([held] if held else [])]
 
 
-def validation_figure(found: Validation) -> Figure:
+@figure_of.register
+def validation_figure(validation: Validation) -> Figure:
     """Draw each other log under the prediction of the fit, and what it leaves."""
-    panels = [panel for each in found.logs for panel in _predicted(each)]
-    longest = max(float(each.log.time[-1]) for each in found.logs)
+    panels = [panel for each in validation.logs for panel in _predicted(each)]
     said = "Logs that the fit has not seen under its prediction, and what it leaves"
-    return Figure("validation", said, Scale(0.0, longest), panels, "time [s]", "log")
+    return Figure("validation", said, panels, "time [s]", "log")
 
 
 def _predicted(each: LogValidation) -> list[Panel]:
     log, rest = each.log, each.log.output - each.predicted
+    label = f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", ")
+    bias = Across(each.bias, "bias", limit=False)
+    marks: list[Mark] = [_record(log.time, rest, 1), bias]
     return [
-        Panel(
-            f"{OUTPUT_LABEL[log.output_kind]}, {log.source}".rstrip(", "),
-            Scale.around(log.output, each.predicted),
-            [
-                _record(log.time, log.output, 0, "measured", wide=True),
-                Curve(*envelope(log.time, each.predicted), 1, "predicted"),
-            ],
-        ),
-        Panel(
-            "what the prediction leaves",
-            Scale.around(rest),
-            [_record(log.time, rest, 1), Across(each.bias, "bias", limit=False)],
-            60.0,
-        ),
+        Panel(label, _measured(log.time, log.output, each.predicted, "predicted")),
+        Panel("what the prediction leaves", marks, 60.0),
     ]
 
 
+@figure_of.register
 def structure_figure(fit: StructureFit) -> Figure:
     """Draw what was measured over what the structure says, and what it leaves: in time
     or over frequency.
@@ -160,25 +137,14 @@ def structure_figure(fit: StructureFit) -> Figure:
 
 def _over_time(fit: StructureFit) -> Figure:
     place, rest = fit.place, fit.measured - fit.predicted
+    output = _measured(place, fit.measured, fit.predicted, "structure")
+    leaves = _rest(place, rest, float(place[fit.fitted - 1]))
     panels = (
-        Panel(
-            "output",
-            Scale.around(fit.measured, fit.predicted),
-            [
-                _record(place, fit.measured, 0, "measured", wide=True),
-                Curve(*envelope(place, fit.predicted), 1, "structure"),
-            ],
-            180.0,
-        ),
-        Panel(
-            "what the structure leaves",
-            Scale.around(rest),
-            _rest(place, rest, float(place[fit.fitted - 1])),
-        ),
+        Panel("output", output, 180.0),
+        Panel("what the structure leaves", leaves),
     )
     said = f"The recorded output under {fit.expression}, and what it leaves"
-    ends = Scale(float(place[0]), float(place[-1]))
-    return Figure("structure", said, ends, panels, "time [s]", "log")
+    return Figure("structure", said, panels, "time [s]", "log")
 
 
 def _over_frequency(fit: StructureFit) -> Figure:
@@ -191,27 +157,18 @@ def _over_frequency(fit: StructureFit) -> Figure:
     sheets = _same_sheet(_turned(h), _turned(model))
     error = 100 * np.abs(h / model - 1)
     panels = [
-        Panel(
-            label,
-            Scale.around(*both),
-            [Dots(fit.place, both[0]), Curve(fit.place, both[1], 1)],
-        )
-        for label, both in (
+        Panel(label, [Dots(fit.place, dots), Curve(fit.place, line, 1)])
+        for label, (dots, line) in (
             ("gain [dB]", (_decibel(h), _decibel(model))),
             ("phase [°]", sheets),
         )
     ]
-    panels.append(
-        Panel(
-            "error [%]",
-            Scale(0.0, 1.05 * float(error.max())),
-            [Curve(fit.place, error, 1)],
-            70.0,
-        )
-    )
-    x = Scale(float(fit.place.min()), float(fit.place.max()), log=True)
+    share = [Curve(fit.place, error, 1)]
+    up = Scale(0.0, 1.05 * float(error.max()))
+    panels.append(Panel("error [%]", share, 70.0, up))
     said = f"The measured response (dots) under {fit.expression}, and what it leaves"
-    return Figure("structure", said, x, panels, "frequency ω [rad/s]", "response")
+    over = "frequency ω [rad/s]"
+    return Figure("structure", said, panels, over, "response", log=True)
 
 
 def _decibel(response: Complex) -> Real:
@@ -239,6 +196,16 @@ def _same_sheet(first: Real, second: Real) -> tuple[Real, Real]:
 _LARGE = 4.0
 # share of the log that the upper panel shows: the whole would be a band of ink
 _DETAIL = 0.18
+
+
+@figure_of.register
+def _comparison(comparison: Comparison) -> Figure:
+    return models_figure(comparison.fits, comparison.preferred)
+
+
+@figure_of.register
+def _start(started: Start) -> Figure:
+    return fit_figure(started.experiment, started.fit)
 
 
 def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
@@ -269,18 +236,12 @@ def models_figure(fits: Mapping[str, Fit], chosen: str | None = None) -> Figure:
         marks = _rest(
             time, fit.residual, edge, 1 if name == chosen or len(fits) == 1 else 0
         )
-        panels.append(Panel(label, Scale(-common, common), marks, 70.0))
+        panels.append(Panel(label, marks, 70.0, Scale(-common, common)))
     said = "What each model leaves of the log, all on one scale"
-    return Figure(
-        "models",
-        said,
-        Scale(float(time[0]), float(time[-1])),
-        panels,
-        "time [s]",
-        "log",
-    )
+    return Figure("models", said, panels, "time [s]", "log")
 
 
+@figure_of.register
 def detail_figure(fit: Fit) -> Figure:
     """Draw the first part of the measured output under its model."""
     time, measured = fit.period * np.arange(fit.samples), fit.predicted + fit.residual
@@ -290,12 +251,9 @@ def detail_figure(fit: Fit) -> Figure:
         Curve(time[part], measured[part], 0, "measured", "wide"),
         Curve(time[part], fit.predicted[part], 1, fit.structure),
     ]
-    panel = Panel(
-        OUTPUT_LABEL[fit.output_kind], Scale.around(measured[part]), marks, 210.0
-    )
-    ends = Scale(float(time[part][0]), float(time[part][-1]))
+    panel = Panel(OUTPUT_LABEL[fit.output_kind], marks, 210.0)
     said = f"The first part of the measured output under {fit.structure}"
-    return Figure("detail", said, ends, (panel,), "time [s]", "detail")
+    return Figure("detail", said, (panel,), "time [s]", "detail")
 
 
 # --- can the model be trusted -----------------------------------------------------------------------------
@@ -429,52 +387,53 @@ def response_figure(log: Experiment, fit: Fit) -> Figure | None:
     """Draw the responses of log and model with the noise's 95 % band; None for too
     short a log.
     """
-    found = response_estimate(log, fit)
-    if found is None:
+    estimate = response_estimate(log, fit)
+    if estimate is None:
         return None
     # At 0.95 the lower edge is 26 dB below the model: at 1 it would be −∞, off every
     # scale.
-    w, spread = found.frequency, np.minimum(found.error, 0.95)
-    gain, level = _decibel(found.measured), _decibel(found.model)
-    at, turn = _same_sheet(_turned(found.model), _turned(found.measured))
+    w, spread = estimate.frequency, np.minimum(estimate.error, 0.95)
+    gain, level = _decibel(estimate.measured), _decibel(estimate.model)
+    at, turn = _same_sheet(_turned(estimate.model), _turned(estimate.measured))
     # A disk of relative radius e about the response is seen from 0 under ± arcsin e.
     arc = np.degrees(np.arcsin(spread))
+    halves = Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100")))
     panels = (
         Panel(
             f"gain of {_SHORT[log.output_kind].split(' [')[0]} over θm [dB]",
-            Scale.around(gain, level),
             [
                 Band(w, level + _decibel(1 - spread), level + _decibel(1 + spread), 2),
                 Curve(w, level, 1, "model"),
                 Dots(w, gain, 0, "log"),
             ],
             200.0,
+            Scale.around(gain, level),
         ),
         Panel(
             "phase [°]",
-            Scale.around(at, turn),
             [Band(w, at - arc, at + arc, 2), Curve(w, at, 1), Dots(w, turn)],
+            scale=Scale.around(at, turn),
         ),
         Panel(
             "share of the output that the model explains [%]",
-            Scale(0.0, 105.0, ticks=((0.0, "0"), (50.0, "50"), (100.0, "100"))),
-            [Curve(w, 100 * found.explained, 1)],
+            [Curve(w, 100 * estimate.explained, 1)],
             60.0,
+            halves,
         ),
     )
-    x = Scale(float(found.frequency[0]), float(found.frequency[-1]), log=True)
     said = "Gain and phase of log (dots) and model (line), with the band that 95 % of the noise stays in"
-    return Figure("response", said, x, panels, "frequency ω [rad/s]", "response")
+    over = "frequency ω [rad/s]"
+    return Figure("response", said, panels, over, "response", log=True)
 
 
 def residual_figure(fit: Fit) -> Figure | None:
     """Draw the residual's spectrum and the band that 99 % of white noise of the same
     size stays in.
     """
-    found = residual_density(fit)
-    if found is None:
+    density = residual_density(fit)
+    if density is None:
         return None
-    frequency, share, low, high = found
+    frequency, share, low, high = density
     y = Scale(
         min(0.5 * low, 0.8 * float(share.min())),
         max(2 * high, 1.3 * float(share.max())),
@@ -488,7 +447,7 @@ def residual_figure(fit: Fit) -> Figure | None:
     mode = fit.model.second_mode
     if mode is not None and frequency[0] < mode.frequency < frequency[-1]:
         marks.append(Upright(mode.frequency, "second mode, part of the model"))
-    panel = Panel("density of the residual over that of white noise", y, marks, 180.0)
-    x = Scale(float(frequency[0]), float(frequency[-1]), log=True)
+    panel = Panel("density of the residual over that of white noise", marks, 180.0, y)
     said = "Spectrum of the residual against the band that 99 % of white noise stays in"
-    return Figure("residual", said, x, (panel,), "frequency ω [rad/s]", "response")
+    over = "frequency ω [rad/s]"
+    return Figure("residual", said, (panel,), over, "response", log=True)

@@ -6,38 +6,30 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fraclink.trials._faults import GROUPS, FaultTable, Outcome, fault_named
+from fraclink._display import number, size_of
+from fraclink.trials._faults import GROUPS, FaultTable, fault_named
 from fraclink.trials._summary import Summary
-from fraclink.view._drawing import Figure, Panel, beside, save_svg
-from fraclink.view._marks import Bars, Cells, Frame, Mark, Upright, escaped, percent
+from fraclink.trials._tournament import Tournament
+from fraclink.view._drawing import Figure, Panel, beside, figure_of
+from fraclink.view._marks import Bars, Cells, Mark, Point, Upright
 from fraclink.view._scales import Scale
-from fraclink.view._tables import UNITS, WEAK
-from fraclink.view._text import grams, number
-from fraclink.view._views import repeated
-
-if TYPE_CHECKING:
-    from fraclink.trials._tournament import Standing, Tournament
+from fraclink.view._text import grams
 
 __all__ = [
     "SHOWN",
-    "driver_rows",
     "drivers_figure",
     "failures_figure",
     "spread_figures",
     "strongest",
 ]
 __all__ += [
-    "Cell",
-    "FaultRow",
-    "draw_rivals",
     "fault_columns",
     "fault_counts",
     "fault_rows",
@@ -53,7 +45,7 @@ SHOWN = {
     "residual_vibration": "residual vibration",
     "peak_tip_error": "largest tip error",
     "peak_voltage": "largest voltage",
-    "motor_reference_noise": "motor reference noise",
+    "motor_reference_noise": "reference noise",
 }
 _BINS = 40
 _MOST_CELLS = (
@@ -63,16 +55,19 @@ _FEWEST = 30  # runs of a cell: of fewer a share says little, and the cell stays
 _SHARES = (1.0, 10.0, 30.0)  # [%] limits of the colours
 
 
-def spread_figures(values: Mapping[str, Real]) -> list[Figure]:
+def spread_figures(summary: Summary, values: Mapping[str, Real]) -> list[Figure]:
     """A histogram of each metric in SHOWN, with its median and 95 % quantile and a bar
     for "never".
     """
-    return [_histogram(name, np.asarray(values[name], dtype=float)) for name in SHOWN]
+    units = {metric.name: metric.row("", 0.0).unit for metric in summary.metrics}
+    return [
+        _histogram(name, units[name], np.asarray(values[name], dtype=float))
+        for name in SHOWN
+    ]
 
 
-def _histogram(name: str, column: Real) -> Figure:
-    unit, factor = UNITS[name]
-    column = factor * column
+def _histogram(name: str, unit: str, column: Real) -> Figure:
+    column = column / size_of(unit)
     finite = column[np.isfinite(column)]
     never = len(column) - len(finite)
     low = float(finite.min()) if finite.size else 0.0
@@ -96,16 +91,11 @@ def _histogram(name: str, column: Real) -> Figure:
         at = float(np.quantile(finite, share))
         # Beside the bar for "never" there is no room for a second text: the line stays.
         marks.append(Upright(at, text if not (share > 0.9 and never) else ""))
-    panel = Panel(
-        f"{SHOWN[name]} [{unit}]",
-        Scale(0.0, 1.15 * max(*heights, never, 1), ticks=()),
-        marks,
-        90.0,
-    )
+    up = Scale(0.0, 1.15 * max(*heights, never, 1), ticks=())
+    panel = Panel(f"{SHOWN[name]} [{unit}]", marks, 90.0, up)
     said = f"Histogram of the {SHOWN[name]} of {len(column)} runs; {never} never settle or have none"
-    return Figure(
-        f"spread-{name}", said, Scale(low, end), (panel,), left=12.0, width=280.0
-    )
+    x = Scale(low, end)
+    return Figure(f"spread-{name}", said, (panel,), scale=x, left=12.0, width=280.0)
 
 
 def strongest(summary: Summary) -> tuple[str, str]:
@@ -142,82 +132,31 @@ def failures_figure(
         f"{second} to {third}",
         f"above {third}",
     )
-    panel = Panel(
-        names[1], Scale(float(y[0]), float(y[-1])), [Cells(x, y, levels)], 260.0
-    )
+    sides = Scale(float(x[0]), float(x[-1])), Scale(float(y[0]), float(y[-1]))
+    panel = Panel(names[1], [Cells(x, y, levels)], 260.0, sides[1])
     said = f"Share of failing runs over two parameters; cells of fewer than {_FEWEST} runs are empty"
     xlabel = f"{names[0]}; cells of fewer than {_FEWEST} runs are empty"
-    return Figure(
-        "failures", said, Scale(float(x[0]), float(x[-1])), (panel,), xlabel, key=key
-    )
+    return Figure("failures", said, (panel,), xlabel, scale=sides[0], key=key)
 
 
-def driver_rows(
-    summary: Summary,
-) -> tuple[tuple[str, ...], Sequence[tuple[str, tuple[tuple[str, int], ...]]]]:
-    """Parameters, and for each metric its rank correlations as text with a level of
-    colour.
-    """
-    # Saturation is a means, not an end: no requirement is stated for it.
-    metrics = [m for m in summary.metrics if m.name != "saturated"]
-    names = sorted({p for p, _ in metrics[0].drivers})
-    rows = []
-    for metric in metrics:
-        known = dict(metric.drivers)
-        cells = tuple(
-            (
-                _correlation(known[name]),
-                int(np.digitize(abs(known[name]), (WEAK, 0.4, 0.7))),
-            )
-            for name in names
-        )
-        rows.append((metric.name.replace("_", " "), cells))
-    return tuple(name.replace("_", " ") for name in names), rows
-
-
-_HEAD, _LINE = 92.0, 24.0  # dots of the parameters' names over the table, and of a row
-
-
+@figure_of.register
 def drivers_figure(summary: Summary) -> str:
-    """Draw Spearman's rank correlation of every metric with every parameter as a table
-    in colours.
+    """Draw Spearman's rank correlation of every metric with every parameter: a dot for
+    each; far from the middle is strong.
     """
-    names, rows = driver_rows(summary)
-
-    def table(frame: Frame) -> str:
-        # Names are turned by 45° to fit over their columns, and the last of them needs
-        # room to the right.
-        parts, width = [], 0.94 / len(names)  # the last name leans over the right edge
-        for column, name in enumerate(names):
-            place = f'x="{percent((column + 0.5) * width)}" y="{frame.top + _HEAD - 8}"'
-            text = f'<text transform="rotate(-45)">{escaped(name)}</text>'
-            parts.append(f'<svg {place} overflow="visible">{text}</svg>')
-        for row, (metric, cells) in enumerate(rows):
-            y = frame.top + _HEAD + _LINE * row
-            parts.append(
-                f'<text class="name" x="-8" y="{y + 16}" text-anchor="end">{escaped(metric)}</text>'
-            )
-            for column, (text, level) in enumerate(cells):
-                size = f'width="{percent(0.96 * width)}" height="{_LINE - 2}"'
-                parts.append(
-                    f'<rect class="l{level}" x="{percent(column * width)}" y="{y}" {size}/>'
-                )
-                place = f'x="{percent((column + 0.5) * width)}" y="{y + 15}" text-anchor="middle"'
-                parts.append(f'<text class="on-l{level}" {place}>{text}</text>')
-        return "".join(parts)
-
-    panel = Panel("", Scale(0.0, 1.0, ticks=()), (), _HEAD + _LINE * len(rows), table)
-    said = "Rank correlation of metrics with parameters"
-    key = ("size of the correlation", "below 0.15", "to 0.4", "to 0.7", "above 0.7")
-    return Figure(
-        "drivers", said, Scale(0.0, 1.0, ticks=()), (panel,), left=170.0, key=key
-    ).alone()
-
-
-def _correlation(value: float) -> str:
-    # Of 1000 runs a rank correlation of 0.05 is about 1.6 standard errors (1/√n):
-    # noise, left blank.
-    return f"{value:+.2f}".replace("-", "−") if abs(value) >= 0.05 else ""
+    metrics = [metric for metric in summary.metrics if metric.name in SHOWN]
+    names = [name for name, _ in metrics[0].drivers]
+    columns = [
+        Column(
+            SHOWN[metric.name],
+            [dict(metric.drivers)[name] for name in names],
+            Scale(-1.0, 1.0, ticks=((-1.0, "−1"), (0.0, "0"), (1.0, "1"))),
+        )
+        for metric in metrics
+    ]
+    words = [name.replace("_", " ") for name in names]
+    said = "Rank correlation of metrics with parameters; ±1 is the strongest"
+    return dots_in_columns(words, columns, said)
 
 
 # --- the map of faults: one row a fault, one cell for each severity and payload, worst first ---------------
@@ -225,99 +164,61 @@ def _correlation(value: float) -> str:
 _SIGNS = ("✓", "!", "✗", "✗")
 
 
-@dataclass(frozen=True)
-class Cell:
-    """The runs of one severity and payload: level of colour 0 to 3 or -1 for none,
-    sign, and words.
-    """
-
-    level: int
-    sign: str
-    words: str
-
-
-@dataclass(frozen=True)
-class FaultRow:
-    """One fault: what happened in each cell, and what unfolds."""
-
-    number: str
-    title: str
-    group: str
-    level: int
-    cells: tuple[Cell, ...]
-    required: str
-    runs: int
-    failed: int
-    worst: str
-    cause: str
-    note: str
-    command: str
-
-
-def _columns(table: FaultTable) -> list[tuple[int, float]]:
-    return sorted(
-        {(outcome.case.severity, outcome.case.payload) for outcome in table.outcomes}
-    )
-
-
-def fault_columns(table: FaultTable) -> tuple[str, ...]:
-    """What the cells of a row stand for, from left to right."""
-    return tuple(
-        f"severity {severity}, {grams(payload)}"
-        for severity, payload in _columns(table)
-    )
+def fault_columns(table: FaultTable) -> dict[tuple[int, float], str]:
+    """What the cells of a row stand for, from left to right, by severity and payload."""
+    cases = {(each.case.severity, each.case.payload) for each in table.outcomes}
+    return {
+        (severity, payload): f"severity {severity}, {grams(payload)}"
+        for severity, payload in sorted(cases)
+    }
 
 
 def fault_counts(table: FaultTable) -> list[tuple[str, int, int]]:
     """Each group with its level and how many faults are in it, the worst first."""
-    found = Counter(row.group for row in table.rows())
+    counts = Counter(row.group for row in table.rows())
     return [
-        (group, level, found[group]) for level, group in reversed([*enumerate(GROUPS)])
+        (group, level, counts[group]) for level, group in reversed([*enumerate(GROUPS)])
     ]
 
 
-def fault_rows(table: FaultTable) -> list[FaultRow]:
-    """The rows of the map, the worst group first."""
-    rows = []
-    for row in sorted(
+def fault_rows(table: FaultTable) -> list[dict[str, Any]]:
+    """The rows of the map, the worst group first: a fault's summary, what the catalogue
+    says of it, its cells, and the command that repeats its worst run.
+    """
+    summaries = sorted(
         table.rows(), key=lambda row: (-GROUPS.index(row.group), row.number)
-    ):
-        known = fault_named(row.number)
-        mine = [
-            outcome for outcome in table.outcomes if outcome.case.fault == row.number
-        ]
-        rows.append(
-            FaultRow(
-                row.number,
-                row.title,
-                row.group,
-                GROUPS.index(row.group),
-                tuple(_cell(mine, *column) for column in _columns(table)),
-                row.required.replace("<=", "≤").replace(" x ", " × "),
-                row.runs,
-                row.failed,
-                row.worst,
-                known.cause if row.failed else "",
-                known.note,
-                repeated(table, row.example) if row.example else "",
-            )
-        )
-    return rows
-
-
-def _cell(mine: list[Outcome], severity: int, payload: float) -> Cell:
-    here = [o for o in mine if (o.case.severity, o.case.payload) == (severity, payload)]
-    where = f"severity {severity}, {grams(payload)}"
-    if not here:
-        return Cell(-1, "", f"{where}: not run")
-    # A cell is as bad as its worst run; how many runs were so is said in words under
-    # the pointer.
-    level = max(GROUPS.index(outcome.group) for outcome in here)
-    failed = sum(not outcome.passed for outcome in here)
-    words = f"{where}: {GROUPS[level]}" + (
-        f", {failed} of {len(here)} runs" if failed else ""
     )
-    return Cell(level, _SIGNS[level], words)
+    return [
+        {
+            "summary": summary,
+            "fault": fault_named(summary.number),
+            "cells": _cells(table, summary.number),
+            "command": table.repeated(summary.example) if summary.example else "",
+        }
+        for summary in summaries
+    ]
+
+
+def _cells(table: FaultTable, number: str) -> list[tuple[int, str, str]]:
+    """Level of colour, sign and words of every cell of a fault; level −1 where nothing
+    was run.
+    """
+    cells = []
+    for place, words in fault_columns(table).items():
+        here = [
+            outcome
+            for outcome in table.outcomes
+            if outcome.case.fault == number
+            and (outcome.case.severity, outcome.case.payload) == place
+        ]
+        # A cell is as bad as its worst run; how many runs were so is said in words
+        # under the pointer.
+        level = max((GROUPS.index(outcome.group) for outcome in here), default=-1)
+        failed = sum(not outcome.passed for outcome in here)
+        ended = f"{words}: {GROUPS[level] if here else 'not run'}"
+        ended += f", {failed} of {len(here)} runs" if failed else ""
+        cells.append((level, _SIGNS[level] if here else "", ended))
+    return cells
 
 
 # --- a tournament: one row a rival, one column a figure, a dot for what it reached -------------------------
@@ -330,22 +231,20 @@ _COLUMNS = (
     ("residual_vibration", "vibration [mrad]", 1e3, 0.1),
     ("offset_error", "by offset [mrad]", 1e3, 0.001),
     ("motor_reference_noise", "noise [mrad]", 1e3, 0.1),
-    ("mode_gain", "gain at mode 2", 1.0, 0.001),
+    ("overshoot", "overshoot [%]", 100.0, 0.01),
 )
-_RIVAL, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots of a row, of the names, of a column
 _END = 1.6  # of the largest value: room for its dot
 
 
+@figure_of.register
 def rivals_figure(result: Tournament) -> str:
     """Draw a dot for every rival and figure, in the order of the table; left is better
     throughout.
     """
+    standings = result.standings
     columns = []
-    for column, (attribute, title, factor, left) in enumerate(_COLUMNS):
-        values = [
-            factor * float(getattr(standing, attribute))
-            for standing in result.standings
-        ]
+    for attribute, title, factor, left in _COLUMNS:
+        values = [factor * float(getattr(each, attribute)) for each in standings]
         # Some rival may never settle: infinity has no place on a scale, and is said in
         # words.
         finite = [value for value in values if math.isfinite(value)] or [1.0]
@@ -356,49 +255,59 @@ def rivals_figure(result: Tournament) -> str:
             if left
             else Scale(0.0, 1.1 * max(finite))
         )
-        rows = _rows(result.standings, values, x, names=not column)
-        panel = Panel(title, Scale(0.0, 1.0, ticks=()), (), _RIVAL * len(values), rows)
-        room = _NAMES if not column else 12.0
-        width = room + _WIDE
-        columns.append(
-            Figure(attribute, title, x, (panel,), left=room, width=width, ticks=3)
+        columns.append(Column(title, values, x))
+    names = [each.name + ("" if each.passed else " ✗") for each in standings]
+    # unstable, or tripped: no figure counts
+    signs = ["dot" if each.passed else "cross" for each in standings]
+    said = "What each rival reached in six figures; left is better"
+    return dots_in_columns(names, columns, said, signs)
+
+
+_ROW, _NAMES, _WIDE = 24.0, 190.0, 128.0  # dots of a row, of the names, of a column
+
+
+@dataclass(frozen=True)
+class Column:
+    """One value for each row, on a scale of its own."""
+
+    title: str
+    values: Sequence[float]
+    x: Scale
+
+
+def dots_in_columns(
+    names: Sequence[str],
+    columns: Sequence[Column],
+    description: str,
+    signs: Sequence[str] = (),
+) -> str:
+    """Draw a dot for every row and column; the first row is drawn as the one that the
+    others are compared with.
+    """
+    figures = []
+    count = len(names)
+    for place, column in enumerate(columns):
+        marks: list[Mark] = []
+        for row, value in enumerate(column.values):
+            sign, line = signs[row] if signs else "dot", 2 if signs and row else 1
+            if math.isfinite(value):
+                at = max(value, column.x.low)
+                marks.append(Point(at, row + 0.5, line=line, sign=sign))
+            else:
+                end = column.x.high
+                marks.append(Point(end, row + 0.5, "never", sign="", beside="left"))
+        ticks = tuple((k + 0.5, "" if place else name) for k, name in enumerate(names))
+        up = Scale(count, 0.0, ticks=ticks)
+        room = 12.0 if place else _NAMES
+        figures.append(
+            Figure(
+                f"column-{place}",
+                column.title,
+                (Panel(column.title, marks, _ROW * count, up),),
+                scale=column.x,
+                left=room,
+                width=room + _WIDE,
+                ticks=3,
+            )
         )
-    return beside(columns, "What each rival reached in six figures; left is better")
-
-
-def draw_rivals(result: Tournament, path: Path | str) -> None:
-    """Write `rivals_figure` to an SVG file."""
-    save_svg(rivals_figure(result), path)
-
-
-def _rows(
-    standings: tuple[Standing, ...], values: list[float], x: Scale, *, names: bool
-) -> Callable[[Frame], str]:
-    def draw(frame: Frame) -> str:
-        parts = []
-        for row, (standing, value) in enumerate(zip(standings, values, strict=True)):
-            y = frame.top + _RIVAL * (row + 0.5)
-            ours = standing.name.startswith("fraclink")
-            parts.append(f'<line class="grid" x2="100%" y1="{y}" y2="{y}"/>')
-            if names:
-                style = "label" if ours else "name"
-                text = standing.name + ("" if standing.sound else " ✗")
-                parts.append(
-                    f'<text class="{style}" x="-10" y="{y + 4}" text-anchor="end">{escaped(text)}</text>'
-                )
-            if not math.isfinite(value):
-                parts.append(
-                    f'<text class="name" x="100%" dx="-4" y="{y + 4}" text-anchor="end">never</text>'
-                )
-                continue
-            at = frame.across(max(value, x.low))
-            if standing.sound:
-                parts.append(
-                    f'<circle class="f{1 if ours else 2}" cx="{at}" cy="{y}" r="{6 if ours else 4.5}"/>'
-                )
-            else:  # unstable, or only held by friction or a limit: no figure counts
-                cross = '<path class="c0 cross" d="M-4-4l8 8m0-8l-8 8"/>'
-                parts.append(f'<svg x="{at}" y="{y}" overflow="visible">{cross}</svg>')
-        return "".join(parts)
-
-    return draw
+    return beside(figures, description)

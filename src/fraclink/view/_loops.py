@@ -6,34 +6,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._arm.box import ParameterBox, arms_of
 from fraclink._design import Design
-from fraclink._design.assess import MarginCurve, PhaseShare, margin_curve
-from fraclink._design.feasibility import FeasibilityMap
+from fraclink._design.assess import (
+    FeasibilityMap,
+    MarginCurve,
+    PhaseShare,
+    margin_curve,
+)
 from fraclink._design.pid_tuning import PidTuning
+from fraclink._display import number
 from fraclink._law import Law
 from fraclink.errors import FieldError
-from fraclink.view._drawing import Figure, Panel
+from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import (
     Across,
     Band,
+    Box,
     Cells,
     Curve,
-    Frame,
     Mark,
     Point,
     Upright,
     Zone,
-    escaped,
-    percent,
 )
 from fraclink.view._pages import LINES
+from fraclink.view._responses import Response, loop_figure, loop_response
 from fraclink.view._scales import Scale
-from fraclink.view._text import grams, number
+from fraclink.view._text import grams
 
 __all__ = [
     "bode_figure",
@@ -49,13 +54,6 @@ Real = NDArray[np.float64]
 # the margins are shown down to this share of the lightest payload: 8 g for 20 g
 BEYOND = 0.4
 _STEPS = 25
-# Quarters of a turn, down to a whole one: what a delay adds below lies where the gain
-# is long gone.
-_PHASE = Scale(
-    -360.0,
-    90.0,
-    ticks=tuple((float(k), f"{k}".replace("-", "−")) for k in range(-360, 91, 90)),
-)
 
 
 def payloads_of(design: Design) -> list[float]:
@@ -66,133 +64,60 @@ def payloads_of(design: Design) -> list[float]:
     )
 
 
-def _frequencies(design: Design, payload: float) -> Real:
-    """A grid [rad/s] that is dense where the mode turns the curve, and ends at the
-    Nyquist frequency.
-    """
-    # Around the mode the phase turns by λ·90° within a few per cent of ω: sinh puts
-    # half of the points within a quarter of it, a quarter within 9 %. On an even grid
-    # of as many a resonance would have corners.
-    mode = float(design.loop.peak(design.natural_frequency(payload)))
-    near = mode * np.exp(np.sinh(np.linspace(-3.5, 3.5, 181)) / np.sinh(3.5) * 1.5)
-    ends = np.geomspace(0.03 * mode, math.pi / design.rig.period, 160)
-    grid = np.union1d(near, ends)
-    second = design.model.second_mode
-    if second is not None:
-        grid = np.union1d(grid, second.frequency * np.exp(np.linspace(-0.25, 0.25, 81)))
-    return np.asarray(grid[(grid >= ends[0]) & (grid <= ends[-1])])
-
-
+@figure_of.register
 def bode_figure(design: Design) -> Figure:
     """Draw gain and phase of the open loop at the lightest, nominal and heaviest
     payload.
     """
-    gain: list[Mark] = [Across(0.0, limit=False)]
-    phase: list[Mark] = [Across(-180.0, limit=False)]
-    for line, payload in zip(LINES, payloads_of(design), strict=False):
-        w = _frequencies(design, payload)
-        value = design.loop.log(w, design.natural_frequency(payload))
-        gain.append(Curve(w, 20 * value.real / math.log(10), line, grams(payload)))
-        phase.append(Curve(w, np.degrees(value.imag), line))
-        for crossing in design.at(payload).gain_crossings:
-            # The logarithm keeps the sheet of the phase, so that the dot lies on its
-            # curve however many turns a delay has added; the margin alone would leave
-            # the turn open.
-            at = design.loop.log(
-                np.array([crossing.frequency]), design.natural_frequency(payload)
-            )[0]
-            gain.append(Point(crossing.frequency, 0.0, line=line))
-            phase.append(Point(crossing.frequency, math.degrees(at.imag), line=line))
-    panels = (
-        Panel("gain of the open loop |L| [dB]", Scale(-45.0, 30.0), gain, 190.0),
-        Panel("phase of L [°]", _PHASE, phase, 190.0),
-    )
-    x = Scale(1.0, math.pi / design.rig.period, log=True)
+    responses = [
+        loop_response(design, payload, grams(payload))
+        for payload in payloads_of(design)
+    ]
+    crossings = [
+        [
+            (each.frequency, each.phase_margin)
+            for each in design.at(payload).gain_crossings
+        ]
+        for payload in payloads_of(design)
+    ]
+    figure = loop_figure(responses, crossings)
     said = (
         "Gain and phase of the open loop over frequency; dots mark the gain crossings"
     )
-    return Figure("bode", said, x, panels, "frequency ω [rad/s]", "loop")
+    return replace(figure, description=said)
 
 
-def pid_figure(made: PidTuning) -> Figure:
+@figure_of.register
+def pid_figure(tuning: PidTuning) -> Figure:
     """Draw gain and phase of the open loop of a fractional PID; a dot marks the
     crossover that counts.
     """
-    crossover = made.margins.gain_crossover
-    w = np.geomspace(crossover / 300.0, crossover * 300.0, 500)
-    if made.period is not None:
-        w = w[w < math.pi / made.period]
-    loop = np.asarray(made.open_loop(1j * w))
-    decibels = 20 * np.log10(np.abs(loop))
-    # An integrator runs to infinity on the left: 60 dB either way is more than any
-    # margin is read from.
-    decibels = np.where(np.abs(decibels) > 60.0, np.nan, decibels)
-    angle = np.degrees(np.unwrap(np.angle(loop)))
-    here = float(np.interp(math.log(crossover), np.log(w), angle))
-    # On the sheet of the stated margin: unwrapped from the left the phase may lie a
-    # whole turn off.
-    shift = 360.0 * round(
-        (here + 180.0 - math.degrees(made.margins.phase_margin)) / 360.0
-    )
-    angle, here = np.where(angle - shift < -360.0, np.nan, angle - shift), here - shift
-    panels = (
-        Panel(
-            "gain of the open loop |L| [dB]",
-            Scale.around(decibels[np.isfinite(decibels)]),
-            [
-                Across(0.0, limit=False),
-                Curve(w, np.clip(decibels, -60.0, 60.0), 1),
-                Point(crossover, 0.0, line=1),
-            ],
-            190.0,
-        ),
-        Panel(
-            "phase of L [°]",
-            _PHASE,
-            [
-                Across(-180.0, limit=False),
-                Curve(w, angle, 1),
-                Point(crossover, here, line=1),
-            ],
-            190.0,
-        ),
-    )
-    said = f"Gain and phase of the open loop with {made.controller.formula}; the dot is the gain crossover"
-    return Figure(
-        "pid",
-        said,
-        Scale(float(w[0]), float(w[-1]), log=True),
-        panels,
-        "frequency ω [rad/s]",
-        "loop",
-    )
+    limit = math.pi / tuning.period if tuning.period is not None else None
+    response = Response.of(tuning.open_loop, None, limit)
+    at = tuning.margins
+    figure = loop_figure([response], [[(at.gain_crossover, at.phase_margin)]])
+    said = f"Gain and phase of the open loop with {tuning.controller.formula}; the dot is the gain crossover"
+    return replace(figure, name="pid", description=said)
 
 
 def pid_step_figure(
-    made: PidTuning, law: Law, size: float = 1.0, duration: float | None = None
+    tuning: PidTuning, law: Law, size: float = 1.0, duration: float | None = None
 ) -> Figure:
     """Draw measurement and output of the shipped law after a step of the reference."""
-    step = made.step(law=law, size=size, duration=duration)
+    step = tuning.step(law=law, size=size, duration=duration)
     # The output is held between samples: steps and no slopes, as the actuator gets it.
     held = np.repeat(step.output, 2)[:-1]
     times = np.repeat(step.time, 2)[1:]
+    measured: list[Mark] = [
+        Across(size, "reference"),
+        Curve(step.time, step.measurement, 1),
+    ]
     panels = (
-        Panel(
-            "measurement",
-            Scale.around(step.measurement, np.array([0.0, size])),
-            [Across(size, "reference"), Curve(step.time, step.measurement, 1)],
-            190.0,
-        ),
-        Panel(
-            "controller's output",
-            Scale.around(step.output),
-            [Curve(times, held, 2)],
-            130.0,
-        ),
+        Panel("measurement", [*measured, Across(0.0, limit=False)], 190.0),
+        Panel("controller's output", [Curve(times, held, 2)], 130.0),
     )
     said = "The law of a fractional PID on its plant: measurement and output after a step of the reference"
-    ends = Scale(0.0, float(step.time[-1]))
-    return Figure("pid-step", said, ends, panels, "time [s]", "step")
+    return Figure("pid-step", said, panels, "time [s]", "step")
 
 
 _REACH = (
@@ -218,7 +143,7 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
     ]
     for line, payload in zip(LINES, payloads, strict=False):
         w0 = design.natural_frequency(payload)
-        value = design.loop(_frequencies(design, payload), w0)
+        value = loop_response(design, payload, planar=True).values
         # The circle of an undamped resonance is many times larger than the detail:
         # outside it is cut off, or its chords would cross the picture.
         value = np.where(np.abs(value) > 6.0, np.nan, value)
@@ -228,12 +153,12 @@ def nyquist_figure(design: Design, proved: float | None = None) -> Figure:
             if min(at.real, at.imag) > _REACH[0] and max(at.real, at.imag) < _REACH[1]:
                 marks.append(Point(at.real, at.imag, line=line))
     marks.append(Point(-1.0, 0.0, "−1", sign="cross"))
-    panel = Panel("imaginary part of L", Scale(*_REACH), marks, 340.0)
+    square = Scale(*_REACH)
+    panel = Panel("imaginary part of L", marks, 340.0, square)
     word = "proved" if proved else "worst"
     said = f"Nyquist curve around −1; {word} distance {number(clear, 3)}"
-    return Figure(
-        "nyquist", said, Scale(*_REACH), (panel,), "real part of L", rigid=True
-    )
+    name = "real part of L"
+    return Figure("nyquist", said, (panel,), name, scale=square, rigid=True)
 
 
 def margins_figure(design: Design) -> Figure:
@@ -247,38 +172,31 @@ def margins_figure(design: Design) -> Figure:
     # Below the range the mode is fast and the margin falls quickly; above it changes
     # little: hence more room on the light side, and geometric steps.
     payloads = np.geomspace(BEYOND * low, 1.15 * high, _STEPS)
-    mass = 1e3 * payloads
-    margin: list[Mark] = [Zone(1e3 * low, 1e3 * high), Across(0.0, limit=False)]
+    last = margin_curve(design, payloads, kind="sampled" if design.has_law else "loop")
+    curves = (
+        margin_curve(design, payloads, kind="ideal"),
+        margin_curve(design, payloads, kind="motor"),
+        last,
+    )
+    figure = margin_curves_figure(curves, design.payloads, design.phase_margin)
+    (upper,) = figure.panels
     fan = _fan(design, payloads)
-    if fan is not None:
-        margin.append(Band(mass, *fan, 1))
-    shown: list[Real] = [] if fan is None else [*fan]
-    for kind in ("ideal", "motor", "sampled" if design.has_law else "loop"):
-        name, line = _KINDS[kind]
-        angle = np.degrees(margin_curve(design, payloads, kind=kind).phase_margin)
-        shown.append(angle)
-        margin.append(Curve(mass, angle, line, name))
-    margin.append(Across(math.degrees(design.phase_margin), "requested"))
+    band = [Band(1e3 * payloads, *fan, 1)] if fan is not None else []
     at = design.sampled_at if design.has_law else design.at
     rate = np.array([_or_nan(at(float(m)).gain_crossover) for m in payloads])
-    crossover: list[Mark] = [Zone(1e3 * low, 1e3 * high), Curve(mass, rate, 1)]
-    crossover.append(Across(design.gain_crossover, "requested"))
+    crossover: list[Mark] = [
+        Zone(1e3 * low, 1e3 * high),
+        Curve(1e3 * payloads, rate, 1),
+        Across(design.gain_crossover, "requested"),
+    ]
     panels = (
-        Panel("phase margin [°]", Scale.around([0.0], *shown), margin, 230.0),
-        Panel(
-            "gain crossover [rad/s]",
-            Scale.around(rate, [design.gain_crossover]),
-            crossover,
-            110.0,
-        ),
+        replace(upper, marks=(*band, *upper.marks), height=230.0),
+        Panel("gain crossover [rad/s]", crossover, 110.0),
     )
     said = (
         "Phase margin and gain crossover over the payload; the design range is shaded"
     )
-    x = Scale(float(mass[0]), float(mass[-1]))
-    return Figure(
-        "margins", said, x, panels, "payload [g]; shaded: design range", "payload"
-    )
+    return replace(figure, description=said, panels=panels, link="payload")
 
 
 def _fan(design: Design, payloads: Real) -> tuple[Real, Real] | None:
@@ -316,27 +234,25 @@ _KINDS = {
 
 
 def margin_curves_figure(
-    curves: Sequence[MarginCurve], payloads: tuple[float, float], wanted: float
+    curves: Sequence[MarginCurve],
+    payloads: tuple[float, float] | None,
+    wanted: float | None,
 ) -> Figure:
     """Draw phase margins over the payload, one line for each kind of loop (Fig. 10)."""
-    marks: list[Mark] = [
-        Zone(1e3 * payloads[0], 1e3 * payloads[1]),
-        Across(0.0, limit=False),
-    ]
+    marks: list[Mark] = [Across(0.0, limit=False)]
+    if payloads is not None:
+        marks.insert(0, Zone(1e3 * payloads[0], 1e3 * payloads[1]))
     for curve in curves:
         name, line = _KINDS[curve.kind]
         marks.append(
             Curve(1e3 * curve.payload, np.degrees(curve.phase_margin), line, name)
         )
-    marks.append(Across(math.degrees(wanted), "requested"))
-    shown = [np.degrees(curve.phase_margin) for curve in curves]
-    panel = Panel("phase margin [°]", Scale.around([0.0], *shown), marks, 280.0)
-    mass = 1e3 * curves[0].payload
+    if wanted is not None:
+        marks.append(Across(math.degrees(wanted), "requested"))
+    panel = Panel("phase margin [°]", marks, 280.0)
     said = "Phase margin over the payload, with more and more of the real loop"
-    x = Scale(float(mass[0]), float(mass[-1]))
-    return Figure(
-        "margins", said, x, (panel,), "payload [g]; shaded: design range", "payload"
-    )
+    name = "payload [g]; shaded: design range"
+    return Figure("margins", said, (panel,), name)
 
 
 def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) -> Figure:
@@ -352,38 +268,25 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
         level += size
     steps.append(("phase margin", 0.0, level, f"{level:.1f}°", 3))
     ends = [end for step in steps for end in step[1:3]]
-    x = Scale(min(0.0, *ends), 1.12 * max(ends))
-    height = 26.0 * len(steps)
-
-    def bars(frame: Frame) -> str:
-        parts = []
-        for row, (name, start, end, text, line) in enumerate(steps):
-            left, right = (
-                float(x.share(v)) for v in (min(start, end), max(start, end))
-            )
-            top = frame.top + 26.0 * row + 4
-            place = f'x="{percent(left)}" width="{percent(right - left)}" y="{top:g}" height="18"'
-            parts.append(f'<rect class="f{line}" {place}/>')
-            parts.append(
-                f'<text class="name" x="-8" y="{top + 13:g}" text-anchor="end">{escaped(name)}</text>'
-            )
-            parts.append(
-                f'<text class="name" x="{percent(right)}" dx="5" y="{top + 13:g}">{text}</text>'
-            )
-        return "".join(parts)
-
-    ticks = tuple((float(k), f"{k}°") for k in range(0, int(x.high) + 1, 45))
+    marks: list[Mark] = []
+    for row, (_, start, end, text, line) in enumerate(steps):
+        marks.append(Box(start, end, row + 0.15, row + 0.85, line))
+        marks.append(Point(max(start, end), row + 0.5, text, sign="", beside="right"))
+    names = tuple((row + 0.5, name) for row, (name, *_) in enumerate(steps))
+    # The first at the top.
+    y = Scale(float(len(steps)), 0.0, ticks=names)
+    high = 1.12 * max(ends)
+    ticks = tuple((float(k), f"{k}°") for k in range(0, int(high) + 1, 45))
     where = "" if payload is None else f" at {grams(payload)}"
-    panel = Panel("", Scale(0.0, 1.0, ticks=()), (), height, bars)
     said = f"Where the phase goes{where}: " + ", ".join(
         f"{name} {text}" for name, *_, text, _ in steps
     )
     return Figure(
         "budget",
         said,
-        Scale(x.low, x.high, ticks=ticks),
-        (panel,),
+        (Panel("", marks, 26.0 * len(steps), y),),
         f"phase at the gain crossover{where}",
+        scale=Scale(min(0.0, *ends), high, ticks=ticks),
         left=168.0,
     )
 
@@ -391,8 +294,9 @@ def budget_figure(shares: Sequence[PhaseShare], payload: float | None = None) ->
 _SETTLING = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
+@figure_of.register
 def map_figure(
-    found: FeasibilityMap,
+    region: FeasibilityMap,
     request: tuple[float, float] | None = None,
     nearest: tuple[float, float] | None = None,
 ) -> Figure:
@@ -402,19 +306,19 @@ def map_figure(
     `request` and `nearest` (ω_c [rad/s], φ_m [rad]): what was asked for, and the
     nearest that can be had.
     """
-    across, up = found.gain_crossover, np.degrees(found.phase_margin)
+    across, up = region.gain_crossover, np.degrees(region.phase_margin)
     x, y = (_edges(values) for values in (across, up))
-    levels = _levels(found.noise_gain)
-    asked = [place for place in (request, nearest) if place is not None]
+    levels = _levels(region.noise_gain)
+    places = [place for place in (request, nearest) if place is not None]
     # Both the refused request and the nearest one must be seen, with some room beyond
     # them, wherever the map ends.
     sx = Scale(
-        min(x[0], *(p[0] for p in asked)) if asked else x[0],
-        max([x[-1], *(1.05 * p[0] for p in asked)]),
+        min(x[0], *(p[0] for p in places)) if places else x[0],
+        max([x[-1], *(1.05 * p[0] for p in places)]),
     )
     sy = Scale(
-        min([y[0], *(math.degrees(p[1]) - 5 for p in asked)]),
-        max([y[-1], *(math.degrees(p[1]) + 5 for p in asked)]),
+        min([y[0], *(math.degrees(p[1]) - 5 for p in places)]),
+        max([y[-1], *(math.degrees(p[1]) + 5 for p in places)]),
     )
     marks: list[Mark] = []
     for settling in _SETTLING:
@@ -433,19 +337,15 @@ def map_figure(
         )
         marks.append(Point(nearest[0], math.degrees(nearest[1]), near, sign="ring"))
     with np.errstate(invalid="ignore"):
-        table = np.digitize(np.nan_to_num(found.noise_gain, nan=0.0), levels)
-    table = np.where(np.isfinite(found.noise_gain), table, -1)
-    edge = _outline(x, y, found.feasible)
-    panel = Panel(
-        "phase margin at the lightest payload [°]",
-        sy,
-        (Cells(x, y, table), *edge, *marks),
-        330.0,
-    )
+        table = np.digitize(np.nan_to_num(region.noise_gain, nan=0.0), levels)
+    table = np.where(np.isfinite(region.noise_gain), table, -1)
+    edge = _outline(x, y, region.feasible)
+    marks = [Cells(x, y, table), *edge, *marks]
+    panel = Panel("phase margin at the lightest payload [°]", marks, 330.0, sy)
     key = ("noise gain", *_ranges(levels))
     said = f"Feasible requests in colours of their noise gain: {', '.join(key[1:])}; upright: 2π/ω_c"
     name = "gain crossover at the heaviest payload [rad/s]; upright: 2π/ω_c"
-    return Figure("map", said, sx, (panel,), name, "map", key=key)
+    return Figure("map", said, (panel,), name, "map", sx, key=key)
 
 
 def _outline(x: Real, y: Real, feasible: NDArray[np.bool_]) -> list[Mark]:

@@ -20,6 +20,7 @@ __all__ = [
     "Across",
     "Band",
     "Bars",
+    "Box",
     "Cells",
     "Curve",
     "Dots",
@@ -28,7 +29,7 @@ __all__ = [
     "Mark",
     "Point",
 ]
-__all__ += ["Upright", "Zone", "escaped", "percent"]
+__all__ += ["Upright", "Zone", "escaped", "percent", "reach"]
 
 Real = NDArray[np.float64]
 
@@ -210,11 +211,13 @@ class Band:
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars from zero, `edges` one more than `heights`."""
+    """Bars from `base`, `edges` one more than `heights`."""
 
     edges: ArrayLike
     heights: ArrayLike
     line: int = 1
+    name: str = ""
+    base: float = 0.0
 
     def drawn(self, frame: Frame) -> Layers:
         """One outline of all bars."""
@@ -225,10 +228,29 @@ class Bars:
         x = np.repeat(edges, 2)
         # As one outline neighbours share their side: bars of their own would leave
         # hairlines between them.
-        y = np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+        y = np.concatenate([[self.base], np.repeat(heights, 2), [self.base]])
         return Layers(
             below=f'<path class="b{self.line} full" d="{frame.path(x, y)}z"/>'
         )
+
+
+@dataclass(frozen=True)
+class Box:
+    """A rectangle between values of both scales."""
+
+    left: float
+    right: float
+    low: float
+    high: float
+    line: int = 1
+
+    def drawn(self, frame: Frame) -> Layers:
+        """It lies on the panel, and keeps its edges in any width."""
+        left, right = (float(frame.x.share(v)) for v in (self.left, self.right))
+        top, bottom = sorted((frame.down(self.low), frame.down(self.high)))
+        place = f'x="{percent(min(left, right))}" width="{percent(abs(right - left))}"'
+        size = f'y="{top}" height="{round(bottom - top, 1)}"'
+        return Layers(above=f'<rect class="f{self.line}" {place} {size}/>')
 
 
 @dataclass(frozen=True)
@@ -328,28 +350,31 @@ class Upright:
 
 @dataclass(frozen=True)
 class Point:
-    """One place with a sign, "dot", "cross" or "ring", and a text beside it."""
+    """One place with a sign, "dot", "cross", "ring" or none, and a text beside it."""
 
     x: float
     y: float
     text: str = ""
     line: int = 0
     sign: str = "dot"
+    beside: Literal["", "left", "right"] = ""  # where there is more room
 
     def drawn(self, frame: Frame) -> Layers:
         """The sign in its own small system of dots, so that it keeps its shape."""
         x, y = frame.across(self.x), frame.down(self.y)
         shapes = {
+            "": "",
             "dot": f'<circle class="f{self.line}" r="4"/>',
             "ring": f'<circle class="c{self.line} ring" r="6"/>',
             "cross": f'<path class="c{self.line} cross" d="M-6-6l12 12m0-12l-12 12"/>',
         }
         # No width of a text is known here, since the page's typeface is the reader's:
         # the side with more room is the guess that rarely runs out of the drawing.
-        left = float(frame.x.share(self.x)) > _ASIDE
+        roomy = float(frame.x.share(self.x)) > _ASIDE
+        left = self.beside == "left" or (not self.beside and roomy)
         side = 'text-anchor="end" x="-9"' if left else 'x="9"'
         text = (
-            f'<text class="halo name" {side} y="-5">{escaped(self.text)}</text>'
+            f'<text class="halo name" {side} y="{4 if self.beside else -5}">{escaped(self.text)}</text>'
             if self.text
             else ""
         )
@@ -358,4 +383,16 @@ class Point:
         )
 
 
-Mark = Curve | Dots | Band | Bars | Cells | Zone | Across | Upright | Point
+Mark = Curve | Dots | Band | Bars | Box | Cells | Zone | Across | Upright | Point
+
+
+def reach(mark: Mark) -> tuple[tuple[ArrayLike, ...], tuple[ArrayLike, ...]]:
+    """Return what a mark has to show of the horizontal and of the vertical scale."""
+    match mark:
+        case Curve() | Dots() | Point():
+            return (mark.x,), (mark.y,)
+        case Band():
+            return (mark.x,), (mark.low, mark.high)
+        case Across():
+            return (), (mark.value,)
+    return (), ()

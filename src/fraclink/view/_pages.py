@@ -9,28 +9,14 @@ from functools import cache
 from importlib.resources import files
 
 from fraclink import __version__
+from fraclink._display import marked
 from fraclink.errors import MissingExtraError
-from fraclink.view._tables import proof_sentence, proof_table
-from fraclink.view._text import marked, sentence
+from fraclink.view._text import grid_of, sentence
 
 __all__ = ["DARK", "DASHES", "LIGHT", "LINES", "colours", "literal"]
-__all__ += ["rendered", "squeezed", "template_text", "tightened"]
+__all__ += ["rendered", "squeezed", "template_text"]
 
 _FOLDER = files("fraclink.view") / "templates"
-# What a script is made of, as far as its spaces matter. A template holds at most one
-# more inside of it.
-_TEMPLATE = (
-    r"`(?:\\.|[^`\\$]|\$(?!\{)|\$\{(?:[^`{}]|`(?:\\.|[^`\\])*`|\{[^{}]*\})*\})*`"
-)
-_PARTS = re.compile(
-    r"(?P<comment>//[^\n]*|/\*.*?\*/)|(?P<space>\s+)"
-    r"|(?P<text>'(?:\\.|[^'\\\n])*'|\"(?:\\.|[^\"\\\n])*\"|" + _TEMPLATE + r")"
-    # Behind a sign that a value follows, with a space or without, a stroke begins a
-    # pattern; else it divides.
-    r"|(?P<pattern>(?:(?<=[(,=:!&|?])|(?<=[(,=:!&|?] ))"
-    r"/(?:\\.|\[(?:\\.|[^\]\\])*\]|[^/\\\n\[])+/)|(?P<code>[\w$]+|.)",
-    re.DOTALL,
-)
 
 
 def template_text(name: str) -> str:
@@ -49,59 +35,6 @@ def squeezed(name: str) -> str:
     )
     lines = (line.strip() for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines if line and not line.startswith("//"))
-
-
-def tightened(script: str) -> str:
-    """Return a script without its comments, and without the spaces and signs that
-    separate nothing.
-
-    It must be written with a semicolon behind every statement but a block, and without
-    empty bodies of loops.
-
-    >>> tightened("const a = (b) => { return `${b} + 1`; }; // twice\\n  f( a,\\n  'x y' );\\n")
-    "const a=b=>{return`${b} + 1`};f(a,'x y');\\n"
-    """
-    found, gap = [""], ""
-    for part in _PARTS.finditer(script):
-        text = part[0]
-        if part.lastgroup in ("comment", "space"):
-            gap = "\n" if "\n" in text or gap == "\n" else " "
-            continue
-        # What stands between two tokens is decided when the second is known: a space
-        # only between two words or two equal signs, `a - -b`, and a line break only
-        # where it may end a statement.
-        before, after = found[-1][-1:], text[0]
-        if gap == "\n" and _may_end(before, after):
-            found.append("\n")
-        elif gap and (
-            (_is_word(before) and _is_word(after))
-            or (before == after and after in "+-")
-        ):
-            found.append(" ")
-        # The last comma of a list and the last semicolon of a block separate nothing.
-        # In an empty for (;;) both count, which is why scripts are written without.
-        if text in ("}", "]", ")") and found[-1] == ("," if text != "}" else ";"):
-            found.pop()
-        found.append(text)
-        gap = ""
-        if (
-            found[-5:-4] == ["("]
-            and found[-3:] == [")", "=", ">"]
-            and not _is_word(found[-6][-1:])
-        ):
-            del found[-5], found[-3]  # of the one parameter of a function
-    return "".join(found) + "\n"
-
-
-def _may_end(before: str, after: str) -> bool:
-    """Whether a line break between these may be all that separates two statements."""
-    if before == "}" and _is_word(after):
-        return False
-    return before not in ";{,([=:?&|<>" and after not in "})],.;:?&|"
-
-
-def _is_word(character: str) -> bool:
-    return character == "$" or character.isalnum() or character == "_"
 
 
 def rendered(template: str, **contents: object) -> str:
@@ -125,8 +58,7 @@ def rendered(template: str, **contents: object) -> str:
     environment.filters |= {
         "sentence": sentence,
         "marked": marked,
-        "proof_sentence": proof_sentence,
-        "proof_table": proof_table,
+        "grid": grid_of,
     }
     return environment.get_template(template).render(version=__version__, **contents)
 
@@ -147,10 +79,10 @@ def colours(theme: int = LIGHT) -> dict[str, str]:
     >>> colours()["card"], colours(DARK)["card"]
     ('#ffffff', '#131920')
     """
-    found = re.findall(
+    pairs = re.findall(
         r"--([\w-]+): light-dark\((#\w{6}), (#\w{6})\)", template_text("palette.css")
     )
-    return {name: values[theme] for name, *values in found}
+    return {name: values[theme] for name, *values in pairs}
 
 
 def literal(style: str, theme: int = LIGHT) -> str:

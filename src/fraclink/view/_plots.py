@@ -1,10 +1,5 @@
-"""Plots of loops, responses and designs: each draws into `ax` (or new axes) and returns
-the axes.
-
-Conventions of python-control: dB, degrees, rad/s, one curve for each system. Unlike
-there, the grid refines itself where the drawn curve bends, and the phase starts on the
-sheet of the low-frequency slope: a lead s^0.65 is drawn at 58.5° and not at −301.5°.
-matplotlib is imported at the first plot.
+"""Plots of steps, margins over the payload, the phase budget and a run's clock, into
+axes of matplotlib.
 """
 
 from __future__ import annotations
@@ -17,27 +12,21 @@ import numpy as np
 
 from fraclink._design.assess import MarginCurve, PhaseShare
 from fraclink.errors import FieldError
-from fraclink.view._axes import finish, labelled, new_axes, tint
-from fraclink.view._bode import bode, margin_plot
-from fraclink.view._planes import nichols, nyquist
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._loops import budget_figure, margin_curves_figure
+from fraclink.view._marks import Bars, Curve, Mark, Upright
+from fraclink.view._matplotlib import on_axes
+from fraclink.view._responses import line_of, named
+from fraclink.view._scales import Scale
 from fracsys._fractional import FractionalTransferFunction
-from fracsys._loops import FractionalLoop
+from fracsys._loops import as_loop
 from fracsys._response import step_response
 from fracsys._stability import poles
 
 if TYPE_CHECKING:
     from fraclink.lab._run import RealtimeRun
 
-__all__ = [
-    "bode",
-    "latency",
-    "margin_plot",
-    "margins_against_payload",
-    "nichols",
-    "nyquist",
-    "phase_shares",
-    "step_plot",
-]
+__all__ = ["latency", "margins_against_payload", "phase_shares", "step_plot"]
 
 _POINTS = 1000
 _TIMES = 8.0  # time constants of the slowest pole: what is left of it is 3e-4
@@ -73,7 +62,7 @@ def step_plot(
     >>> axis.get_xlabel()
     'time [s]'
     """
-    named = labelled(systems, labels)
+    names = named(systems, labels)
     if duration is None:
         duration = max(_duration(system) for system in systems)
     if not (math.isfinite(duration) and duration > 0):
@@ -84,12 +73,18 @@ def step_plot(
             allowed="> 0 s",
             remedy="give the seconds to show",
         )
-    ax = new_axes() if ax is None else ax
     time = np.linspace(0.0, duration, _POINTS)
-    for system, label in named:
-        ax.plot(time, step_response(system, time).output, label=label, **style)
-    ax.set(xlabel="time [s]", ylabel="step response", xlim=(0, duration))
-    return finish(ax, labels)
+    curves = [
+        Curve(time, step_response(system, time).output, line_of(k), name)
+        for k, (system, name) in enumerate(zip(systems, names, strict=True))
+    ]
+    figure = Figure(
+        "step",
+        "Step responses",
+        (Panel("step response", curves, 230.0),),
+        "time [s]",
+    )
+    return on_axes(figure, ax, **style)
 
 
 def _duration(system: FractionalTransferFunction) -> float:
@@ -105,19 +100,8 @@ def _duration(system: FractionalTransferFunction) -> float:
             return float(_TIMES / rates[rates > 0].min()) + 2 * delay
     # Without a stable pole, as for 1/(s^0.5 + 1), the lowest corner frequency is the
     # only time there is.
-    low, _ = FractionalLoop.of(system, None).span
+    low, _ = as_loop(system, None).span
     return _TIMES / math.exp(low) + 2 * delay
-
-
-_NAMES = {
-    "ideal": "L: Ĉ·G alone",
-    "motor": "LM: with filter and M(s)",
-    "loop": "with hold and delay, too",
-    "sampled": "sampled, with the shipped law",
-}
-# The sampled loop lies on the continuous one to a fraction of a degree: dots on a line
-# show both.
-_STYLES = {"ideal": ":", "motor": "--", "loop": "-", "sampled": "."}
 
 
 def margins_against_payload(
@@ -144,7 +128,7 @@ def margins_against_payload(
     --------
     >>> import fraclink as fl
     >>> from fraclink._design.assess import margin_curve
-    >>> from fraclink.view._plots import margins_against_payload
+    >>> from fraclink.view import margins_against_payload
     >>> rig = fl.Rig.named("paper-2023")
     >>> design = fl.design(rig.model, rig, gain_crossover=12.0, phase_margin=fl.deg(50))
     >>> axis = margins_against_payload([margin_curve(design, [0.02, 0.03, 0.04])])
@@ -159,23 +143,7 @@ def margins_against_payload(
             allowed="one curve or more",
             remedy="call margin_curve",
         )
-    ax = new_axes() if ax is None else ax
-    if payloads is not None:
-        ax.axvspan(*(1e3 * mass for mass in payloads), color=tint(ax, "zone"), zorder=0)
-    if wanted is not None:
-        ax.axhline(math.degrees(wanted), color=tint(ax, "quiet"), linewidth=0.8)
-    ax.axhline(0.0, color=tint(ax, "ink"), linewidth=0.8)
-    for curve in curves:
-        ax.plot(
-            1e3 * np.asarray(curve.payload),
-            np.degrees(curve.phase_margin),
-            _STYLES.get(curve.kind, "-"),
-            markersize=4,
-            **({"color": tint(ax, "ink")} if curve.kind == "sampled" else {}),
-            label=_NAMES.get(curve.kind, curve.kind),
-        )
-    ax.set(xlabel="payload [g]", ylabel="phase margin [°]")
-    return finish(ax, [curve.kind for curve in curves])
+    return on_axes(margin_curves_figure(curves, payloads, wanted), ax)
 
 
 def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
@@ -191,9 +159,9 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
     Examples
     --------
     >>> from fraclink._design.assess import PhaseShare
-    >>> from fraclink.view._plots import phase_shares
+    >>> from fraclink.view import phase_shares
     >>> axis = phase_shares([PhaseShare("link", -2.9), PhaseShare("derivative", 1.0)])
-    >>> [text.get_text() for text in axis.get_xticklabels()][-1]
+    >>> [text.get_text() for text in axis.get_yticklabels()][-1]
     'phase margin'
     """
     if not shares:
@@ -204,34 +172,7 @@ def phase_shares(shares: Sequence[PhaseShare], *, ax: Any = None) -> Any:
             allowed="one share or more",
             remedy="call phase_budget",
         )
-    ax = new_axes() if ax is None else ax
-    level, names = 180.0, ["180°", *(share.element for share in shares), "phase margin"]
-    ax.bar(0, level, color=tint(ax, "rule"))
-    for place, share in enumerate(shares, start=1):
-        step = math.degrees(share.phase)
-        ax.bar(
-            place,
-            step,
-            bottom=level,
-            color=tint(ax, "line-2" if step < 0.0 else "line-1"),
-        )
-        _label(ax, place, max(level, level + step), f"{step:+.1f}°")
-        level += step
-    ax.bar(len(shares) + 1, level, color=tint(ax, "line-3"))
-    _label(ax, len(shares) + 1, max(level, 0.0), f"{level:.1f}°")
-    ax.axhline(0.0, color=tint(ax, "ink"), linewidth=0.8)
-    ax.set_xticks(range(len(names)), names, rotation=25, ha="right")
-    ax.set(ylabel="phase [°]")
-    ax.set_ylim(top=195.0)
-    ax.grid(True, axis="y", color=tint(ax, "faint"))
-    ax.set_axisbelow(True)
-    return ax
-
-
-def _label(ax: Any, place: int, top: float, text: str) -> None:
-    ax.annotate(
-        text, (place, top), (0, 3), textcoords="offset points", ha="center", fontsize=8
-    )
+    return on_axes(budget_figure(shares), ax)
 
 
 _BINS = 80  # over some four decades: a factor of 1.12 each
@@ -258,35 +199,26 @@ def latency(run: RealtimeRun, *, ax: Any = None) -> Any:
     >>> from fraclink.lab._connections import Callback
     >>> from fraclink.lab._loop import run_realtime
     >>> rig = fl.Rig.named("paper-2023")
-    >>> law = fl.discretize(fl.Controller(gain=0.069876, order=0.612197, link=rig.model), rig.period, order=4)
+    >>> controller = fl.Controller(derivative_gain=0.069876, derivative_order=0.612197, link=rig.model)
+    >>> law = fl.discretize(controller, rig.period, order=4)
     >>> at_rest = Callback(read=lambda: (0.0, 0.0), write=lambda command: None)
     >>> run = run_realtime(law, fl.extend.hold(0.0), at_rest, duration=0.04, priority=0, lock_memory=False)
     >>> latency(run).get_xlabel()
     'time [µs]'
     """
-    ax = new_axes() if ax is None else ax
     # Up to twice the largest time, be it late: every period must have its bar.
-    longest = max(
-        run.period, *(float(np.max(x, initial=0.0)) for x in (run.latency, run.work))
-    )
-    bins = 1e6 * np.geomspace(_LEAST, 2 * longest, _BINS)
-    for label, values in (
-        ("wake-up latency", run.latency),
-        ("computing time", run.work),
-    ):
-        # A time of zero has no place on a logarithmic axis and counts as the smallest:
-        # no period is lost.
-        ax.hist(1e6 * np.maximum(values, _LEAST), bins=bins, label=label, alpha=0.8)
-    ax.axvline(
-        1e6 * run.period,
-        color=tint(ax, "quiet"),
-        linestyle="--",
-        linewidth=1.0,
-        label="period",
-    )
-    # Limits before scales: an axis that scales itself warns of a run that ended before
-    # its first period.
-    ax.set_ylim(0.5, 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1))
-    ax.set(xscale="log", yscale="log", xlabel="time [µs]", ylabel="periods")
-    ax.legend(loc="best", fontsize="small")
-    return ax
+    times = {"wake-up latency": run.latency, "computing time": run.work}
+    ends = (float(np.max(x, initial=0.0)) for x in times.values())
+    bins = 1e6 * np.geomspace(_LEAST, 2 * max(run.period, *ends), _BINS)
+    # A time of zero has no place on a logarithmic axis and counts as the smallest: no
+    # period is lost.
+    marks: list[Mark] = [
+        Bars(bins, np.histogram(1e6 * np.maximum(x, _LEAST), bins)[0], line, name, 0.5)
+        for line, (name, x) in enumerate(times.items(), 1)
+    ]
+    marks.append(Upright(1e6 * run.period, "period"))
+    most = 10 ** math.ceil(math.log10(max(len(run.latency), 1)) + 0.1)
+    panel = Panel("periods", marks, 230.0, Scale(0.5, most, log=True))
+    x = Scale(float(bins[0]), float(bins[-1]), log=True)
+    said = "How late the loop woke up, and how long its work took"
+    return on_axes(Figure("latency", said, (panel,), "time [µs]", scale=x), ax)

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from fraclink._design import Design
-from fraclink._design.assess import phase_budget
-from fraclink._design.feasibility import feasibility_map
+from fraclink._design.assess import feasibility_map, phase_budget
+from fraclink._display import Row, Table, number, source_name, state_of
 from fraclink._files import write_text
 from fraclink.errors import FieldError
 from fraclink.trials._campaign import Campaign
@@ -30,12 +30,13 @@ from fraclink.view._arm_box import arm_box, page_hash
 from fraclink.view._drawing import Figure
 from fraclink.view._pages import rendered, squeezed
 from fraclink.view._sketches import arm_sketch
-from fraclink.view._text import Table, number
 
 __all__ = ["render_report", "write_campaign_report", "write_report"]
 
+Figures = Table | tuple[Row, ...]
+
 _PAYLOADS = 15  # of the arm that moves: 40 kB of a report of 700
-_MAP = 48  # cells of the map of an infeasible request, each way
+_MAP = 12  # cells of the map of an infeasible request, each way: one search each
 
 
 def write_report(
@@ -66,7 +67,7 @@ def render_report(
     True
     """
     name = study.rig.name if study.rig else "unnamed rig"
-    source = tables.source_name(study.experiment)
+    source = source_name(study.experiment.source if study.experiment else "")
     verdict, design = study.verdict, study.design
     model = (
         design.model
@@ -92,9 +93,8 @@ def render_report(
         zone=_zone(design),
         source=source,
         verdict=verdict,
-        headline=tables.verdict_sentence(verdict),
-        scopes=tables.scopes(verdict),
-        in_short=tables.summary_rows(study),
+        headline=study.sentence,
+        in_short=study.rows,
         tables=_tables(study),
         sketch=_inline(arm_sketch(words.sketch_notes(study.rig, model)))
         if study.rig
@@ -106,7 +106,7 @@ def render_report(
         log_findings=[
             finding for finding in study.findings if not finding.code.startswith("W1")
         ],
-        coincidence=tables.coincidence(study.fits),
+        notes=study.comparison.overview().notes if study.comparison else (),
         faults=_faults(study),
         figures=drawn,
         on_paper=[_copy(drawn[name]) for name in ("margins", "moves") if name in drawn],
@@ -150,10 +150,10 @@ def _faults(study: Study) -> Mapping[str, Any] | None:
     if study.faults is None:
         return None
     return {
-        "columns": fleets.fault_columns(study.faults),
+        "columns": fleets.fault_columns(study.faults).values(),
         "counts": fleets.fault_counts(study.faults),
         "rows": fleets.fault_rows(study.faults),
-        "sentence": tables.faults_sentence(study.faults),
+        "sentence": study.faults.sentence,
         "command": study.faults.about.get("command", ""),
     }
 
@@ -171,28 +171,30 @@ def _files(study: Study) -> list[tuple[str, str]]:
     return [(name, what) for name, what, part in known if part is not None]
 
 
-def _tables(study: Study) -> Mapping[str, Table]:
+def _tables(study: Study) -> Mapping[str, Figures]:
     """The tables of the sections that there are."""
-    found: dict[str, Table] = {}
+    sections: dict[str, Figures] = {}
     if study.rig is not None:
-        found["rig"] = tables.rig_table(study.rig)
+        sections["rig"] = study.rig.overview().rows
     if study.experiment is not None:
-        found["log"] = tables.log_table(study.experiment)
-    if study.fits:
-        found["models"] = tables.fits_table(study.fits)
+        sections["log"] = study.experiment.overview().rows
+    if study.comparison is not None:
+        sections["models"] = study.comparison.table
+    elif study.fit is not None:
+        sections["models"] = study.fit.rows
     if study.design is not None:
         payloads = [
             loops.BEYOND * study.design.payloads[0],
             *loops.payloads_of(study.design),
         ]
-        found["controller"] = tables.controller_table(study.design, study.law)
-        found["requirements"] = tables.requirements_table(study.design.requirements)
-        found["margins"] = tables.margins_table(study.design, payloads)
+        sections["controller"] = tables.controller_rows(study.design, study.law)
+        (sections["requirements"],) = study.design.overview().tables
+        sections["margins"] = tables.margins_table(study.design, payloads)
     if study.runs:
-        found["moves"] = tables.moves_table(study.runs)
+        sections["moves"] = Table.of("", (run.rows for run in study.runs))
     if study.arms is not None:
-        found["arms"] = tables.spread_table(study.arms)
-    return found
+        (sections["arms"],) = study.arms.overview().tables
+    return sections
 
 
 def _figures(study: Study) -> dict[str, Figure]:
@@ -250,10 +252,10 @@ def _map(study: Study) -> Figure | None:
     margins = np.linspace(
         math.radians(10.0), max(math.radians(100.0), 1.1 * max(angles)), _MAP
     )
-    found = feasibility_map(
+    region = feasibility_map(
         model, study.rig, gain_crossovers=crossovers, phase_margins=margins
     )
-    return loops.map_figure(found, places[0], places[1])
+    return loops.map_figure(region, places[0], places[1])
 
 
 def write_campaign_report(
@@ -268,21 +270,18 @@ def write_campaign_report(
     # Failures are drawn over the two parameters that matter most, or chance would fill
     # the map.
     drivers = fleets.strongest(summary)
-    first, second, passed, *values = columns(
-        campaign, folder, *drivers, "passed", *names
-    )
+    first, second, passed, *values = columns(folder, *drivers, "passed", *names)
     titles = tuple(name.replace("_", " ") for name in drivers)
-    worst = tuple(
+    worst = (
         (
-            tables.metric_name(m.name),
-            tables.metric_text(m.name, value),
-            f"fraclink campaign replay {folder} --run {run}",
+            Row("", "metric", m.name.replace("_", " ")),
+            m.row("value", value),
+            Row("", "command", f"fraclink replay {folder} --run {run}"),
         )
         for m in summary.metrics
         for run, value in m.worst[:2]
         if m.name != "saturated"
     )
-    parameters, rows = fleets.driver_rows(summary)
     failures = fleets.failures_figure(
         first.astype(float),
         second.astype(float),
@@ -295,22 +294,23 @@ def write_campaign_report(
         campaign=campaign,
         given=summary.given,
         failure=summary.failure,
-        state=tables.state_of(summary),
+        state=state_of(summary.passed),
         left_out=summary.left_out,
         pointer=_pointer(script=True),
         tables={
-            "spread": tables.spread_table(summary),
-            "worst": Table(("metric", "value", "command"), worst),
+            "spread": summary.overview().tables[0],
+            "worst": Table.of("", worst),
         },
-        parameters=parameters,
-        drivers=rows,
         spread=[
             drawn.inline()
             for drawn in fleets.spread_figures(
-                dict(zip(names, map(np.asarray, values), strict=True))
+                summary, dict(zip(names, map(np.asarray, values), strict=True))
             )
         ],
-        figures={"failures": failures.inline()},
+        figures={
+            "failures": failures.inline(),
+            "drivers": _inline(fleets.drivers_figure(summary)),
+        },
     )
     write_text(path, text)
     return Path(path)

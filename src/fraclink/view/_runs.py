@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,11 @@ from numpy.typing import NDArray
 
 from fraclink._law import MODES
 from fraclink._simulate import Run
-from fraclink._simulate.shaped_move import ShapedMove
-from fraclink.trials._faults import Bench, Evidence, Outcome, fault_named, observe
-from fraclink.view._drawing import Figure, Panel
+from fraclink._simulate.shape import ShapedMove
+from fraclink.trials._fault_checks import Evidence
+from fraclink.trials._fault_trial import Bench
+from fraclink.trials._faults import Outcome, fault_named, observe
+from fraclink.view._drawing import Figure, Panel, figure_of
 from fraclink.view._marks import Across, Curve, Mark, Upright, Zone
 from fraclink.view._pages import LINES
 from fraclink.view._scales import Scale, envelope
@@ -60,71 +63,70 @@ def moves_figure(runs: Sequence[Run]) -> Figure:
         ("gauge Γ [N·m]", torque, 90.0),
         ("motor [V]", voltage, 90.0),
     )
-    panels = [
-        Panel(label, _scale(marks), marks, height) for label, marks, height in rows
-    ]
-    x = Scale(float(first.time[0]), float(first.time[-1]))
+    panels = [Panel(*row) for row in rows]
     said = "Tip angle, tip error, torque and voltage of the simulated moves"
-    return Figure("moves", said, x, panels, "time [s]", "time")
+    return Figure("moves", said, panels, "time [s]", "time")
 
 
-def _scale(marks: Sequence[Mark]) -> Scale:
-    return Scale.around(
-        *(np.asarray(mark.y) for mark in marks if isinstance(mark, Curve))
-    )
+@figure_of.register
+def _run(run: Run) -> Figure:
+    return moves_figure([run])
 
 
-def shaped_figure(made: ShapedMove) -> Figure:
-    """Draw reference and tips, the reference's acceleration, and the voltages of the
-    runs that are kept.
+@figure_of.register
+def shaped_figure(move: ShapedMove) -> Figure:
+    """Draw the reference and the tips of the arms of the set, the reference's
+    acceleration, and the voltages.
     """
-    reference, time = made.reference, made.period * np.arange(made.tip_angle.shape[1])
-    # what comes after twice the move is rest and noise
+    reference, time = move.reference, move.period * np.arange(move.tip_angle.shape[1])
     # Half of the picture for the move, half for what it leaves behind.
     end = min(float(time[-1]), 2.0 * reference.duration)
     part = time <= end * (1 + 1e-9)
     time = time[part]
     tip: list[Mark] = []
-    if made.target is None:
-        tip.append(
-            Zone((1 - _BAND) * made.amplitude, (1 + _BAND) * made.amplitude, lying=True)
-        )
-        if math.isfinite(made.settling_time) and made.settling_time < end:
-            tip.append(Upright(made.settling_time, "settled"))
+    if move.target is None:
+        low, high = (1 - _BAND) * move.amplitude, (1 + _BAND) * move.amplitude
+        tip.append(Zone(low, high, lying=True))
+        if math.isfinite(move.settling_time) and move.settling_time < end:
+            tip.append(Upright(move.settling_time, "all settled"))
     else:
-        tip.append(Curve(*envelope(time, made.target.angle(time)), 0, "path"))
+        tip.append(Curve(*envelope(time, move.target.angle(time)), 0, "path"))
     tip.append(
         Curve(*envelope(time, reference.angle(time)), 0, "reference", dashed=True)
     )
     # The acceleration shows how a shaped move differs from a smooth one, which angles
     # do not.
     push = [Curve(*envelope(time, reference.acceleration(time)), 0)]
-    voltage: list[Mark] = [Across(made.voltage, "limit"), Across(-made.voltage)]
-    for line, payload, angle, volts in zip(
-        LINES, made.shown, made.tip_angle, made.motor_voltage, strict=False
+    voltage: list[Mark] = [Across(move.voltage, "limit"), Across(-move.voltage)]
+    for line, arm, angle, volts in zip(
+        LINES,
+        move.worst_case.arms,
+        move.tip_angle,
+        move.motor_voltage,
+        strict=False,
     ):
-        tip.append(Curve(*envelope(time, angle[part]), line, grams(payload)))
+        words = f"{arm.arm}, {grams(arm.payload)}"
+        tip.append(Curve(*envelope(time, angle[part]), line, words))
         voltage.append(Curve(*envelope(time, volts[part]), line, weight="thin"))
-    edge = 1.1 * made.voltage if math.isfinite(made.voltage) else _scale(voltage).high
     panels = (
-        Panel("tip angle θt [rad]", _scale(tip), tip, 200.0),
-        Panel("acceleration of the reference [rad/s²]", _scale(push), push, 100.0),
-        Panel("motor [V]", Scale(-edge, edge), voltage, 100.0),
+        Panel("tip angle θt [rad]", tip, 200.0),
+        Panel("acceleration of the reference [rad/s²]", push, 100.0),
+        Panel("motor [V]", voltage, 100.0),
     )
     said = "Tip angle, acceleration of the reference and voltage of a shaped move"
-    return Figure("shaped", said, Scale(0.0, end), panels, "time [s]", "time")
+    return Figure("shaped", said, panels, "time [s]", "time")
 
 
 def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
     """Run a case again and draw it: tip, motor and gauge beside the clean run, and what
     the law did.
     """
-    e = observe(bench, outcome.case, bench.law.in_precision("double"))
+    e = observe(bench, outcome.case)
     title = f"{outcome.name}: {fault_named(outcome.case.fault).title}"
     verdict = str(outcome.failed[0]) if outcome.failed else "passed"
     event = float(e.row * e.law.period)
     gauge: list[Mark] = [
-        Curve(*envelope(e.faulty.time, e.faulty.gauge), 2, "gauge", "thin"),
+        Curve(*envelope(e.faulty.time, e.faulty.torque_measured), 2, "gauge", "thin"),
         Curve(*envelope(e.faulty.time, e.faulty.torque), 0, "true"),
     ]
     modes = Scale(
@@ -136,25 +138,17 @@ def outcome_figure(bench: Bench, outcome: Outcome) -> Figure:
     # would be a third.
     time, mode = np.repeat(e.faulty.time, 2)[1:], np.repeat(e.faulty.mode, 2)[:-1]
     rows = (
-        Panel(f"{title}. Tip angle [rad]", *_tip(e), 190.0),
-        Panel("motor [rad]", *_motor(e), 120.0),
-        Panel("torque [N·m]", _scale(gauge), gauge, 110.0),
-        Panel("mode of the law", modes, [Curve(time, mode, 1)], 60.0),
+        Panel(f"{title}. Tip angle [rad]", _tip(e), 190.0),
+        _motor(e),
+        Panel("torque [N·m]", gauge, 110.0),
+        Panel("mode of the law", [Curve(time, mode, 1)], 60.0, modes),
     )
     panels = tuple(
-        Panel(p.label, p.y, [*p.marks, Upright(event, "" if k else "fault")], p.height)
-        for k, p in enumerate(rows)
+        replace(panel, marks=[*panel.marks, Upright(event, "" if k else "fault")])
+        for k, panel in enumerate(rows)
     )
-    x = Scale(float(e.faulty.time[0]), float(e.faulty.time[-1]))
-    return Figure(
-        "outcome",
-        f"{title}; {verdict}",
-        x,
-        panels,
-        f"time [s]; {verdict}",
-        "time",
-        left=66.0,
-    )
+    said, under = f"{title}; {verdict}", f"time [s]; {verdict}"
+    return Figure("outcome", said, panels, under, "time", left=66.0)
 
 
 def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
@@ -166,24 +160,29 @@ def draw_outcome(bench: Bench, outcome: Outcome, path: Path | str) -> None:
     outcome_figure(bench, outcome).save(path)
 
 
-def _tip(e: Evidence) -> tuple[Scale, list[Mark]]:
-    marks: list[Mark] = [
-        Curve(*envelope(e.faulty.time, e.faulty.wanted), 0, "reference", dashed=True),
-        Curve(*envelope(e.clean.time, e.clean.tip), 2, "clean"),
-        Curve(*envelope(e.faulty.time, e.faulty.tip), 1, "faulty"),
+def _tip(e: Evidence) -> list[Mark]:
+    time, reference = e.faulty.time, e.faulty.reference
+    return [
+        Curve(*envelope(time, reference), 0, "reference", dashed=True),
+        Curve(*envelope(e.clean.time, e.clean.tip_angle), 2, "clean"),
+        Curve(*envelope(time, e.faulty.tip_angle), 1, "faulty"),
     ]
-    return _scale(marks), marks
 
 
-def _motor(e: Evidence) -> tuple[Scale, list[Mark]]:
+def _motor(e: Evidence) -> Panel:
     # By the true angle and not by the encoder's, which is what is broken; 0.1 rad of
     # room even beside an arm that stands.
-    low, high = float(e.faulty.motor.min()), float(e.faulty.motor.max())
+    low, high = float(e.faulty.motor_angle.min()), float(e.faulty.motor_angle.max())
     edge = 0.2 * max(high - low, 0.5)
     marks: list[Mark] = [
-        Curve(*envelope(e.faulty.time, e.faulty.motor), 0, "true"),
-        Curve(*envelope(e.faulty.time, e.faulty.encoder), 2, "encoder", "thin"),
-        Curve(*envelope(e.faulty.time, e.faulty.command), 1, "reference"),
+        Curve(*envelope(e.faulty.time, e.faulty.motor_angle), 0, "true"),
+        Curve(
+            *envelope(e.faulty.time, e.faulty.motor_angle_measured),
+            2,
+            "encoder",
+            "thin",
+        ),
+        Curve(*envelope(e.faulty.time, e.faulty.motor_reference), 1, "reference"),
     ]
     # an encoder in degrees would flatten everything else
-    return Scale(low - edge, high + edge), marks
+    return Panel("motor [rad]", marks, 120.0, Scale(low - edge, high + edge))

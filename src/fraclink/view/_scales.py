@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fraclink.view._text import number
+from fraclink._display import number
 
 __all__ = ["Scale", "envelope", "nice_ticks"]
 
@@ -85,7 +85,11 @@ class Scale:
 
     @classmethod
     def around(
-        cls, *values: ArrayLike, least: float = 0.0, room: float = 0.06
+        cls,
+        *values: ArrayLike,
+        least: float = 0.0,
+        room: float = 0.06,
+        log: bool = False,
     ) -> Scale:
         """A scale that shows all finite values, at least `least` of them, with some
         room beside them.
@@ -102,7 +106,7 @@ class Scale:
         # value, or 1 where that is nothing, beside it.
         still = 0.05 * abs(high) or 1.0 if high - low <= 1e-9 * abs(high) else 0.0
         spare = max(0.5 * (least - (high - low)), room * (high - low), still)
-        return cls(low - spare, high + spare)
+        return cls(low - spare, high + spare, log)
 
 
 def nice_ticks(low: float, high: float, most: int) -> tuple[tuple[float, str], ...]:

@@ -1,4 +1,4 @@
-"""Two drawings without numbers: the arm with its signals, and the loop that runs on it."""
+"""A drawing without numbers: the arm with its signals."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 
-from fraclink.view._drawing import stand_alone
+from fraclink._arm.rig import Rig
+from fraclink.view._drawing import figure_of, stand_alone
 from fraclink.view._marks import escaped
+from fraclink.view._words import sketch_notes
 
-__all__ = ["arm_sketch", "loop_sketch"]
+__all__ = ["arm_sketch", "lettering"]
 
 _ARM = (425.0, 214.0)
-_LOOP = (652.0, 220.0)
 
 
 def _link(length: float, turned: float, bend: float) -> list[tuple[float, float]]:
@@ -31,9 +32,10 @@ def _link(length: float, turned: float, bend: float) -> list[tuple[float, float]
     ]
 
 
-def _text(
+def lettering(
     x: float, y: float, text: str, style: str = "name", anchor: str = "start"
 ) -> str:
+    """A text of a sketch."""
     return f'<text class="{style}" x="{x:g}" y="{y:g}" text-anchor="{anchor}">{escaped(text)}</text>'
 
 
@@ -66,14 +68,14 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
         f'<path class="strain" d="M{root[0]:.1f} {root[1]:.1f}L{out[0]:.1f} {out[1]:.1f}"/>',
         _arc(x, y, 140.0, turned),
         _arc(x, y, 196.0, chord),
-        _text(x + 145, y - 12, "θm", "label"),
-        _text(x + 201, y - 12, "θt", "label"),
-        _text(
+        lettering(x + 145, y - 12, "θm", "label"),
+        lettering(x + 201, y - 12, "θt", "label"),
+        lettering(
             8, y + 44, f"motor and encoder: {notes[0] or 'voltage u in, angle θm out'}"
         ),
-        _text(8, 58, f"strain gauge: torque Γ{notes[1] and ', ' + notes[1]}"),
+        lettering(8, 58, f"strain gauge: torque Γ{notes[1] and ', ' + notes[1]}"),
         f'<path class="c0 d0" d="M78 66L{gauge[0]:.1f} {gauge[1] - 9:.1f}"/>',
-        _text(
+        lettering(
             tip[0] + 56,
             tip[1] + 38,
             f"payload m{notes[2] and ': ' + notes[2]}",
@@ -81,83 +83,9 @@ def arm_sketch(notes: tuple[str, str, str] = ("", "", "")) -> str:
         ),
     ]
     said = "A flexible arm from above: hub at θm, bent link with a gauge at its root, payload at θt"
-    return _drawn("".join(parts), _ARM, said)
+    return stand_alone("".join(parts), *_ARM, said)
 
 
-def loop_sketch() -> str:
-    """Draw the loop: move, correction, motor loop, arm, and the tip angle estimated
-    from θm and Γ.
-    """
-    boxes = (
-        (100, "correction", "k_d s^β, filtered"),
-        (300, "motor loop", "hold and delay"),
-        (462, "arm", "link and payload"),
-    )
-    parts = [_text(8, 74, "θt*", "label"), _text(8, 112, "reference")]
-    parts += [_sum(74, 70, "−"), _sum(256, 70, "+")]
-    for left, title, below in boxes:
-        parts.append(
-            f'<rect class="card" x="{left}" y="44" width="126" height="52" rx="7"/>'
-        )
-        parts.append(_text(left + 63, 67, title, "label", "middle"))
-        parts.append(_text(left + 63, 85, below, "", "middle"))
-    for start, end in (
-        (36, 64),
-        (84, 99),
-        (227, 246),
-        (266, 299),
-        (427, 461),
-        (589, 622),
-    ):
-        parts.append(_arrow(start, 70, end, 70))
-    parts.append('<path class="c0 d0" d="M50 70V16H256V54"/>' + _head(256, 60, 0, 1))
-    parts.append('<circle class="f0" cx="50" cy="70" r="2.5"/>')
-    parts += [
-        _text(282, 60, "θm*", "label", "middle"),
-        _text(444, 60, "u", "label", "middle"),
-    ]
-    parts.append(_text(628, 74, "θt", "label"))
-    parts.append('<rect class="card" x="296" y="156" width="296" height="52" rx="7"/>')
-    parts.append(_text(444, 179, "estimate of the tip: θm − Γ/c", "label", "middle"))
-    parts.append(
-        _text(444, 197, "sampled every Ts; the gauge is late and noisy", "", "middle")
-    )
-    parts += [_down(500, 96, 155), _down(550, 96, 155)]
-    parts += [_text(492, 130, "θm", "label", "end"), _text(558, 130, "Γ", "label")]
-    parts.append('<path class="c0 d0" d="M296 182H74V86"/>' + _head(74, 80, 0, -1))
-    said = "The loop: the motor follows the reference of the tip plus a correction, made of the difference "
-    said += (
-        "between it and the estimate of the tip; encoder and gauge give the estimate"
-    )
-    return _drawn("".join(parts), _LOOP, said)
-
-
-def _sum(x: float, y: float, sign: str) -> str:
-    return f'<circle class="c0 ring" cx="{x}" cy="{y}" r="10"/>' + _text(
-        x, y + 4, sign, anchor="middle"
-    )
-
-
-def _arrow(x: float, y: float, to: float, down: float) -> str:
-    return f'<path class="c0 d0" d="M{x:g} {y:g}L{to:g} {down:g}"/>' + _head(
-        to, down, 1, 0
-    )
-
-
-def _down(x: float, y: float, to: float) -> str:
-    return f'<path class="c0 d0" d="M{x:g} {y:g}V{to:g}"/>' + _head(x, to, 0, 1)
-
-
-def _head(x: float, y: float, right: int, down: int) -> str:
-    """The head of an arrow that points right, down or up."""
-    a, b = (
-        (x - 7 * right - 4 * down, y - 7 * down - 4 * right),
-        (x - 7 * right + 4 * down, y - 7 * down + 4 * right),
-    )
-    return (
-        f'<path class="f0 head" d="M{x:g} {y:g}L{a[0]:g} {a[1]:g}L{b[0]:g} {b[1]:g}z"/>'
-    )
-
-
-def _drawn(parts: str, size: tuple[float, float], said: str) -> str:
-    return stand_alone(parts, *size, said)
+@figure_of.register
+def _rig(rig: Rig) -> str:
+    return arm_sketch(sketch_notes(rig, rig.model))

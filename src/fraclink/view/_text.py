@@ -1,69 +1,38 @@
-"""Numbers, tables and views as text: what every result is shown with, whatever it is."""
+"""An overview as text, as HTML and as JSON: what a terminal, a notebook and a program
+read of any result.
+"""
 
 from __future__ import annotations
 
 import html
 import math
-import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from fraclink._display import Overview, Row, Table, marked, number
 from fraclink.findings import Finding
 
-__all__ = ["Table", "View", "finding_line", "marked", "plain_text"]
+__all__ = [
+    "Grid",
+    "finding_line",
+    "folded",
+    "grams",
+    "grid_of",
+    "option",
+    "page_part",
+    "plain",
+    "plain_text",
+    "sentence",
+    "to_json",
+    "view",
+]
 
-Row = tuple[str, ...]
-
-
-# --- numbers as people read them: few digits, a real minus, powers of ten ---------------------------------
-
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """Return `value` with `digits` significant digits.
-
-    >>> number(-0.00068712), number(13399.771, 8), number(float("inf")), number(None)
-    ('−6.871×10⁻⁴', '13399.771', '∞', '–')
-    """
-    if value is None or math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    # of −0.0 the sum is 0.0: nobody reads a sign of nothing
-    text = f"{value + 0.0:.{digits}g}"
-    mantissa, _, exponent = text.partition("e")
-    # Python turns to powers of ten only below 1e-4; 0.0006871 and 0.006871 in one
-    # column are misread.
-    if 0 < abs(value) < 1e-3 and not exponent:
-        mantissa, _, exponent = f"{value:.{digits - 1}e}".partition("e")
-    mantissa = mantissa.replace("-", "−")
-    if not exponent:
-        return mantissa
-    if "." in mantissa:
-        mantissa = mantissa.rstrip("0").rstrip(".")
-    return f"{mantissa}×10{str(int(exponent)).translate(_RAISED)}"
-
-
-def uncertain(value: float, error: float | None) -> str:
-    """Return `value ± error`, both with the digits that the error leaves meaningful.
-
-    >>> uncertain(1.918734, 0.000213), uncertain(10.02, None), uncertain(116.0, 145.0)
-    ('1.91873 ± 0.00021', '10.02', 'undetermined')
-    """
-    if error is None or not math.isfinite(error) or error <= 0:
-        return number(value, 5)
-    # Digits of a value that may as well have the other sign would be read as knowledge.
-    if error >= abs(value):
-        return "undetermined"
-    # Two digits of the error: one would round 0.14 to 0.1, three claim what no
-    # covariance knows.
-    places = max(0, 1 - math.floor(math.log10(error)))
-    if places > 9 or abs(value) >= 1e6:
-        return f"{number(value, 5)} ± {number(error, 2)}"
-    return f"{_fixed(value, places)} ± {_fixed(error, places)}"
+Cells = tuple[str, ...]
 
 
 def grams(payload: float | None) -> str:
@@ -73,44 +42,6 @@ def grams(payload: float | None) -> str:
     '30.5 g'
     """
     return "–" if payload is None else f"{number(1e3 * payload)} g"
-
-
-def milli(value: float | None, places: int = 1) -> str:
-    """A value in thousandths, with as many decimal places as matter beside its
-    neighbours in a column.
-
-    >>> milli(0.0633), milli(-0.0000519, 2), milli(-1e-9, 2)
-    ('63.3', '−0.05', '0.00')
-    """
-    if value is None or not math.isfinite(value):
-        return "–"
-    return _fixed(1e3 * value, places)
-
-
-def _fixed(value: float, places: int) -> str:
-    """A value with a fixed number of places; what rounds to nothing has no sign."""
-    text = f"{value:.{places}f}"
-    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
-
-
-def degrees(angle: float | None, places: int = 1) -> str:
-    """An angle in degrees.
-
-    >>> degrees(math.pi / 6), degrees(-1e-5)
-    ('30.0°', '0.0°')
-    """
-    if angle is None or math.isnan(angle):
-        return "–"
-    return f"{_fixed(math.degrees(angle), places)}°"
-
-
-def quantity(value: float | None, unit: str) -> str:
-    """A value with its unit; angles in degrees.
-
-    >>> quantity(12.0, "rad/s"), quantity(math.pi / 4, "rad")
-    ('12 rad/s', '45.0°')
-    """
-    return degrees(value) if unit == "rad" else f"{number(value)} {unit}".strip()
 
 
 def option(name: str, value: float) -> str:
@@ -145,25 +76,47 @@ def sentence(text: str) -> str:
     return (text[:1] if named else text[:1].upper()) + text[1:] + ("" if ended else ".")
 
 
-# --- tables and views -------------------------------------------------------------------------------------
+# --- from figures to texts ---------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Table:
-    """Header and rows of text; the last column is a word of a verdict where `judged`."""
+class Grid:
+    """A table as texts; `words` tells which columns hold words and no figures."""
 
-    header: Row
-    rows: tuple[Row, ...]
-    judged: bool = False
+    header: Cells
+    lines: tuple[Cells, ...]
+    words: tuple[bool, ...]
 
-    @property
-    def shown(self) -> tuple[Row, ...]:
-        """The rows as people read them: the word of a verdict behind its sign."""
-        return (
-            tuple((*row[:-1], marked(row[-1])) for row in self.rows)
-            if self.judged
-            else self.rows
-        )
+
+def grid_of(figures: Table | Sequence[Row]) -> Grid:
+    """Return a table as texts: one line for each record, or for each of one's own rows."""
+    if not isinstance(figures, Table):
+        known = (row for row in figures if row.label and row.value is not None)
+        lines = tuple((row.label, marked(row.text)) for row in known)
+        return Grid(("", ""), lines, (True, True))
+    columns = [
+        column
+        for column in zip(*figures.records, strict=True)
+        if any(row.label for row in column)
+    ]
+    # Where every column has one unit it stands in the head; requirements have each
+    # their own.
+    alike = all(len({row.unit for row in column}) == 1 for column in columns)
+    header = [column[0].heading if alike else column[0].label for column in columns]
+    texts = [
+        [marked(row.cell if alike else row.text) for row in column]
+        for column in columns
+    ]
+    words = tuple(
+        all(isinstance(row.value, str | bool) for row in column) for column in columns
+    )
+    return Grid(tuple(header), tuple(zip(*texts, strict=True)), words)
+
+
+def grids(shown: Overview) -> list[Grid]:
+    """Every table of an overview that has a line."""
+    every = [grid_of(shown.rows), *map(grid_of, shown.tables)]
+    return [grid for grid in every if grid.lines]
 
 
 def finding_line(finding: Finding) -> str:
@@ -173,87 +126,128 @@ def finding_line(finding: Finding) -> str:
     return str(finding if finding.severity != "info" else replace(finding, evidence={}))
 
 
-@dataclass(frozen=True)
-class View:
-    """What people read of a result: verdict first, tables, then notes; `state` is the
-    word of the verdict.
+def view(result: Any) -> Overview:
+    """Return the overview of a result; one is its own."""
+    return result if isinstance(result, Overview) else result.overview()
+
+
+def doubted(shown: Overview, findings: tuple[Finding, ...]) -> Overview:
+    """The same with errors of its input, which stand first: nothing that passed is
+    shown by this result.
     """
-
-    headline: str = ""
-    tables: tuple[Table, ...] = ()
-    notes: tuple[str, ...] = ()
-    state: str = ""
-
-    def __str__(self) -> str:
-        return plain_text(self)
-
-    def doubted(self, findings: tuple[Finding, ...]) -> View:
-        """The same with errors of the input, which stand first: nothing is shown by
-        this result.
-        """
-        if not findings:
-            return self
-        notes = (*map(finding_line, findings), *self.notes)
-        return replace(
-            self,
-            headline=f"the input is in doubt; {self.headline}",
-            notes=notes,
-            state="not shown",
-        )
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        parts = [
-            f"<p><b>{html.escape(marked(self.state))}</b> {html.escape(self.headline)}</p>"
-        ]
-        for table in self.tables:
-            lines = [("th", table.header), *(("td", row) for row in table.shown)]
-            cells = (
-                "".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines
-            )
-            parts.append(
-                "<table>" + "".join(f"<tr>{row}</tr>" for row in cells) + "</table>"
-            )
-        return "\n".join(
-            [*parts, *(f"<p>{html.escape(note)}</p>" for note in self.notes)]
-        )
-
-
-_MARKS = {
-    "passed": "✓",
-    "failed": "✗",
-    "missed": "✗",
-    "not shown": "!",
-    "missing": "!",
-    "not run": "–",
-    "outdated": "⟳",
-}
-
-
-def marked(state: str) -> str:
-    """A verdict's word behind its sign, which is there without colours, too.
-
-    >>> marked("passed"), marked("failed"), marked("")
-    ('✓ passed', '✗ failed', '')
-    """
-    return f"{_MARKS[state]} {state}" if state in _MARKS else state
-
-
-def plain_text(shown: View, width: int = 80) -> str:
-    """Return `shown` as lines of at most `width` columns, broken between words."""
-    lead = (
-        f"{marked(shown.state)}: "
-        if shown.state and shown.headline
-        else marked(shown.state)
+    if not findings:
+        return shown
+    failed = shown.state == "failed"
+    headline = "" if failed else "the log or the model is doubtful; "
+    return replace(
+        shown,
+        headline=headline + shown.headline,
+        findings=(*findings, *shown.findings),
+        state="failed" if failed else "not shown",
     )
+
+
+def notes(shown: Overview) -> list[str]:
+    """Findings that ask for something, and notes; what is only good to know is in the
+    report and in the JSON, but where findings are all that there is.
+    """
+    alone = not shown.rows and not shown.tables
+    findings = (f for f in shown.findings if alone or f.severity != "info")
+    return [*map(finding_line, findings), *shown.notes]
+
+
+# --- for programs ------------------------------------------------------------------------
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as JSON has it: results by their figures, other dataclasses by
+    their fields.
+
+    >>> plain({"gain": np.float64(1.5), "limit": math.inf, "payloads": (0.02, 0.04)})
+    {'gain': 1.5, 'limit': None, 'payloads': [0.02, 0.04]}
+    """
+    if isinstance(value, float | np.floating):
+        # JSON has neither infinity nor NaN; Python's own writer would put words there
+        # that no other parser reads.
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.ndarray | np.generic):
+        # numpy's scalars are no JSON either; bool and str of numpy come back as
+        # Python's own.
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "overview"):
+        return to_json(value)
+    if hasattr(value, "rows"):
+        return _object(value.rows)
+    if is_dataclass(value):
+        return {item.name: plain(getattr(value, item.name)) for item in fields(value)}
+    return str(value) if isinstance(value, Path) else value
+
+
+def _object(rows: Sequence[Row]) -> dict[str, Any]:
+    """The figures by their keys; a dot in a key leads into an object."""
+    values: dict[str, Any] = {}
+    for row in rows:
+        *outer, name = row.key.split(".")
+        place = values
+        for part in outer:
+            place = place.setdefault(part, {})
+        if name:
+            place[name] = plain(row.value)
+        if row.error is not None:
+            values.setdefault("standard_errors", {})[name] = plain(row.error)
+    return values
+
+
+def to_json(result: Any) -> dict[str, Any]:
+    """Return what programs read of a result: plain values in SI units and radians, null
+    where not finite.
+    """
+    shown = view(result)
+    verdict = {"passed": shown.state == "passed", "state": shown.state}
+    values = verdict if shown.state else {}
+    values |= _object(shown.rows)
+    for table in shown.tables:
+        if table.key:
+            values[table.key] = [_object(record) for record in table.records]
+    return values | {"findings": [plain(finding) for finding in shown.findings]}
+
+
+# --- for a notebook ----------------------------------------------------------------------
+
+
+def page_part(shown: Overview) -> str:
+    """Return an overview as HTML: verdict, tables, notes."""
+    verdict = html.escape(marked(shown.state)), html.escape(shown.headline)
+    parts = ["<p><b>{}</b> {}</p>".format(*verdict)]
+    for grid in grids(shown):
+        head = [("th", grid.header)] if any(grid.header) else []
+        lines = [*head, *(("td", row) for row in grid.lines)]
+        cells = (
+            "".join(f"<{t}>{html.escape(c)}</{t}>" for c in row) for t, row in lines
+        )
+        body = "".join(f"<tr>{row}</tr>" for row in cells)
+        parts.append(f"<table>{body}</table>")
+    return "\n".join(
+        [*parts, *(f"<p>{html.escape(note)}</p>" for note in notes(shown))]
+    )
+
+
+# --- for a terminal ----------------------------------------------------------------------
+
+
+def plain_text(shown: Overview, width: int = 80) -> str:
+    """Return an overview as lines of at most `width` columns, broken between words."""
     # The verdict first: it is what a person reads at all, and what a pipe into `head`
     # keeps.
-    parts = (
-        [folded(lead + shown.headline, width)] if shown.headline or shown.state else []
-    )
-    parts += [table_text(table, width) for table in shown.tables if table.rows]
-    notes = "\n".join(folded(note, width) for note in shown.notes)
-    return "\n\n".join([*parts, *([notes] if notes else [])])
+    lead = ": ".join(filter(None, (marked(shown.state), shown.headline)))
+    parts = [folded(lead, width)] if lead else []
+    parts += [table_text(grid, width) for grid in grids(shown)]
+    said = "\n".join(folded(note, width) for note in notes(shown))
+    return "\n\n".join([*parts, *([said] if said else [])])
 
 
 def folded(text: str, width: int) -> str:
@@ -272,11 +266,12 @@ def folded(text: str, width: int) -> str:
     )
 
 
-def table_text(table: Table, width: int = 80) -> str:
-    """A table of text: first column flush left, others right; heads and sentences wrap
-    at words.
+def table_text(grid: Grid, width: int = 80) -> str:
+    """A table of text: words flush left, figures right; heads and sentences wrap at
+    words.
 
-    >>> print(table_text(Table(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9"))), 16))
+    >>> grid = Grid(("payload", "phase margin [°]"), (("20 g", "48.8"), ("8 g", "23.9")), (True, False))
+    >>> print(table_text(grid, 16))
               phase
              margin
     payload     [°]
@@ -287,93 +282,67 @@ def table_text(table: Table, width: int = 80) -> str:
     # terminal.
     rows = [
         tuple(cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row)
-        for row in table.shown
+        for row in grid.lines
     ]
     # A head folds into three lines at most, and never within a word.
-    words = [
-        max(-(-len(head) // 3), *map(len, head.split() or [""]))
-        for head in table.header
+    least = [
+        max(-(-len(head) // 3), *map(len, head.split() or [""])) for head in grid.header
     ]
-    widths = [max(word, *(len(row[k]) for row in rows)) for k, word in enumerate(words)]
+    widths = [max(head, *(len(row[k]) for row in rows)) for k, head in enumerate(least)]
     spare = width - sum(widths) - 2 * (len(widths) - 1)
-    # The order in which room is found: sentences fold, then columns move below, and
-    # only heads and paths overrun.
     if spare < 0:
-        # Sentences give way: the widest column folds, as far as a line of it can still
-        # be read.
+        # Sentences give way first: the widest column folds, down to 24 letters, three
+        # or four words a line.
         widest = max(range(len(widths)), key=widths.__getitem__)
-        # 24 letters hold three or four words: below that a sentence becomes a column of
-        # single ones.
-        widths[widest] = max(24, widths[widest] + spare)
-        fitting = [
+        widths[widest] = min(widths[widest], max(24, widths[widest] + spare))
+        fitting = sum(
             sum(widths[:k]) + 2 * (k - 1) <= width for k in range(1, len(widths) + 1)
-        ]
-        if not fitting[-1] and len(widths) > 2:
+        )
+        if 1 < fitting < len(widths):
             # Still too wide: the columns that do not fit stand below, behind the first
             # one again.
-            k = max(2, sum(fitting))
-            above = Table(table.header[:k], tuple(row[:k] for row in table.rows))
-            rest = tuple((row[0], *row[k:]) for row in table.rows)
-            below = Table((table.header[0], *table.header[k:]), rest, table.judged)
+            above = _columns(grid, range(fitting))
+            below = _columns(grid, (0, *range(fitting, len(widths))))
             return f"{table_text(above, width)}\n\n{table_text(below, width)}"
-    # Heads need not fold where there is room: from left to right each takes what it
-    # needs.
-    for k, head in enumerate(table.header):
-        more = (
-            min(max(spare, 0), max(0, len(head) - widths[k]))
-            if spare >= len(head) - widths[k]
-            else 0
-        )
-        widths[k], spare = widths[k] + more, spare - more
-    # Numbers flush right, so that their digits stand below one another; words flush
-    # left.
-    last = len(widths) - 1
-    left = [
-        k == 0 or (k == last and table.judged) or _wordy(rows, k)
-        for k in range(len(widths))
-    ]
-    lines = _folded_row(table.header, widths, left, bottom=True)
-    for row in rows:
-        lines += _folded_row(row, widths, left, bottom=False)
+    for k, head in enumerate(grid.header):
+        # Where there is room a head need not fold.
+        more = len(head) - widths[k]
+        if 0 < more <= spare:
+            widths[k], spare = len(head), spare - more
+    lines = [_folded_row(row, widths, grid.words) for row in rows]
+    if any(grid.header):
+        lines.insert(0, _folded_row(grid.header, widths, grid.words, bottom=True))
     return "\n".join(lines)
 
 
-def _wordy(rows: Sequence[Row], column: int) -> bool:
-    return any(re.search(r"[^\W\d_]{4,} [^\W\d_]{2,}", row[column]) for row in rows)
+def _columns(grid: Grid, kept: Iterable[int]) -> Grid:
+    """Some columns of a table."""
+    places = tuple(kept)
+
+    def cut(cells: Cells) -> Cells:
+        return tuple(cells[k] for k in places)
+
+    words = tuple(grid.words[k] for k in places)
+    return Grid(cut(grid.header), tuple(map(cut, grid.lines)), words)
 
 
 def _folded_row(
-    row: Row, widths: list[int], left: list[bool], *, bottom: bool
-) -> list[str]:
+    row: Cells, widths: Sequence[int], words: Sequence[bool], *, bottom: bool = False
+) -> str:
+    """The lines of one row, its shorter cells at the top of them, or at the bottom."""
     cells = [
         textwrap.wrap(cell, size, break_long_words=False, break_on_hyphens=False)
-        or [""]
         for cell, size in zip(row, widths, strict=True)
     ]
-    height = max(map(len, cells))
-    padded = [
-        [""] * (height - len(cell)) + cell
-        if bottom
-        else cell + [""] * (height - len(cell))
-        for cell in cells
-    ]
-    return [
-        "  ".join(
-            part.ljust(size) if flush else part.rjust(size)
-            for part, size, flush in zip(line, widths, left, strict=True)
-        ).rstrip()
-        for line in zip(*padded, strict=True)
-    ]
-
-
-def looked_up(
-    by_class: Mapping[str, Callable[[Any], Any]], result: Any
-) -> Callable[[Any], Any]:
-    """The entry of a result's class, or of the nearest class above it that has one."""
-    # By name, as importing the classes would load every package to show one result; by
-    # the bases too, so that a user's subclass of a result is shown as that result.
-    return next(
-        by_class[kind.__name__]
-        for kind in type(result).__mro__
-        if kind.__name__ in by_class
-    )
+    height = max(1, *map(len, cells))
+    lines = []
+    for k in range(height):
+        first = [k - (height - len(cell) if bottom else 0) for cell in cells]
+        parts = [
+            (cell[at] if 0 <= at < len(cell) else "").ljust(size)
+            if left
+            else (cell[at] if 0 <= at < len(cell) else "").rjust(size)
+            for cell, at, size, left in zip(cells, first, widths, words, strict=True)
+        ]
+        lines.append("  ".join(parts).rstrip())
+    return "\n".join(lines)

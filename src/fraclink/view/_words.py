@@ -6,25 +6,21 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator
 
 from fraclink._arm.link import LinkModel
 from fraclink._arm.rig import Rig
 from fraclink._design import Design
+from fraclink._display import number, quantity, source_name
 from fraclink.trials._study import Study
-from fraclink.view._tables import source_name
-from fraclink.view._text import degrees, grams, number, option
+from fraclink.view._text import grams, option
 
 __all__ = [
     "arm_sentences",
     "nearest_command",
-    "oscillates",
     "power_on",
     "sketch_notes",
     "steps",
 ]
-
-_LEFT = 0.05  # of a swing: what nobody sees any more
 
 
 def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
@@ -34,18 +30,7 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
         f"It carries {number(1e3 * low)} to {grams(high)} on a link of {number(rig.link.length)} m."
     ]
     if model is not None:
-        said += _swing(model)
-        if model.second_mode is not None:
-            hertz = number(model.second_mode.frequency / (2 * math.pi), 3)
-            said.append(
-                f"It has a second mode at {hertz} Hz; the design bounds the loop gain there."
-            )
-        # Less than a microsecond is rounding of a fit: no log shows it.
-        if abs(model.gauge_delay) > 1e-6:
-            late = number(1e3 * abs(model.gauge_delay), 2)
-            said.append(
-                f"The gauge is {late} ms {'late' if model.gauge_delay > 0 else 'early'}."
-            )
+        said.append(f"With the motor held, the tip {model.sentence}.")
     # (1 + 4) e⁻⁴: a double pole is within 9 % after four of its time constants, the
     # workshop's usual figure [ms].
     settled = number(4.0e3 / rig.motor_loop.pole, 2)
@@ -53,34 +38,6 @@ def arm_sentences(rig: Rig, model: LinkModel | None) -> list[str]:
         f"The motor follows within {settled} ms; the law runs every {number(1e3 * rig.period)} ms."
     )
     return said
-
-
-def oscillates(pole: complex) -> bool:
-    """Whether a pole of the link is one of a vibration.
-
-    >>> oscillates(-1 + 10j), oscillates(-5 + 1e-16j)
-    (True, False)
-    """
-    # The pole of an overdamped link comes from a Newton iteration or from e^(jπ): real
-    # but for rounding.
-    return abs(pole.imag) > 1e-9 * abs(pole)
-
-
-def _swing(model: LinkModel) -> Iterator[str]:
-    pole = model.pole
-    if not oscillates(pole):
-        yield "The link does not oscillate: it creeps back."
-        return
-    with_payload = f"with {grams(model.payload)} " if model.payload is not None else ""
-    swing = f"With the motor held, it swings {with_payload}at {number(abs(pole.imag) / (2 * math.pi), 2)} Hz"
-    ratio = -pole.real / abs(pole)
-    if ratio <= 0:
-        yield f"{swing}, undamped in this model."
-        return
-    # e^(−σt) = 0.05 after t = −ln 0.05/σ; in periods of 2π/ω, whatever the order λ, as
-    # the pole has both.
-    swings = -math.log(_LEFT) * abs(pole.imag) / (2 * math.pi * -pole.real)
-    yield f"{swing}; after {number(swings, 2)} swings the amplitude is down to 5 %."
 
 
 def sketch_notes(rig: Rig, model: LinkModel | None) -> tuple[str, str, str]:
@@ -98,8 +55,9 @@ def nearest_command(study: Study) -> str:
     options = " ".join(
         option(name, value) for name, value in study.refused.nearest.items()
     )
-    named = study.experiment is not None and study.experiment.source
-    log = source_name(study.experiment) if named else "LOG"
+    log = "LOG"
+    if study.experiment is not None and study.experiment.source:
+        log = source_name(study.experiment.source)
     # A rig that is not bundled is known to the command by its file only, which lies
     # beside the report.
     rig = study.rig.name if study.rig.name in Rig.names() else "rig.toml"
@@ -124,7 +82,7 @@ def _request(values: object) -> str:
     }
     parts = []
     for name, value in known.items():
-        text = degrees(value, 2) if name == "phase_margin" else number(value, 4)
+        text = quantity(value, "rad" if name == "phase_margin" else "")
         parts.append(words.get(name, name.replace("_", " ") + " {}").format(text))
     return " and ".join(parts)
 
@@ -144,7 +102,7 @@ def steps(study: Study) -> list[tuple[str, str]]:
         todo.append(
             (
                 "Look at a failing arm, with all its signals",
-                f"fraclink campaign replay arms --run {study.arms.failed[0]}",
+                f"fraclink replay arms --run {study.arms.failed[0]}",
             )
         )
     if not study.certificate:
@@ -162,7 +120,7 @@ def steps(study: Study) -> list[tuple[str, str]]:
             "fraclink export c design.json --out firmware",
         )
     )
-    todo.append(("Share the moving arm as one file", "fraclink share . --out arm.html"))
+    todo.append(("Share the moving arm as one file", "fraclink report . --arm"))
     return todo
 
 

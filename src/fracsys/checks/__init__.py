@@ -12,41 +12,34 @@ the value enters.
 
 `checked` reads the annotations at the first call, refuses what they do not admit with a
 FieldError, and hands on plain values: float and int (never a bool or a numpy scalar),
-tuples, paths, float64 arrays. The same annotation gives the command line's help
-(`describe`) and the rule of a file's field (`rules`).
+tuples, paths, float64 arrays. The same rules write and read files and name the options
+of the command line (`parameters`).
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import inspect
 import math
 import os
-import sys
-import types
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, is_dataclass
-from typing import Annotated, Any, TypeVar, cast, get_type_hints, overload
+from dataclasses import is_dataclass
+from typing import Annotated, Any, TypeVar, cast, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from fracsys.checks.ranges import CHECK_UNIT as CHECK_UNIT
+from fracsys.checks import rules
+from fracsys.checks.ranges import ARGUMENTS, Refused, Rule
 from fracsys.checks.ranges import Array as Array
 from fracsys.checks.ranges import Between as Between
-from fracsys.checks.ranges import Check, Refused, number_rule, whole_rule
-from fracsys.checks.ranges import Length as Length
-from fracsys.checks.ranges import Ordered as Ordered
-from fracsys.checks.ranges import Rule as Rule
 from fracsys.checks.ranges import Where as Where
-from fracsys.checks.rules import (
-    conditional_rule,
-    instance_rule,
-    listed,
-    rule,
-)
-from fracsys.checks.rules import unaliased as unaliased
+from fracsys.checks.ranges import ascending as ascending
+from fracsys.checks.ranges import length as length
+from fracsys.checks.ranges import whole_number as whole_number
+from fracsys.checks.rules import Parameter as Parameter
+from fracsys.checks.rules import parameters as parameters
+from fracsys.checks.rules import rule as rule
 from fracsys.errors import FieldError
 
 Target = TypeVar("Target", bound=Callable[..., Any])
@@ -97,29 +90,10 @@ Count = Annotated[int, Between(1, 10**9)]
 # What NumPy's generators take.
 Seed = Annotated[int, Between(0, 2**64 - 1)]
 Workers = Annotated[int, Between(1, 1024)]
-Series = Annotated[NDArray[np.float64], Array(1)]
-SeriesLike = Annotated[ArrayLike, Array(1)]
 FilePath = str | os.PathLike[str]
 
 
-def describe(annotation: Any) -> str:
-    """Return what `annotation` admits in words, as errors and the command line's help
-    print it.
-
-    >>> from typing import Literal
-    >>> describe(Period), describe(Annotated[int, Between(1, 8, "samples")] | None)
-    ('> 0 and <= 10 s', 'whole number 1 to 8 samples')
-    >>> describe(Literal["zero", "first"]), describe(tuple[Payload, Payload])
-    ('zero or first', 'a pair, each > 0 and <= 10000 kg')
-    """
-    return rule(annotation).expected
-
-
 # --- the decorator ------------------------------------------------------------------------------------
-
-_TARGETS: list[
-    Callable[..., Any]
-] = []  # every checked function and class, for the test of their annotations
 
 
 @overload
@@ -136,9 +110,10 @@ def checked(
 
     Defaults are trusted and not checked. `error` is the class that is raised; `prefix`
     stands before the field's name ("lead."). Put it above `@dataclass(frozen=True)`;
-    the class's own ``__post_init__`` then sees normalised fields and checks only what
-    involves several of them. A dataclass that inherits from a checked one needs its own
-    `@checked`, because `dataclass` writes it a new ``__init__``.
+    the class's own ``__post_init__`` then sees normalised fields, arrays as read-only
+    copies, and checks only what involves several of them. A dataclass that inherits
+    from a checked one needs its own `@checked`, because `dataclass` writes it a new
+    ``__init__``.
 
     >>> from typing import Literal
     >>> @checked
@@ -151,62 +126,16 @@ def checked(
     fracsys.errors.FieldError: hold: unknown (got second); expected zero or first. Choose one of these.
     """
     if target is None:
-        return functools.partial(_checked, error=error, prefix=prefix)
-    return _checked(target, error=error, prefix=prefix)
-
-
-def _checked(target: Any, *, error: type[FieldError], prefix: str) -> Any:
-    # Annotations are resolved at the first call: a test goes through this list, so that
-    # none fails for a user first.
-    _TARGETS.append(target)
+        return functools.partial(checked, error=error, prefix=prefix)
     if not isinstance(target, type):
-        return _guarded(target, target, error, prefix, own=False)
+        return _guarded(target, target, error, prefix)
     if not is_dataclass(target):
-        raise TypeError(
-            f"checked: {target.__name__} is not a dataclass; put checked above dataclass"
-        )
+        remedy = "put checked above dataclass"
+        raise TypeError(f"checked: {target.__name__} is not a dataclass; {remedy}")
     # The class's own `__init__` and not a wrapper class: `replace`, `fields` and
     # pickles see the dataclass as it is written.
-    target.__init__ = _guarded(target.__init__, target, error, prefix, own=True)  # type: ignore[method-assign]
+    target.__init__ = _guarded(target.__init__, target, error, prefix)  # type: ignore[method-assign]
     return target
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """How to check one call: by position (name, check), by name, and what *args and
-    **kwargs hold.
-    """
-
-    ordered: list[tuple[str, Check | None]]
-    named: dict[str, Check | None]
-    rest: Check | None
-    others: Check | None
-
-
-def _plan(function: Callable[..., Any], target: Any, own: bool) -> _Plan:
-    checks = {
-        name: rule(hint, own=own).convert for name, hint in _hints(target).items()
-    }
-    kinds: dict[Any, list[str]] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        kinds.setdefault(parameter.kind, []).append(name)
-    one = inspect.Parameter
-    # A parameter that takes both is in both tables: the call decides which of them is
-    # asked.
-    ordered = kinds.get(one.POSITIONAL_ONLY, []) + kinds.get(
-        one.POSITIONAL_OR_KEYWORD, []
-    )
-    named = kinds.get(one.POSITIONAL_OR_KEYWORD, []) + kinds.get(one.KEYWORD_ONLY, [])
-    rest, others = (
-        checks.get(kinds.get(kind, [""])[0])
-        for kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
-    )
-    return _Plan(
-        [(name, checks.get(name)) for name in ordered],
-        {name: checks.get(name) for name in named},
-        rest,
-        others,
-    )
 
 
 def _guarded(
@@ -214,140 +143,66 @@ def _guarded(
     target: Any,
     error: type[FieldError],
     prefix: str,
-    *,
-    own: bool,
 ) -> Callable[..., Any]:
-    plan: _Plan | None = (
-        None  # made at the first call, when every name of the module exists
-    )
+    is_class = isinstance(target, type)
+
+    @functools.cache
+    def annotated() -> tuple[list[str], dict[str, Any], str, str]:
+        """The names by position, the checks by name, and the names of *args and
+        **kwargs. Read at the first call, when every name of the module exists.
+        """
+        ways = inspect.signature(function).parameters.values()
+        by_position = [each.name for each in ways if each.kind in _BY_POSITION]
+        rest, others = (
+            next((each.name for each in ways if each.kind is way), "") for way in _REST
+        )
+        checks = {name: each.rule.convert for name, each in parameters(target).items()}
+        return by_position, checks, rest, others
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        nonlocal plan
-        if plan is None:
-            plan = _plan(function, target, own)
-        name, ordered = "", plan.ordered
+        by_position, checks, rest, others = annotated()
+        name, values = "", list(args)
         try:
-            if args:
-                values = list(args)
-                for index, value in enumerate(args):
-                    # Behind the last one comes *args, whose entries have no name of
-                    # their own.
-                    name, check = (
-                        ordered[index] if index < len(ordered) else ("", plan.rest)
-                    )
-                    if check is not None:
-                        values[index] = check(value)
-                args = tuple(values)
+            for place, value in enumerate(args):
+                name = by_position[place] if place < len(by_position) else rest
+                if name in checks:
+                    values[place] = checks[name](value, ARGUMENTS)
             for name, value in kwargs.items():
-                check = plan.named.get(name, plan.others)
+                check = checks.get(name) or checks.get(others)
                 if check is not None:
-                    kwargs[name] = check(value)
+                    kwargs[name] = check(value, ARGUMENTS)
         except Refused as refused:
-            # Without the inner frames: the user's mistake is at the call, and the rule
-            # that saw it is no part of the message.
+            # Without the inner frames: the mistake is at the call, and the rule that
+            # saw it is no part of the message.
             raise refused.error(prefix + name, error) from None
-        return function(*args, **kwargs)
+        if is_class:  # what a field keeps, nobody else may change
+            values = [values[0], *map(_read_only, values[1:])]
+            kwargs = {name: _read_only(value) for name, value in kwargs.items()}
+        return function(*values, **kwargs)
 
     return call
 
 
-def rules(target: Callable[..., Any]) -> dict[str, Rule]:
-    """Return the rule of each annotated argument of a function, or field of a
-    dataclass.
-
-    >>> rules(Between.check)["field"].expected
-    'a text'
-    """
-    return {name: rule(hint) for name, hint in _hints(target).items()}
+_BY_POSITION = (
+    inspect.Parameter.POSITIONAL_ONLY,
+    inspect.Parameter.POSITIONAL_OR_KEYWORD,
+)
+_REST = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
-def _hints(target: Any, *, strict: bool = False) -> dict[str, Any]:
-    """The annotations of `target`, without what cannot be resolved unless `strict`.
-
-    A name imported under TYPE_CHECKING only does not exist when the program runs. That
-    is a mistake in fraclink, found by its tests; a user's call must not fail for it.
-    """
-    try:
-        hints = get_type_hints(target, include_extras=True)
-    except NameError:
-        if strict:
-            raise
-        hints = {}
-        # Base classes first, so that a field's own annotation wins.
-        for part in reversed(target.__mro__) if isinstance(target, type) else (target,):
-            hints |= _resolvable(part)
-    hints.pop("return", None)
-    return hints
+def _read_only(value: Any) -> Any:
+    """An array itself where it is read-only, a read-only copy otherwise."""
+    if not isinstance(value, np.ndarray):
+        return value
+    # A read-only view is no promise: whoever holds the base writes through it.
+    if value.flags.writeable or value.base is not None or not value.flags.c_contiguous:
+        value = np.array(value, order="C")
+        value.flags.writeable = False
+    return value
 
 
-def _resolvable(target: Any) -> dict[str, Any]:
-    hints: dict[str, Any] = {}
-    scope = vars(sys.modules[target.__module__])
-    for name, hint in inspect.get_annotations(target).items():
-        # One name at a time: get_type_hints resolves all annotations of a target or
-        # none.
-        lone = types.SimpleNamespace(__annotations__={name: hint})
-        with contextlib.suppress(NameError):
-            hints |= get_type_hints(lone, globalns=scope, include_extras=True)
-    return hints
-
-
-# --- calls by name, while packages move to annotations ------------------------------------------------
-
-
-def checked_number(
-    field: str,
-    value: object,
-    *,
-    allowed: str,
-    remedy: str = CHECK_UNIT,
-    holds: Callable[[float], bool] = lambda number: True,
-) -> float:
-    """Return `value` as a finite float that `holds`; `allowed` is the range in words."""
-    where = Where(holds, allowed, remedy=remedy)
-    number = Between(remedy=remedy)
-    try:
-        return cast(float, conditional_rule(number_rule(number), where).convert(value))
-    except Refused as refused:
-        # The words of a condition say more than the range: they name both.
-        refused.expected = allowed
-        raise refused.error(field, FieldError) from None
-
-
-def checked_between(
-    field: str,
-    value: object,
-    low: float,
-    high: float,
-    unit: str = "",
-    *,
-    open_low: bool = False,
-    remedy: str = CHECK_UNIT,
-) -> float:
-    """Return `value` as a float in [low, high], or in (low, high] with `open_low`."""
-    return Between(low, high, unit, low_open=open_low, remedy=remedy).check(
-        field, value
-    )
-
-
-def checked_whole(
-    field: str, value: object, low: int, high: int, unit: str = ""
-) -> int:
-    """Return `value` as an int from `low` to `high`, both included."""
-    return cast(int, whole_rule(Between(low, high, unit)).check(field, value))
-
-
-def is_whole(value: object, low: int, high: int) -> bool:
-    """Whether `value` is an integer from `low` to `high`, and neither a bool nor a
-    float.
-    """
-    # A bool is an int in Python, and True no count of anything.
-    return (
-        isinstance(value, int | np.integer)
-        and not isinstance(value, bool)
-        and bool(low <= value <= high)
-    )
+# --- values that no annotation of the caller stands for -----------------------------------------------
 
 
 def checked_choice(
@@ -358,39 +213,34 @@ def checked_choice(
     remedy: str = "choose one of these",
 ) -> str:
     """Return `value` where it is one of the words in `choices`."""
-    words = tuple(choices)
-    if not isinstance(value, str) or value not in words:
-        raise FieldError(field, value, "unknown", allowed=listed(words), remedy=remedy)
-    return value
+    return str(_checked(rules.choice(tuple(choices)), field, value, remedy))
 
 
 def checked_noun(
-    field: str, value: object, kind: type[Instance], *, remedy: str | None = None
+    field: str, value: object, kind: type[Instance], *, remedy: str = ""
 ) -> Instance:
     """Return `value` where it is a `kind`; `remedy` says where to get one, else the
     class itself does.
     """
-    try:
-        return cast(Instance, instance_rule(kind).convert(value))
-    except Refused as refused:
-        refused.remedy = remedy or refused.remedy
-        raise refused.error(field, FieldError) from None
+    return cast(Instance, _checked(rules.instance(kind), field, value, remedy))
 
 
 def checked_series(
     field: str,
     value: object,
     *,
-    remedy: str = "give one column of numbers",
     error: type[FieldError] = FieldError,
 ) -> NDArray[np.float64]:
     """Return `value` as an array of shape (N,), which may hold NaN."""
+    series = rule(Annotated[NDArray[np.float64], Array(1, finite=False)])
+    # A copy: what is fitted must not change while its caller goes on recording into
+    # the array.
+    return np.array(series.check(field, value, error=error))
+
+
+def _checked(admitted: Rule, field: str, value: object, remedy: str) -> Any:
     try:
-        # A copy: what is fitted must not change while its caller goes on recording into
-        # the array.
-        return np.array(
-            rule(Annotated[NDArray[np.float64], Array(1, finite=False)]).convert(value)
-        )
+        return admitted.convert(value, ARGUMENTS)
     except Refused as refused:
-        refused.remedy = remedy
-        raise refused.error(field, error) from None
+        refused.remedy = remedy or refused.remedy
+        raise refused.error(field, FieldError) from None

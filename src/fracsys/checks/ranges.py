@@ -1,11 +1,11 @@
-"""What may stand beside a type in an annotation, and the rules of numbers:
-Annotated[float, Between(0, 1)]
+"""A rule, and what may stand beside a type in an annotation:
+``Annotated[float, Between(0, 1)]``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sized
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, cast
 
@@ -13,15 +13,16 @@ import numpy as np
 
 from fracsys.errors import FieldError, value_text
 
-Check = Callable[[Any], Any]
-
 CHECK_UNIT = "check the value and its unit"
 
 
-class Refused(
-    Exception
-):  # never leaves this module: the border makes a FieldError of it
-    """A check that failed, before the name of its field is known."""
+class Refused(Exception):
+    """A value that a rule does not admit, before the name of its field is known.
+
+    `is_type` says that the value is of another kind, so that another member of a union
+    may take it. `keys` lead to it within the field, the outermost last. `inner` are the
+    refusals of several entries of it.
+    """
 
     def __init__(
         self,
@@ -33,49 +34,89 @@ class Refused(
         is_type: bool = False,
     ):
         super().__init__(problem)
-        self.value, self.problem, self.expected, self.remedy = (
-            value,
-            problem,
-            expected,
-            remedy,
-        )
-        # the value is of another kind, so another member of a union may take it
-        self.is_type = is_type
-        self.place = ""  # "[0]" inside a sequence
+        self.value, self.problem = value, problem
+        self.expected, self.remedy, self.is_type = expected, remedy, is_type
+        self.keys: list[object] = []
+        self.inner: list[Refused] = []
 
     def error(self, field: str, kind: type[FieldError]) -> FieldError:
-        value, place = self.value, field + self.place
-        return kind(
-            place, value, self.problem, allowed=self.expected, remedy=self.remedy
-        )
+        """Return the error about `field`."""
+        place = field + "".join(f"[{key!r}]" for key in reversed(self.keys))
+        expected, remedy = self.expected, self.remedy
+        return kind(place, self.value, self.problem, allowed=expected, remedy=remedy)
+
+
+class Form:
+    """How values are given: as the arguments of a call, or otherwise in a subclass."""
+
+    def __call__(self, rule: Rule, value: Any) -> Any:
+        """Return `value` converted; Refused where `rule` does not admit it."""
+        return rule.convert(value, self)
+
+    def entry(self, rule: Rule, value: Any, key: object) -> Any:
+        """Return the value at `key` of a container, converted."""
+        try:
+            return self(rule, value)
+        except Refused as refused:
+            refused.keys.append(key)
+            refused.is_type = False  # the container was of the right kind
+            raise
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What an annotation admits: its words, its check and, for numbers and words, its
-    bounds and choices.
+    """What an annotation admits.
+
+    Parameters
+    ----------
+    expected
+        in words.
+    convert
+        returns a value normalised, or raises Refused; its parts are converted by the
+        form that is handed to it.
+    kind, of
+        what a form may treat otherwise: float, complex, bytes, np.ndarray, Any, or type
+        for the instances of the class `of`; and the element type of an array.
+    unit
+        of numbers.
+    choices
+        of words.
+    optional
+        whether None is admitted.
+    named
+        whether a file has to name the class: one of several.
     """
 
     expected: str
-    convert: Check
+    convert: Callable[[Any, Form], Any]
+    kind: Any = None
+    of: Any = None
+    _: KW_ONLY
     unit: str = ""
-    low: float = -math.inf
-    high: float = math.inf
     choices: tuple[Any, ...] = ()
+    optional: bool = False
+    named: bool = False
 
     def check(
-        self, field: str, value: object, *, error: type[FieldError] = FieldError
+        self, name: str, value: object, *, error: type[FieldError] = FieldError
     ) -> Any:
-        """Return `value` normalised; raises `error` (a FieldError) that names `field`
-        otherwise.
+        """Return `value` normalised; `error`, a FieldError about `name`, where it is
+        not admitted.
+
+        >>> number(Between(0.0, 1e6, "s")).check("filter_time", -2)
+        Traceback (most recent call last):
+        fracsys.errors.FieldError: filter_time: out of range (got -2.0); expected 0 to 1e6 s. Check the value and
+        its unit.
         """
         try:
-            return self.convert(value)
+            return self.convert(value, ARGUMENTS)
         except Refused as refused:
-            raise refused.error(field, error) from None
+            # Without the inner frames: the mistake is at the call, and the rule that
+            # saw it is no part of the message.
+            raise refused.error(name, error) from None
 
 
-# --- what stands beside a type: Annotated[float, Between(...)] ----------------------------------------
+ARGUMENTS = Form()
 
 
 @dataclass(frozen=True)
@@ -84,12 +125,6 @@ class Between:
 
     >>> Between(0.0, 9.0, "rad/s", low_open=True).expected
     '> 0 and <= 9 rad/s'
-    >>> Between(0.0, 1e6, "s").check("filter_time", 2)
-    2.0
-    >>> Between(0.0, 1e6, "s").check("filter_time", -2)
-    Traceback (most recent call last):
-    fracsys.errors.FieldError: filter_time: out of range (got -2.0); expected 0 to 1e6 s. Check the value and
-    its unit.
     """
 
     low: float = -math.inf
@@ -106,35 +141,29 @@ class Between:
     def expected(self) -> str:
         """The range in words, with its unit."""
         low, high = _figure(self.low), _figure(self.high)
-        bounds = (
-            [f"{'>' if self.low_open else '>='} {low}"] if self.low > -math.inf else []
-        )
-        bounds += (
-            [f"{'<' if self.high_open else '<='} {high}"]
-            if self.high < math.inf
-            else []
-        )
-        closed = len(bounds) == 2 and not (self.low_open or self.high_open)
-        text = f"{low} to {high}" if closed else " and ".join(bounds)
-        text = (
-            f"{text} {self.unit}".strip()
-            if bounds
-            else f"a finite number {self.unit}".rstrip()
-        )
-        if self.finite:
-            return text
-        return f"{text} or infinite" if bounds else f"a number {self.unit}".rstrip()
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f"{'>' if self.low_open else '>='} {low}")
+        if self.high < math.inf:
+            bounds.append(f"{'<' if self.high_open else '<='} {high}")
+        if len(bounds) == 2 and not (self.low_open or self.high_open):
+            bounds = [f"{low} to {high}"]
+        if not bounds:
+            number = "a finite number" if self.finite else "a number"
+            return f"{number} {self.unit}".rstrip()
+        infinite = "" if self.finite else " or infinite"
+        return f"{' and '.join(bounds)} {self.unit}".rstrip() + infinite
 
     def admits(self, number: Any) -> Any:
         """Whether a number lies in the range; elementwise for arrays."""
         above = number > self.low if self.low_open else number >= self.low
         return above & (number < self.high if self.high_open else number <= self.high)
 
-    def check(self, field: str, value: object) -> float:
+    def check(self, name: str, value: object) -> float:
         """Return `value` as a float of this range; for bounds that are known at run
         time only.
         """
-        return cast(float, number_rule(self).check(field, value))
+        return cast(float, number(self).check(name, value))
 
 
 @dataclass(frozen=True)
@@ -150,25 +179,10 @@ class Array:
     @property
     def expected(self) -> str:
         """Shape and content in words."""
-        shapes = {None: "any shape", 0: "no axis", 1: "shape (N,)", 2: "shape (N, M)"}
+        shapes = {None: "any shape", 1: "shape (N,)", 2: "shape (N, M)"}
         size = f" with N >= {self.min_size}" if self.min_size else ""
         kind = "finite numbers" if self.finite else "numbers"
         return f"{kind} of {shapes.get(self.ndim, f'{self.ndim} axes')}{size}"
-
-
-@dataclass(frozen=True)
-class Ordered:
-    """A pair (low, high) with low <= high, or low < high where `strict`."""
-
-    strict: bool = False
-
-
-@dataclass(frozen=True)
-class Length:
-    """The number of entries of a sequence, mapping or text."""
-
-    low: int = 0
-    high: int = 10**9
 
 
 @dataclass(frozen=True)
@@ -183,40 +197,56 @@ class Where:
     remedy: str = CHECK_UNIT
 
 
+def length(low: int, high: int = 10**9) -> Where:
+    """Return the condition on the number of entries of a sequence or of letters of a
+    text.
+    """
+    bounds = f"{low} to {high}" if high < 10**9 else f"at least {low}"
+
+    def fits(entries: Sized) -> bool:
+        return low <= len(entries) <= high
+
+    return Where(fits, f"{bounds} long", "of another length", f"give {bounds}")
+
+
+def ascending(*, strict: bool = False) -> Where:
+    """Return the condition on a pair (low, high): low <= high, or low < high where
+    `strict`.
+    """
+
+    def fits(pair: tuple[float, float]) -> bool:
+        return pair[0] < pair[1] or (pair[0] == pair[1] and not strict)
+
+    expected = f"low {'<' if strict else '<='} high"
+    return Where(fits, expected, "not in ascending order", "give the smaller one first")
+
+
 def _figure(number: float) -> str:
     """A bound as people write it: 1e6 for 1000000.0, every digit of a whole number that
     is an int.
     """
     # A range of samples is read by its digits, 300000; one of a unit by its size, 1e6.
-    text = (
-        str(number)
-        if isinstance(number, int) and abs(number) < 10**6
-        else f"{number:g}"
-    )
-    mantissa, mark, exponent = text.partition("e")
+    if isinstance(number, int) and abs(number) < 10**6:
+        return str(number)
+    mantissa, mark, exponent = f"{number:g}".partition("e")
     # 1e+06 is what Python writes and nobody else.
-    return f"{mantissa}e{int(exponent)}" if mark else text
+    return f"{mantissa}e{int(exponent)}" if mark else mantissa
 
 
-def number_rule(bounds: Between | None = None) -> Rule:
-    limits = bounds or Between()
-    expected, remedy, finite = limits.expected, limits.remedy, limits.finite
-    low, high, simple = (
-        limits.low,
-        limits.high,
-        not (limits.low_open or limits.high_open),
-    )
+def number(bounds: Between = Between()) -> Rule:
+    """Return the rule of a real number."""
+    expected, remedy, finite = bounds.expected, bounds.remedy, bounds.finite
+    low, high = bounds.low, bounds.high
+    closed = not (bounds.low_open or bounds.high_open)
+    any_number = not finite and low == -math.inf and high == math.inf
 
-    def convert(value: Any) -> float:
+    def convert(value: Any, form: Form) -> float:
         # The common case first: this runs at every call of every public function.
         if type(value) is not float:
             value = _as_float(value, expected, remedy)
         # NaN fails every comparison, so it falls through to the refusal below.
-        if (low <= value <= high if simple else limits.admits(value)) and (
-            not finite or math.isfinite(value)
-        ):
-            return cast(float, value)
-        if not finite and math.isnan(value) and low == -math.inf and high == math.inf:
+        inside = low <= value <= high if closed else bounds.admits(value)
+        if (inside and (not finite or math.isfinite(value))) or any_number:
             return cast(float, value)
         raise Refused(
             value,
@@ -225,76 +255,64 @@ def number_rule(bounds: Between | None = None) -> Rule:
             remedy,
         )
 
-    return Rule(expected, convert, limits.unit, low, high)
+    return Rule(expected, convert, float, unit=bounds.unit)
 
 
 def _as_float(value: Any, expected: str, remedy: str) -> float:
-    if isinstance(value, bool | np.bool_) or not isinstance(
-        value, int | float | np.floating | np.integer
-    ):
+    kinds = int | float | np.floating | np.integer
+    if isinstance(value, bool | np.bool_) or not isinstance(value, kinds):
         raise Refused(brief(value), "not a number", expected, remedy, is_type=True)
     try:
         return float(value)
     except OverflowError:  # a whole number of more than 308 digits
-        # As infinity it meets the range's own refusal, "not finite", which names the
-        # bounds.
+        # As infinity it meets the range's own refusal, which names the bounds.
         return math.inf if value > 0 else -math.inf
 
 
-def whole_rule(bounds: Between | None = None) -> Rule:
-    limits = bounds or Between()
-    low, high, unit = limits.low, limits.high, limits.unit
-    text = (
-        f"{_figure(low)} to {_figure(high)}"
-        if math.isfinite(high)
-        else f">= {_figure(low)}"
-    )
-    expected = (
-        f"whole number {text if math.isfinite(low) else ''} {unit}".strip().replace(
-            "  ", " "
-        )
-    )
-    remedy = "give a whole number" if limits.remedy == CHECK_UNIT else limits.remedy
+def whole_number(bounds: Between = Between()) -> Rule:
+    """Return the rule of a whole number, which a bool and 2.0 are not."""
+    low, high = bounds.low, bounds.high
+    text = f" >= {_figure(low)}" if math.isfinite(low) else ""
+    if math.isfinite(high):
+        text = f" {_figure(low)} to {_figure(high)}"
+    expected = f"whole number{text} {bounds.unit}".rstrip()
+    remedy = "give a whole number" if bounds.remedy == CHECK_UNIT else bounds.remedy
 
-    def convert(value: Any) -> int:
-        if isinstance(value, bool | np.bool_) or not isinstance(
-            value, int | np.integer
-        ):
+    def convert(value: Any, form: Form) -> int:
+        is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        if not is_whole:
             raise Refused(
                 brief(value), "not a whole number", expected, remedy, is_type=True
             )
         # Python's int: bounds of 64 bits are compared exactly, which a numpy integer
         # would wrap around.
-        number = int(value)
-        if not low <= number <= high:
-            raise Refused(number, "out of range", expected, remedy)
-        return number
+        plain = int(value)
+        if not low <= plain <= high:
+            raise Refused(plain, "out of range", expected, remedy)
+        return plain
 
-    return Rule(expected, convert, unit, low, high)
+    return Rule(expected, convert, int, unit=bounds.unit)
 
 
-def complex_rule() -> Rule:
+def complex_number() -> Rule:
+    """Return the rule of a finite complex number."""
     expected, remedy = "a finite complex number", "give a number"
 
-    def convert(value: Any) -> complex:
-        kinds = int | float | complex | np.number
-        if isinstance(value, bool | np.bool_) or not isinstance(value, kinds):
-            raise Refused(brief(value), "not a number", expected, remedy, is_type=True)
-        number = (
-            complex(value) if isinstance(value, complex | np.complexfloating) else None
-        )
-        number = (
-            complex(_as_float(value, expected, remedy)) if number is None else number
-        )
-        if not (math.isfinite(number.real) and math.isfinite(number.imag)):
-            raise Refused(number, "not finite", expected, remedy)
-        return number
+    def convert(value: Any, form: Form) -> complex:
+        if not isinstance(value, complex | np.complexfloating):
+            value = _as_float(value, expected, remedy)
+        plain = complex(value)
+        if not (math.isfinite(plain.real) and math.isfinite(plain.imag)):
+            raise Refused(plain, "not finite", expected, remedy)
+        return plain
 
-    return Rule(expected, convert)
+    return Rule(expected, convert, complex)
 
 
 def brief(value: object) -> str:
-    """A value of the wrong kind: small ones as written, the others by their type."""
+    """Return a value of the wrong kind: small ones as written, the others by their
+    type.
+    """
     scalar = isinstance(value, str | bytes | int | float | complex | np.generic | None)
     # A message is one line: of a thousand samples the type says enough.
     short = isinstance(value, tuple | list) and len(value) <= 8

@@ -1,8 +1,9 @@
-"""From an annotation to its rule: what a type, and a range beside it, admit; in words
-and as a check.
+"""From annotations to rules: the one walk over type hints.
 
-`fracsys.checks` is the door: its `checked` applies these rules to arguments and
-fields.
+What a function or a dataclass admits is said once, beside its names. `parameters` reads
+it, and whoever needs it asks the same rules: `checked` for the arguments of a call, the
+codec for the fields of a file, the reader of TOML for keys and their units, the command
+line for its options.
 """
 
 from __future__ import annotations
@@ -12,9 +13,19 @@ import inspect
 import os
 import types
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import InitVar, replace
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,161 +33,204 @@ from numpy.typing import NDArray
 from fracsys.checks.ranges import (
     Array,
     Between,
-    Check,
-    Length,
-    Ordered,
+    Form,
     Refused,
     Rule,
     Where,
     brief,
-    complex_rule,
-    number_rule,
-    whole_rule,
+    complex_number,
+    number,
+    whole_number,
 )
 
+__all__ = ["Parameter", "parameters", "rule"]
 
-def unaliased(annotation: Any) -> Any:
-    """Return what `annotation` stands for if it is a type alias, as NDArray is from
-    numpy 2.5 on; itself otherwise.
+REQUIRED: Any = inspect.Parameter.empty
 
-    >>> get_origin(unaliased(NDArray[np.float64]))
-    <class 'numpy.ndarray'>
+
+@dataclass(frozen=True)
+class Parameter:
+    """One argument of a function, or field of a dataclass.
+
+    Parameters
+    ----------
+    name, hint
+        its name, and its annotation with all that stands beside the type.
+    rule
+        what the annotation admits.
+    default
+        its default, or `REQUIRED`.
+    way
+        how it is given: a kind of `inspect.Parameter`.
+    """
+
+    name: str
+    hint: Any
+    rule: Rule
+    default: Any
+    way: Any
+
+
+def parameters(target: Callable[..., Any]) -> dict[str, Parameter]:
+    """Return the annotated arguments of a function, or fields of a dataclass.
+
+    >>> list(parameters(Between))[:3], parameters(Between)["low"].rule.expected
+    (['low', 'high', 'unit'], 'a finite number')
+    """
+    hints = get_type_hints(target, include_extras=True)
+    signature = inspect.signature(target).parameters
+    return {
+        name: Parameter(name, hints[name], rule(hints[name]), each.default, each.kind)
+        for name, each in signature.items()
+        if name in hints
+    }
+
+
+def rule(annotation: Any) -> Rule:
+    """Return the rule of `annotation`.
+
+    >>> rule(Annotated[float, Between(0.0, 1e6, "rad/s")]).check("gain_crossover", 12)
+    12.0
+    >>> rule(Literal["zero", "first"] | None).expected
+    'zero or first'
+    """
+    try:
+        return _rule(annotation)
+    except TypeError:  # metadata that cannot be hashed
+        return _rule.__wrapped__(annotation)
+
+
+@functools.lru_cache(maxsize=4096)
+def _rule(annotation: Any) -> Rule:
+    annotation = _unaliased(annotation)
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _narrowed(arguments[0], arguments[1:])
+    if origin is Union or isinstance(annotation, types.UnionType):
+        return _union(arguments)
+    if origin is Literal:
+        return choice(arguments)
+    if isinstance(annotation, TypeVar):
+        return rule(annotation.__bound__ or Any)
+    if annotation in _SCALARS:
+        return _SCALARS[annotation]
+    kind = origin or annotation
+    if kind is np.ndarray:
+        return _array(annotation, Array(None, finite=False), None)
+    if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
+        return _SCALARS[Any]  # isinstance cannot ask a protocol; mypy has the say there
+    return _container(kind, arguments)
+
+
+def _unaliased(annotation: Any) -> Any:
+    """What `annotation` stands for if it is a type alias, as NDArray is from numpy 2.5
+    on.
     """
     value = getattr(get_origin(annotation) or annotation, "__value__", None)
     if value is None:
         return annotation
     arguments = get_args(annotation)
-    return unaliased(value[arguments] if arguments else value)
+    return _unaliased(value[arguments] if arguments else value)
 
 
-def rule(annotation: Any, *, own: bool = False) -> Rule:
-    """Return the rule of `annotation`; with `own`, arrays become read-only copies, as a
-    field keeps them.
-
-    >>> rule(Annotated[float, Between(0.0, 1e6, "rad/s")]).check("gain_crossover", 12)
-    12.0
-    """
-    try:
-        return _rule(annotation, own)
-    except TypeError:  # metadata that cannot be hashed
-        return _rule.__wrapped__(annotation, own)
-
-
-@functools.lru_cache(maxsize=4096)
-def _rule(annotation: Any, own: bool) -> Rule:
-    if isinstance(annotation, InitVar):
-        annotation = annotation.type
-    annotation = unaliased(annotation)
-    origin, arguments = get_origin(annotation), get_args(annotation)
-    if origin is Annotated:
-        return _narrowed(arguments[0], arguments[1:], own)
-    if origin is Union or isinstance(annotation, types.UnionType):
-        return _union(arguments, own)
-    if origin is Literal:
-        return _choice(arguments)
-    if isinstance(annotation, TypeVar):
-        return rule(annotation.__bound__ or Any, own=own)
-    if annotation in _SCALARS:
-        return _SCALARS[annotation]
-    kind = origin or annotation
-    if kind is np.ndarray:
-        return array_rule(annotation, Array(None, finite=False), None, own)
-    if not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
-        return _SCALARS[Any]  # isinstance cannot ask a protocol; mypy has the say there
-    return _container(kind, arguments, own)
-
-
-def _container(kind: type, arguments: tuple[Any, ...], own: bool) -> Rule:
+def _container(kind: type, arguments: tuple[Any, ...]) -> Rule:
     if issubclass(kind, os.PathLike):
         return _PATH
     # tuple[float, float] is a pair; tuple[float, ...] a sequence of any length, as a
     # list is.
     if kind is tuple and arguments and arguments[-1] is not Ellipsis:
-        return _fixed(tuple(rule(item, own=own) for item in arguments))
+        return _fixed(tuple(rule(item) for item in arguments))
     if kind in _SEQUENCES:
-        return _sequence(
-            rule(arguments[0] if arguments else Any, own=own),
-            list if kind is list else tuple,
-        )
+        return _sequence(rule(arguments[0] if arguments else Any), kind is list)
     if issubclass(kind, Mapping) and arguments:
-        return _mapping(rule(arguments[1], own=own))
-    return _FUNCTION if kind is cast(object, Callable) else instance_rule(kind)
+        return _mapping(rule(arguments[1]))
+    return _FUNCTION if kind is cast(object, Callable) else instance(kind)
 
 
-def _narrowed(base: Any, metadata: tuple[Any, ...], own: bool) -> Rule:
+def _narrowed(base: Any, metadata: tuple[Any, ...]) -> Rule:
     """The rule of Annotated[base, *metadata]."""
-    base = unaliased(base)
+    base = _unaliased(base)
     bounds = next((item for item in metadata if isinstance(item, Between)), None)
     shape = next((item for item in metadata if isinstance(item, Array)), None)
-    if shape is None and get_origin(base) in (
-        Union,
-        types.UnionType,
-    ):
+    if shape is None and get_origin(base) in (Union, types.UnionType):
         members = (
             Annotated[member, *metadata] if member is not type(None) else member
             for member in get_args(base)
         )
-        return rule(Union[tuple(members)], own=own)  # noqa: UP007
+        return rule(Union[tuple(members)])  # noqa: UP007
     if shape is not None or get_origin(base) is np.ndarray:
-        narrowed = array_rule(base, shape or Array(None), bounds, own)
-    elif bounds is not None and base in (float, int):
-        narrowed = number_rule(bounds) if base is float else whole_rule(bounds)
-    elif bounds is not None:
-        raise TypeError(
-            f"Between stands beside float, int or an array, not beside {base}"
-        )
+        narrowed = _array(base, shape or Array(None), bounds)
+    elif bounds is None:
+        narrowed = rule(base)
+    elif base in (float, int):
+        narrowed = number(bounds) if base is float else whole_number(bounds)
     else:
-        narrowed = rule(base, own=own)
+        raise TypeError(f"Between stands beside float, int or an array, not {base}")
     # In the order of the annotation: a later one sees only what the earlier ones let
     # through.
     for item in metadata:
-        if isinstance(item, Ordered):
-            narrowed = _ordered(narrowed, item)
-        elif isinstance(item, Length):
-            narrowed = _counted(narrowed, item)
-        elif isinstance(item, Where):
-            narrowed = conditional_rule(narrowed, item)
+        if isinstance(item, Where):
+            narrowed = conditional(narrowed, item)
     return narrowed
+
+
+def conditional(inner: Rule, where: Where) -> Rule:
+    """Return the rule of what `inner` admits and `where` holds of."""
+    expected = f"{inner.expected}; {where.expected}"
+
+    def convert(value: Any, form: Form) -> Any:
+        plain = form(inner, value)
+        if not where.condition(plain):
+            raise Refused(brief(plain), where.problem, expected, where.remedy)
+        return plain
+
+    # A form that converts the inner rule by itself still meets the condition.
+    return replace(inner, expected=expected, convert=convert, kind=None)
 
 
 def _kind(
     fits: Callable[[Any], bool],
     name: str,
     remedy: str,
-    plain: Check = lambda value: value,
+    plain: Callable[[Any], Any] = lambda value: value,
+    kind: Any = None,
 ) -> Rule:
     """The rule of a kind of values that `fits` recognises and `plain` makes ordinary."""
 
-    def convert(value: Any) -> Any:
+    def convert(value: Any, form: Form) -> Any:
         if fits(value):
             return plain(value)
         raise Refused(brief(value), f"not {name}", name, remedy, is_type=True)
 
-    return Rule(name, convert)
+    return Rule(name, convert, kind)
 
 
-def instance_rule(kind: type) -> Rule:
-    """An instance of a class; its ``__made_by__`` says where to get one:
-    ``"read_log(path)"``.
+def instance(kind: type) -> Rule:
+    """Return the rule of the instances of a class; its ``__made_by__`` says where to
+    get one: ``"read_log(path)"``.
+
+    A class may take what it can be made of, such as a name for a bundled rig: its
+    ``__made_of__`` returns an instance, or None.
     """
     name = f"{'an' if kind.__name__[0] in 'AEIOU' else 'a'} {kind.__name__}"
     source = getattr(kind, "__made_by__", None)
-    own = _kind(
-        lambda value: isinstance(value, kind),
-        name,
-        f"use {source}" if source else f"give {name}",
-    )
-    made_of = getattr(kind, "__made_of__", None)
-    if made_of is None:
-        return own
+    made_of = getattr(kind, "__made_of__", lambda value: None)
 
-    def convert(value: Any) -> Any:
-        # A class may take what it can be made of: a path for the log in it, a name for
-        # a bundled rig.
-        made = made_of(value)
-        return own.convert(value if made is None else made)
+    def convert(value: Any, form: Form) -> Any:
+        if isinstance(value, kind):
+            return value
+        converted = made_of(value)
+        if converted is None:
+            raise Refused(
+                brief(value),
+                f"not {name}",
+                name,
+                f"use {source}" if source else f"give {name}",
+                is_type=True,
+            )
+        return converted
 
-    return replace(own, convert=convert)
+    return Rule(name, convert, type, kind)
 
 
 def _names_a_file(value: Any) -> bool:
@@ -186,76 +240,76 @@ def _names_a_file(value: Any) -> bool:
     return isinstance(text, str) and bool(text) and "\0" not in text
 
 
+def _is(kind: Any) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, kind)
+
+
 _FUNCTION = _kind(callable, "a function", "give a function")
 _PATH = _kind(_names_a_file, "the name of a file or folder", "give its path", Path)
-_NOTHING = _kind(lambda value: value is None, "None", "leave it out")
+_NOTHING = _kind(_is(type(None)), "None", "leave it out")
+_ANYTHING = Rule("anything", lambda value, form: value, Any)
 _SCALARS: dict[Any, Rule] = {
-    float: number_rule(),
-    int: whole_rule(),
-    complex: complex_rule(),
-    bool: _kind(
-        lambda value: isinstance(value, bool | np.bool_),
-        "True or False",
-        "give True or False",
-        bool,
-    ),
-    str: _kind(lambda value: isinstance(value, str), "a text", "give a str"),
+    float: number(),
+    int: whole_number(),
+    complex: complex_number(),
+    bool: _kind(_is(bool | np.bool_), "True or False", "give True or False", bool),
+    str: _kind(_is(str), "a text", "give a str"),
+    bytes: _kind(_is(bytes), "bytes", "give bytes", kind=bytes),
     None: _NOTHING,
     type(None): _NOTHING,
-    Any: Rule("anything", lambda value: value),
-    object: Rule("anything", lambda value: value),
+    Any: _ANYTHING,
+    object: _ANYTHING,
 }
 _SEQUENCES: tuple[Any, ...] = (tuple, list, Sequence, Iterable, Collection)
 
 
-def _choice(choices: tuple[Any, ...]) -> Rule:
-    expected = listed([str(choice) for choice in choices])
-    kinds = tuple({type(choice) for choice in choices})
+def choice(choices: tuple[Any, ...]) -> Rule:
+    """Return the rule of one of several words or whole numbers."""
+    expected = listed([str(word) for word in choices])
+    kinds = tuple({type(word) for word in choices})
 
-    def convert(value: Any) -> Any:
+    def convert(value: Any, form: Form) -> Any:
         plain = int(value) if isinstance(value, np.integer) else value
-        # True == 1 in Python, and a bool is no choice among numbers.
-        if type(plain) in kinds or (isinstance(plain, str) and str in kinds):
-            for choice in choices:
-                if choice == plain:
-                    return choice
-        is_type = not isinstance(plain, kinds)
-        raise Refused(
-            value, "unknown", expected, "choose one of these", is_type=is_type
-        )
+        for word in choices:
+            # True == 1 in Python, and a bool is no choice among numbers.
+            if word == plain and (type(plain) is type(word) or isinstance(plain, str)):
+                return word
+        known, remedy = isinstance(plain, kinds), "choose one of these"
+        raise Refused(value, "unknown", expected, remedy, is_type=not known)
 
     return Rule(expected, convert, choices=choices)
 
 
-def _union(members: tuple[Any, ...], own: bool) -> Rule:
+def _union(members: tuple[Any, ...]) -> Rule:
     present = [member for member in members if member not in (None, type(None))]
     kinds = [get_origin(member) or member for member in present]
     # str | Path: one value, the name of a file, however it is given.
-    if len(kinds) > 1 and all(
-        kind is str or kind in (os.PathLike, Path) for kind in kinds
-    ):
+    if len(kinds) > 1 and all(kind in (str, os.PathLike, Path) for kind in kinds):
         inner = _PATH
     elif len(present) == 1:
-        inner = rule(present[0], own=own)
+        inner = rule(present[0])
     else:
-        inner = _any_of([rule(member, own=own) for member in present])
+        inner = _any_of([rule(member) for member in present])
     if len(present) == len(members):
         return inner
-    convert = inner.convert
-    optional: Check = lambda value: None if value is None else convert(value)  # noqa: E731
-    return Rule(
-        inner.expected, optional, inner.unit, inner.low, inner.high, inner.choices
-    )
+
+    def convert(value: Any, form: Form) -> Any:
+        return None if value is None else form(inner, value)
+
+    return replace(inner, convert=convert, kind=None, optional=True)
 
 
-def _any_of(rules: Sequence[Rule]) -> Rule:
-    expected = listed(list(dict.fromkeys(item.expected for item in rules)))
+def _any_of(members: Sequence[Rule]) -> Rule:
+    expected = listed(list(dict.fromkeys(item.expected for item in members)))
+    classes = [item for item in members if item.kind is type and is_dataclass(item.of)]
+    if len(classes) > 1:
+        members = [replace(item, named=item in classes) for item in members]
 
-    def convert(value: Any) -> Any:
+    def convert(value: Any, form: Form) -> Any:
         refusals = []
-        for item in rules:
+        for item in members:
             try:
-                return item.convert(value)
+                return form(item, value)
             except Refused as refused:
                 # Without its traceback: that holds this frame, the frame holds this
                 # list, and so every array of every caller would live on until the next
@@ -266,50 +320,45 @@ def _any_of(rules: Sequence[Rule]) -> Rule:
         for refusal in refusals:
             if not refusal.is_type:
                 raise refusal
-        remedy = listed(list(dict.fromkeys(refusal.remedy for refusal in refusals)))
-        raise Refused(brief(value), "of another type", expected, remedy, is_type=True)
+        raise Refused(
+            brief(value),
+            "of another type",
+            expected,
+            listed(list(dict.fromkeys(refusal.remedy for refusal in refusals))),
+            is_type=True,
+        )
 
     return Rule(expected, convert)
 
 
-def _fixed(rules: tuple[Rule, ...]) -> Rule:
-    count = len(rules)
-    name = "a pair" if count == 2 else f"{count} values"
-    words = list(dict.fromkeys(item.expected for item in rules))
-    expected = (
-        f"{name}, each {words[0]}" if len(words) == 1 else f"{name}: {', '.join(words)}"
-    )
+def _fixed(items: tuple[Rule, ...]) -> Rule:
+    name = "a pair" if len(items) == 2 else f"{len(items)} values"
+    words = list(dict.fromkeys(item.expected for item in items))
+    each = f", each {words[0]}" if len(words) == 1 else f": {', '.join(words)}"
 
-    def convert(value: Any) -> tuple[Any, ...]:
+    def convert(value: Any, form: Form) -> tuple[Any, ...]:
         # A set or a dict of two has no first entry.
-        if not isinstance(value, tuple | list | np.ndarray) or len(value) != count:
+        is_list = isinstance(value, tuple | list | np.ndarray)
+        if not is_list or len(value) != len(items):
             raise Refused(
-                brief(value), f"not {name}", expected, f"give {name}", is_type=True
+                brief(value), f"not {name}", name + each, f"give {name}", is_type=True
             )
-        return tuple(_entries(zip(rules, value, strict=True)))
+        pairs = enumerate(zip(items, value, strict=True))
+        return tuple(form.entry(item, entry, place) for place, (item, entry) in pairs)
 
-    return Rule(expected, convert, rules[0].unit, rules[0].low, rules[0].high)
+    return Rule(name + each, convert, unit=items[0].unit)
 
 
-def _sequence(item: Rule, kind: type[tuple[Any, ...]] | type[list[Any]]) -> Rule:
-    expected = (
-        "a list"
-        if item.expected == "anything"
-        else f"a list, each entry {item.expected}"
-    )
+def _sequence(item: Rule, as_list: bool) -> Rule:
+    each = "" if item.kind is Any else f", each entry {item.expected}"
+    expected = f"a list{each}"
 
-    def convert(value: Any) -> Any:
+    def convert(value: Any, form: Form) -> Any:
         # A text is a sequence of letters and a mapping one of its keys: both are
         # mistakes where a list is wanted.
-        if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
-            raise Refused(
-                brief(value),
-                "not a list",
-                expected,
-                "put a single one in a list",
-                is_type=True,
-            )
-        if isinstance(value, np.ndarray) and value.ndim == 0:
+        unlike = isinstance(value, str | bytes | Mapping)
+        scalar = isinstance(value, np.ndarray) and value.ndim == 0
+        if unlike or scalar or not isinstance(value, Iterable):
             raise Refused(
                 brief(value),
                 "not a list",
@@ -318,59 +367,37 @@ def _sequence(item: Rule, kind: type[tuple[Any, ...]] | type[list[Any]]) -> Rule
                 is_type=True,
             )
         # Once through: a generator cannot be read a second time.
-        return kind(_entries((item, entry) for entry in value))
+        entries = [form.entry(item, entry, place) for place, entry in enumerate(value)]
+        return entries if as_list else tuple(entries)
 
-    return Rule(expected, convert, item.unit, item.low, item.high)
+    return Rule(expected, convert, unit=item.unit)
 
 
 def _mapping(item: Rule) -> Rule:
     expected = f"a mapping, each value {item.expected}"
 
-    def convert(value: Any) -> dict[Any, Any]:
+    def convert(value: Any, form: Form) -> dict[Any, Any]:
         if not isinstance(value, Mapping):
             raise Refused(
                 brief(value), "not a mapping", expected, "give a dict", is_type=True
             )
-        entries = _entries(((item, entry) for entry in value.values()), tuple(value))
-        return dict(zip(value, entries, strict=True))
+        return {key: form.entry(item, entry, key) for key, entry in value.items()}
 
-    return Rule(expected, convert, item.unit)
-
-
-def _entries(
-    pairs: Iterable[tuple[Rule, Any]], keys: tuple[Any, ...] = ()
-) -> list[Any]:
-    entries: list[Any] = []
-    for item, entry in pairs:
-        try:
-            entries.append(item.convert(entry))
-        except Refused as refused:
-            index = len(entries)
-            refused.place = (
-                f"[{keys[index]!r}]{refused.place}"
-                if keys
-                else f"[{index}]{refused.place}"
-            )
-            refused.is_type = False  # the container was of the right kind
-            raise
-    return entries
+    return Rule(expected, convert, unit=item.unit)
 
 
-def array_rule(
-    annotation: Any, shape: Array, bounds: Between | None, own: bool
-) -> Rule:
+def _array(annotation: Any, shape: Array, bounds: Between | None) -> Rule:
     dtype = _dtype(annotation)
     # What goes without loss: integers into floats, floats into complex numbers, never a
     # float into an index.
-    kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf") + (
-        "b" if shape.flags else ""
-    )
+    kinds = {"c": "iufc", "b": "b", "i": "iu"}.get(dtype.kind, "iuf")
+    kinds += "b" if shape.flags else ""
     expected = f"{shape.expected}, each {bounds.expected}" if bounds else shape.expected
-    remedy = (
-        "give one column of numbers" if shape.ndim == 1 else "give an array of numbers"
-    )
+    remedy = "give an array of numbers"
+    if shape.ndim == 1:
+        remedy = "give one column of numbers"
 
-    def convert(value: Any) -> NDArray[Any]:
+    def convert(value: Any, form: Form) -> NDArray[Any]:
         try:
             raw = np.asarray(value)
         except (TypeError, ValueError, OverflowError):  # rows of different lengths
@@ -379,27 +406,26 @@ def array_rule(
             raise Refused(
                 brief(value), "not an array of numbers", expected, remedy, is_type=True
             )
-        if (
-            shape.ndim is not None and raw.ndim != shape.ndim
-        ) or raw.size < shape.min_size:
+        if shape.ndim not in (None, raw.ndim) or raw.size < shape.min_size:
             raise Refused(f"shape {raw.shape}", "of another shape", expected, remedy)
         # Not copied where it is float64 already: logs of millions of samples pass here
         # at every call.
         array = raw.astype(dtype, copy=False)
         # One pass without a copy: NaN and infinity show in the sum, and only then every
         # entry is looked at.
-        if shape.finite and dtype.kind in "fc" and not _sums_up(array):
+        if shape.finite and dtype.kind in "fc" and not _sum_is_finite(array):
             _check_entries(array, np.isfinite(array), "not finite", expected, remedy)
         if bounds is not None:
-            _check_entries(
-                array, bounds.admits(array), "out of range", expected, bounds.remedy
-            )
-        return _owned(array) if own else array
+            inside = bounds.admits(array)
+            _check_entries(array, inside, "out of range", expected, bounds.remedy)
+        return array
 
-    return Rule(expected, convert, bounds.unit if bounds else "")
+    return Rule(
+        expected, convert, np.ndarray, dtype, unit=bounds.unit if bounds else ""
+    )
 
 
-def _sums_up(array: NDArray[Any]) -> bool:
+def _sum_is_finite(array: NDArray[Any]) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(array.sum()))
 
@@ -410,18 +436,8 @@ def _check_entries(
     if not good.all():
         place = np.argwhere(~good)[0]
         where = ", ".join(map(str, place)) if place.size else "the only one"
-        raise Refused(
-            array[tuple(place)], f"{problem} (entry {where})", expected, remedy
-        )
-
-
-def _owned(array: NDArray[Any]) -> NDArray[Any]:
-    """The array itself where it is read-only, a read-only copy otherwise."""
-    # A read-only view is no promise: whoever holds the base writes through it.
-    if array.flags.writeable or array.base is not None or not array.flags.c_contiguous:
-        array = np.array(array, order="C")
-        array.flags.writeable = False
-    return array
+        value = array[tuple(place)]
+        raise Refused(value, f"{problem} (entry {where})", expected, remedy)
 
 
 def _dtype(annotation: Any) -> np.dtype[Any]:
@@ -429,62 +445,11 @@ def _dtype(annotation: Any) -> np.dtype[Any]:
     stated.
     """
     arguments = get_args(annotation) if get_origin(annotation) is np.ndarray else ()
-    scalar = (
-        get_args(arguments[1])[0]
-        if len(arguments) == 2 and get_args(arguments[1])
-        else None
-    )
-    return np.dtype(
-        scalar
-        if isinstance(scalar, type) and not inspect.isabstract(scalar)
-        else np.float64
-    )
-
-
-def _ordered(inner: Rule, order: Ordered) -> Rule:
-    sign = "<" if order.strict else "<="
-    expected = (
-        f"(low, high) with low {sign} high, each {inner.expected.partition('each ')[2]}"
-    )
-
-    def convert(value: Any) -> Any:
-        pair = inner.convert(value)
-        if not (pair[0] < pair[1] or (pair[0] == pair[1] and not order.strict)):
-            raise Refused(
-                pair, "not in ascending order", expected, "give the smaller one first"
-            )
-        return pair
-
-    return Rule(expected, convert, inner.unit, inner.low, inner.high)
-
-
-def _counted(inner: Rule, length: Length) -> Rule:
-    bound = (
-        f"{length.low} to {length.high}"
-        if length.high < 10**9
-        else f"at least {length.low}"
-    )
-    expected = f"{inner.expected}; {bound} {'characters' if inner.expected == 'a text' else 'entries'}"
-
-    def convert(value: Any) -> Any:
-        entries = inner.convert(value)
-        if not length.low <= len(entries) <= length.high:
-            problem = "empty" if not len(entries) else "of another length"
-            raise Refused(brief(value), problem, expected, f"give {bound}")
-        return entries
-
-    return Rule(expected, convert, inner.unit, inner.low, inner.high)
-
-
-def conditional_rule(inner: Rule, where: Where) -> Rule:
-    def convert(value: Any) -> Any:
-        plain = inner.convert(value)
-        if not where.condition(plain):
-            raise Refused(plain, where.problem, where.expected, where.remedy)
-        return plain
-
-    return Rule(where.expected, convert, inner.unit, inner.low, inner.high)
+    scalar = (*get_args(arguments[1]), None)[0] if len(arguments) == 2 else None
+    concrete = isinstance(scalar, type) and not inspect.isabstract(scalar)
+    return np.dtype(scalar if concrete else np.float64)
 
 
 def listed(words: Sequence[str]) -> str:
+    """Return words as a sentence lists them: a, b or c."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"

@@ -73,7 +73,7 @@ export class Around {
 
   // ---- the map ----
   async mapped() {
-    const {state} = this.app, of = JSON.stringify([state.payloads, state.filter_time, state.filter_order, state.margins, this.app.axes.payloads]);
+    const {state} = this.app, of = JSON.stringify([state.payloads, state.filter_time, state.filter_order, this.app.axes.payloads]);
     if (of === this.of || !this.app.axes.payloads) return;
     this.of = of;
     const found = await this.app.ask('map', {state});

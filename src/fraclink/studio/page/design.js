@@ -206,8 +206,8 @@ export class Design {
   took(answer) {
     const found = answer.design;
     if (found) {
-      table($('requirements'), found.requirements.header, found.requirements.rows, 'Requirements');
-      table($('moves-table'), found.moves.header, found.moves.rows, 'Moves of the model with the exact law');
+      table($('requirements'), found.requirements.header, found.requirements.lines, 'Requirements');
+      table($('moves-table'), found.moves.header, found.moves.lines, 'Moves of the model with the exact law');
     }
   }
   /** Another state that Python looked for. */

@@ -246,7 +246,7 @@ export class Logs {
     say('model-words', answer.said);
     say('model-said', answer.conclusion);
     findings($('model-findings'), used?.findings);
-    table($('model-table'), answer.table?.header, answer.table?.rows, 'All four structures');
+    table($('model-table'), answer.table?.header, answer.table?.lines, 'All four structures');
     const c = answer.curves, {duration} = answer;
     if (!c.measured) return;
     this.duration = duration;

@@ -92,8 +92,8 @@ export class Proof {
   }
   result(answer) {
     if (answer.proved) say('proof-said', answer.proved.text);
-    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.rows, `${answer.failures.count} of ${answer.failures.runs} arms fail`);
-    if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.rows, answer.faults_said);
+    if (answer.spread) table($('spread'), answer.spread.header, answer.spread.lines, `${answer.failures.count} of ${answer.failures.runs} arms fail`);
+    if (answer.faults) table($('faults-table'), answer.faults.header, answer.faults.lines, answer.faults_said);
     if (answer.cells) {
       this.matrix();
       for (const cell of answer.cells) this.cell(cell);

@@ -6,7 +6,7 @@ import {Design} from './design.js';
 import {Logs} from './logs.js';
 import {Proof} from './proof.js';
 import {palette} from './palette.js';
-import {$, emptied, items, make, on, say} from './dom.js';
+import {$, emptied, make, on, say} from './dom.js';
 
 const STEPS = ['log', 'channels', 'model', 'design', 'move', 'proof', 'board'];
 
@@ -115,12 +115,12 @@ export const app = {
       item.querySelector('.sr').textContent = `: ${mark}`;
     }
     const strip = emptied('verdict');
-    for (const scope of answer.verdict) {
-      const box = make('details', `scope ${scope.state.replace(' ', '-')}`, '', strip), top = make('summary', '', '', box);
-      make('b', '', scope.name, top);
-      make('span', 'state', ` ${scope.shown}`, top);
-      make('small', '', scope.what, top);
-      items(make('ul', '', '', box), scope.reasons);
+    for (const [name, what, why, state] of answer.verdict) {
+      const box = make('details', `scope ${state.slice(2).replace(' ', '-')}`, '', strip), top = make('summary', '', '', box);
+      make('b', '', name, top);
+      make('span', 'state', ` ${state}`, top);
+      make('small', '', what, top);
+      make('p', '', why, box);
     }
     proof.took(answer);
     design.took(answer);
@@ -210,7 +210,7 @@ async function hello() {
   if (!answer.ok) return;
   design.around.pictures.clear(); // those under way when the studio was lost
   const first = !app.states.length && app.at < 0;
-  if (first || !app.state.margins) {
+  if (first || !('box' in app.state)) {
     app.states = answer.states;
     app.at = answer.at;
     app.kept = new Set(answer.kept);

@@ -22,50 +22,71 @@ const nice = (value) => {
   return [1, 2, 5, 10].find((step) => step * power >= value) * power;
 };
 
-const arm = {svg: $('arm')};
+const arm = {svg: $('arm'), pair: []};
+const laws = () => [...(alone.shown ? [alone] : []), {tip, motor, mode}];
 
 // A drive that is off lets the arm swing anywhere: then the whole circle is drawn.
-const wild = () => tip.some((angle) => Math.abs(angle - amplitude() / 2) > 1.45);
+const wild = () => laws().some((law) => law.tip.some((angle) => Math.abs(angle - amplitude() / 2) > 1.45));
+const fits = () => arm.pair.length === laws().length && wild() === arm.round;
 
+// Two arms beside one another; where there is no room, about one hub.
 function layArm() {
   const W = Math.max(280, arm.svg.clientWidth), narrow = W < 560;
-  const middle = amplitude() / 2, reach = Math.min(Math.abs(middle) + 0.35, 1.45);
-  const margin = narrow ? 34 : 46;
-  const round = wild(), room = W / 2 - margin;
-  const L = round ? Math.min(room, narrow ? 135 : 210) : Math.min(room / Math.max(Math.sin(reach), 0.62), narrow ? 250 : 360);
-  const H = Math.round(round ? 2 * (L + margin) + 24 : L + margin + (narrow ? 62 : 74));
-  const cy = round ? H / 2 : H - (narrow ? 48 : 58);
-  Object.assign(arm, {W, H, L, cx: W / 2, cy, middle, round, thick: narrow ? 8 : 11});
+  const middle = amplitude() / 2, reach = Math.min(Math.abs(middle) + 0.5, 1.45);
+  const round = wild(), all = laws(), beside = !narrow && all.length > 1, margin = narrow ? 44 : 50, foot = beside ? 70 : narrow ? 48 : 58;
+  const room = W / (beside ? 4 : 2) - margin, high = 0.38 * innerHeight - margin;
+  const L = Math.max(60, round ? Math.min(room, high / 2 - 12) : Math.min(room / Math.max(Math.sin(reach), 0.62), high - foot));
+  const H = Math.round(round ? 2 * (L + margin) : L + margin + foot), cy = round ? H / 2 : H - foot;
+  Object.assign(arm, {W, H, L, middle, round, thick: narrow ? 8 : 11});
   set(arm.svg, {viewBox: `0 0 ${W} ${H}`, height: H});
   arm.svg.replaceChildren();
-  drawFloor();
-  const g = el('g', {}, arm.svg);
-  arm.trail = [0, 1, 2, 3, 4, 5].map((i) => el('path', {class: 'trail', 'stroke-opacity': (0.07 + 0.09 * i).toFixed(2)}, g));
-  arm.rigid = el('line', {class: 'rigid'}, g);
-  arm.ghost = el('g', {class: 'ghost'}, g);
-  el('line', {x1: 0, y1: 0, x2: 0, y2: -L}, arm.ghost);
-  el('circle', {cx: 0, cy: -L, r: payloadRadius() + 3}, arm.ghost);
-  arm.past = el('path', {class: 'past'}, g);
-  arm.shadow = el('path', {class: 'shadow', 'stroke-width': arm.thick + 4}, g);
-  arm.link = el('path', {class: 'link'}, g);
-  arm.shine = el('path', {class: 'shine', 'stroke-width': 1.5}, g);
-  arm.gauge = el('path', {class: 'gauge', 'stroke-width': arm.thick + 4}, g);
-  drawHub(g);
-  arm.load ||= el('g', {id: 'load', role: 'button', tabindex: 0}, g);
-  g.append(arm.load);
+  arm.pair = all.map((law, i) => layOne(law, i, beside ? (W * (1 + 2 * i)) / 4 : W / 2, cy, beside || !i));
+  drawScale();
   drawPayload();
-  arm.flying = el('circle', {class: 'load flying', r: 0}, g);
+}
+
+// One arm about its hub; `floor`: whether it has a protractor of its own.
+function layOne(law, place, cx, cy, floor) {
+  const rival = law === alone, g = el('g', {class: rival ? 'alone' : 'ours', transform: `translate(${cx} ${cy})`}, arm.svg), one = {law, g, rival};
+  if (floor) drawFloor(g);
+  one.trail = [0, 1, 2, 3, 4, 5].map((i) => el('path', {class: 'trail', 'stroke-opacity': (0.07 + 0.09 * i).toFixed(2)}, g));
+  if (floor) {
+    one.ghost = el('g', {class: 'ghost'}, g);
+    el('line', {x1: 0, y1: 0, x2: 0, y2: -arm.L}, one.ghost);
+    el('circle', {cx: 0, cy: -arm.L, r: payloadRadius() + 3}, one.ghost);
+  }
+  if (!rival) one.past = el('path', {class: 'past'}, g);
+  one.shadow = el('path', {class: 'shadow', 'stroke-width': arm.thick + 4}, g);
+  one.link = el('path', {class: 'link'}, g);
+  one.shine = el('path', {class: 'shine', 'stroke-width': 1.5}, g);
+  one.gauge = el('path', {class: 'gauge', 'stroke-width': arm.thick + 4}, g);
+  drawHub(one);
+  one.load = rival ? el('g', {}, g) : arm.load ||= el('g', {id: 'load', role: 'button', tabindex: 0});
+  g.append(one.load);
+  if (!rival) arm.flying = el('circle', {class: 'load flying', r: 0}, g);
+  // below its own hub, or on its side of a common one
+  const own = cx !== arm.W / 2, y = own ? arm.H - 20 : cy - 10;
+  const who = own ? {x: cx, 'text-anchor': 'middle'} : place ? {x: arm.W - 4, 'text-anchor': 'end'} : {x: 4};
+  el('text', {class: `who ${rival ? 'alone' : 'ours'}`, y, ...who}, arm.svg, rival ? 'Motor PID alone' : 'fraclink');
+  one.fate = el('text', {class: 'fate', y: y + 16, ...who}, arm.svg, fate(law));
+  return one;
+}
+
+// In a word, what became of the moves there and back.
+function fate(law) {
+  const o = outcome(law), rests = Math.max(o.settles, o.returns);
+  return o.worst > 2 ? DATA.modes[o.worst] : !state.move ? '' : Number.isNaN(rests) ? `swings on for ${fixed(DATA.half, 1)} s` : `at rest in ${rests.toFixed(2)} s`;
 }
 
 const spot = (angle, radius) => {
   const turn = angle - arm.middle;
-  return [arm.cx - radius * Math.sin(turn), arm.cy - radius * Math.cos(turn)];
+  return [-radius * Math.sin(turn), -radius * Math.cos(turn)];
 };
 const payloadRadius = () => (arm.W < 560 ? 5 : 7) + 2.1 * Math.cbrt(1e3 * DATA.payloads[state.payload]);
 
-// A protractor of the tip's angle, where the move starts and ends, and how long 0.1 m is.
-function drawFloor() {
-  const g = el('g', {class: 'floor'}, arm.svg), R = arm.L + (arm.W < 560 ? 16 : 22);
+// A protractor of the tip's angle, and where the move starts and ends.
+function drawFloor(hub) {
+  const g = el('g', {class: 'floor'}, hub), R = arm.L + (arm.W < 560 ? 16 : 22);
   const seen = arm.round ? 3.1 : Math.min(Math.PI / 2, Math.abs(arm.middle) + 0.5);
   const [x1, y1] = spot(arm.middle + seen, R), [x2, y2] = spot(arm.middle - seen, R);
   el('path', {class: 'arc', d: `M${px(x1)} ${px(y1)}A${px(R)} ${px(R)} 0 ${seen > 1.6 ? 1 : 0} 1 ${px(x2)} ${px(y2)}`}, g);
@@ -80,39 +101,47 @@ function drawFloor() {
     const [ax, ay] = spot(angle, R - 9), [bx, by] = spot(angle, R + 1);
     el('line', {class: 'goal', x1: px(ax), y1: px(ay), x2: px(bx), y2: px(by)}, g);
   }
-  const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 44) || 2;
+}
+
+// How long 0.1 m is, and what is not to scale.
+function drawScale() {
+  const g = el('g', {class: 'floor'}, arm.svg);
+  const unit = [0.02, 0.05, 0.1, 0.2, 0.5, 1].find((m) => (m / DATA.length) * arm.L > 30) || 2;
   const wide = (unit / DATA.length) * arm.L, y = arm.H - 14;
   el('path', {class: 'scale', d: `M14 ${y - 4}V${y}H${px(14 + wide)}V${y - 4}`}, g);
   el('text', {x: px(14 + wide / 2), y: y - 6, 'text-anchor': 'middle'}, g, `${unit} m`);
+  el('text', {x: arm.W - 6, y, 'text-anchor': 'end'}, g, arm.W < 900 ? 'bow drawn ×2' : 'bow drawn twice as deep');
 }
 
-function drawHub(g) {
-  const r = arm.W < 560 ? 15 : 19;
-  const hub = el('g', {class: 'hub', transform: `translate(${arm.cx} ${arm.cy})`}, g);
+function drawHub(one) {
+  const r = arm.W < 560 ? 15 : 19, hub = el('g', {class: 'hub'}, one.g);
   el('path', {class: 'plate', d: `M${-2.1 * r} ${1.05 * r}Q${-2.1 * r} ${-1.05 * r} 0 ${-1.45 * r}Q${2.1 * r} ${-1.05 * r} ${2.1 * r} ${1.05 * r}Q0 ${2.1 * r} ${-2.1 * r} ${1.05 * r}Z`}, hub);
   for (const [x, y] of [[-1.45, 0.75], [1.45, 0.75]]) el('circle', {class: 'bolt', cx: x * r, cy: y * r, r: 2.4}, hub);
-  arm.housing = el('circle', {class: 'housing', r}, hub);
-  arm.rotor = el('g', {}, hub);
-  el('circle', {class: 'rotor', r: 0.62 * r}, arm.rotor);
-  el('path', {class: 'clamp', d: `M${-0.42 * r} ${0.1 * r}V${-1.35 * r}H${0.42 * r}V${0.1 * r}Z`}, arm.rotor);
+  one.housing = el('circle', {class: 'housing', r}, hub);
+  one.rotor = el('g', {}, hub);
+  el('circle', {class: 'rotor', r: 0.62 * r}, one.rotor);
+  el('path', {class: 'clamp', d: `M${-0.42 * r} ${0.1 * r}V${-1.35 * r}H${0.42 * r}V${0.1 * r}Z`}, one.rotor);
   el('circle', {class: 'axis', r: 2.6}, hub);
 }
 
 function drawPayload() {
   const thrown = state.thrown >= 0, r = payloadRadius();
-  arm.load.replaceChildren();
   arm.load.setAttribute('aria-label', `${gramsOf(state.payload)}: ${thrown ? 'put the payload back' : 'throw off the payload'}`);
-  el('circle', {class: 'grip', r: Math.max(20, r + 7)}, arm.load);
-  el('circle', {class: 'load', r}, arm.load);
-  el('circle', {class: 'spark', cx: -r / 3, cy: -r / 3, r: r / 4.5}, arm.load);
-  arm.weight = el('text', {class: 'weight', 'text-anchor': 'middle'}, arm.load, gramsOf(state.payload));
+  for (const {load, rival} of arm.pair) {
+    load.replaceChildren();
+    if (!rival) el('circle', {class: 'grip', r: Math.max(20, r + 7)}, load);
+    el('circle', {class: 'load', r}, load);
+    el('circle', {class: 'spark', cx: -r / 3, cy: -r / 3, r: r / 4.5}, load);
+    if (!rival) arm.weight = el('text', {class: 'weight', 'text-anchor': 'middle'}, load, gramsOf(state.payload));
+  }
 }
 const gramsOf = (index) => `${Number((1e3 * DATA.payloads[index]).toPrecision(4))} g`;
 
-// The link's centre line: clamped at the hub, loaded at its tip, so that it bends as 3x²/2 − x³/2. To scale.
+// The link's centre line. Clamped at the hub and loaded at its tip it bends as 3x²/2 − x³/2; as x³ its bow is twice as
+// deep, and its direction at the hub and the place of its tip stay what they are.
 const bent = (from, to, base, bend) => Array.from({length: 25}, (_, i) => {
   const x = from + ((to - from) * i) / 24;
-  return spot(base + bend * (1.5 * x - 0.5 * x * x), arm.L * x);
+  return spot(base + bend * x * x, arm.L * x);
 });
 const line = (points) => points.map(([x, y], i) => `${i ? 'L' : 'M'}${px(x)} ${px(y)}`).join('');
 
@@ -127,33 +156,32 @@ function blade(points) {
   return `${line(sides[0])}${line(sides[1]).replace('M', 'L')}Z`;
 }
 
-function drawArm(k) {
-  const base = motor[k], bend = tip[k] - motor[k];
-  const points = bent(0, 1, base, bend), d = line(points), [gx, gy] = spot(base, arm.L);
-  arm.link.setAttribute('d', blade(points));
-  arm.shine.setAttribute('d', line(bent(0.08, 0.97, base, bend)));
-  arm.shadow.setAttribute('d', d);
-  arm.past.setAttribute('d', past.tip ? line(bent(0, 1, past.motor[k], past.tip[k] - past.motor[k])) : '');
-  arm.gauge.setAttribute('d', line(bent(0.1, 0.17, base, bend)));
-  set(arm.rigid, {x1: px(arm.cx), y1: px(arm.cy), x2: px(gx), y2: px(gy)});
+function drawArm(k) { for (const one of arm.pair) drawOne(one, k); }
+
+function drawOne({law: {tip, motor, mode}, ...one}, k) {
+  const base = motor[k], bend = tip[k] - motor[k], points = bent(0, 1, base, bend);
+  one.link.setAttribute('d', blade(points));
+  one.shine.setAttribute('d', line(bent(0.08, 0.97, base, bend)));
+  one.shadow.setAttribute('d', line(points));
+  one.past?.setAttribute('d', past.tip ? line(bent(0, 1, past.motor[k], past.tip[k] - past.motor[k])) : '');
+  one.gauge.setAttribute('d', line(bent(0.1, 0.17, base, bend)));
   const turn = (angle) => fixed(-degrees(angle - arm.middle), 2).replace('−', '-');
-  arm.ghost.setAttribute('transform', `translate(${arm.cx} ${arm.cy}) rotate(${turn(reference[k])})`);
-  arm.rotor.setAttribute('transform', `rotate(${turn(base)})`);
-  const [x, y] = points[24], out = [(x - arm.cx) / arm.L, (y - arm.cy) / arm.L], r = payloadRadius();
-  arm.load.setAttribute('transform', `translate(${px(x)} ${px(y)})`);
-  const aside = r + 20;
-  set(arm.weight, {x: px(-out[1] * aside), y: px(out[0] * aside + 4)});
-  const span = Math.round(0.5 / TS / arm.trail.length);
-  arm.trail.forEach((piece, i) => {
-    const b = k - span * (arm.trail.length - 1 - i), a = Math.max(0, b - span);
+  one.ghost?.setAttribute('transform', `rotate(${turn(reference[k])})`);
+  one.rotor.setAttribute('transform', `rotate(${turn(base)})`);
+  const [x, y] = points[24], aside = (payloadRadius() + 20) / arm.L;
+  one.load.setAttribute('transform', `translate(${px(x)} ${px(y)})`);
+  if (!one.rival) set(arm.weight, {x: px(-y * aside), y: px(x * aside + 4)});
+  const span = Math.round(0.5 / TS / one.trail.length);
+  one.trail.forEach((piece, i) => {
+    const b = k - span * (one.trail.length - 1 - i), a = Math.max(0, b - span);
     const step = Math.max(1, Math.floor(span / 24)), trace = [];
     for (let j = a; j <= b; j += step) trace.push(spot(tip[j], arm.L));
     piece.setAttribute('d', b > 0 && trace.length > 1 ? line(trace) : '');
   });
   const broken = (part) => FAULTS.some((f) => f.part === part && f.id in state.faults && k >= state.faults[f.id]);
-  arm.gauge.classList.toggle('broken', broken('gauge'));
-  arm.housing.classList.toggle('broken', broken('encoder'));
-  arm.svg.dataset.mode = DATA.modes[mode[k]];
+  one.gauge.classList.toggle('broken', broken('gauge'));
+  one.housing.classList.toggle('broken', broken('encoder'));
+  one.g.dataset.mode = DATA.modes[mode[k]];
 }
 
 // --- curves ------------------------------------------------------------------------------------------------
@@ -201,7 +229,7 @@ function drawPlot(id, height, low, high, ticks, curves, places, withTime) {
   names.sort((a, b) => a[0] - b[0]);
   if (END() > 40) {
     names.forEach((item, i) => {
-      if (i) item[0] = Math.max(item[0], names[i - 1][0] + 15);
+      item[0] = Math.max(Math.min(item[0], height - foot - 15 * (names.length - 1 - i)), i ? names[i - 1][0] + 15 : 0);
       el('text', {class: `name ${item[1]}`, x: plots.W - END() + 7, y: px(item[0])}, svg, item[2]);
     });
   }
@@ -236,7 +264,7 @@ function drawRibbon() {
 function drawPlots() {
   plots.W = Math.max(280, $('plots').clientWidth);
   $('plots').classList.toggle('narrow', plots.W < 560);
-  const a = degrees(amplitude()), room = Math.max(8, 0.3 * Math.abs(a)), inDegrees = (values) => Array.from(values, degrees);
+  const a = degrees(amplitude()), room = Math.max(8, 0.45 * Math.abs(a)), inDegrees = (values) => Array.from(values, degrees);
   const step = nice((Math.abs(a) + 2 * room) / 5), low = Math.min(0, a) - room, high = Math.max(0, a) + room;
   const marks = (from, to, by) => Array.from({length: Math.floor(to / by) - Math.ceil(from / by) + 1}, (_, i) => by * (Math.ceil(from / by) + i));
   const T = DATA.torque, U = DATA.voltage || 10;
@@ -245,7 +273,8 @@ function drawPlots() {
   const most = limited(nice(1.05 * torque.reduce((x, y) => Math.max(x, Math.abs(y)), 0.3 * T)), 0.1 * T, 4 * T);
   plots.drawn = [
     drawPlot('plot-tip', wide ? 200 : 180, low, high, marks(low, high, step),
-      [...(past.tip ? [['past', '', inDegrees(past.tip)]] : []), ['wanted', 'reference', inDegrees(reference)], ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
+      [...(past.tip ? [['past', '', inDegrees(past.tip)]] : []), ['wanted', 'reference', inDegrees(reference)],
+        ...(alone.shown ? [['alone', 'PID alone', inDegrees(alone.tip)]] : []), ['hub', 'motor', inDegrees(motor)], ['tip', 'tip', inDegrees(tip)]], step < 1 ? 1 : 0, false),
     drawRibbon(),
     drawPlot('plot-gauge', 104, -most, most, [-most, 0, most], [['measured', 'gauge', gauge], ['true', 'true', torque]], most < 1 ? (most < 0.1 ? 2 : 1) : 0, false),
     drawPlot('plot-voltage', 112, -u, u, [-u, 0, u], [['volts', 'voltage', voltage]], u < 1 ? 1 : 0, true),

@@ -99,6 +99,8 @@ const view = {
 const [tip, motor, , torque, gauge, voltage] = view.signal;
 const [, mode, reason] = view.mark;
 const reference = view.path[0];
+// The same arm in the same run under the motor's own PID alone; not shown beside a run that Python made.
+const alone = {tip: new Float64Array(N), motor: new Float64Array(N), mode: new Uint32Array(N), shown: true};
 view.path[2].set(numbers.subarray(RIG, RIG + N));
 
 // A rig in the engine: three whole numbers, and its doubles from byte 16 on.
@@ -257,11 +259,20 @@ function runModel() {
   return ENGINE.run(Number(state.single), link.reals, link.pairs, link.second, breakSensors(), N);
 }
 
-function run() {
-  const begin = performance.now();
-  new Uint8Array(ENGINE.memory.buffer).set(blocks[Number(state.single)], ENGINE.block());
-  follow();
+function runLaw(block) {
+  new Uint8Array(ENGINE.memory.buffer).set(block, ENGINE.block());
   if (state.twin ? runTwin() : runModel()) throw new Error('the engine refused the run');
+}
+
+function run() {
+  follow();
+  runLaw(blocks[2 + Number(state.single)]);
+  alone.tip.set(tip);
+  alone.motor.set(motor);
+  alone.mode.set(mode);
+  alone.shown = true;
+  const begin = performance.now();
+  runLaw(blocks[Number(state.single)]);
   milliseconds = performance.now() - begin;
 }
 
@@ -301,7 +312,7 @@ function inPython() {
 }
 
 // What the run came to. The page judges this move only; what is promised stands in its own text.
-function outcome() {
+function outcome({tip, mode}) {
   const a = amplitude(), half = Math.floor(N / 2), band = 0.02 * (Math.abs(a) || 1); // without a move: of 1 rad
   let changed = -1, settled = 0, back = half, peak = 0, away = 0;
   for (let k = 0; k < N; k++) {

@@ -34,7 +34,7 @@ function showSettings() {
 }
 
 function say() {
-  const o = outcome(), said = $('outcome');
+  const o = outcome({tip, mode}), said = $('outcome');
   let text = '';
   if (o.changed >= 0) {
     const name = DATA.modes[o.worst], after = {
@@ -59,6 +59,7 @@ function say() {
   if ('reversed' in state.faults && o.worst <= 1) {
     text += ' The law has no guard against a gauge wired backwards: it keeps running. The wiring test before the first move finds this.';
   }
+  for (const one of arm.pair) one.fate.textContent = fate(one.law);
   said.textContent = text;
   const rests = placed && !Number.isNaN(o.settles);
   const good = rests && o.worst <= 1 && !Number.isNaN(o.returns);
@@ -82,7 +83,7 @@ function renew({layout = false} = {}) {
     pending = 0;
     pass();
     run();
-    if (renew.layout || wild() !== arm.round) layArm(); else drawPayload();
+    if (renew.layout || !fits()) layArm(); else drawPayload();
     renew.layout = false;
     drawPlots();
     showSettings();
@@ -137,7 +138,7 @@ function throwOff() {
   if (state.thrown < 0) {
     const k = clock.k, [x, y] = spot(tip[k], arm.L), [bx, by] = spot(tip[Math.max(0, k - 3)], arm.L);
     const rate = 1 / (3 * TS), speed = [(x - bx) * rate, (y - by) * rate], size = Math.hypot(...speed);
-    const away = size > 120 ? speed : [(x - arm.cx) * 0.9, (y - arm.cy) * 0.9];
+    const away = size > 120 ? speed : [x * 0.9, y * 0.9];
     if (!still.matches) clock.flight = {from: [x, y], speed: away, begin: performance.now(), r: payloadRadius()};
     state.thrown = state.payload;
     state.payload = 0;

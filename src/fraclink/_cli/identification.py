@@ -1,0 +1,418 @@
+"""The command `identify`: a link from one log or several, a motor, a frequency
+response, any structure.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from fraclink import _identify as identification
+from fraclink._arm.draft import doubts_of
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.log_columns import drive_columns
+from fraclink._arm.recording import FrequencyResponse, Recording
+from fraclink._arm.rig import Rig
+from fraclink._cli.app import group
+from fraclink._cli.command import Answer, Keywords, command
+from fraclink._cli.console import steps
+from fraclink._cli.options import (
+    READING,
+    Columns,
+    Payloads,
+    in_seconds,
+    load_logs,
+    load_rig,
+    load_rig_for_logs,
+    log_path,
+    named_channels,
+    refuse_beside,
+    whole,
+)
+from fraclink._files import output_path, save
+from fraclink._reading.reading import read_log
+from fraclink._reading.responses import read_frequency_response, read_recording
+from fraclink.errors import FieldError, LogError
+from fraclink.findings import errors_of
+from fraclink.logs import diagnose
+from fracsys.checks import Between
+
+app = group()
+
+
+HELD_OUT = Keywords(identification.identify, "heldout")
+TIED = Keywords(identification.identify_payloads, "tied")
+BAND = Keywords(identification.identify_driven_link, "band")
+
+# Kind of fit -> the options that act on it; any other beside it is refused.
+_OPTIONS = {
+    "link": ("payload", "column", *HELD_OUT.names, *READING.names),
+    "several links": ("payload", "column", *TIED.names, *READING.names),
+    "motor": ("column",),
+    "driven": ("column", "band", "output", "payload"),
+    "transfer function": (
+        *("column", "band", "input", "output", "period_ms", "fix", "bound"),
+        "ring_down",
+    ),
+}
+
+
+@command(app)
+def identify(
+    data: Annotated[
+        list[str],
+        typer.Argument(metavar="DATA"),
+        "A log, `demo` for the bundled one; several logs, each of another payload; "
+        "or a table of a frequency response",
+    ],
+    rig: Annotated[
+        str | None,
+        typer.Option(metavar="RIG"),
+        "A rig file, or a bundled rig such as paper-2023; a link needs one",
+    ] = None,
+    structure: Annotated[
+        str | None,
+        "UD-IOM, D-IOM, UD-FOM or D-FOM; motor, of a log with its voltage; driven, of a "
+        "frequency response with the motor; or a transfer function, such as "
+        '"k/(T*s**a + 1)*exp(-L*s)". Default: the link that the log supports',
+    ] = None,
+    out: Annotated[
+        Path | None,
+        "File to write the model to; default: model.json, of a transfer function structure.json",
+    ] = None,
+    payload: Payloads = None,
+    column: Columns = None,
+    input: Annotated[str | None, "Transfer function: column of its input"] = None,
+    output: Annotated[
+        str | None,
+        "Transfer function: column of its output; of `driven`: torque, where it is no motor angle",
+    ] = None,
+    period_ms: Annotated[
+        float | None,
+        Between(0.0, 1e6, "ms", low_open=True),
+        "Transfer function: sampling period of a file without stamps",
+    ] = None,
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE"),
+        "Transfer function: a parameter that is known, or offset=0",
+    ] = None,
+    bound: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=LOW,HIGH"),
+        "Transfer function: range of a parameter, as in k=-10,10",
+    ] = None,
+    ring_down: Annotated[
+        bool,
+        "Transfer function: the link was bent and let go, no input but the force that held it",
+    ] = False,
+    force: bool = False,
+    **options: Annotated[Any, READING, HELD_OUT, TIED, BAND],
+) -> Answer:
+    """Fit a link model to a log, with gain, offset and gauge delay as free parameters.
+
+    Several logs are fitted together: exit code 1 where their parameters cannot be
+    common. `--structure` names anything else that is fitted: the motor, a frequency
+    response, a transfer function with fractional orders and a delay.
+
+    $ fraclink identify log.csv --rig rig.toml --out model.json
+    """
+    kind = _kind(data, structure)
+    options |= {
+        "payload": payload,
+        "column": column,
+        "input": input,
+        "output": output,
+        "period_ms": period_ms,
+        "fix": fix,
+        "bound": bound,
+        "ring_down": ring_down,
+    }
+    others = options.keys() - set(_OPTIONS[kind])
+    refuse_beside(
+        _WORDS.get(kind, f"--structure {structure}"),
+        ", ".join(f"--{word.replace('_', '-')}" for word in _OPTIONS[kind]),
+        **{name: options[name] or None for name in sorted(others)},
+    )
+    if kind == "transfer function":
+        place = output_path(out or "structure.json", force=force)
+        return _transfer_function(Path(data[0]), str(structure), place, options)
+    if kind == "motor":
+        return _motor(data[0], rig, options)
+    if rig is None:
+        raise FieldError(
+            "rig",
+            None,
+            "missing",
+            allowed="a rig",
+            remedy="give --rig rig.toml, or --rig paper-2023",
+        )
+    if kind == "several links":
+        return _several(data, rig, structure, options)
+    place = output_path(out or "model.json", force=force)
+    if kind == "driven":
+        return _driven(data[0], rig, place, options)
+    return _link(data[0], rig, structure, place, options)
+
+
+_WORDS = {"link": "the fit of one log", "several links": "the fit of several logs"}
+
+
+def _kind(data: list[str], structure: str | None) -> str:
+    """What is fitted, a key of `_OPTIONS`."""
+    # Only a transfer function has an s of its own: the names of the links have none.
+    kind = "transfer function" if re.search(r"\bs\b", structure or "") else structure
+    if kind not in _OPTIONS:
+        return "several links" if len(data) > 1 else "link"
+    if len(data) > 1:
+        raise FieldError(
+            "data",
+            ", ".join(data),
+            "several files",
+            allowed="one file",
+            remedy="give one; only logs of a link are fitted together",
+        )
+    return kind
+
+
+def _link(
+    log: str, rig: str, structure: str | None, out: Path, options: dict[str, Any]
+) -> Answer:
+    """One log of a link."""
+    with steps(3) as begin:
+        begin("reading the log")
+        known = load_rig_for_logs(rig)
+        (experiment,) = load_logs(
+            [log], known, options["payload"], options["column"], **READING.of(options)
+        )
+        begin("examining the log")
+        # A model fits a reversed gauge as well as a right one.
+        doubts = errors_of(diagnose(experiment, whole(known)))
+        begin(f"fitting {structure or 'every structure'}")
+        rig_in_full = whole(known)
+        # A deflection log cannot show the stiffness: of Γ = c (θm − θt) every c fits as
+        # well. A torque log measures it.
+        given = rig_in_full is not None and experiment.output_kind == "deflection"
+        stiffness = rig_in_full.link.stiffness if given and rig_in_full else None
+        fit = identification.identify(
+            experiment, structure, heldout=options["heldout"], stiffness=stiffness
+        )
+    fit.save(out)
+    # A rig with blanks has no length and mass that the model could contradict.
+    if rig_in_full is not None:
+        # Each once, in the order in which they were found.
+        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
+    following = f"fraclink design --rig {rig} --model {out}"
+    if fit.model.payload is None:
+        # `design` would take ω₀ from the rig.
+        following = "repeat with --force and --payload, the log's payload [kg]: `design` needs it"
+    return Answer(fit, fit.passed, doubts=doubts, written=(out,), following=following)
+
+
+def _several(
+    logs: list[str], rig: str, structure: str | None, options: dict[str, Any]
+) -> Answer:
+    """Several payloads together, and whether their parameters may be common."""
+    known = load_rig(rig)
+    fit = identification.identify_payloads(
+        load_logs(
+            logs, known, options["payload"], options["column"], **READING.of(options)
+        ),
+        structure,
+        tied=options["tied"],
+        length=known.link.length,
+    )
+    return Answer(fit, fit.test.common)
+
+
+def _motor(log: str, rig: str | None, options: dict[str, Any]) -> Answer:
+    """K/J, ν/J, Coulomb torque, dead zone and delay of a motor from voltage and angle.
+
+    The link loads the motor: its torque is taken from the log, or made of its
+    deflection by the rig's stiffness. A log of angle and voltage alone is that of a
+    motor without a link.
+    """
+    column = options["column"]
+    known = None if rig is None else load_rig(rig)
+    if known is None and not column:
+        raise FieldError(
+            "rig",
+            None,
+            "missing",
+            allowed="a rig, or the columns",
+            remedy="give --rig, or --column for time, motor_angle and voltage",
+        )
+    # --column describes a log on its own: mixed with the rig's mapping, two columns
+    # would claim one role.
+    columns = drive_columns(column) if column else known.log if known else None
+    experiment = read_log(log_path(log), columns=columns)
+    if experiment.voltage is None:
+        raise LogError(
+            "log",
+            log,
+            "without the amplifier's voltage",
+            allowed="a log with a voltage column",
+            remedy='name it in the rig file\'s [log], or by --column "voltage=NAME [V]"',
+        )
+    torque = _load(experiment, known)
+    fit = identification.identify_motor(
+        experiment.voltage,
+        experiment.motor_angle,
+        period=experiment.period,
+        torque=torque,
+        # Only where no torque shows the inertia: stated and measured, the two would
+        # contradict each other in silence.
+        inertia=known.motor.inertia if torque is None and known is not None else None,
+    )
+    return Answer(fit, fit.passed)
+
+
+def _load(log: Experiment, rig: Rig | None) -> NDArray[np.float64] | None:
+    """The link's torque on the motor; None for a log of the drive alone."""
+    if log.output_kind == "torque":
+        return log.output
+    if np.array_equal(log.output, log.motor_angle):
+        return None  # `drive_columns`: there is no other signal
+    if rig is None:
+        raise LogError(
+            "log",
+            log.source,
+            "with a deflection only",
+            allowed="the link's torque",
+            remedy="give --rig, whose stiffness makes a torque of the deflection",
+        )
+    return rig.link.stiffness * log.output
+
+
+def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
+    """A table of gain and phase, its columns as `read_frequency_response` takes them."""
+    named = any("=" in text for text in columns or ())
+    return read_frequency_response(
+        table, _named("column", columns) if named else columns or None
+    )
+
+
+def _driven(table: str, rig: str, out: Path, options: dict[str, Any]) -> Answer:
+    """Link and motor, of a frequency response from the amplifier's voltage."""
+    known = load_rig(rig)
+    output = options["output"] or "motor_angle"
+    if output not in ("motor_angle", "torque"):
+        raise FieldError(
+            "output",
+            output,
+            "unknown",
+            allowed="motor_angle or torque",
+            remedy="name what was measured",
+        )
+    fit = identification.identify_driven_link(
+        _response(table, options["column"]),
+        output=cast(Literal["motor_angle", "torque"], output),
+        band=options["band"],
+    )
+    if not fit.passed:
+        return Answer(fit, passed=False)
+    # J n² [kg·m²]: the response is that of the gear's output.
+    inertia = known.motor.inertia * known.motor.gear_ratio**2
+    carried = options["payload"][0] if options["payload"] else known.payloads.nominal
+    save(fit.model(inertia, payload=carried), out, force=True)
+    return Answer(
+        fit, written=(out,), following=f"fraclink design --rig {rig} --model {out}"
+    )
+
+
+def _transfer_function(
+    data: Path, structure: str, out: Path, options: dict[str, Any]
+) -> Answer:
+    """A transfer function with fractional orders and a delay; of a recording, or of a
+    frequency response where no column is named.
+    """
+    input, output, period_ms = options["input"], options["output"], options["period_ms"]
+    ring_down, fix, bound = options["ring_down"], options["fix"], options["bound"]
+    measured: Recording | FrequencyResponse
+    if input is None and output is None:
+        refuse_beside(
+            "a frequency response",
+            "--input and --output of a recording",
+            period_ms=period_ms,
+            ring_down=ring_down or None,
+        )
+        table = _response(str(data), options["column"])
+        measured = table.between(*options["band"]) if options["band"] else table
+    else:
+        refuse_beside(
+            "--input and --output",
+            "the columns of a recording",
+            column=options["column"],
+            band=options["band"],
+        )
+        if ring_down:
+            refuse_beside("--ring-down", "an output alone", input=input)
+        # A ring-down has no input: its output stands for it until the next line takes
+        # it away.
+        channels = named_channels(output if ring_down else input, output)
+        period = in_seconds(period_ms)
+        measured = read_recording(data, *channels, period=period)
+        if ring_down:
+            swing = (measured.period, measured.output)
+            measured = Recording.ring_down(
+                *swing, source=measured.source, sha256=measured.sha256
+            )
+    with steps(1) as begin:
+        begin("fitting the structure")
+        fit = identification.identify_structure(
+            measured,
+            structure,
+            fixed={
+                name: _numbers("fix", text, 1)[0]
+                for name, text in _named("fix", fix).items()
+            },
+            bounds={
+                name: _numbers("bound", text, 2)
+                for name, text in _named("bound", bound).items()
+            },
+        )
+    fit.save(out)
+    return Answer(fit, fit.passed, written=(out,))
+
+
+def _named(option: str, texts: list[str] | None) -> dict[str, str]:
+    """Name and value of every NAME=VALUE."""
+    named: dict[str, str] = {}
+    for text in texts or ():
+        name, mark, value = (part.strip() for part in text.partition("="))
+        # Of two values for one name the last one would win: a typing error would move a
+        # fit without a word.
+        if not mark or name in named:
+            raise FieldError(
+                option,
+                text,
+                f"given beside {name}={named[name]}" if mark else "without a value",
+                allowed="NAME=VALUE, each name once",
+                remedy=f"as in --{option} k=1",
+            )
+        named[name] = value
+    return named
+
+
+def _numbers(option: str, text: str, count: int) -> Any:
+    """The numbers of "1" or "1,2"."""
+    try:
+        found = tuple(float(cell) for cell in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != count:
+        raise FieldError(
+            option,
+            text,
+            "not understood",
+            allowed="a number"
+            if count == 1
+            else "two numbers with a comma between them",
+            remedy="write 0.5, or 0,10",
+        )
+    return found

@@ -1,0 +1,263 @@
+"""The table of requirements: what is asked of a design, by a person or by us.
+
+Each row has a key (its name in `Specification` where a person may ask for it), words, a
+unit and a sense, what a request wants of it, and the figure of the loops that it judges.
+Solver, `Design.requirements`, command line, studio, tune, report and certificate show
+this table; a new requirement is one row here, and its words in `Specification`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._design.table import Figure, Trial
+from fraclink._law.design import Specification
+from fraclink._law.requirement import Requirement
+from fracsys.checks.rules import rule
+
+if TYPE_CHECKING:
+    from fraclink._design.request import Request
+
+__all__ = ["NOISE_SHARE", "RESERVE", "ROWS", "SENSITIVITY", "Row", "specification"]
+
+Real = NDArray[np.float64]
+
+# Ms of 2 is the customary upper end of a robust loop (1.4 to 2): a gain margin of 2 and
+# a phase margin of 29° follow from it. Asked for where no margin is.
+SENSITIVITY = 2.0
+# A vibration that takes longer than ten of its periods to fall to 2 % is seen as
+# ringing: ζ = ln 50/(2π·10), for small ζ. Not less for a link that has less of its own:
+# with a resonance of 1/(2ζ) any gain crosses beside it with a large margin, and such a
+# loop passes every other row without damping anything.
+_PERIODS = 10
+_DAMPING = math.log(50.0) / math.hypot(2.0 * math.pi * _PERIODS, math.log(50.0))
+# Three standard deviations of the noise leave half of the voltage to the motion.
+NOISE_SHARE = 0.5 / 3.0
+# What a search aims at beyond each row, relative: a payload between those of the table
+# must not miss it. Where stability is all that is asked for, 2° of margin.
+RESERVE, _STABLE = 2e-4, math.radians(2.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One requirement of the table.
+
+    ``figure`` is the logarithm of what is judged unless ``signed``. ``empty`` says
+    whether it is asked of the empty gripper, or of the payloads. ``bound`` takes the place of
+    the figure in a search: a value that must not be negative. ``absent`` is achieved
+    where a loop has no such figure, as one that never crosses.
+    """
+
+    key: str
+    words: str
+    unit: str
+    sense: Literal["at least", "at most"]
+    wanted: Callable[[Request], float | None]
+    figure: Callable[[Trial, Request], Figure]
+    signed: bool = False
+    empty: bool = False
+    bound: Callable[[Trial, float], Figure] | None = None
+    absent: float = math.inf
+    reserve: float = RESERVE
+
+    def kept(self, trial: Trial, request: Request, wanted: float) -> Figure:
+        """Return by how much of it the row is kept at each link, negative where missed;
+        relative, so that an easing of all rows is one number.
+        """
+        if self.bound is not None:
+            return self.bound(trial, wanted)
+        figure = self.figure(trial, request)
+        sign = 1.0 if self.sense == "at least" else -1.0
+        scale = (wanted or 1.0) if self.signed else 1.0
+        zero = wanted if self.signed else math.log(wanted)
+        return figure.scaled(sign / scale, -sign * zero / scale)
+
+    def asked(self, trial: Trial, figure: Figure) -> Figure:
+        """Return a figure at the links that the row is asked of."""
+        return figure.at(trial.table.empty[figure.link] == self.empty)
+
+    def measured(
+        self, trial: Trial, request: Request, wanted: float, payloads: Real
+    ) -> list[Requirement]:
+        """Return what a trial achieves where it is worst, with the payload [kg] of that
+        link; for each of its modes where it is their row.
+        """
+        figure = self.asked(trial, self.figure(trial, request))
+        worst = np.argmin if self.sense == "at least" else np.argmax
+        achieved = {} if figure.value.size else {0: (self.absent, payloads[0])}
+        for mode in np.unique(figure.number):
+            one = figure.at(figure.number == mode)
+            k = worst(one.value)
+            value = one.value[k] if self.signed else math.exp(one.value[k])
+            achieved[int(mode)] = float(value), payloads[one.link[k]]
+        assumed = self.empty and request.rig.payloads.empty is None
+        note = " (assumed)" if assumed else ""
+        return [
+            Requirement(
+                f"{self.words} {mode}" if mode else self.words + note,
+                wanted,
+                value,
+                self.unit,
+                float(payload),
+                self.sense,
+            )
+            for mode, (value, payload) in achieved.items()
+        ]
+
+
+def _own(key: str) -> Callable[[Request], float | None]:
+    """What a person asks for, and nothing otherwise."""
+    return lambda request: request.spec.get(key)
+
+
+def _settling(trial: Trial, request: Request) -> Figure:
+    return trial.crossover.scaled(-1.0, math.log(2.0 * math.pi))
+
+
+def _noise_share(trial: Trial, request: Request) -> Figure:
+    rig = request.rig
+    size = rig.gauge.noise / request.model.stiffness / rig.motor.voltage_limit
+    return trial.voltage.scaled(1.0, math.log(size))
+
+
+def _gain_margin(request: Request) -> float:
+    """What Ms leaves at -180°."""
+    return request.max_sensitivity / (request.max_sensitivity - 1.0)
+
+
+ROWS = (
+    Row(
+        "gain_crossover",
+        "gain crossover",
+        "rad/s",
+        "at least",
+        lambda request: request.gain_crossover,
+        lambda trial, request: trial.crossover,
+        bound=lambda trial, wanted: trial.crossed_beyond(wanted),
+    ),
+    Row(
+        "highest_crossover",
+        "last gain crossing",
+        "rad/s",
+        "at most",
+        lambda request: request.highest,
+        lambda trial, request: trial.last_crossing,
+        bound=lambda trial, wanted: trial.quiet_beyond(wanted),
+    ),
+    Row(
+        "settling_time",
+        "settling time",
+        "s",
+        "at most",
+        _own("settling_time"),
+        _settling,
+        bound=lambda trial, wanted: trial.crossed_beyond(2.0 * math.pi / wanted),
+    ),
+    Row(
+        "phase_margin",
+        "phase margin",
+        "rad",
+        "at least",
+        lambda request: request.phase_margin,
+        lambda trial, request: trial.margin,
+        signed=True,
+        absent=math.pi,
+    ),
+    Row(
+        "max_sensitivity",
+        "sensitivity peak",
+        "",
+        "at most",
+        lambda request: request.max_sensitivity,
+        lambda trial, request: trial.sensitivity,
+        absent=1.0,
+    ),
+    Row(
+        "gain_margin",
+        "gain margin",
+        "",
+        "at least",
+        _gain_margin,
+        lambda trial, request: trial.gain_margin,
+    ),
+    # One sample that comes a period late must not make the loop unstable.
+    Row(
+        "delay_margin",
+        "delay margin",
+        "s",
+        "at least",
+        lambda request: request.rig.period,
+        lambda trial, request: trial.delay,
+        signed=True,
+    ),
+    Row(
+        "mode_gain",
+        "loop gain at mode",
+        "",
+        "at most",
+        lambda request: request.mode_gain,
+        lambda trial, request: trial.modes,
+    ),
+    Row(
+        "noise_gain",
+        "noise gain",
+        "",
+        "at most",
+        _own("noise_gain"),
+        lambda trial, request: trial.noise,
+    ),
+    Row(
+        "noise_voltage",
+        "noise, share of the voltage",
+        "",
+        "at most",
+        lambda request: NOISE_SHARE if request.rig.gauge.noise > 0.0 else None,
+        _noise_share,
+    ),
+    Row(
+        "damping",
+        "damping ratio of the vibration",
+        "",
+        "at least",
+        lambda request: _DAMPING,
+        lambda trial, request: trial.damping,
+        signed=True,
+        absent=1.0,
+        reserve=20.0 * RESERVE,
+    ),
+    Row(
+        "empty",
+        "phase margin, empty gripper",
+        "rad",
+        "at least",
+        lambda request: 0.0,
+        lambda trial, request: trial.margin,
+        signed=True,
+        empty=True,
+        absent=math.pi,
+        reserve=_STABLE,
+    ),
+)
+
+_HINTS: Mapping[str, Any] = get_type_hints(Specification, include_extras=True)
+
+
+def specification(wanted: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is wanted with every value in its range; None leaves one to its rule.
+
+    Raises TypeError for an unknown name, FieldError for a value out of its range.
+    """
+    unknown = sorted(set(wanted) - set(_HINTS))
+    if unknown:
+        raise TypeError(f"design() got an unexpected keyword argument {unknown[0]!r}")
+    return {
+        name: rule(_HINTS[name]).check(name, value)
+        for name, value in wanted.items()
+        if value is not None
+    }

@@ -1,0 +1,596 @@
+"""Loops without their Ĉ over many links, tabulated once, and what a Ĉ makes of them.
+
+The parameters of Ĉ are ln|Ĉ| without its filter at a frequency ω_r, β and ln δ, so that
+
+    ln Ĉ = x₀ + β ln(s/ω_r) − n ln(1 + e^{x₂} s) + ln N(s; x₃, x₄, x₅)
+
+is nearly linear in them, and every figure follows from g = ∂ ln Ĉ/∂x: a frequency at
+which |L| crosses one moves by −Re g/Re σ with σ = d ln L/d ln ω, its phase by
+Im g − Re g Im σ/Re σ, a distance from −1 by Re(L g/(1 + L)), noise by Re(g/(1 + L)).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.loop import Loop, noise_points
+from fraclink._arm.notch import Notch
+from fraclink._law.modes import MODE_POINTS, HigherModes
+
+__all__ = ["Figure", "Outer", "Table", "Trial", "stacked", "tabulated"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Index = NDArray[np.int64]
+
+# Points a decade, from a twentieth of the resonance; cubics between them follow ln L to
+# 2e-5, as its slope is in the table.
+_DENSITY = 28
+_NEAR = np.geomspace(1e-4, 0.2, 12)  # to either side of a sharp resonance
+
+
+@dataclass(frozen=True)
+class Outer:
+    """Ĉ of the parameters `x`, shape (P, K): one column for each link of a table.
+
+    ``reference`` is ω_r [rad/s], ``filter_order`` n; parameters beyond the third are
+    ln ω_N, ln ζ_p and ln(ζ_z/ζ_p) of a notch. Frequencies [rad/s] come with the column
+    that each belongs to.
+    """
+
+    x: Real
+    reference: float
+    filter_order: int
+
+    def log(self, w: NDArray[Any], link: Index) -> Complex:
+        """Return ln Ĉ(jω)."""
+        s = 1j * w
+        gain, order, lag, *notch = self.x[:, link]
+        value = gain + order * (np.log(w / self.reference) + 0.5j * math.pi)
+        value = value - self.filter_order * np.log1p(np.exp(lag) * s)
+        if notch:
+            top, bottom, *_ = _notch_parts(s, *notch)
+            value = value + np.log(top / bottom)
+        return np.asarray(value)
+
+    def slope(self, w: Real, link: Index) -> Complex:
+        """Return d ln Ĉ/d ln ω."""
+        s = 1j * w
+        _, order, lag, *notch = self.x[:, link]
+        lagged = np.exp(lag) * s
+        value = order - self.filter_order * lagged / (1.0 + lagged)
+        if notch:
+            top, bottom, zero, pole = _notch_parts(s, *notch)
+            value = value + 2.0 * s * ((s + zero) / top - (s + pole) / bottom)
+        return np.asarray(value)
+
+    def gradient(self, w: NDArray[Any], link: Index) -> Complex:
+        """Return ∂ ln Ĉ/∂x at ω, the parameters along the first axis."""
+        s = 1j * w
+        _, _, lag, *notch = self.x[:, link]
+        lagged = np.exp(lag) * s
+        rows = [
+            np.ones_like(s),
+            np.log(w / self.reference) + 0.5j * math.pi,
+            -self.filter_order * lagged / (1.0 + lagged),
+        ]
+        if notch:
+            top, bottom, zero, pole = _notch_parts(s, *notch)
+            square = 2.0 * np.exp(2.0 * notch[0])
+            above, below = 2.0 * zero * s / top, 2.0 * pole * s / bottom
+            rows += [
+                square / top - square / bottom + above - below,
+                above - below,
+                above,
+            ]
+        return np.array(rows)
+
+    @property
+    def notch(self) -> Notch | None:
+        """The notch of the first link's parameters."""
+        if len(self.x) == 3:
+            return None
+        centre, poles, depth = np.exp(self.x[3:, 0])
+        return Notch(float(centre), float(min(poles * depth, poles)), float(poles))
+
+
+def _notch_parts(
+    s: NDArray[Any], centre: Real, poles: Real, depth: Real
+) -> tuple[Complex, Complex, Real, Real]:
+    """Numerator and denominator of N(s), and ζ ω_N of each."""
+    centre = np.exp(centre)
+    pole = np.exp(poles) * centre
+    zero = np.exp(depth) * pole
+    rest = s * s + centre * centre
+    return rest + 2.0 * zero * s, rest + 2.0 * pole * s, zero, pole
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """The loops beside Ĉ of K links, each at its own frequencies.
+
+    ``w``, ``rest``, ``slope`` (K, N): frequencies [rad/s], ln of the loop beside Ĉ with
+    its true phase, and that one's slope over ln ω. ``noise_w``, ``weight``,
+    ``noise_rest`` (K, M): the points of the noise integral and the loop beside Ĉ there;
+    ``voltage`` (K, M) the gain from motor reference to voltage [V/rad].
+    ``modes_w``, ``modes_level``, ``modes_number`` (K, R): the higher modes. ``empty``
+    (K,) says whether the gripper is; ``arm`` and ``natural_frequency`` (K,) which link
+    it is; ``mode`` (K,) its resonance and ``band`` (K, 2) the frequencies that belong to
+    its second mode [rad/s].
+    """
+
+    w: Real
+    rest: Complex
+    slope: Complex
+    noise_w: Real
+    weight: Real
+    noise_rest: Complex
+    voltage: Real
+    modes_w: Real
+    modes_level: Real
+    modes_number: Index
+    empty: NDArray[np.bool_]
+    arm: Index
+    natural_frequency: Real
+    mode: Real
+    band: Real
+
+    def __len__(self) -> int:
+        return int(self.w.shape[0])
+
+    @cached_property
+    def mode_column(self) -> Index:
+        """The column nearest to the resonance of each link."""
+        distance = np.abs(self.w - self.mode[:, None])
+        return np.asarray(np.argmin(distance, axis=1))
+
+    def rows(self, index: object) -> Table:
+        """Return the table of some of the links."""
+        return Table(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+def tabulated(
+    bare: Loop,
+    natural_frequencies: Real,
+    period: float,
+    *,
+    arm: int,
+    motor: tuple[float, float],
+    modes: HigherModes | None = None,
+    empty: bool = False,
+) -> Table:
+    """Return the table of one arm's loop beside Ĉ (`bare`, k = 1 and β = 0) at its
+    links.
+
+    `motor` is (A, B) of A/(s(s + B)); an `empty` gripper has no noise to judge.
+    """
+    w0 = np.atleast_1d(np.asarray(natural_frequencies, dtype=float))
+    mode = bare.peak(w0)
+    top = min(bare.highest, max(40.0 * float(mode.max()), 8.0 / (bare.lag or 0.1)))
+    decades = math.log10(top / (0.05 * float(mode.min())))
+    shape = np.concatenate(
+        [
+            np.geomspace(0.05, top / float(mode.min()), int(_DENSITY * decades) + 1),
+            1.0 + _NEAR,
+            1.0 / (1.0 + _NEAR),
+            [1.0],
+        ]
+    )
+    more = [bare.about_mode(49)]
+    if bare.gauge_delay:
+        more.append(bare.turns(0.25 * float(mode.min()), top, 6.0))
+    points = np.broadcast_to(np.concatenate(more), (w0.size, sum(map(len, more))))
+    w = np.sort(np.concatenate([mode[:, None] * shape, points], axis=1), axis=1)
+    # equal neighbours at the end make empty intervals, in which nothing crosses
+    w = np.minimum(w, top)
+    noise = [] if empty else [noise_points(bare, float(x), period) for x in w0]
+    count = max((row[0].size for row in noise), default=0)
+    noise_w, weight = np.ones((w0.size, count)), np.zeros((w0.size, count))
+    for k, (at, share) in enumerate(noise):
+        noise_w[k, : at.size], weight[k, : at.size] = at, share
+    gain, decay = motor
+    drive = np.abs(noise_w * (1j * noise_w + decay)) / gain
+    modes_w, level = np.ones((w0.size, 0)), np.ones((w0.size, 0))
+    number = np.zeros((w0.size, 0), dtype=int)
+    if modes is not None:  # the same ones of each link, one link after the other
+        modes_w, level = (
+            part.reshape(w0.size, -1) for part in (modes.frequency, modes.level)
+        )
+        number = np.repeat(modes.number, MODE_POINTS).reshape(modes_w.shape)
+    return Table(
+        w,
+        bare.log(w, w0[:, None]),
+        bare.slope(w, w0[:, None]),
+        noise_w,
+        weight,
+        np.exp(bare.log(noise_w, w0[:, None])),
+        drive * np.exp(bare.motor_log(noise_w).real),
+        modes_w,
+        level,
+        number,
+        np.full(w0.size, empty),
+        np.full(w0.size, arm),
+        w0,
+        np.asarray(mode),
+        np.stack(bare.mode_band(w0), axis=1),
+    )
+
+
+def stacked(tables: Iterable[Table]) -> Table:
+    """Return one table of all links, shorter rows continued at their last frequency."""
+    parts = list(tables)
+    columns = []
+    for field in fields(Table):
+        values = [getattr(part, field.name) for part in parts]
+        width = max(value.shape[-1] for value in values)
+        if values[0].ndim == 2:
+            values = [_widened(field.name, value, width) for value in values]
+        columns.append(np.concatenate(values))
+    return Table(*columns)
+
+
+def _widened(name: str, value: NDArray[Any], width: int) -> NDArray[Any]:
+    missing = ((0, 0), (0, width - value.shape[1]))
+    if name in ("w", "rest", "slope"):
+        return np.pad(value, missing, mode="edge")
+    # a weight of zero and a level of e^-1000 count nothing
+    fill = {"weight": 0.0, "modes_level": -1e3}.get(name, 1.0)
+    return np.pad(value, missing, constant_values=fill)
+
+
+class Figure:
+    """Values (M,) of some links, their gradients (P, M), the link of each, and its
+    number where a link has several of a kind.
+    """
+
+    def __init__(
+        self, value: Real, gradient: Real, link: Index, number: Index | None = None
+    ) -> None:
+        self.value, self.gradient, self.link = value, gradient, link
+        self.number = np.zeros_like(link) if number is None else number
+
+    def at(self, kept: NDArray[np.bool_]) -> Figure:
+        """Return some of the entries."""
+        return Figure(
+            self.value[kept], self.gradient[:, kept], self.link[kept], self.number[kept]
+        )
+
+    def scaled(self, factor: float, offset: float) -> Figure:
+        """Return the figure times a factor, plus an offset."""
+        value = factor * self.value + offset
+        return Figure(value, factor * self.gradient, self.link, self.number)
+
+
+class Trial:
+    """The loops of a table under one Ĉ each.
+
+    `loops` are the loops beside Ĉ of the table's arms.
+    """
+
+    def __init__(self, table: Table, outer: Outer, loops: tuple[Loop, ...]) -> None:
+        self.table, self.outer, self.loops = table, outer, loops
+        every = np.arange(len(table))[:, None]
+        self.log = outer.log(table.w, every) + table.rest
+        self.slope = outer.slope(table.w, every) + table.slope
+
+    def _cubics(self, link: Index, i: Index) -> tuple[Real, Real, Complex]:
+        """(ln ω where it begins, width, coefficients of ln L by Hermite's cubic) of the
+        intervals behind columns i.
+        """
+        u0, u1 = np.log(self.table.w[link, i]), np.log(self.table.w[link, i + 1])
+        h = u1 - u0
+        f0, f1 = self.log[link, i], self.log[link, i + 1]
+        s0, s1 = self.slope[link, i] * h, self.slope[link, i + 1] * h
+        a = f1 - f0
+        return u0, h, np.array([f0, s0, 3.0 * a - 2.0 * s0 - s1, s0 + s1 - 2.0 * a])
+
+    @cached_property
+    def _crossings(self) -> tuple[Index, Real, Complex, Complex, NDArray[np.bool_]]:
+        """(link, ω, ln L, d ln L/d ln ω, whether it rises) where |L| is one."""
+        above = self.log.real > 0.0
+        link, i = np.nonzero(above[:, :-1] != above[:, 1:])
+        return link, *self._zeros(link, i, 1.0), ~above[link, i]
+
+    def _zeros(
+        self, link: Index, i: Index, part: complex, line: Real | float = 0.0
+    ) -> tuple[Real, Complex, Complex]:
+        """(ω, ln L, d ln L/d ln ω) where the real part of `part` times ln L is on a line,
+        inside the intervals behind columns i.
+        """
+        first, last = (
+            (part * self.log[link, column]).real - line for column in (i, i + 1)
+        )
+        t = first / (first - last)
+        cubics = self._cubics(link, i)
+        for _ in range(3):
+            _, value, slope = _at(cubics, t)
+            rate = (part * slope).real * cubics[1]
+            change = ((part * value).real - line) / np.where(
+                np.abs(rate) > 1e-12, rate, 1.0
+            )
+            t = np.clip(t - change, 0.0, 1.0)
+        return _at(cubics, t)
+
+    @cached_property
+    def _offsets(self) -> Real:
+        """How far the phase of each crossing is from the multiple of 2π in whose band
+        the loop has to stay there [rad].
+
+        |L| > 1 between a rising and the next falling crossing. The loop is stable where
+        both lie in one band of 2π about a multiple of it.
+        """
+        link, _, log, _, rising = self._crossings
+        phase = log.imag
+        # the partner: behind a rising crossing the next one of its link, before a
+        # falling one the last; the ends of the table where there is none
+        other = np.arange(link.size) + np.where(rising, 1, -1)
+        other = np.clip(other, 0, link.size - 1)
+        paired = (link[other] == link) & (rising[other] != rising)
+        alone = np.where(rising, phase, self.log[link, 0].imag)
+        partner = np.where(paired, phase[other], alone)
+        middle = np.where(paired, 0.5 * (phase + partner), partner)
+        return phase - 2.0 * math.pi * np.round(middle / (2.0 * math.pi))
+
+    @cached_property
+    def margin(self) -> Figure:
+        """What each crossing keeps from the edges of its band [rad], negative on the
+        wrong side.
+        """
+        link, w, _, slope, _ = self._crossings
+        g = self.outer.gradient(w, link)
+        turned = g.imag - g.real * slope.imag / _steep(slope.real)
+        gradient = -np.sign(self._offsets) * turned
+        return Figure(math.pi - np.abs(self._offsets), gradient, link)
+
+    @cached_property
+    def delay(self) -> Figure:
+        """The delay that takes the phase of each crossing to the lower edge [s]."""
+        link, w, _, slope, _ = self._crossings
+        g = self.outer.gradient(w, link)
+        room, moved = self._offsets + math.pi, -g.real / _steep(slope.real)
+        gradient = g.imag + moved * slope.imag - room * moved
+        return Figure(room / w, gradient / w, link)
+
+    @cached_property
+    def crossover(self) -> Figure:
+        """ln of the frequency at which |L| of each link first falls to one behind its
+        resonance; −∞ where |L| is less there. What rises again on a lobe of a late gauge
+        is not the tip's crossover.
+        """
+        link, w, *_, rising = self._crossings
+        beyond = np.flatnonzero(w > self.table.mode[link])
+        _, first = np.unique(link[beyond], return_index=True)
+        return self._places(beyond[first][~rising[beyond[first]]])
+
+    @cached_property
+    def last_crossing(self) -> Figure:
+        """ln of the last frequency at which |L| of each link is one, but for its second
+        mode; −∞ where it nowhere is.
+        """
+        link, w, *_ = self._crossings
+        own = np.flatnonzero(~self._at_mode(w, link))
+        last = np.append(link[own][1:] != link[own][:-1], True)[: own.size]
+        return self._places(own[last])
+
+    def _places(self, chosen: Index) -> Figure:
+        """ln of some of the crossings, at most one of each link."""
+        link, w, _, slope, _ = self._crossings
+        value = np.full(len(self.table), -np.inf)
+        gradient = np.zeros((len(self.outer.x), len(self.table)))
+        at = link[chosen]
+        g = self.outer.gradient(w[chosen], at).real
+        value[at], gradient[:, at] = np.log(w[chosen]), -g / _steep(slope.real[chosen])
+        return Figure(value, gradient, np.arange(len(self.table)))
+
+    def crossed_beyond(self, frequency: float) -> Figure:
+        """ln of the crossover over a frequency [rad/s], of the resonance where there is
+        none; and ln|L| at the resonance, without which there is none.
+        """
+        figure, table = self.crossover, self.table
+        level = self.log.real[figure.link, table.mode_column]
+        none = np.log(table.mode) + np.minimum(level, 0.0)
+        value = np.maximum(figure.value, none) - math.log(frequency)
+        moved = self.outer.gradient(table.mode, figure.link).real
+        gradient = np.where(np.isinf(figure.value), moved, figure.gradient)
+        return Figure(
+            np.concatenate([value, level]),
+            np.concatenate([gradient, moved], axis=1),
+            np.concatenate([figure.link, figure.link]),
+        )
+
+    def _at_mode(self, w: Real, link: Index) -> NDArray[np.bool_]:
+        """Whether frequencies of some links belong to their second mode."""
+        low, high = np.moveaxis(self.table.band[link], -1, 0)
+        return np.asarray((w > low) & (w < high))
+
+    def quiet_beyond(self, frequency: float) -> Figure:
+        """−ln|L| where it is largest beyond a frequency [rad/s], but for the second
+        mode.
+        """
+        every, w = np.arange(len(self.table)), self.table.w
+        beyond = (w > frequency) & ~self._at_mode(w, every[:, None])
+        i = np.clip(np.argmax(w > frequency, axis=1) - 1, 0, w.shape[1] - 2)
+        width = np.log(w[every, i + 1] / w[every, i])
+        t = np.log(frequency / w[every, i]) / np.where(width > 0.0, width, 1.0)
+        at_edge = _at(self._cubics(every, i), np.clip(t, 0.0, 1.0))[1].real
+        level = np.where(beyond, self.log.real, -1e3)
+        best = np.argmax(level, axis=1)
+        value = np.maximum(level[every, best], at_edge)
+        at = np.where(at_edge >= value, frequency, w[every, best])
+        return Figure(-value, -self.outer.gradient(at, every).real, every)
+
+    @cached_property
+    def _loop(self) -> Complex:
+        return np.asarray(np.exp(np.minimum(self.log.real, 50.0) + 1j * self.log.imag))
+
+    @cached_property
+    def sensitivity(self) -> Figure:
+        """ln of each peak of 1/|1 + L|, where that is above 2/3."""
+        one = 1.0 + self._loop
+        # half of d|1 + L|²/d ln ω: where it goes from minus to plus lies a dent
+        turn = (np.conj(one) * self._loop * self.slope).real
+        near = np.minimum(np.abs(one[:, :-1]), np.abs(one[:, 1:])) < 1.5
+        link, i = np.nonzero((turn[:, :-1] < 0.0) & (turn[:, 1:] >= 0.0) & near)
+        low, high = turn[link, i], turn[link, i + 1]
+        t = low / (low - high)
+        cubics = self._cubics(link, i)
+        for _ in range(4):
+            _, log, slope = _at(cubics, t)
+            loop = np.exp(log)
+            here = (np.conj(1.0 + loop) * loop * slope).real
+            # regula falsi on the side that still holds the root
+            left = here < 0.0
+            a, b = np.where(left, t, 0.0), np.where(left, 1.0, t)
+            fa, fb = np.where(left, here, low), np.where(left, high, here)
+            t = np.clip(a - fa * (b - a) / np.where(fb != fa, fb - fa, 1.0), 0.0, 1.0)
+        w, log, _ = _at(cubics, t)
+        loop = np.exp(log)
+        moved = (loop / (1.0 + loop) * self.outer.gradient(w, link)).real
+        return Figure(-np.log(np.abs(1.0 + loop) + 1e-300), -moved, link)
+
+    @cached_property
+    def gain_margin(self) -> Figure:
+        """ln of the factor by which |L| may grow where its phase passes -180° below
+        one.
+        """
+        half = np.floor((self.log.imag + math.pi) / (2.0 * math.pi))
+        link, i = np.nonzero(half[:, :-1] != half[:, 1:])
+        line = math.pi * (2.0 * np.maximum(half[link, i], half[link, i + 1]) - 1.0)
+        w, log, slope = self._zeros(link, i, -1j, line)
+        quiet = log.real < 0.0
+        link, w, log, slope = link[quiet], w[quiet], log[quiet], slope[quiet]
+        g = self.outer.gradient(w, link)
+        moved = g.real - g.imag * slope.real / _steep(slope.imag)
+        return Figure(-log.real, -moved, link)
+
+    @cached_property
+    def noise(self) -> Figure:
+        """ln of the noise gain of each link (30)."""
+        return self._power(self._noise_density)
+
+    @cached_property
+    def voltage(self) -> Figure:
+        """ln of the RMS of the voltage for white noise of RMS one of the gauge, as an
+        angle [V/rad].
+        """
+        links, density, moved = self._noise_density
+        return self._power((links, density * self.table.voltage[links] ** 2, moved))
+
+    @cached_property
+    def _noise_density(self) -> tuple[Index, Real, Real]:
+        """(links, |Ĉ/(1 + L)|² with its weight at every point of the noise integral, the
+        gradient of half of its logarithm).
+        """
+        links = np.flatnonzero(self.table.weight.any(axis=1))
+        w, rest = self.table.noise_w[links], self.table.noise_rest[links]
+        outer = np.exp(self.outer.log(w, links[:, None]))
+        back = 1.0 / (1.0 + outer * rest)
+        density = np.abs(outer * back) ** 2 * self.table.weight[links]
+        return links, density, (self.outer.gradient(w, links[:, None]) * back).real
+
+    @staticmethod
+    def _power(density: tuple[Index, Real, Real]) -> Figure:
+        links, power, moved = density
+        total = np.sum(power, axis=1)
+        value = 0.5 * np.log(total + 1e-300)
+        return Figure(value, np.sum(power * moved, axis=2) / total, links)
+
+    @cached_property
+    def modes(self) -> Figure:
+        """ln of the largest loop gain at each of the higher modes of each link."""
+        shape = (len(self.table), -1, MODE_POINTS)
+        w = self.table.modes_w.reshape(shape)
+        each = np.broadcast_to(np.arange(len(w))[:, None, None], w.shape)
+        level = self.outer.log(w, each).real + self.table.modes_level.reshape(shape)
+        best = np.argmax(level, axis=2)[..., None]
+        at, value = (np.take_along_axis(part, best, 2).ravel() for part in (w, level))
+        link = each[..., 0].ravel()
+        number = self.table.modes_number.reshape(shape)[..., 0].ravel()
+        return Figure(value, self.outer.gradient(at, link).real, link, number)
+
+    @cached_property
+    def damping(self) -> Figure:
+        """The damping ratio of every vibration near the resonance of its link: of the
+        roots of 1 + 1/L beside the axis, by Newton's method from each dent of |1 + L|.
+        """
+        distance, w = np.abs(1.0 + self._loop), self.table.w
+        parts = []
+        for arm in np.unique(self.table.arm[~self.table.empty]):
+            own = np.flatnonzero((self.table.arm == arm) & ~self.table.empty)
+            loop = self.loops[arm]
+            mode = self.table.mode[own]
+            d, at = distance[own], w[own]
+            dent = np.zeros(d.shape, dtype=bool)
+            dent[:, 1:-1] = (d[:, 1:-1] <= d[:, :-2]) & (d[:, 1:-1] < d[:, 2:])
+            # farther out a root belongs to the motor loop or to the gauge's delay
+            dent &= (at > 0.3 * mode[:, None]) & (at < 4.0 * mode[:, None])
+            # a weak loop hardly moves the link's own pole
+            dent[np.arange(own.size), self.table.mode_column[own]] = True
+            row, column = np.nonzero(dent)
+            parts.append(self._roots(loop, own[row], column, mode[row]))
+        value, gradient, link = zip(*parts, strict=True)
+        return Figure(
+            np.concatenate(value),
+            np.concatenate(gradient, axis=1),
+            np.concatenate(link),
+        )
+
+    def _roots(
+        self, loop: Loop, link: Index, column: Index, mode: Real
+    ) -> tuple[Real, Real, Index]:
+        """(damping ratio, its gradient, link) of the roots that Newton's method reaches
+        from columns of the table: ω = s/j, so that the decay rate is Im ω.
+        """
+        # to first order from the table
+        back = np.exp(-self.log[link, column])
+        beside = (1.0 + back) / (back * self.slope[link, column])
+        root = self.table.w[link, column] * (1.0 + _limited(beside, 0.2))
+        w0 = self.table.natural_frequency[link]
+        change = rate = np.full(root.shape, np.inf + 0j)
+        for _ in range(8):
+            step = 1e-6 * np.abs(root)
+            points = np.stack([root, root + step, root - step])
+            outer = np.exp(self.outer.log(points, link[None, :]))
+            here, above, below = 1.0 / (outer * loop(points, w0))
+            rate = (above - below) / (2.0 * step)
+            change = (1.0 + here) / rate / np.abs(root)
+            root = root - _limited(change, 0.1) * np.abs(root)
+            if np.all(np.abs(change) < 1e-7):
+                break
+        size = np.abs(root)
+        # a well damped loop has no root near its resonance
+        found = (np.abs(change) < 1e-6) & (size > 0.3 * mode) & (size < 4.0 * mode)
+        root, rate, size, link = root[found], rate[found], size[found], link[found]
+        # 1 + 1/L = 0: dω = -∂(1/L)/∂x / (d(1/L)/dω), and 1/L = -1
+        moved = -self.outer.gradient(root, link) / rate
+        gradient = (
+            moved.imag / size - root.imag * (np.conj(root) * moved).real / size**3
+        )
+        return root.imag / size, gradient, link
+
+
+def _at(cubics: tuple[Real, Real, Complex], t: Real) -> tuple[Real, Complex, Complex]:
+    """(ω, ln L, d ln L/d ln ω) at the share `t` of some intervals."""
+    start, width, (c0, c1, c2, c3) = cubics
+    value = c0 + t * (c1 + t * (c2 + t * c3))
+    slope = (c1 + t * (2.0 * c2 + 3.0 * t * c3)) / np.where(width > 0.0, width, 1.0)
+    return np.exp(start + t * width), value, slope
+
+
+def _steep(slope: Real) -> Real:
+    """A slope to divide by, not flatter than 0.01."""
+    return np.copysign(np.maximum(np.abs(slope), 1e-2), slope)
+
+
+def _limited(step: Complex, most: float) -> Complex:
+    """A complex step of at most `most`: in the right half plane principal powers are L's
+    own.
+    """
+    return np.asarray(step * np.minimum(1.0, most / np.maximum(np.abs(step), 1e-300)))

@@ -1,0 +1,93 @@
+"""Welch's method: transforms of half-overlapping segments, and what they say of a log
+and its fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._identify.fit import Fit
+
+__all__ = ["WelchResponse", "mean_power", "segments", "welch_response"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+# The average of so many segments' lengths of half-overlapping ones has a standard error
+# of a quarter, which is enough to see where over frequency a model errs, and a
+# coherence of 0.3 is no accident.
+_SEGMENTS = 8
+
+
+def segments(signals: Sequence[Real], period: float) -> tuple[Real, list[Complex]]:
+    """Frequencies above zero [rad/s], and the transforms there of every segment of each
+    signal: half over one another, their mean off, under Hann's window.
+    """
+    size = max(2 * (signals[0].size // (_SEGMENTS + 1)), 4)
+    transforms = []
+    for signal in signals:
+        rows = sliding_window_view(signal, size)[:: size // 2]
+        rows = (rows - rows.mean(axis=1, keepdims=True)) * np.hanning(size)
+        transforms.append(np.asarray(np.fft.rfft(rows)[:, 1:]))
+    frequency = 2 * math.pi * np.fft.rfftfreq(size, period)[1:]
+    return np.asarray(frequency, dtype=np.float64), transforms
+
+
+def mean_power(transforms: Complex) -> Real:
+    """Mean power of the segments at each frequency."""
+    return np.asarray(np.mean(np.abs(transforms) ** 2, axis=0))
+
+
+@dataclass(frozen=True)
+class WelchResponse:
+    """Frequency [rad/s], responses of log and model from the motor's angle, the
+    coherence; shape (N,).
+    """
+
+    frequency: Real
+    measured: Complex
+    predicted: Complex
+    coherence: Real
+
+
+def welch_response(log: Experiment, fit: Fit) -> WelchResponse:
+    """Return the averaged responses (Welch) of what was measured and of what the fit
+    predicts.
+
+        H = P_yu / P_uu,    γ² = |P_yu|² / (P_uu P_yy)
+
+    Both go through the same windows, so that what these do to a sharp resonance they do
+    to both. Frequencies at which the motor moved less than a thousandth of the most are
+    left out.
+
+    >>> from fraclink._identify import identify
+    >>> from fraclink._reading.reading import bundled_log, read_log
+    >>> log = read_log(bundled_log("prbs_30g"))
+    >>> found = welch_response(log, identify(log, details=False))
+    >>> told = found.coherence > 0.9  # elsewhere the noise has the peaks
+    >>> round(float(found.frequency[told][np.argmax(np.abs(found.measured[told]))]))
+    16
+    """
+    frequency, (u, y, model) = segments(
+        (log.motor_angle, log.output, np.asarray(fit.predicted)), log.period
+    )
+    power = mean_power(u)
+    # A thousandth in amplitude: below, the ratio is the gauge's noise over an
+    # encoder's.
+    moved = power > 1e-6 * power.max()
+    cross, other = (np.mean(x * u.conj(), axis=0) for x in (y, model))
+    heard = np.maximum(power * mean_power(y), 1e-300)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return WelchResponse(
+            frequency[moved],
+            (cross / power)[moved],
+            (other / power)[moved],
+            np.minimum(np.abs(cross) ** 2 / heard, 1.0)[moved],
+        )

@@ -1,0 +1,365 @@
+"""Tables of raw numbers as a file holds them, and the limits beyond which one is
+refused.
+
+A rig that runs for an hour at 1 kHz makes 3.6 million samples; four columns of them are
+about 200 MB of text. What is larger is not one experiment and is refused before memory
+is taken.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._reading.names import names_time, roles_of, unit_of_name, words_of
+from fraclink.errors import FileFormatError, LogError, SizeError
+from fraclink.findings import Finding
+
+__all__ = [
+    "DECIMAL_COMMA",
+    "NUMBER",
+    "CellFaults",
+    "LogTable",
+    "check_bytes",
+    "check_file",
+    "check_size",
+    "clock_step",
+    "moves",
+]
+
+FILE_LIMIT = 256_000_000  # bytes
+SAMPLE_LIMIT = 4_000_000
+COLUMN_LIMIT = 1_000
+VALUE_LIMIT = 32_000_000  # numbers in all: 256 MB in memory
+NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?")
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]{1,3})?")
+_PARTS = {
+    **dict.fromkeys(("nanosec", "nsec", "nsecs"), "1e-9"),
+    **dict.fromkeys(("usec", "microsec"), "1e-6"),
+}
+_FACTOR = r"(?:([0-9.]+(?:[eE][-+]?[0-9]+)?) *\* *)?"
+_COMBINED = re.compile(_FACTOR + r"(\S.*?)\s+([-+])\s+" + _FACTOR + r"(\S.*)")
+_AGAIN = "the names stand again where the logger was started again: keep one run, such as by sed -i '{line},$d'"
+_INTERPOLATED = 0.01  # largest share of missing cells that may be interpolated
+
+
+def check_file(path: Path) -> None:
+    """Raise FileFormatError where there is no file at `path` or an empty one, SizeError
+    where it is too large.
+    """
+    problem, remedy = "", "give the file itself"
+    if not path.exists():
+        problem, remedy = "not there", "check the path"
+    elif not path.is_file():
+        problem = "not a file"
+    elif path.stat().st_size == 0:
+        problem, remedy = "empty", "record again"
+    if problem:
+        raise FileFormatError(
+            "log", str(path), problem, allowed="a log file", remedy=remedy
+        )
+    check_bytes(path.stat().st_size)
+
+
+def check_bytes(size: int) -> None:
+    """Raise SizeError where a log is of more bytes than one experiment needs."""
+    if size > FILE_LIMIT:
+        raise _too_large(f"{size / 1e6:.0f} MB", f"{FILE_LIMIT / 1e6:.0f} MB")
+
+
+def check_size(values: int, columns: int = 1) -> None:
+    """Raise SizeError where numbers are over the limits, before an array of them is
+    made.
+    """
+    if values > VALUE_LIMIT or columns > COLUMN_LIMIT:
+        raise _too_large(
+            f"{values} numbers in {columns} columns",
+            f"{VALUE_LIMIT} numbers, {COLUMN_LIMIT} columns",
+        )
+
+
+def _too_large(size: str, allowed: str) -> SizeError:
+    remedy = "cut the recording to one experiment, or record at a lower rate"
+    return SizeError("log", size, "too large", allowed=allowed, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class CellFaults:
+    """What is wrong with the cells of one text column: how many, and the first of each
+    sort.
+
+    `first_missing` and `first_bad` are (line number, text).
+    """
+
+    missing: int = 0
+    first_missing: tuple[int, str] = (0, "")
+    bad: int = 0
+    first_bad: tuple[int, str] = (0, "")
+
+
+@dataclass(frozen=True, eq=False)
+class LogTable:
+    """Columns of raw numbers in the order of the file; cells that are missing or bad
+    hold NaN.
+
+    Parameters
+    ----------
+    names
+        column names, as the file has them; they may repeat.
+    values
+        one array for each name, shape (N,); binary files may hold columns of different
+        lengths.
+    kind
+        file format in words.
+    notes
+        header entries (key, value).
+    faults
+        what is wrong with the cells of a column, by its place.
+    units
+        unit that the file states for a column, by its place; "" for none.
+    remarks
+        what was done to the file's form to read it, in sentences.
+    hints
+        names that the file has, but not as many as columns; () where `names` are its
+        own. They suggest and state nothing.
+    """
+
+    names: tuple[str, ...]
+    values: tuple[NDArray[np.float64], ...]
+    kind: str
+    notes: tuple[tuple[str, str], ...] = ()
+    faults: Mapping[int, CellFaults] = field(
+        default_factory=lambda: MappingProxyType({})
+    )
+    units: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    hints: tuple[str, ...] = ()
+
+    def place(
+        self, name: str, role: str, remedy: str = "correct [log] of the rig file"
+    ) -> int:
+        """The place of the column that is stated for `role`; ``"#2"`` names the second
+        by its number.
+
+        `remedy` says where the name was stated and how to mend it.
+        """
+        numbers = {f"#{place + 1}": place for place in range(len(self.names))}
+        places = [place for place, known in enumerate(self.names) if known == name]
+        if not places and name in numbers:
+            return numbers[name]
+        if len(places) == 1:
+            return places[0]
+        what, problem = f"column of {role}", "not in the log"
+        allowed = ", ".join(self.names[:12]) + (", …" if len(self.names) > 12 else "")
+        known = {known.lower(): known for known in self.names}
+        near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+        if places:
+            problem, allowed = f"the name of {len(places)} columns", "a name of its own"
+            remedy = "rename one in the log, or give its number: "
+            remedy += " or ".join(f'"#{place + 1}"' for place in places[:3])
+        elif name in self.hints:
+            problem = "one of names that are not as many as the columns"
+            remedy = f'state it by its number, "#{self.hints.index(name) + 1}" if the names begin at the first'
+        elif near:
+            remedy = f"did you mean {known[near[0]]!r}?"
+        raise LogError(what, name, problem, allowed=allowed, remedy=remedy)
+
+    def name(self, place: int) -> str:
+        """What the file calls a column, where that is known."""
+        return self.hints[place] if place < len(self.hints) else self.names[place]
+
+    def label(self, place: int) -> str:
+        """The name of a column for the reader, or its number where the name stands twice or
+        is empty.
+        """
+        name = self.names[place]
+        return name if name and self.names.count(name) == 1 else f"#{place + 1}"
+
+    @property
+    def roles(self) -> list[tuple[str, str]]:
+        """What the name of each column says that it is, and the word that says so."""
+        return roles_of([*map(self.name, range(len(self.names)))])
+
+    def unit(self, place: int, known: Collection[str]) -> str:
+        """The unit that the file states for a column, else its name, as `known` spells
+        it; or "".
+        """
+        texts = [f"x [{self.units[place]}]"] if self.units else []
+        units = [unit_of_name(text, known) for text in (*texts, self.name(place))]
+        return next(filter(None, units), "")
+
+    def clock(self) -> str:
+        """The name of the column that is named as a time and rises, or rises alone; of two
+        columns where one holds whole seconds and one the parts of a second; or "".
+        """
+        names = [*map(self.name, range(len(self.names)))]
+        # By the last word: header.stamp.sec and header.stamp.nanosec, as well as sec and
+        # nsec.
+        last = {
+            words[-1]: k for k, name in enumerate(names) if (words := words_of(name))
+        }
+        whole = next((last[word] for word in ("sec", "secs") if word in last), None)
+        part = next((word for word in _PARTS if word in last), "")
+        if whole is not None and part:
+            both = f"{self.names[whole]} + {_PARTS[part]} * {self.names[last[part]]}"
+            # Parts that were not carried over into seconds jump back once a second: such a
+            # pair is no clock.
+            if clock_step(self.with_combined([both]).values[-1]) is not None:
+                return both
+        # A file may hold several recordings, each with its clock: of most signals, and of
+        # these the longest.
+        sizes = [values.size for values in self.values if moves(values)]
+        most = max(((sizes.count(size), size) for size in sizes), default=(0, 0))[1]
+        fitting = [k for k, values in enumerate(self.values) if values.size == most]
+        rising = {k: step for k in fitting if (step := clock_step(self.values[k]))}
+        # Stamps that jump back, or hold no number, are still those: the reader says what is
+        # wrong with them. A counter of rows comes last: it may be one.
+        named = [k for k in rising or fitting if names_time(names[k])]
+        # An angle that only grows is no clock: its steps differ.
+        roles = self.roles
+        steps = {k: np.diff(self.values[k]) for k in rising}
+        equal = {k for k in rising if np.allclose(steps[k], rising[k], rtol=0.01)}
+        alone = [k for k in rising if k in equal or not roles[k][0]]
+        alone.sort(key=lambda k: (roles[k][0] != "", rising[k] == 1))
+        place = next(iter([*named, *alone]), None)
+        return "" if place is None else self.label(place)
+
+    def with_combined(self, stated: Iterable[str]) -> LogTable:
+        """Return the table with a column for each stated sum or difference, such as ``"enc
+        - 179 * tip"``.
+
+        A name that a column has is that column. The cells that either part misses are
+        missing.
+        """
+        table = self
+        for name in dict.fromkeys(stated):
+            parts = _COMBINED.fullmatch(name)
+            if parts is None or name in table.names:
+                continue
+            places = [table.place(parts[k], name) for k in (2, 5)]
+            first, second = (table.values[place] for place in places)
+            try:
+                factors = [float(parts[k] or 1) for k in (1, 4)]
+                sign = 1.0 if parts[3] == "+" else -1.0
+                values = factors[0] * first + sign * factors[1] * second
+            except ValueError as error:
+                raise LogError(
+                    "columns",
+                    name,
+                    "no sum of two columns that were sampled together",
+                    allowed="two columns of one length, with factors such as 1.5e-3",
+                    remedy="write it as enc - 179 * tip",
+                ) from error
+            # What is wrong with either part is wrong with the sum; the first fault is named
+            # by its line, which both share.
+            faults = next((table.faults[k] for k in places if k in table.faults), None)
+            table = replace(
+                table,
+                names=(*table.names, name),
+                values=(*table.values, values),
+                units=(*table.units, "") if table.units else (),
+                hints=(*table.hints, name) if table.hints else (),
+                faults={
+                    **table.faults,
+                    **({len(table.names): faults} if faults else {}),
+                },
+            )
+        return table
+
+    def clean(
+        self, place: int, *, interpolate: bool = False
+    ) -> tuple[NDArray[np.float64], list[Finding]]:
+        """One column without missing cells, or an error that names the first one."""
+        values, name = self.values[place], self.names[place]
+        faults = self.faults.get(place)
+        missing = np.flatnonzero(~np.isfinite(values))
+        if not missing.size:
+            return values, []
+        share = missing.size / values.size
+        where, cell = f"sample {missing[0]}", repr(float(values[missing[0]]))
+        problem, allowed = f"missing ({missing.size} of {values.size} cells)", "numbers"
+        remedy = "record again"
+        if share <= _INTERPOLATED:
+            remedy += ", or read with interpolate=True (--interpolate)"
+        if faults is not None:
+            line, cell = faults.first_bad if faults.bad else faults.first_missing
+            where = f"line {line}"
+            if faults.bad:
+                problem = f"not a number ({faults.bad} such cells)"
+                allowed, remedy = (
+                    "numbers such as -1.5e-3",
+                    self._cell_remedy(place, line, cell),
+                )
+        # Not even asked for beyond a percent: a line over a missing second of vibration is
+        # a false torque, and least squares believe it.
+        bad = faults is not None and faults.bad
+        if bad or not interpolate or share > _INTERPOLATED:
+            field, value = f"{where}, column {name}", cell or "(empty)"
+            raise LogError(field, value, problem, allowed=allowed, remedy=remedy)
+        good = np.flatnonzero(np.isfinite(values))
+        # Over the sample's number: whether the samples are uniform is found later, from the
+        # stamps.
+        filled = np.interp(np.arange(values.size), good, values[good])
+        return filled, [
+            Finding(
+                "W205",
+                "warning",
+                f"{missing.size} missing cells of column {name!r} were interpolated",
+                {"missing": missing.size, "share": share},
+                "check whether they lie where the arm moves",
+            )
+        ]
+
+    def _cell_remedy(self, place: int, line: int, cell: str) -> str:
+        again = cell == self.names[place]
+        return _AGAIN.format(line=line) if again else cell_remedy(cell)
+
+    def bad_cells(self) -> list[str]:
+        """A sentence for each column with cells that are no numbers, with the first of
+        them.
+        """
+        return [
+            f"{self.names[place]}: {each.bad} cells are no numbers, the first in line "
+            f"{each.first_bad[0]}, {each.first_bad[1]!r}: {self._cell_remedy(place, *each.first_bad)}"
+            for place, each in sorted(self.faults.items())
+            if each.bad
+        ]
+
+
+def clock_step(values: NDArray[np.float64]) -> float | None:
+    """Median step of values that never decrease, as those of a clock; None for others."""
+    finite = values[np.isfinite(values)]
+    steps = np.diff(finite)
+    # Two values always rise or fall; "never decrease" says something of three and more.
+    # Equal stamps are allowed: a coarse clock repeats itself.
+    if finite.size < 3 or bool((steps < 0).any()):
+        return None
+    step = float(np.median(steps))
+    return step if step > 0 else None
+
+
+def moves(values: NDArray[np.float64]) -> bool:
+    """Whether a column holds a signal that moves."""
+    finite = values[np.isfinite(values)]
+    # A column with a tenth of its cells missing is an event counter or a comment,
+    # whatever it is called.
+    return finite.size > 0.9 * values.size and bool(np.ptp(finite) > 0)
+
+
+def cell_remedy(cell: str) -> str:
+    """What to do about a cell that is no number."""
+    foreign = any(c.isdigit() and not c.isascii() for c in cell)
+    if DECIMAL_COMMA.fullmatch(cell):
+        return "it has a decimal comma: export with decimal points"
+    if ":" in cell or re.fullmatch("[0-9]{4}-[0-9]{2}-[0-9]{2}", cell):
+        return "write the time as seconds, such as those since the start"
+    if foreign or "_" in cell:
+        return "write the digits 0 to 9, without underscores"
+    return "repair the cell, or state another column"

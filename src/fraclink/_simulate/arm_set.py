@@ -1,0 +1,386 @@
+"""The arms that one move has to serve, and what the worst of them makes of it.
+
+A feed-forward s^λ/ω₀² is exact for one link. What is not known of the link, the box of
+its fit and the law by which it is damped, is therefore a set of links, and a move is
+judged by the one of them that it suits least.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from fraclink import _kernels
+from fraclink._arm.box import ParameterBox
+from fraclink._arm.link import LinkModel
+from fraclink._arm.loop import with_payload
+from fraclink._arm.reference import Reference
+from fraclink._arm.rig import Rig
+from fraclink._display import Overview, Row, Table, displayed, quantity, span
+from fraclink._files import document
+from fraclink._law import Law
+from fraclink._law.design import Design
+from fraclink._simulate.arm import Twin
+from fraclink._simulate.run import Run
+from fraclink._simulate.simulate import simulate
+from fraclink.errors import FieldError
+from fracsys.checks import Between, ascending, checked
+
+__all__ = ["ArmFigures", "ArmSet", "Over", "WorstCase", "links_over", "worst_case"]
+
+Over = Literal["model", "box"]
+On = Literal["twin", "model"]
+Payloads = Annotated[tuple[float, float], ascending()]
+
+# of ln m between two payloads that are tried: the link's frequency changes by a tenth
+PAYLOAD_STEP = 0.2
+# vibration periods that an arm is watched for after the reference's end
+REST = 5.0
+
+
+def links_over(model: LinkModel, rig: Rig, over: Over = "box") -> dict[str, LinkModel]:
+    """Return the links that a move has to serve, in words, the model first.
+
+    "box" adds the corners of the fit's box in ω₀, λ and μ, which is at least as wide as
+    the rig's tolerances, and the link of the other damping law with the same ω₀ and
+    damping ratio.
+
+    >>> rig = Rig.named("paper-2023")
+    >>> list(links_over(rig.model, rig))[-1]
+    'viscous, ζ 0.0654'
+    """
+    links = {"model": model}
+    if over == "model":
+        return links
+    box = ParameterBox.of(model, rig)
+    corners = product(
+        *map(dict.fromkeys, (box.natural_frequency, box.order, box.damping))
+    )
+    for frequency, order, damping in corners:
+        link = replace(
+            model,
+            natural_frequency=frequency,
+            order=order,
+            damping=damping,
+            intervals=(),
+        )
+        words = f"ω₀ {frequency:.4g}, λ {order:.4g}"
+        links[f"{words}, μ {damping:.3g}" if damping else words] = link
+    ratio = model.damping_ratio
+    if model.order < 2.0:
+        links[f"viscous, ζ {ratio:.3g}"] = replace(
+            model,
+            order=2.0,
+            damping=2.0 * ratio * model.natural_frequency,
+            damping_order=1.0,
+            intervals=(),
+        )
+    else:
+        # cos(π/λ) = −ζ: the pole of s^λ + ω₀² stands at the angle π/λ
+        order = math.pi / math.acos(-ratio)
+        links[f"fractional, λ {order:.4g}"] = replace(
+            model, order=order, damping=0.0, intervals=()
+        )
+    return links
+
+
+@dataclass(frozen=True)
+class ArmSet:
+    """A law and the arms that it moves: each of `links` with each of `payloads` [kg].
+
+    told: whether the law is given the payload. on: whether the arms are twins of the
+    rig, or massless links as they were identified.
+    """
+
+    rig: Rig
+    law: Law
+    model: LinkModel
+    links: dict[str, LinkModel]
+    payloads: tuple[float, ...]
+    told: bool
+    on: On
+
+    @staticmethod
+    def of(
+        design: Design,
+        payloads: tuple[float, float] | None,
+        *,
+        told: bool,
+        over: Over,
+        on: On,
+    ) -> ArmSet:
+        """Return the arms of a design; `payloads` are those of the design where they
+        are left out.
+        """
+        low, high = payloads or design.payloads
+        if low <= 0.0:
+            raise FieldError(
+                "payloads",
+                low,
+                "no payload",
+                allowed="> 0 kg",
+                remedy="give kg: 0.030 is 30 g",
+            )
+        steps = math.ceil(math.log(high / low) / PAYLOAD_STEP)
+        # Geometric, as ω₀ goes with the root of the payload.
+        tried = np.geomspace(low, high, steps + 1).tolist() if steps else [low]
+        model = with_payload(design.model, design.rig)
+        links = links_over(model, design.rig, over)
+        return ArmSet(design.rig, design.law(), model, links, tuple(tried), told, on)
+
+    @property
+    def vibration(self) -> float:
+        """Longest vibration period of the model [s], that with the heaviest payload."""
+        return 2.0 * math.pi / abs(self.model.at_payload(self.payloads[-1]).pole.imag)
+
+    def run(
+        self,
+        link: LinkModel,
+        payload: float,
+        reference: Reference,
+        *,
+        seed: int = 0,
+        duration: float | None = None,
+    ) -> Run:
+        """Run a reference on one arm of the set until it has come to rest."""
+        length = reference.duration + REST * self.vibration
+        options: dict[str, Any] = {
+            "told": payload if self.told else 0.0,
+            "duration": length if duration is None else duration,
+            "seed": seed,
+        }
+        if self.on == "model":
+            return simulate(
+                self.law,
+                reference,
+                rig=self.rig,
+                model=link,
+                payload=payload,
+                **options,
+            )
+        # The rig's stiffness and length set the twin's frequency: an ω₀ that is not the
+        # model's is that of another mass at the tip.
+        other = (self.model.natural_frequency / link.natural_frequency) ** 2
+        twin = Twin.from_rig(self.rig, model=link, payload=payload * other)
+        return simulate(self.law, reference, arm=twin, **options)
+
+    def figures(self, reference: Reference, seeds: int) -> tuple[ArmFigures, ...]:
+        """Return what each link of the set makes of a reference."""
+        rows = []
+        for words, link in self.links.items():
+            runs = [
+                self.run(link, payload, reference, seed=seed)
+                for payload in self.payloads
+                for seed in range(seeds)
+            ]
+            # A run that is cut short has settled nowhere.
+            settling = [
+                run.metrics.settling_time if run.verdict.passed else math.inf
+                for run in runs
+            ]
+            latest = int(np.argmax(settling))
+            rows.append(
+                ArmFigures(
+                    arm=words,
+                    payload=self.payloads[latest // seeds],
+                    settling_time=settling[latest],
+                    overshoot=max(run.metrics.overshoot for run in runs),
+                    residual_vibration=max(
+                        run.metrics.residual_vibration for run in runs
+                    ),
+                    peak_voltage=max(run.metrics.peak_voltage for run in runs),
+                    guarded=sum(map(_guarded, runs)) / len(runs),
+                )
+            )
+        return tuple(rows)
+
+
+def _guarded(run: Run) -> bool:
+    """Whether a guard of the law acted on the reference, the motor or the voltage."""
+    return bool(np.any(run.flags & ~np.uint32(_kernels.LAW_FLAG_STARTED)))
+
+
+@dataclass(frozen=True)
+class ArmFigures:
+    """What one link of a set makes of a move: the worst of its payloads and seeds.
+
+    Parameters
+    ----------
+    arm
+        the link in words.
+    payload
+        with which it settles last [kg].
+    settling_time
+        from which the tip stays within 2 % of the move [s]; infinite where a run does
+        not pass.
+    overshoot
+        of the move [1].
+    residual_vibration
+        half the peak-to-peak tip angle after the reference has come to rest [rad].
+    peak_voltage
+        largest |voltage| [V].
+    guarded
+        part of the runs in which a guard of the law acted [1].
+    """
+
+    arm: str
+    payload: float
+    settling_time: float
+    overshoot: float
+    residual_vibration: float
+    peak_voltage: float
+    guarded: float
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """What people and programs read of them."""
+        return (
+            Row("arm", "arm", self.arm),
+            Row.time("settling_time", "settles to 2 %", self.settling_time),
+            Row("payload", "with", self.payload, "g"),
+            Row("overshoot", "overshoot", self.overshoot, "%", digits=2),
+            Row(
+                "residual_vibration",
+                "residual vibration",
+                self.residual_vibration,
+                "mrad",
+            ),
+            Row("peak_voltage", "peak voltage", self.peak_voltage, "V", digits=3),
+            Row("guarded", "guards act in runs", self.guarded, "%", digits=2),
+        )
+
+
+@displayed
+@document(
+    "worst-case",
+    version=1,
+    sources=lambda case: {"law": case.law_sha256},
+    summary=lambda case: {"settling_time": case.settling_time},
+)
+@dataclass(frozen=True)
+class WorstCase:
+    """One move on every arm of a set.
+
+    Parameters
+    ----------
+    arms
+        one row for each link of the set, the model first.
+    payloads
+        lightest and heaviest [kg].
+    told
+        whether the law was given the payload.
+    on
+        "twin" or "model".
+    law_sha256
+        digest of the law that ran.
+    """
+
+    arms: tuple[ArmFigures, ...]
+    payloads: tuple[float, float]
+    told: bool
+    on: str
+    law_sha256: str
+
+    @property
+    def worst(self) -> ArmFigures:
+        """The arm that settles last."""
+        return max(self.arms, key=lambda each: each.settling_time)
+
+    @property
+    def settling_time(self) -> float:
+        """Longest settling time of all arms [s]."""
+        return self.worst.settling_time
+
+    @property
+    def carried(self) -> str:
+        """The payloads, and whether the law was given them."""
+        given = "given" if self.told else "not given"
+        return f"{span(*self.payloads, 'g')}, payload {given}"
+
+    def overview(self) -> Overview:
+        """The arm that settles last, and every arm of the set."""
+        worst = self.worst
+        rows = (
+            Row("settling_time", "", self.settling_time),
+            Row("payloads", "", self.payloads),
+            Row("told", "", self.told),
+            Row("on", "", self.on),
+        )
+        time = Row.time("", "", self.settling_time).text
+        result = (
+            f"every arm settles within {time}, last"
+            if math.isfinite(self.settling_time)
+            else "not every arm settles, not"
+        )
+        return Overview(
+            f"{self.carried}: {result} the arm “{worst.arm}” with {quantity(worst.payload, 'g')}",
+            rows=rows,
+            tables=(Table.of("arms", (each.rows for each in self.arms)),),
+        )
+
+    @property
+    def nominal(self) -> ArmFigures:
+        """The arm for which the law was made."""
+        return self.arms[0]
+
+
+@checked
+def worst_case(
+    design: Design,
+    reference: Reference,
+    *,
+    payloads: Payloads | None = None,
+    told: bool = False,
+    over: Over = "box",
+    on: On = "twin",
+    seeds: Annotated[int, Between(1, 1000)] = 1,
+) -> WorstCase:
+    """Return what every arm of a set makes of a move: the links of the fit's box and
+    both damping laws, with every payload of a range.
+
+    Parameters
+    ----------
+    design
+        whose shipped law runs.
+    reference
+        of the tip.
+    payloads
+        lightest and heaviest payload [kg]; the design's where it is left out.
+    told
+        whether the law is given the payload.
+    over
+        "box": the fit's box, at least as wide as the rig's tolerances, and the other
+        damping law with the same damping ratio; "model": the model alone.
+    on
+        "twin": arms with distributed mass, friction and sensors, made from the rig's
+        stiffness and length; "model": massless links as they were identified.
+    seeds
+        noises to run each arm with.
+
+    Raises
+    ------
+    FieldError
+        a value out of its range.
+
+    Examples
+    --------
+    >>> import fraclink as fl
+    >>> rig = fl.Rig.named("paper-2023-geared")
+    >>> design = fl.design(rig.model, rig, payloads=(0.020, 0.040), gain_crossover=12.0,
+    ...                    phase_margin=fl.deg(50), filter_time=0.02)
+    >>> case = worst_case(design, fl.smooth_step(1.0, 0.5), payloads=(0.030, 0.030), told=True)
+    >>> case.nominal.settling_time < 0.5 < case.settling_time, case.worst.arm
+    (True, 'viscous, ζ 0.0654')
+    """
+    arms = ArmSet.of(design, payloads, told=told, over=over, on=on)
+    return WorstCase(
+        arms.figures(reference, seeds),
+        (arms.payloads[0], arms.payloads[-1]),
+        told,
+        on,
+        arms.law.digest,
+    )

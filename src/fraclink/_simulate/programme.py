@@ -1,0 +1,280 @@
+"""The linear programme that bends a reference for the loops of a set of arms.
+
+As long as no limit acts, the law, its motor loop and an arm are linear and the same in
+every period. The reference's velocity is a quadratic B-spline with a knot every few
+periods, so that angle, velocity and acceleration are continuous and each coefficient
+c_j is a smooth step of c_j rad in three knots. One run of law.c for one such step, on
+the arm without friction, noise and limits, says what every reference does: the arm
+answers with the sum of c_j times that run, later by j knots.
+
+    minimise e  subject to  |Σ c_j y_a(t − jh) − target(t)| <= e
+                       and  |Σ c_j V_a(t − jh)| <= V             for all arms a, all t
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+from fraclink._arm.reference import Path
+from fraclink._arm.rig import Rig
+from fraclink._simulate.arm_set import ArmSet
+from fraclink.errors import FieldError
+
+__all__ = ["Programme"]
+
+Real = NDArray[np.float64]
+Bounds = list[tuple[float | None, float | None]]
+
+UNLIMITED = 1e4  # [V]: a law's block holds finite numbers
+# [rad] of the step that is run: far below every guard of the law, and so far above the
+# rounding of doubles that nothing is lost
+STEP = 1e-3
+# periods after the reference's end in which a limit may still be reached
+AFTER = 25
+FIRST = 31  # one row in so many is in the programme from the beginning
+# of a row's side, or of a thousandth of the largest one: 0.1 mrad of 1 rad, 1 mV of 8 V
+BROKEN, PART = 1e-4, 1e-3
+# Pieces of the unit step in powers of x = t/h: the angle over the three knots in which
+# it rises, then rest.
+_PIECES = np.array(
+    [
+        [0.0, 0.0, 0.0, 1 / 6],
+        [1 / 6, 1 / 2, 1 / 2, -1 / 3],
+        [5 / 6, 1 / 2, -1 / 2, 1 / 6],
+        [1.0, 0.0, 0.0, 0.0],
+    ]
+)
+
+
+def spline_path(coefficients: Real, step: float) -> Path:
+    """Return the sum of smooth steps of these sizes [rad], one every `step` [s]."""
+    count = len(coefficients)
+    pieces = np.zeros((count + 3, 4))
+    for j, size in enumerate(coefficients):
+        pieces[j : j + 3] += size * _PIECES[:3]
+        pieces[j + 3 :, 0] += size
+    # from powers of t/h to powers of t
+    pieces /= step ** np.arange(4.0)
+    return Path("shaped", step * np.arange(count + 3.0), pieces, step * (count + 2))
+
+
+def _without_friction(rig: Rig) -> Rig:
+    """Return the rig with an amplifier that has no limit, a motor without friction, and
+    sensors that neither round nor add anything; a late gauge stays late.
+    """
+    motor = replace(rig.motor, coulomb_torque=0.0, voltage_limit=UNLIMITED)
+    gauge = replace(rig.gauge, noise=0.0, offset=0.0, quantum=0.0, limit=math.inf)
+    encoder = replace(rig.encoder, counts_per_revolution=None)
+    return replace(rig, motor=motor, gauge=gauge, encoder=encoder)
+
+
+def _linear(arms: ArmSet) -> ArmSet:
+    """Return the set whose loops are linear: no friction, no compensation of it, no
+    limit.
+    """
+    drive = arms.law.motor_loop
+    assert drive is not None  # a design's law drives its motor  # noqa: S101
+    free = replace(drive, coulomb_voltage=0.0, voltage_limit=UNLIMITED)
+    law = replace(arms.law, motor_loop=free).in_precision("double")
+    return replace(arms, rig=_without_friction(arms.rig), law=law)
+
+
+@dataclass(frozen=True, eq=False)
+class Programme:
+    """Answers of every arm to one smooth step, and the limits of a reference.
+
+    answers: tip angle, then voltage, step of the motor reference and torque over their
+    limits, shape (arms, 4, N). knot: periods between two steps. velocity, acceleration:
+    of the reference [rad/s], [rad/s²].
+    """
+
+    answers: Real
+    knot: int
+    period: float
+    velocity: float
+    acceleration: float
+
+    @staticmethod
+    def of(
+        arms: ArmSet,
+        knot: int,
+        duration: float,
+        *,
+        voltage: float,
+        motor_step: float,
+        torque: float,
+    ) -> Programme:
+        """Return the programme for references of `duration` [s], within limits of
+        voltage [V], step of the motor reference in a period [rad] and torque [N·m].
+        """
+        linear, period = _linear(arms), arms.law.period
+        step = spline_path(np.array([STEP]), knot * period)
+        answers = []
+        for link in linear.links.values():
+            for payload in linear.payloads:
+                run = linear.run(link, payload, step, duration=duration)
+                # A loop that is not stable leaves every bound and is cut, or grows.
+                if not run.finished or run.metrics.growth > 0.0:
+                    raise FieldError(
+                        "payloads",
+                        payload,
+                        "one with which the loop is not stable",
+                        allowed="a payload that the law holds on every arm of the set",
+                        remedy="narrow the range, or design for it",
+                    )
+                signals = (
+                    run.tip_angle,
+                    run.voltage / voltage,
+                    np.diff(run.motor_reference, prepend=0.0) / motor_step,
+                    run.torque / torque,
+                )
+                answers.append(np.array(signals) / STEP)
+        # A row may be broken by a ten thousandth: a guard that acts at the limit itself
+        # is then ten times as far away.
+        kept, own = 1.0 - 10.0 * BROKEN, arms.law.limits
+        return Programme(
+            np.stack(answers),
+            knot,
+            period,
+            kept * own.reference_step / period,
+            kept * own.acceleration_limit,
+        )
+
+    @property
+    def length(self) -> int:
+        """Periods that are known of every answer."""
+        return int(self.answers.shape[2])
+
+    def count(self, time: float) -> int:
+        """Return the steps of a reference that rests two knots after `time` [s]."""
+        return max(1, math.ceil(time / (self.knot * self.period) - 1e-9)) + 2
+
+    def path(self, coefficients: Real) -> Path:
+        """Return the reference."""
+        return spline_path(coefficients, self.knot * self.period)
+
+    def tips(self, coefficients: Real) -> Real:
+        """Return the tip angle of every arm along a reference, shape (arms, N)."""
+        count = len(coefficients)
+        return np.stack(
+            [self._moved(answer[0], count) @ coefficients for answer in self.answers]
+        )
+
+    def nearest(
+        self, count: int, target: Real, first: int, last: int
+    ) -> tuple[Real, float] | None:
+        """Return the `count` coefficients whose tips are nearest to `target` from row
+        first to last, and their largest distance [rad]; None where no reference keeps
+        the limits. The reference ends where the target ends.
+        """
+        rows, sides = self._rows(count, target, first, last)
+        bounds: Bounds = [(None, None)] * count + [(0.0, None)]
+        ends = np.append(np.ones(count), 0.0)
+        # The last unknown is e, the distance; nothing else costs.
+        solution = _least(1.0 - ends, rows, sides, ends, float(target[-1]), bounds)
+        return None if solution is None else (solution[:count], float(solution[-1]))
+
+    def gentlest(
+        self, count: int, target: Real, first: int, last: int, within: float
+    ) -> Real | None:
+        """Return of all references whose tips keep the distance `within` [rad] the one
+        whose acceleration varies least: the nearest one rattles between its limits.
+        """
+        rows, sides = self._rows(count, target, first, last)
+        # Σ |differences of the acceleration| as a linear programme: each is bounded by
+        # an unknown of its own.
+        jerk = np.diff(_differences(count), axis=0, prepend=0.0, append=0.0)
+        more = len(jerk)
+        bent = np.pad(jerk, ((0, 0), (0, 1)))
+        rows = np.block(
+            [
+                [rows, np.zeros((len(rows), more))],
+                [bent, -np.eye(more)],
+                [-bent, -np.eye(more)],
+            ]
+        )
+        sides = np.append(sides, np.zeros(2 * more))
+        cost = np.append(np.zeros(count + 1), np.ones(more))
+        ends = np.append(np.ones(count), np.zeros(1 + more))
+        bounds: Bounds = [(None, None)] * count + [(0.0, within)]
+        bounds += [(0.0, None)] * more
+        solution = _least(cost, rows, sides, ends, float(target[-1]), bounds)
+        return None if solution is None else solution[:count]
+
+    def _rows(
+        self, count: int, target: Real, first: int, last: int
+    ) -> tuple[Real, Real]:
+        """Every inequality as rows @ (c, e) <= sides."""
+        # Once the reference rests the loop only decays: its peaks lie before, or within
+        # a tenth of a second.
+        until = min(count * self.knot + AFTER, self.length)
+        step = self.knot * self.period
+        # velocity and acceleration at the knots, which bound them in between
+        limited = [
+            np.eye(count) / (step * self.velocity),
+            _differences(count) / (step**2 * self.acceleration),
+        ]
+        wanted = target[first:last]
+        rows, sides = [], []
+        for tip, *signals in self.answers:
+            moved = self._moved(tip, count)[first:last]
+            distance = np.ones((len(moved), 1))
+            rows += [np.hstack([moved, -distance]), np.hstack([-moved, -distance])]
+            sides += [wanted, -wanted]
+            limited += [self._moved(signal, count)[:until] for signal in signals]
+        every = np.pad(np.vstack(limited), ((0, 0), (0, 1)))
+        rows += [every, -every]
+        sides += [np.ones(2 * len(every))]
+        return np.vstack(rows), np.concatenate(sides)
+
+    def _moved(self, answer: Real, count: int) -> Real:
+        """An answer in columns, each later by a knot; shape (N, count)."""
+        columns = np.zeros((len(answer), count))
+        for j in range(count):
+            columns[j * self.knot :, j] = answer[: len(answer) - j * self.knot]
+        return columns
+
+
+def _differences(count: int) -> Real:
+    """Changes of the velocity from knot to knot, from rest to rest."""
+    return np.diff(np.eye(count), axis=0, prepend=0.0, append=0.0)
+
+
+def _least(
+    cost: Real, rows: Real, sides: Real, ends: Real, end: float, bounds: Bounds
+) -> Real | None:
+    """Minimise cost @ x with rows @ x <= sides and ends @ x = end; None where nothing
+    fulfils them.
+
+    Of thousands of rows some dozens bind: the programme is solved with a few of them
+    and again with all that its solution breaks, until it breaks none. That is exact,
+    and takes a third of the time of all rows at once.
+    """
+    scale = np.maximum(np.abs(sides), PART * np.max(np.abs(sides)))
+    chosen = np.zeros(len(rows), dtype=bool)
+    chosen[::FIRST] = True
+    while True:
+        # presolve removes nothing from a dense programme, and costs more than the
+        # solution
+        solution = linprog(
+            cost,
+            rows[chosen],
+            sides[chosen],
+            ends[None, :],
+            [end],
+            bounds,
+            method="highs",
+            options={"presolve": False},
+        )
+        if solution.x is None:
+            return None
+        broken = rows @ solution.x - sides > BROKEN * scale
+        if not np.any(broken & ~chosen):
+            return np.asarray(solution.x)
+        # with their neighbours, which are next where the peak moves to one side
+        chosen |= np.convolve(broken, np.ones(5), mode="same") > 0

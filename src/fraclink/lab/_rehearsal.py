@@ -1,0 +1,55 @@
+"""A move on the model before it is one of the arm."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fraclink._arm.reference import Reference, sampled
+from fraclink._law import MODES, REASONS, Law
+from fraclink._law.design import Design
+from fraclink._simulate.simulate import simulate
+from fraclink.errors import FieldError
+
+__all__ = ["rehearse"]
+
+
+def rehearse(
+    design: Design, law: Law, reference: Reference, *, payload: float = 0.0
+) -> None:
+    """FieldError where the move leaves the law's limits, or trips the law on the
+    design's own model.
+
+    `payload` [kg] is what the law is given; 0 for none, and the rig's nominal one then
+    moves.
+    """
+    count = int(reference.duration / law.period) + 1
+    reach = float(np.max(np.abs(sampled(reference, law.period, count)[0])))
+    # From where the arm stands, which may be anywhere of the encoder's range.
+    most = law.limits.motor_limit - abs(design.rig.moves.centre)
+    if reach > most:
+        raise FieldError(
+            "reference",
+            f"{reach:.3g} rad",
+            "beyond the limits of the law; the arm has not moved",
+            allowed=f"<= {most:.3g} rad",
+            remedy="ask for a smaller move, or state the rig's [moves]",
+        )
+    run = simulate(
+        law,
+        reference,
+        rig=design.rig,
+        model=design.model,
+        payload=payload or design.rig.payloads.nominal,
+        told=payload > 0,
+        duration=reference.duration + 1.0,
+    )
+    tripped = np.flatnonzero(run.mode > MODES.index("run"))
+    if tripped.size:
+        row = tripped[0]
+        raise FieldError(
+            "reference",
+            f"{REASONS[int(run.reason[row])]} at {run.time[row]:.3g} s",
+            "trips the law on its own model; the arm has not moved",
+            allowed="a move that the model makes",
+            remedy="ask for a slower or a smaller move (--move-time, --amplitude)",
+        )

@@ -1,0 +1,584 @@
+"""What a log's columns are: matched by name and unit, or asked.
+
+`read_log` guesses nothing. Here names and units are matched with the roles, and the one
+vibration that a fit finds in the log checks them: sign, gain, and whether a tip's angle
+is measured from the hub. What does not match is a `Question`, one for each role at most;
+what moves no frequency, order or delay of a fit is assumed, and said to be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fraclink._arm.experiment import Experiment
+from fraclink._arm.log_columns import (
+    ROW_NUMBER,
+    UNITS,
+    Channel,
+    ColumnStatement,
+    LogColumns,
+    OutputKind,
+)
+from fraclink._identify import Fit
+from fraclink._reading.columns import check_count, stated_by
+from fraclink._reading.formats import read_table
+from fraclink._reading.names import (
+    UNITS_OF_LENGTH,
+    length_of_name,
+    names_time,
+    words_of,
+)
+from fraclink._reading.table import LogTable, clock_step, moves
+from fraclink.errors import FieldError, LogError
+from fraclink.logs._dead_ends import check_no_response, dead_end
+from fraclink.logs._diagnosis import share_of, vibration_of
+from fraclink.logs._questions import (
+    ABSENT,
+    Certainty,
+    Guess,
+    Question,
+    statements,
+)
+from fracsys.checks import Period, checked
+
+__all__ = ["Match", "match", "match_table"]
+
+Reals = NDArray[np.float64]
+# A vibrating arm is sampled every 0.2 ms to 0.1 s. The window is narrower than a factor
+# of 1000, so that at most one of s, ms, us and ns puts a clock's step into it.
+_FASTEST, _SLOWEST = 2e-4, 0.1
+# How well a name fits a role: it says so, says nothing, or says something else.
+_UNNAMED, _UNLIKELY = 2, 3
+# More than half of an output: one vibration cannot explain that much of two signals.
+_SHOWN = 0.5
+# An output may be late by half of the vibration before it looks like one of the other
+# sign that is early; with its sign unknown, by a quarter on either side: half of that.
+_LATE = 1 / 8
+# A deflection θm − θt has the gain 1 on the motor angle, and degrees taken for radians
+# make it 57: halfway between the two, in the logarithm, one is as far off as the other.
+_OTHER_UNIT = math.sqrt(180 / math.pi)
+
+
+@dataclass(frozen=True)
+class Match:
+    """What was concluded: the columns, None as long as a question is open, and every
+    guess behind them.
+    """
+
+    columns: LogColumns | None
+    guesses: tuple[Guess, ...]
+    questions: tuple[Question, ...]
+
+
+@checked
+def match(
+    log: Path | str,
+    *,
+    column: Iterable[str] = (),
+    period: Period | None = None,
+    interpolate: bool = False,
+) -> Match:
+    """Match names and units of a log with the roles of its columns; nothing is fitted.
+
+    Parameters
+    ----------
+    log
+        the file, of any format that `read_log` reads.
+    column, period, interpolate
+        what is known, as in `start`.
+
+    Raises
+    ------
+    LogError
+        a column that is stated is not there, a cell of one that is needed is no number,
+        or the log has no column that could be the motor angle or the output.
+
+    Examples
+    --------
+    >>> from fraclink._reading.reading import bundled_log
+    >>> result = match(bundled_log("pulse_30g"))
+    >>> result.columns.motor_angle.column, result.questions
+    ('motor_angle_rad', ())
+    """
+    stated = statements(column, period)
+    return match_table(read_table(Path(log)), stated, str(log), interpolate)
+
+
+def match_table(
+    table: LogTable,
+    stated: dict[str, ColumnStatement],
+    source: str,
+    interpolate: bool = False,
+) -> Match:
+    """`match` of a table that was read; `source` is its file, as a command that a
+    refusal names is to call it.
+    """
+    # First what no answer could mend, then what a question may.
+    check_no_response(table, source)
+    check_count(max((values.size for values in table.values), default=0))
+    columns = [each.column for each in stated.values() if each.column]
+    matching = _Matching(table.with_combined(columns), stated, source, interpolate)
+    for remark in table.remarks:
+        matching.conclude(
+            "form of the file", remark, "certain", "the whole file agrees"
+        )
+    # Values near the largest double overflow in a difference: such a column is no
+    # signal, and no error here.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        matched = matching.columns()
+    questions = tuple(matching.questions)
+    return Match(None if questions else matched, tuple(matching.guesses), questions)
+
+
+@dataclass
+class _Matching:
+    """What is known of one table so far; each step adds guesses or questions."""
+
+    table: LogTable
+    stated: dict[str, ColumnStatement]
+    source: str
+    interpolate: bool
+    guesses: list[Guess] = field(default_factory=list)
+    questions: list[Question] = field(default_factory=list)
+
+    def conclude(
+        self, part: str, value: str, certainty: Certainty, evidence: str
+    ) -> None:
+        self.guesses.append(Guess(part, value, certainty, evidence))
+
+    def ask(
+        self, role: str, part: str, text: str, choices: Iterable[str], example: str
+    ) -> None:
+        option = f'--column "{example}"'
+        self.questions.append(Question(role, part, text, tuple(choices), option))
+
+    def statement(self, role: str) -> ColumnStatement:
+        return self.stated.get(role, ColumnStatement(role))
+
+    def place(self, role: str) -> int | None:
+        """The place of a stated column; a name that itself ends in brackets is found
+        whole.
+        """
+        each = self.statement(role)
+        if each.column is None or self.is_absent(role):
+            return None
+        whole = f"{each.column} [{each.unit}]"
+        column = whole if whole in self.table.names else each.column
+        return self.table.place(column, each.role)
+
+    def is_absent(self, role: str) -> bool:
+        """Whether an answer says that the log does not hold a role."""
+        own = self.statement(role).column
+        return own == ABSENT and ABSENT not in self.table.names
+
+    def label(self, place: int) -> str:
+        return self.table.label(place)
+
+    def cells(self, place: int) -> Reals:
+        """The numbers of a column; LogError where a cell is none."""
+        return self.table.clean(place, interpolate=self.interpolate)[0]
+
+    def unit(self, place: int) -> str:
+        """The unit that the file or its name states for a column."""
+        known = {unit for units in UNITS.values() for unit in units}
+        return self.table.unit(place, known)
+
+    def add(self, name: str, unit: str) -> int:
+        """Add a column that is made of others, as ``"theta - tip"``; return its place."""
+        table = self.table.with_combined([name])
+        units = [*(table.units or [""] * len(table.names))]
+        units[table.names.index(name)] = unit
+        self.table = replace(table, units=tuple(units))
+        return table.names.index(name)
+
+    def columns(self) -> LogColumns | None:
+        time = self.time()
+        places = self.signals(time)
+        angle, output = places.get("motor_angle"), places.get("output")
+        channel = None if angle is None else self.motor_angle(angle)
+        if time is None or angle is None or output is None or channel is None:
+            return None
+        turned = channel.in_si(self.cells(angle), "motor_angle")
+        # The median: a gap or a stamp that jumps back is for the reader to refuse.
+        steps = np.abs(np.diff(self.stamps(time, turned.size)))
+        period = float(np.median(steps))
+        if not period > 0:
+            raise LogError(
+                "column of time",
+                time.column,
+                "the same in most samples",
+                allowed="stamps that rise",
+                remedy="state another column, or --period-ms 4",
+            )
+        if turned.size != self.table.values[output].size:
+            return None
+        source = self.from_the_hub(channel, turned, output, period)
+        if source is None:
+            return None
+        mode = _vibration(turned, self.cells(source), period)
+        mode = mode if share_of(mode) > _SHOWN else None
+        measured = self.output(source, mode)
+        if measured is None:
+            return None
+        kind, unit, scale = measured
+        sign = self.sign(mode)
+        signal = Channel(self.label(source), unit, sign=sign, scale=scale)
+        voltage = self.voltage(turned, taken=(angle, source))
+        return LogColumns(time, channel, **{kind: signal}, voltage=voltage)
+
+    # --- time ---
+
+    def time(self) -> Channel | None:
+        """The channel of the stamps."""
+        statement = self.statement("time")
+        scale = statement.scale or 1.0
+        if statement.column == ROW_NUMBER:
+            unit = statement.unit or "s"
+            value = f"one sample every {scale:g} {unit}"
+            self.conclude("time", value, "stated", "the log has no stamps")
+            return Channel(ROW_NUMBER, unit, scale=scale)
+        column = statement.column or self.table.clock()
+        if not column:
+            text = "No column rises as a clock does: how long is one sample?"
+            option = '--period-ms 4, or --column "time=NAME [s]"'
+            self.questions.append(Question("time", "period", text, ("4 ms",), option))
+            return None
+        place = self.place("time") if statement.column else None
+        if place is None:
+            combined = column not in self.table.names and not column.startswith("#")
+            place = (
+                self.add(column, "s") if combined else self.table.place(column, "time")
+            )
+        named = names_time(self.table.name(place))
+        step = float(np.median(np.abs(np.diff(self.cells(place)))))
+        rate = f"a sample every {step * scale:.6g}"
+        sure: Certainty = "certain" if named else "likely"
+        name = self.label(place)
+        self.conclude("time", name, "stated" if statement.column else sure, rate)
+        own = statement.unit or self.unit(place)
+        fitting = [
+            unit
+            for unit, size in UNITS["time"].items()
+            if _FASTEST <= step * scale * size <= _SLOWEST
+        ]
+        # A column that rises by one may count samples or milliseconds: only a name of
+        # time makes it the latter.
+        counter = step == 1.0 and not named
+        # The name's unit stands unless nobody samples an arm so: then milliseconds were
+        # exported under the name of seconds.
+        known = own in UNITS["time"]
+        if statement.unit or own in fitting or (known and not fitting):
+            self.conclude("unit of time", own, "stated", f"{rate} {own}")
+            return Channel(name, own, scale=scale)
+        if len(fitting) == 1 and not counter and not known:
+            why = f"{rate}: of s, ms, us and ns the one in which arms are sampled"
+            self.conclude("unit of time", fitting[0], "likely", why)
+            return Channel(name, fitting[0], scale=scale)
+        text = f"{name} rises by {step:.6g}" + (f" {own} by its name" if own else "")
+        if counter:
+            text, example = f"{text}: how long is one step?", f"{name} * 0.004 [s]"
+            self.ask("time", "unit", text, ("4 ms",), f"time={example}")
+        else:
+            text += ": in which unit?"
+            self.ask("time", "unit", text, ("s", "ms", "us"), f"time={name} [ms]")
+        return None
+
+    def stamps(self, time: Channel, rows: int) -> Reals:
+        """The stamps in seconds."""
+        if time.column == ROW_NUMBER:
+            return time.in_si(np.arange(rows, dtype=np.float64), "time")
+        return time.in_si(self.cells(self.table.place(time.column, "time")), "time")
+
+    # --- which column is the motor angle, which the output ---
+
+    def signals(self, time: Channel | None) -> dict[str, int]:
+        """The places of the motor angle and of the output, as far as they are stated or
+        match; a question asks for what does not.
+        """
+        parts = {"motor_angle": "motor angle", "output": "output"}
+        stated = {r: k for r in parts if (k := self.place(r)) is not None}
+        free = self.free(time, next(iter(stated.values()), None))
+        places: dict[str, int] = {}
+        asked: dict[str, list[int]] = {}
+        for role, part in parts.items():
+            left = {*free} - {*places.values(), *stated.values()}
+            ranks = {k: self.rank(role, k) for k in sorted(left)}
+            best = min(ranks.values(), default=_UNLIKELY)
+            group = [k for k, rank in ranks.items() if rank == best < _UNLIKELY]
+            if role in stated:
+                places[role] = stated[role]
+                self.conclude(part, self.label(stated[role]), "stated", "as stated")
+            elif best < _UNNAMED and len(group) == 1 and not self.is_absent(role):
+                places[role] = group[0]
+                name, shown = self.table.name(group[0]), self.label(group[0])
+                evidence = f"its name says {self.table.roles[group[0]][1]!r}"
+                evidence += f": {name}" if name != shown else ""
+                sure: Certainty = "stated" if stated_by(name)[0] else "likely"
+                self.conclude(part, shown, sure, evidence)
+            else:
+                asked[role] = [] if self.is_absent(role) else group
+        if time is not None and not all(asked.values()):
+            missing = next(role for role, choices in asked.items() if not choices)
+            angle = places.get("motor_angle")
+            raise dead_end(self, time, angle, free, self.table.roles, missing)
+        first = ""
+        for role, choices in asked.items():
+            # The column that one question suggests is no suggestion of the other.
+            labels = sorted(map(self.label, choices), key=lambda name: name == first)
+            first = next(iter(labels), "NAME")
+            text = "Which column is the motor angle, and in which unit?"
+            example = f"motor_angle={first} [deg]"
+            if role == "output":
+                text = "Which column is the link's output, its torque or deflection?"
+                example = f'torque={first} [Nm]" or "deflection={first} [raw]'
+            self.ask(role, "column", text, labels, example)
+        return places
+
+    def rank(self, role: str, place: int) -> int:
+        """How well a name fits a role: below `_UNNAMED` it says so."""
+        meaning, name = self.table.roles[place][0], self.table.name(place)
+        # Of two angles the one at the motor's side is wanted.
+        hub = {"motor", "hub", "m", "joint"} & set(words_of(name))
+        ranks = {"motor_angle": 0 if hub else 1, "the tip": _UNNAMED}
+        if role == "output":
+            ranks = {
+                "torque": 0,
+                "deflection": 0,
+                "the tip": 1,
+                "motor_angle": _UNNAMED,
+            }
+        # Never what was only asked for, nor what is measured of something else. Names of
+        # one letter are habits, and say little: u may be any input.
+        habit = not meaning or len(name) == 1
+        return ranks.get(meaning, _UNNAMED if habit else _UNLIKELY)
+
+    def free(self, time: Channel | None, stated: int | None) -> list[int]:
+        """The places of the signals: as long as the time, moving, and each once."""
+        table, clock = self.table, None
+        if time is not None and time.column != ROW_NUMBER:
+            clock = table.place(time.column, "time")
+        of_length = clock if clock is not None else stated
+        length = max(values.size for values in table.values)
+        length = length if of_length is None else table.values[of_length].size
+        places: list[int] = []
+        # Named columns first: of two that are equal the one with the better name stays.
+        order = range(len(table.names))
+        for place in sorted(order, key=lambda k: not self.table.roles[k][0]):
+            values = table.values[place]
+            # A column that only rises is another clock, unless its name says what it
+            # measures and not when.
+            named = self.table.roles[place][0] and not names_time(table.name(place))
+            rises = clock_step(values) is not None and not named
+            again = any(np.array_equal(values, table.values[k]) for k in places)
+            signal = values.size == length and moves(values)
+            if place != clock and signal and not rises and not again:
+                places.append(place)
+        return sorted(places)
+
+    # --- the motor angle ---
+
+    def motor_angle(self, place: int) -> Channel | None:
+        """The channel of the motor angle; None where its unit is a question."""
+        statement, own = self.statement("motor_angle"), self.unit(place)
+        name, raw = self.label(place), self.cells(place)
+        sign, scale = statement.sign or 1, statement.scale or 1.0
+        reach = float(np.abs(raw - raw[0]).max())
+        unit = statement.unit or (own if own in UNITS["angle"] else "")
+        part = "unit of the motor angle"
+        if unit:
+            source = "as stated" if statement.unit else "by its name"
+            evidence = f"{source}; it moves by {scale * reach:.4g} {unit}"
+            self.conclude(part, unit, "stated", evidence)
+            return Channel(name, unit, sign=sign, scale=scale)
+        if length := length_of_name(self.table.name(place)):
+            # Any radius makes an angle of its way, for all but the gain.
+            value = f"1 rad for 1 m of {name}"
+            why = "a linear axis: frequency, order and delay do not depend on the lever"
+            self.conclude(part, value, "assumed", why)
+            return Channel(name, "rad", sign=sign, scale=UNITS_OF_LENGTH[length])
+        text, example = f"{name} moves by {reach:.4g}: in which unit?", "[deg]"
+        choices = ("rad", "deg")
+        if own in UNITS["voltage"]:
+            text = f"{name} is in volts: which angle is one volt?"
+            choices, example = ("36.8 deg", "0.64 rad"), "* 36.8 [deg]"
+        # Whole numbers are counts, unless they are few: an angle in whole degrees.
+        elif reach > 2 * math.pi and (raw == np.round(raw)).all():
+            text = f"{name} counts: which angle is one count?"
+            choices, example = ("1/4096 rev", "0.09 deg"), "* 1/4096 [rev]"
+        example = f"motor_angle={name} {example}"
+        self.ask("motor_angle", "unit", text, choices, example)
+        return None
+
+    # --- the output ---
+
+    def from_the_hub(
+        self, channel: Channel, turned: Reals, output: int, period: float
+    ) -> int | None:
+        """The place of the output, or of the deflection that is made of it where it is
+        the tip's angle in space; None where that is a question: the tip's position.
+
+        A deflection δ = θm − θt answers an acceleration with a positive gain, a tip
+        angle with a negative one, and rings as a deflection of the other sign does: but
+        what is left of θm by subtracting it is then a vibration, and a clearer one.
+        """
+        own, name = self.unit(output), self.label(output)
+        moved = self.cells(output) - self.cells(output)[0]
+        # Without a unit it is taken to have that of the motor angle.
+        size = UNITS["angle"].get(own or channel.unit, 0.0)
+        if length := length_of_name(self.table.name(output)):
+            slope = float(moved @ turned) / (float(turned @ turned) or math.inf)
+            size = 1 / slope if slope else 0.0
+        stated = self.statement("output").column is not None
+        # The difference of raw numbers would be none of angles.
+        if stated or channel.scale != 1 or channel.sign != 1 or not size:
+            return output
+        itself = _vibration(turned, moved, period)
+        rest = _vibration(turned, turned - size * moved, period)
+        clearer = share_of(rest) > max(share_of(itself), _SHOWN)
+        if not (itself and rest and clearer and itself.gain < 0 < rest.gain):
+            return output
+        if length:
+            text = f"{name} moves with the motor, so it sees the tip in space: "
+            text += f"how far does 1 {length} of it turn the arm?"
+            example = f"deflection={channel.column} - K * {name} [{channel.unit}]"
+            self.ask("output", "column", text, (name,), example)
+            return None
+        ratio = size / UNITS["angle"][channel.unit]
+        factor = "" if abs(ratio - 1) < 1e-9 else f"{ratio:.9g} * "
+        difference = f"{channel.column} - {factor}{name}"
+        why = f"the motor angle less {name} is one vibration ({100 * share_of(rest):.3g} %): the tip in space"
+        self.guesses = [each for each in self.guesses if each.part != "output"]
+        self.conclude("output", difference, "likely", why)
+        return self.add(difference, channel.unit)
+
+    def output(
+        self, place: int, mode: Fit | None
+    ) -> tuple[OutputKind, str, float] | None:
+        """Torque or deflection, its unit and the factor to it; None where that is a
+        question.
+        """
+        statement, own = self.statement("output"), self.unit(place)
+        unit, scale = statement.unit or own, statement.scale or 1.0
+        name, part = self.label(place), "output measures"
+        source = "as stated" if statement.unit else "by its name"
+        gain = abs(mode.gain) if mode is not None else 0.0
+        torque = statement.role == "torque"
+        if unit in UNITS["torque"] or (torque and statement.unit):
+            size = gain * scale * UNITS["torque"].get(unit, 1.0)
+            source += f"; {size:.3g} N·m/rad" if mode else ""
+            self.conclude(part, f"torque [{unit}]", "stated", source)
+            return "torque", unit, scale
+        # `LogColumns` refuses a unit of none.
+        if unit in UNITS["angle"] or (statement.unit and statement.unit != "raw"):
+            calibrated = gain * scale * UNITS["angle"].get(unit, 1.0)
+            odd = gain and not 1 / _OTHER_UNIT < calibrated < _OTHER_UNIT
+            if odd and not statement.unit:
+                text = f"{name} is in {own} by its name, but {calibrated:.3g} times "
+                text += "what the motor turns: in which unit?"
+                example = f"deflection={name} [deg]"
+                self.ask("output", "unit", text, ("rad", "deg", "raw"), example)
+                return None
+            source += (
+                f"; gain {calibrated:.3g} on the motor angle, 1 in theory"
+                if gain
+                else ""
+            )
+            self.conclude(part, f"deflection [{unit}]", "stated", source)
+            return "deflection", unit, scale
+        role = self.table.roles[place][0]
+        beside = self.statement("motor_angle").unit or ""
+        if role == "motor_angle" and beside in UNITS["angle"] and not statement.unit:
+            why = "named as an angle: in the unit of the motor's"
+            self.conclude(part, f"deflection [{beside}]", "likely", why)
+            return "deflection", beside, scale
+        if (torque or role == "torque") and statement.unit != "raw":
+            text = f"{name} is a torque: in which unit? (raw: not calibrated)"
+            example = f'torque={name} [Nm]" or "torque={name} [mNm]'
+            self.ask("output", "unit", text, ("Nm", "mNm", "raw"), example)
+            return None
+        if not gain:
+            raise LogError(
+                "column of output",
+                name,
+                "not calibrated, and no vibration that the motor's motion explains could scale it",
+                allowed="Nm, mNm, rad or deg",
+                remedy=f'state --column "torque={name} [Nm]" or "deflection={name} [deg]"',
+            )
+        # A sensor without a unit is scaled so that it answers the motor angle as a
+        # deflection does. Four digits, as people write a calibration: the gain itself
+        # is known to a percent.
+        scale = float(f"{1 / gain:.4g}")
+        length = length_of_name(self.table.name(place))
+        what = (
+            f"a link of {gain:.3g} {length}" if length else f"{name} is not calibrated"
+        )
+        why = (
+            f"{what}: scaled to a gain of 1 on the motor angle, as a deflection has; "
+            "frequency, order and delay do not depend on it"
+        )
+        self.conclude(part, f"deflection, {scale:g} rad each", "assumed", why)
+        return "deflection", "rad", scale
+
+    def sign(self, mode: Fit | None) -> Literal[1, -1]:
+        """The sign with which the output is positive where the motor speeds up."""
+        # Where the motor speeds up the link is bent backwards, and Γ = c(θm − θt) is
+        # positive: the sign convention of rig and law.
+        sign: Literal[1, -1] = -1 if mode is not None and mode.gain < 0 else 1
+        way = "with" if sign > 0 else "against"
+        sure: Certainty = "certain"
+        why = f"it goes {way} the motor's acceleration"
+        late = 2 * math.pi * _LATE
+        if mode is not None:
+            frequency = mode.model.natural_frequency
+            explained = f"explains {100 * share_of(mode):.3g} % of the output"
+            self.conclude("vibration", f"{frequency:.3g} rad/s", "certain", explained)
+        if stated := self.statement("output").sign:
+            sign, sure, why = stated, "stated", "as stated"
+        elif mode is None or mode.delay * mode.model.natural_frequency > late:
+            sure = "assumed"
+            why = "no vibration that tells" if mode is None else "it answers late"
+            why += ": state a minus, as in torque=-bridge [mNm], where it is turned"
+        self.conclude("sign of the output", "+" if sign > 0 else "-", sure, why)
+        return sign
+
+    def voltage(self, angle: Reals, *, taken: tuple[int, int]) -> Channel | None:
+        """The channel of the amplifier's voltage, where one column is named so; a fit
+        of the link does not need it.
+        """
+        table, statement = self.table, self.statement("voltage")
+        place = self.place("voltage")
+        roles = enumerate(self.table.roles)
+        named = [k for k, (role, _) in roles if role == "voltage" and k not in taken]
+        if place is None and len(named) == 1:
+            place = named[0]
+        if place is None or table.values[place].size != angle.size:
+            return None
+        raw, own, name = table.values[place], self.unit(place), self.label(place)
+        unit = statement.unit or (own if own in UNITS["voltage"] else "")
+        if not np.isfinite(raw).all() or not moves(raw):
+            return None
+        # A motor runs where its voltage drives it, though a servo brakes as often.
+        relation = float(np.corrcoef(raw, np.gradient(angle))[0, 1])
+        sign: Literal[1, -1] = statement.sign or (-1 if relation < -_SHOWN else 1)
+        evidence = f"correlation {relation:.2g} with the motor's speed"
+        value = f"{'-' if sign < 0 else ''}{name} [{unit or 'V'}]"
+        self.conclude("voltage", value, "stated" if unit else "likely", evidence)
+        return Channel(name, unit or "V", sign=sign, scale=statement.scale or 1.0)
+
+
+def _vibration(angle: Reals, output: Reals, period: float) -> Fit | None:
+    """The one mode from `angle` to `output`; None where there is none."""
+    try:
+        log = Experiment(
+            period=period, motor_angle=angle, output=output, output_kind="deflection"
+        )
+    except FieldError:
+        return None
+    return vibration_of(log)

@@ -1,0 +1,142 @@
+"""What `start` concludes and what it asks: guesses with their certainty, questions, and
+what an answer states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from fraclink._arm.log_columns import QUANTITY_OF, ROW_NUMBER, UNITS, ColumnStatement
+from fraclink._reading.names import unit_of_name
+from fraclink.errors import FieldError
+
+__all__ = ["ABSENT", "Certainty", "Guess", "Question", "statements"]
+
+Certainty = Literal["stated", "certain", "likely", "assumed"]
+# The answer where a log does not hold what a question asks for.
+ABSENT = "none"
+
+
+@dataclass(frozen=True)
+class Guess:
+    """One conclusion about a log.
+
+    Parameters
+    ----------
+    part
+        what it is about, such as "motor angle" or "sign of the output".
+    value
+        what is taken.
+    certainty
+        ``"stated"`` by the user or by the log's own names, ``"certain"`` or
+        ``"likely"`` from the values, ``"assumed"`` where the log cannot tell.
+    evidence
+        why, in words.
+    """
+
+    part: str
+    value: str
+    certainty: Certainty
+    evidence: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a log cannot tell; one for each role, and so three at most.
+
+    Parameters
+    ----------
+    role
+        time, motor_angle or output.
+    part
+        ``"column"`` (the answer is a name, with its unit in brackets: ``theta [deg]``;
+        or ``none``, where the log does not hold it), ``"unit"`` or ``"period"`` (a unit,
+        with a factor before it if need be).
+    text
+        the question.
+    choices
+        columns, or examples of units; others may be answered as well, such as
+        ``#3 + #4 [rad]``.
+    option
+        the option of the command line that states it.
+    """
+
+    role: str
+    part: str
+    text: str
+    choices: tuple[str, ...]
+    option: str
+
+    def statement(
+        self, text: str, known: ColumnStatement | None = None
+    ) -> ColumnStatement:
+        """Return what an answer states, beside what is known of the column.
+
+        Raises FieldError where it is not understood.
+
+        >>> asked = Question("motor_angle", "unit", "Which unit?", ("deg",), "")
+        >>> asked.statement("1/4096 rev").scale
+        0.000244140625
+        >>> asked = Question("output", "column", "Which column?", ("#3", "#4"), "")
+        >>> asked.statement("#3 + #4 [rad]").unit
+        'rad'
+        """
+        text, known = text.strip(), known or ColumnStatement(self.role)
+        of_column = self.part == "column"
+        if of_column and text == ABSENT and ABSENT not in self.choices:
+            return replace(known, column=ABSENT)
+        # "36.8 deg" beside "deg" and "* 36.8 [deg]", the words of --column.
+        factor, _, unit = text.removesuffix("]").replace("[", " ").rpartition(" ")
+        stated = f"x * {factor.strip('* ')} [{unit}]" if factor else f"x [{unit}]"
+        if of_column:
+            stated, unit = text, unit if "[" in text else ""
+        role = self.role
+        if role == "output":
+            kind = "torque" if unit in UNITS["torque"] else "deflection"
+            role = known.role if not unit and known.role != "output" else kind
+        each = ColumnStatement.of(f"{role}={stated}")
+        units = [*UNITS[QUANTITY_OF[role]], *(["raw"] * (self.role == "output"))]
+        own = unit_of_name(each.column or "")
+        if of_column and self.role == "motor_angle" and each.unit is None:
+            # The same question, and not a second one.
+            each = replace(each, unit=own if own in units else "")
+        named = not of_column or any(name in text for name in self.choices)
+        optional = of_column and self.role == "output" and each.unit is None
+        if not named or (each.unit not in units and not optional):
+            problem = "not understood" if each.unit else "without a unit"
+            allowed = f"a column and one of {', '.join(units)}"
+            if not named:
+                problem = "none of these columns"
+                allowed = f"{', '.join(self.choices[:12])}, a sum such as a + b [rad], or none"
+            remedy = f"such as {', '.join(self.choices)}"
+            if of_column:
+                remedy = f"such as {self.choices[0]} [deg]"
+            raise FieldError("answer", text, problem, allowed=allowed, remedy=remedy)
+        if self.part == "period":
+            return replace(each, column=ROW_NUMBER)
+        return each if of_column else replace(each, column=known.column)
+
+
+def statements(
+    column: Iterable[str], period: float | None
+) -> dict[str, ColumnStatement]:
+    """What the call states, by role; both kinds of output share one."""
+    texts = list(column)
+    if period is not None:
+        texts.append(f"time={ROW_NUMBER} * {period!r} [s]")
+    stated: dict[str, ColumnStatement] = {}
+    for text in texts:
+        each = ColumnStatement.of(text)
+        role = "output" if each.role in ("torque", "deflection") else each.role
+        if role in stated:
+            raise FieldError(
+                "column" if role != "time" or period is None else "period",
+                text,
+                "stated twice",
+                allowed="one for each role",
+                remedy="state each column once; an output is a torque or a deflection",
+            )
+        stated[role] = each
+    return stated

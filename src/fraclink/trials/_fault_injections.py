@@ -1,0 +1,394 @@
+"""What a fault does to a trial, by the names that faults.toml uses.
+
+A list of three numbers there is one for each severity; `inject` hands on the case's.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from fraclink._arm.motor import place_pid
+from fraclink._law import MODES, Modes
+from fraclink._simulate import sensors as columns
+from fraclink._simulate.kernel import ArmState
+from fraclink.trials._fault_trial import MODES_HELD, MOVE_BEGINS, WORDS, Trial
+
+__all__ = ["INJECTIONS", "JITTER", "inject"]
+
+HEADER, COUNTS = 16, 40  # bytes of law_params before its reals
+JITTER = 1e-3  # [s] by which an instant of sampling is early or late
+WATCHDOG = 5  # periods after which a board's watchdog switches the drive off
+COLUMNS = {
+    "reference": columns.REFERENCE,
+    "reference acceleration": columns.ACCELERATION,
+    "gauge": columns.GAUGE_ERROR,
+    "gauge gain": columns.GAUGE_GAIN,
+    "encoder": columns.ENCODER_ERROR,
+    "encoder gain": columns.ENCODER_GAIN,
+    "tip force": columns.TIP_FORCE,
+}
+
+
+def inject(trial: Trial, steps: Sequence[Mapping[str, Any]]) -> None:
+    """Do to a trial what the steps of a fault say, at the severity of its case."""
+    for step in steps:
+        options = {
+            name: value[trial.case.severity - 1] if isinstance(value, list) else value
+            for name, value in step.items()
+        }
+        INJECTIONS[options.pop("do")](trial, **options)
+
+
+# ── sensors, clock, reference
+# ──────────────────────────────────────────────────────────────────────────────────────────
+
+
+def reading(
+    trial: Trial,
+    sensor: str,
+    value: float,
+    *,
+    samples: int = 1,
+    seconds: float = 0.0,
+    every: int = 0,
+    alternate: bool = False,
+) -> None:
+    """Replace a sensor's readings: for some samples or seconds, or for a second in
+    single samples with good ones in between.
+    """
+    if every:
+        # The law counts bad samples in a row: no number of them that lie apart may add
+        # up to a trip.
+        rows = np.arange(trial.row, trial.row + 250, every)
+    else:
+        span = trial.rows(seconds)
+        last = max(span.stop, min(span.start + samples, trial.count))
+        rows = np.arange(span.start, last)
+    signs = np.resize([1.0, -1.0] if alternate else [1.0], rows.size)
+    trial.replace_reading(sensor, value * signs, rows)
+
+
+def stick(trial: Trial, sensor: str, seconds: float) -> None:
+    """Repeat a sensor's last reading."""
+    trial.set_bits(trial.rows(seconds), f"{sensor} frozen")
+    trial.marks[trial.rows(seconds)] = True
+
+
+def drop(trial: Trial, share: float) -> None:
+    """Lose a share of the samples of both sensors: the last ones are repeated."""
+    rows = trial.sprinkled(share)
+    trial.set_bits(rows, "encoder frozen")
+    trial.set_bits(rows, "gauge frozen")
+
+
+def add(
+    trial: Trial,
+    to: str,
+    value: float,
+    *,
+    seconds: float = math.inf,
+    per_second: bool = False,
+) -> None:
+    """Add to an input from the fault on, or a rate of it."""
+    rows = trial.rows(seconds)
+    time = trial.period * np.arange(len(trial.inputs[rows]))
+    trial.inputs[rows, COLUMNS[to]] += value * (time if per_second else 1.0)
+    if to == "reference":
+        # a jump that is meant: it is what is then wanted
+        trial.wanted = trial.inputs[:, columns.REFERENCE].copy()
+        trial.marks[trial.row] = True
+
+
+def put(
+    trial: Trial,
+    to: str,
+    value: float,
+    *,
+    seconds: float = math.inf,
+    mark: bool = False,
+) -> None:
+    """Put a number in the place of an input."""
+    rows = trial.rows(seconds)
+    trial.inputs[rows, COLUMNS[to]] = value
+    trial.marks[rows] |= mark
+
+
+def noise(trial: Trial, deviation: float) -> None:
+    trial.inputs[:, columns.GAUGE_ERROR] = deviation * trial.chance.standard_normal(
+        trial.count
+    )
+
+
+def spikes(trial: Trial, share: float, size: float) -> None:
+    rows = trial.sprinkled(share)
+    rows = rows[rows >= trial.row]
+    # At 0.25 % the 950 periods of rest are without a spike in one draw of eleven, and
+    # such a run would pass with nothing shown.
+    rows = rows if rows.size else np.array([trial.row])
+    signs = trial.chance.choice((-1.0, 1.0), rows.size)
+    trial.inputs[rows, columns.GAUGE_ERROR] += size * signs
+    trial.marks[rows] = True
+
+
+def swap(trial: Trial, seconds: float) -> None:
+    """Exchange the two channels, from the first sample on for ever."""
+    whole = trial.case.phase == "whole"
+    trial.set_bits(trial.rows(math.inf if whole else seconds), "channels swapped")
+    lasting = whole or math.isinf(seconds)
+    trial.detail = "for ever" if lasting else "for a while"
+    if whole:
+        # before it both readings are zero
+        trial.row = round(MOVE_BEGINS / trial.period)
+
+
+def scale_encoder(trial: Trial, factor: float) -> None:
+    """Count from when the reading of the motor differs from its angle by more than a
+    good one may.
+
+    At zero angle the fault does not show: `residual_angle` is what a motor may be away
+    from its model. The motor is where its reference was a lag of 2/p + 1.5 T ago, the
+    one that the guards count on, too.
+    """
+    trial.inputs[trial.row :, columns.ENCODER_GAIN] = factor
+    lag = round((2 / trial.law.motor_loop_pole + 1.5 * trial.period) / trial.period)
+    motor = np.concatenate((np.full(lag, trial.wanted[0]), trial.wanted))
+    apart = (factor - 1) * np.abs(motor[trial.row : trial.count])
+    trial.row += int(np.argmax(apart > trial.law.limits.residual_angle))
+
+
+def jitter(trial: Trial, kind: str) -> None:
+    """Move the sampling instants by up to one step of the twin, 1 ms; their mean stays."""
+    shifts = trial.chance.integers(-1, 2, trial.count)
+    if kind == "alternating":
+        shifts = np.resize([1, -1], trial.count)
+    elif kind == "one in 10":
+        shifts[trial.chance.random(trial.count) > 0.1] = 0
+    # The run has its length, and the mean of the periods stays the law's.
+    shifts[0] = shifts[-1] = 0
+    trial.shifts = shifts
+    # The reference is a table over the task's periods; it is the instant that is late.
+    time = trial.period * np.arange(trial.count)
+    trial.wanted = trial.reference.angle(time + JITTER * shifts)
+
+
+def miss(trial: Trial, periods: int, *, watchdog: bool = False) -> None:
+    """Do not run the task; the next period is marked, where the law can first tell."""
+    trial.set_bits(slice(trial.row, trial.row + periods), "tick missed")
+    trial.marks[trial.row + periods] = True
+    if watchdog:
+        trial.at(trial.row + WATCHDOG, lambda arm: arm.voltage.fill(0.0))
+
+
+def repeat(trial: Trial, times: int) -> None:
+    """Call the law twice in a period, or set its clock back by three."""
+    if times:
+        rows = slice(trial.row, trial.row + times)
+        trial.set_bits(rows, "tick repeated")
+        trial.marks[rows] = True
+        return
+
+    def back(arm: ArmState) -> None:
+        arm.counters[1] -= 3
+
+    trial.at(trial.row, back)
+    # A clock that was set back is followed at once: it is a period behind once, and
+    # then as good as any.
+    trial.marks[trial.row] = True
+
+
+# ── the law: its limits, its memory, its block
+# ─────────────────────────────────────────────────────────────────────────
+
+
+def limit(trial: Trial, name: str, value: float = 0.0, share: float = 0.0) -> None:
+    """Give the law another limit: a value, or a share of its own."""
+    own: dict[str, Any] = asdict(trial.law.limits)
+    limits = replace(trial.law.limits, **own | {name: value or share * own[name]})
+    trial.use(replace(trial.law, limits=limits))
+
+
+def slow_motor_loop(trial: Trial, share: float) -> None:
+    """Place the law's own motor loop slower than the correction counts on, as with a
+    motor that was identified wrongly.
+    """
+    pole = share * trial.law.motor_loop_pole
+    pid = place_pid(trial.bench.rig.motor, pole).discretize(trial.period)
+    assert trial.law.motor_loop is not None  # a bench gives every law one  # noqa: S101
+    trial.use(replace(trial.law, motor_loop=replace(trial.law.motor_loop, pid=pid)))
+
+
+def self_test(trial: Trial) -> None:
+    """The commissioning move: motor loop alone, without correction and compensation by
+    the gauge.
+    """
+    loop = trial.law.motor_loop
+    assert loop is not None  # a bench gives every law one  # noqa: S101
+    # A gauge that is wired backwards would turn compensation and correction into
+    # positive feedback: the test of its sign must not depend on it.
+    alone = replace(loop, torque_voltage=0.0)
+    none = Modes(0.0)
+    trial.use(replace(trial.law, correction=none, feedforward=none, motor_loop=alone))
+
+
+def without_gauge(trial: Trial) -> None:
+    """Let the law give up its gauge in the very period of the fault."""
+    # the mode's four copies
+    degraded = MODES.index("degraded")
+    trial.at(trial.row, lambda arm: arm.law.__setitem__(slice(4, 8), degraded))
+
+
+def asked_for_less(trial: Trial) -> None:
+    """Give the law a reference that ends where its motor ends: nothing is left that
+    could be wound up.
+    """
+    most = trial.law.limits.motor_limit
+    beyond = trial.inputs[:, columns.REFERENCE] > most
+    trial.inputs[beyond, columns.REFERENCE] = most
+    trial.inputs[beyond, columns.ACCELERATION] = 0.0
+
+
+def flip(trial: Trial, bit_from_top: int, *, of: str = "a mode") -> None:
+    """Flip the sign or the highest bit of the exponent of a real of the law's memory."""
+    width = 4 if trial.law.precision == "single" else 8
+    # A law with nothing but pairs keeps them behind the sixteen real modes. A mode that
+    # the law does not have is not in its memory's path: flipping it would test nothing.
+    own = len(trial.law.correction.poles)
+    place = int(trial.chance.integers(own)) if own else 16
+    if of == "any":
+        others = (len(trial.state) - 4 * WORDS) // width - MODES_HELD
+        chosen = int(trial.chance.integers(others + 1))
+        place = place if chosen == others else MODES_HELD + chosen
+    # Little-endian: the sign is the highest bit of the last byte.
+    bit = 8 * width - 1 - bit_from_top
+    byte = 4 * WORDS + width * place + bit // 8
+    trial.detail = f"real {place}, {'exponent' if bit_from_top else 'sign'}"
+
+    def action(arm: ArmState) -> None:
+        arm.law[byte] ^= np.uint8(1 << (bit % 8))
+
+    trial.at(trial.row, action)
+
+
+def wipe(trial: Trial, byte: int) -> None:
+    """Fill the law's memory with a byte, or its reals with NaN for a byte of -1."""
+
+    def action(arm: ArmState) -> None:
+        if byte >= 0:
+            arm.law[:] = byte
+        else:
+            # Reals alone: with the words gone, too, it is the case of severity 2.
+            reals = np.float32 if trial.law.precision == "single" else np.float64
+            arm.law[4 * WORDS :].view(reals)[:] = math.nan
+
+    trial.at(trial.row, action)
+
+
+def restart(trial: Trial, *, after: int = 0, missed: int = 0) -> None:
+    """Start the law anew; missed: periods for which the processor was away, while the
+    arm goes on with its last voltage.
+    """
+    row = trial.row + after + missed
+    trial.set_bits(slice(trial.row, trial.row + missed), "tick missed")
+    fresh = np.frombuffer(trial.law.initial_state(), dtype=np.uint8)
+    trial.at(row, lambda arm: arm.law.__setitem__(slice(None), fresh))
+    trial.marks[row] = True
+
+
+def corrupt_header(trial: Trial, word: int, change: int) -> None:
+    """Change a word of the block's header: version 0, size 1, CRC 3."""
+    block = bytearray(trial.block)
+    (own,) = struct.unpack_from("<I", block, 4 * word)
+    struct.pack_into("<I", block, 4 * word, (own + change) % 2**32)
+    trial.block = bytes(block)
+
+
+def corrupt_body(trial: Trial, place: str) -> None:
+    """Flip the lowest bit of a byte of the block: of a coefficient, the last, or any."""
+    width = 4 if trial.law.precision == "single" else 8
+    block = bytearray(trial.block)
+    byte = {
+        # The third real: Ĉ's direct gain, which a law that did not look would multiply
+        # into every command.
+        "a coefficient": HEADER + COUNTS + 2 * width,
+        "the last byte": len(block) - 1,
+        "any byte": HEADER + int(trial.chance.integers(len(block) - HEADER)),
+    }[place]
+    block[byte] ^= 1
+    trial.block, trial.detail = bytes(block), f"byte {byte}"
+
+
+# ── the arm
+# ────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def arm(
+    trial: Trial,
+    *,
+    payload: float = 1.0,
+    friction: float = 1.0,
+    delay: int = 0,
+    counts: int = 0,
+) -> None:
+    """Run on another arm: factors of payload and friction, periods of delay more,
+    counts of the encoder per turn of the output.
+    """
+    twin = trial.twin.with_payload(payload * trial.twin.beam.payload)
+    # Sliding friction and stiction alike: the law compensates what its rig states.
+    motor = replace(twin.motor, coulomb_torque=friction * twin.motor.coulomb_torque)
+    stiction = None if twin.stiction is None else friction * twin.stiction
+    encoder = counts or twin.sensors.counts_per_revolution
+    trial.twin = replace(
+        twin,
+        motor=motor,
+        stiction=stiction,
+        voltage_delay=twin.voltage_delay + delay,
+        sensors=replace(twin.sensors, counts_per_revolution=encoder),
+    )
+
+
+def change_payload(trial: Trial, factor: float) -> None:
+    payload = factor * trial.case.payload
+    trial.at(trial.row, lambda state: state.change_payload(payload))
+
+
+def stand(trial: Trial, away: float) -> None:
+    """Let the arm stand away from its reference at first [rad]."""
+    # The arm, and not the reference, so that the move to come is that of all other
+    # faults.
+    trial.start_angle += away
+
+
+def wall(trial: Trial, ahead: float) -> None:
+    """Put a stop in the way of the tip, ahead of where the move is [rad]."""
+    angle = float(trial.wanted[trial.row]) + ahead
+
+    def action(state: ArmState) -> None:
+        if ahead:
+            state.obstacle[:] = (angle, 500.0, 2.0, state.twin.beam.length, 1.0)
+
+    trial.at(trial.row, action)
+
+
+def quiet(trial: Trial, seconds: float) -> None:
+    """Leave the gauge's noise out of the last seconds of the run."""
+    last = round(min(seconds / trial.period, trial.count))
+    trial.inputs[trial.count - last :, columns.GAUGE_ERROR] = (
+        trial.twin.sensors.gauge_offset
+    )
+
+
+INJECTIONS: dict[str, Callable[..., None]] = {
+    function.__name__.replace("_", " "): function
+    for function in (
+        *(reading, stick, drop, add, put, noise, spikes, swap, scale_encoder, jitter),
+        *(miss, repeat, limit, slow_motor_loop, self_test, without_gauge),
+        *(asked_for_less, flip, wipe, restart, corrupt_header, corrupt_body),
+        *(arm, change_payload, stand, wall, quiet),
+    )
+}

@@ -1,0 +1,515 @@
+"""Loops and responses of any system over frequency: Bode, Nyquist, Nichols, margins.
+
+Conventions of python-control: dB, degrees, rad/s, one curve for each system, into `ax`
+or new axes of matplotlib, which are returned. Unlike there, the grid refines itself
+where the drawn curve bends, and the phase starts on the sheet of the low-frequency
+slope: a lead s^0.65 is drawn at 58.5° and not at −301.5°.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fraclink._arm.recording import FrequencyResponse
+from fraclink._law.design import Design
+from fraclink.errors import FieldError
+from fraclink.view._drawing import Figure, Panel
+from fraclink.view._marks import Across, Curve, Mark, Point
+from fraclink.view._matplotlib import on_axes
+from fraclink.view._pages import LINES
+from fraclink.view._scales import Scale
+from fracsys._loops import as_loop
+from fracsys._margins import margins as find_margins
+from fracsys._sweep import frequency_grid, refined
+
+__all__ = ["bode", "line_of", "margin_plot", "named", "nichols", "nyquist"]
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_HIDDEN = 30.0  # dB beyond the rest, at which an undamped resonance is cut
+_SPREAD = 30.0  # of the frequencies of the crossings: what decides lies around them
+# What a Nyquist plot shows of the plane, and how far outside a curve need not be smooth.
+_NEAR, _FAR = 3.0, 8.0
+
+
+@dataclass(frozen=True)
+class Response:
+    """A response L(jω) at frequencies ω [rad/s], and its name."""
+
+    frequency: Real
+    values: Complex
+    name: str = ""
+
+    @staticmethod
+    def of(
+        system: Any,
+        frequency: ArrayLike | None,
+        limit: float | None,
+        name: str = "",
+        *,
+        planar: bool = False,
+    ) -> Response:
+        """The response of a system on `frequency` [rad/s], or on a grid of its own that
+        looks smooth over frequency or, where `planar`, in the complex plane; a measured
+        one as it was measured; of a design its loop.
+        """
+        if isinstance(system, FrequencyResponse):
+            return Response(system.frequency, system.response, name)
+        if isinstance(system, Design):
+            return loop_response(
+                system, system.payloads[1], name, frequency, planar=planar
+            )
+        loop = as_loop(system, limit)
+
+        def at(x: Real) -> Response:
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                values = loop(x)
+            # No value beside a pole says where the curve goes, and an infinite one
+            # would scale the axis away: a pole or zero hit exactly is a gap.
+            usual = np.isfinite(values) & (values != 0)
+            return Response(np.exp(x), np.where(usual, values, math.nan), name)
+
+        if frequency is not None:
+            return at(np.log(_checked_grid(frequency)))
+        x = np.log(frequency_grid(system, limit=limit))
+
+        def drawn(x: Real) -> tuple[Real, Real]:
+            return at(x).in_plane() if planar else at(x).over_frequency()
+
+        return at(refined(drawn, x))
+
+    @property
+    def decibels(self) -> Real:
+        """20 lg |L|."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(20 * np.log10(np.abs(self.values)))
+
+    @property
+    def degrees(self) -> Real:
+        """arg L [°], continuous; it starts within 180° of the low-frequency slope times
+        90°.
+        """
+        turns = np.angle(self.values[1:] / self.values[:-1])
+        size = np.abs(self.values)
+        # Across a pole of the axis the phase falls by π, whichever sign rounding gave
+        # the jump: 2.8 rad between two neighbours of a refined grid is no curve. It
+        # counts as a pole's only where both sides are large, for at a zero it rises.
+        over = (turns > 2.8) & (np.minimum(size[1:], size[:-1]) > np.median(size))
+        turns[over] -= 2 * math.pi
+        first = float(np.angle(self.values[0]))
+        # Bode's relation for a minimum-phase loop: phase = 90° times the slope. It
+        # picks the multiple of 360°, which the angle alone leaves open: k/s³ starts at
+        # −270° and not at +90°.
+        slope = float(
+            np.diff(np.log(size[:2]))[0] / np.diff(np.log(self.frequency[:2]))[0]
+        )
+        if math.isfinite(slope):
+            turn = 2 * math.pi
+            first += turn * round((0.5 * math.pi * slope - first) / turn)
+        return np.asarray(np.degrees(np.append(first, first + np.cumsum(turns))))
+
+    def in_plane(self) -> tuple[Real, Real]:
+        """Places in a Nyquist plot around −1; what is far from it need not be smooth."""
+        near = np.nan_to_num(self.values)
+        across, up = np.clip([near.real, near.imag], -_FAR, _FAR) / _NEAR
+        return across, up
+
+    def around(self, frequencies: Sequence[float]) -> Response:
+        """The part within a factor of 30 of some frequencies [rad/s]."""
+        low, high = min(frequencies) / _SPREAD, max(frequencies) * _SPREAD
+        part = (self.frequency >= low) & (self.frequency <= high)
+        return replace(self, frequency=self.frequency[part], values=self.values[part])
+
+    def over_frequency(self) -> tuple[Real, Real]:
+        """Places in a Bode plot, gain and phase at once: both bend at the same places."""
+        x, low_high = np.log(self.frequency), decibel_range(self)
+        decibels = np.clip(np.nan_to_num(self.decibels), *low_high)
+        degrees = np.nan_to_num(self.degrees)
+        # A flat magnitude, as of a delay, must not blow its rounding up to a span that
+        # asks for refinement.
+        level = decibels / max(float(np.ptp(decibels)), 6.0)
+        turn = 0.5 * degrees / max(float(np.ptp(degrees)), 30.0)
+        return (x - x[0]) / (x[-1] - x[0]), level + turn
+
+    def on_sheet(self, frequency: float, degrees: float) -> float:
+        """A phase [°] that is known to the turn, on the turn that is drawn at a
+        frequency [rad/s].
+        """
+        logs = np.log(self.frequency)
+        drawn = float(np.interp(math.log(frequency), logs, self.degrees))
+        return degrees + 360.0 * round((drawn - degrees) / 360.0)
+
+
+def loop_response(
+    design: Design,
+    payload: float,
+    name: str = "",
+    frequency: ArrayLike | None = None,
+    *,
+    planar: bool = False,
+) -> Response:
+    """Return the open loop of a design at a payload [kg], up to the Nyquist frequency."""
+    w0, limit = design.natural_frequency(payload), math.pi / design.rig.period
+
+    def loop(s: Any) -> Complex:
+        return np.asarray(design.loop(np.imag(s), w0))
+
+    return Response.of(loop, frequency, limit, name, planar=planar)
+
+
+def decibel_range(response: Response) -> tuple[float, float]:
+    """What is shown: an undamped resonance is cut 30 dB above the rest."""
+    usual = np.isfinite(response.decibels)
+    if not usual.any():
+        return -1.0, 1.0
+    x, decibels = np.log(response.frequency[usual]), response.decibels[usual]
+    # By the length of the axis and not by points: those crowd at the resonance. Two per
+    # cent of the axis belong to an undamped mode.
+    even = np.interp(np.linspace(x[0], x[-1], 400), x, decibels)
+    low, high = np.percentile(even, [1, 99])
+    least, most = float(decibels.min()), float(decibels.max())
+    return max(least, float(low) - _HIDDEN), min(most, float(high) + _HIDDEN)
+
+
+def _checked_grid(frequency: ArrayLike) -> Real:
+    w = np.asarray(frequency, dtype=float).reshape(-1)
+    rising = np.isfinite(w).all() and np.all(w > 0) and np.all(np.diff(w) > 0)
+    if w.size < 3 or not rising:
+        raise FieldError(
+            "frequency",
+            frequency,
+            "not a grid of frequencies",
+            allowed="three or more rising values > 0 rad/s",
+            remedy="numpy.geomspace(0.1, 100.0, 300), or None for an automatic grid",
+        )
+    return w
+
+
+def _responses(
+    systems: Sequence[Any],
+    labels: Sequence[str] | None,
+    frequency: ArrayLike | None = None,
+    limit: float | None = None,
+    *,
+    planar: bool = False,
+) -> list[Response]:
+    names = named(systems, labels)
+    return [
+        Response.of(system, frequency, limit, name, planar=planar)
+        for system, name in zip(systems, names, strict=True)
+    ]
+
+
+def named(systems: Sequence[Any], labels: Sequence[str] | None) -> Sequence[str]:
+    """A name for each system; FieldError without a system, or without enough names."""
+    if not systems:
+        raise FieldError(
+            "systems",
+            "none",
+            "empty",
+            allowed="one system or more",
+            remedy="pass a loop",
+        )
+    if labels is not None and len(labels) != len(systems):
+        raise FieldError(
+            "labels",
+            list(labels),
+            f"{len(labels)} labels for {len(systems)} systems",
+            allowed="one label for each system",
+            remedy="give as many labels as systems",
+        )
+    return labels or [""] * len(systems)
+
+
+def line_of(place: int) -> int:
+    return LINES[place % len(LINES)]
+
+
+# --- over frequency ----------------------------------------------------------------------
+
+
+def bode(
+    *systems: Any,
+    ax: Sequence[Any] | None = None,
+    labels: Sequence[str] | None = None,
+    frequency: ArrayLike | None = None,
+    limit: float | None = None,
+    **style: Any,
+) -> Any:
+    """Draw magnitude [dB] and phase [°] over frequency [rad/s].
+
+    Parameters
+    ----------
+    *systems
+        transfer functions, functions of s = jω, python-control systems, designs, whose
+        loop is drawn at the heaviest payload, and measured frequency responses.
+    ax
+        Magnitude and phase axes to draw into; new ones are made without.
+    labels
+        One for each system, shown in a legend.
+    frequency
+        Grid [rad/s]; without it the grid is chosen and refined where the curve bends.
+    limit
+        Highest frequency [rad/s], such as the Nyquist frequency.
+    **style
+        Passed to `Axes.plot`.
+
+    Examples
+    --------
+    >>> from fracsys._fractional import s
+    >>> axes = bode(1.56 * s**1.92 / (s**1.92 + 100), labels=["30 g"])
+    >>> axes[1].get_ylabel()
+    'phase [°]'
+    """
+    responses = _responses(systems, labels, frequency, limit)
+    return on_axes(_bode_figure(responses), ax, **style)
+
+
+def loop_figure(
+    responses: Sequence[Response], crossings: Sequence[Sequence[tuple[float, float]]]
+) -> Figure:
+    """Return the Bode plot of open loops with a dot at each of their gain crossings:
+    frequency [rad/s] and phase margin [rad].
+    """
+    gain: list[Mark] = [Across(0.0, limit=False)]
+    phase: list[Mark] = [Across(-180.0, limit=False)]
+    places = [frequency for each in crossings for frequency, _ in each]
+    responses = [one.around(places) if places else one for one in responses]
+    for k, (response, own) in enumerate(zip(responses, crossings, strict=True)):
+        for w, margin in own:
+            at = response.on_sheet(w, math.degrees(margin) - 180.0)
+            gain.append(Point(w, 0.0, line=line_of(k)))
+            phase.append(Point(w, at, line=line_of(k)))
+    return _bode_figure(responses, gain, phase)
+
+
+def _bode_figure(
+    responses: Sequence[Response],
+    gain_marks: Sequence[Mark] = (),
+    phase_marks: Sequence[Mark] = (),
+) -> Figure:
+    gain: list[Mark] = list(gain_marks)
+    phase: list[Mark] = list(phase_marks)
+    for k, one in enumerate(responses):
+        gain.append(Curve(one.frequency, one.decibels, line_of(k), one.name))
+        phase.append(Curve(one.frequency, one.degrees, line_of(k)))
+    levels = [decibel_range(one) for one in responses]
+    turns = _turns([one.degrees for one in responses])
+    panels = (
+        Panel("magnitude [dB]", gain, 190.0, Scale.around(*levels, least=2.0)),
+        Panel("phase [°]", phase, 190.0, turns),
+    )
+    said = "Magnitude and phase over frequency"
+    return Figure("bode", said, panels, "frequency [rad/s]", "loop", log=True)
+
+
+def _turns(phases: Sequence[Real]) -> Scale:
+    """A scale of degrees that people count in."""
+    scale = Scale.around(*phases, least=2.0)
+    # Below a turn lies only what delay adds where the gain is long gone: it would
+    # flatten what matters.
+    low = max(scale.low, -370.0) if scale.high > -270.0 else scale.low
+    steps = (15.0, 30.0, 45.0, 90.0, 180.0, 360.0, 720.0)
+    step = next((d for d in steps if (scale.high - low) / d <= 7), None)
+    if step is None:
+        return replace(scale, low=low)
+    places = step * np.arange(math.ceil(low / step), math.floor(scale.high / step) + 1)
+    ticks = tuple((float(k), f"{k:g}".replace("-", "−")) for k in places)
+    return Scale(low, scale.high, ticks=ticks)
+
+
+def margin_plot(
+    loop: Any,
+    *,
+    ax: Sequence[Any] | None = None,
+    limit: float | None = None,
+    frequency: ArrayLike | None = None,
+    **style: Any,
+) -> Any:
+    """Draw a Bode plot with every gain crossing and every phase crossing marked.
+
+    Parameters
+    ----------
+    loop
+        The open loop.
+    ax, limit, frequency, **style
+        As in `bode`.
+
+    Examples
+    --------
+    >>> axes = margin_plot(lambda s: 4 / (s * (s + 1) * (s + 2)))
+    >>> axes[0].get_title()
+    'phase margin 11.42° at 1.143 rad/s'
+    """
+    stability = find_margins(loop, limit=limit)
+    response = Response.of(loop, frequency, limit)
+    places = [crossing.frequency for crossing in stability.gain_crossings]
+    places += [crossing.frequency for crossing in stability.phase_crossings]
+    if places and frequency is None:
+        response = response.around(places)
+    gain: list[Mark] = [Across(0.0, limit=False)]
+    phase: list[Mark] = []
+    for crossing in stability.gain_crossings:
+        w, margin = crossing.frequency, math.degrees(crossing.phase_margin)
+        at = response.on_sheet(w, margin - 180.0)
+        # The multiple of −180° that the margin is measured from on the sheet that is
+        # drawn. Where a resonance rises through 0 dB the phase is far from it on either
+        # side: neither good nor bad.
+        line = 0 if abs(margin) > 90.0 else 2 if margin < 0 else 3
+        gain.append(Point(w, 0.0, line=line))
+        phase += [
+            Curve([w, w], [at - margin, at], line, dashed=False),
+            Point(w, at, line=line),
+            Point(w, at - 0.5 * margin, f"{margin:.1f}°", sign=""),
+            Across(at - margin, limit=False),
+        ]
+    for place in stability.phase_crossings:
+        # |L| at the crossing is the inverse of the gain margin: the bar runs from 0 dB
+        # to the curve, and says by how much the gain may grow.
+        w, level = place.frequency, -20 * math.log10(place.gain_margin)
+        line = 2 if place.gain_margin < 1 else 1
+        gain += [
+            Curve([w, w], [0.0, level], line, dashed=False),
+            Point(w, 0.5 * level, f"{-level:.1f} dB", sign=""),
+        ]
+        phase.append(Point(w, response.on_sheet(w, -180.0), line=line))
+    figure = _bode_figure([response], gain, phase)
+    axes = on_axes(figure, ax, **style)
+    title = f"no gain crossing; modulus margin {stability.modulus_margin:.3f}"
+    if stability.critical is not None:
+        margin = math.degrees(stability.phase_margin)
+        title = f"phase margin {margin:.2f}° at {stability.gain_crossover:.4g} rad/s"
+    axes[0].set_title(title, fontsize="medium")
+    return axes
+
+
+def nyquist(
+    *systems: Any,
+    ax: Any = None,
+    labels: Sequence[str] | None = None,
+    frequency: ArrayLike | None = None,
+    limit: float | None = None,
+    reach: float | None = None,
+    mirror: bool = True,
+    **style: Any,
+) -> Any:
+    """Draw L(jω) in the complex plane with the unit circle and the point −1.
+
+    Parameters
+    ----------
+    *systems, labels, frequency, limit, **style
+        As in `bode`.
+    ax
+        axes to draw into; new ones without.
+    reach
+        Half the side of the square that is shown; without it all of the curve, or 5 if
+        it goes beyond 8.
+    mirror
+        Draw negative frequencies too, thin.
+
+    Examples
+    --------
+    >>> axis = nyquist(lambda s: 2 / (s + 1) ** 3)
+    >>> axis.get_aspect()
+    1.0
+    """
+    responses = _responses(systems, labels, frequency, limit, planar=True)
+    circle = np.exp(1j * np.linspace(0, 2 * math.pi, 361))
+    marks: list[Mark] = [Curve(circle.real, circle.imag, 0, weight="thin")]
+    for k, one in enumerate(responses):
+        real, imaginary = one.values.real, one.values.imag
+        marks.append(Curve(real, imaginary, line_of(k), one.name))
+        if mirror:
+            marks.append(Curve(real, -imaginary, line_of(k), weight="thin"))
+    marks.append(Point(-1.0, 0.0, "−1", line=2, sign="cross"))
+    largest = max(1.2, *(float(np.nanmax(np.abs(one.values))) for one in responses))
+    # Beyond 8 the point −1, which decides, would lie within a few dots of the origin: 5
+    # shows it and cuts the rest.
+    half = reach or (1.1 * largest if largest <= 8 else 5.0)
+    square = Scale(-half, half)
+    panel = Panel("Im L", marks, 340.0, square)
+    said = "Nyquist curve around −1"
+    figure = Figure("nyquist", said, (panel,), "Re L", scale=square, rigid=True)
+    return on_axes(figure, ax, **style)
+
+
+# |L/(1 + L)| of the contours [dB]: 3 dB is about the largest that a design would
+# accept, 0.25 dB shows how contours close around −1.
+_CONTOURS = (-12.0, -6.0, -3.0, 0.25, 1.0, 3.0, 6.0, 12.0)
+
+
+def nichols(
+    *systems: Any,
+    ax: Any = None,
+    labels: Sequence[str] | None = None,
+    frequency: ArrayLike | None = None,
+    limit: float | None = None,
+    grid: bool = True,
+    **style: Any,
+) -> Any:
+    """Draw magnitude [dB] over phase [°], with contours of the closed loop's magnitude.
+
+    Parameters
+    ----------
+    *systems, labels, frequency, limit, **style
+        As in `bode`.
+    ax
+        axes to draw into; new ones without.
+    grid
+        Draw |L/(1 + L)| = −12 … 12 dB around each critical point that is seen.
+
+    Examples
+    --------
+    >>> axis = nichols(lambda s: 2 / (s + 1) ** 3)
+    >>> axis.get_xlabel()
+    'phase [°]'
+    """
+    responses = _responses(systems, labels, frequency, limit)
+    marks: list[Mark] = [
+        Curve(one.degrees, one.decibels, line_of(k), one.name)
+        for k, one in enumerate(responses)
+    ]
+    # No margin is read below −40 dB nor above 60 dB; an integrator or a mode would take
+    # the axis.
+    y = Scale.around(*(np.clip(one.decibels, -40.0, 60.0) for one in responses))
+    # The phases inside the magnitudes that are shown, and −180° in any case.
+    seen = [np.array([-200.0, -100.0])]
+    for one in responses:
+        inside = (one.decibels > y.low) & (one.decibels < y.high)
+        seen.append(one.degrees[inside])
+    x = Scale.around(*seen)
+    turns = range(math.floor(x.low / 360), math.ceil(x.high / 360) + 1)
+    if grid:
+        marks += [mark for turn in turns for mark in _contours(360.0 * turn)]
+    marks += [
+        Point(360.0 * turn - 180.0, 0.0, line=2, sign="cross")
+        for turn in turns
+        if x.low < 360.0 * turn - 180.0 < x.high
+    ]
+    panel = Panel("magnitude [dB]", marks, 340.0, y)
+    figure = Figure("nichols", "Magnitude over phase", (panel,), "phase [°]", scale=x)
+    return on_axes(figure, ax, **style)
+
+
+def _contours(shift: float) -> Iterator[Mark]:
+    """Contours of |L/(1 + L)| between shift − 360° and shift."""
+    angle = np.linspace(1e-3, 2 * math.pi - 1e-3, 721)
+    for level in _CONTOURS:
+        closed = 10 ** (level / 20) * np.exp(1j * angle)
+        loop = closed / (1 - closed)
+        phase = np.degrees(np.mod(np.angle(loop), 2 * math.pi)) - 360 + shift
+        # Contours below 0 dB run through all phases and are drawn from left to right;
+        # those above are closed around −1 and keep their order.
+        order = np.argsort(phase) if level < 0 else np.arange(phase.size)
+        decibels = 20 * np.log10(np.abs(loop))
+        yield Curve(phase[order], decibels[order], 0, weight="thin")
+        ends = np.abs(phase - (shift - 358))
+        at = int(np.argmin(ends) if level < 0 else np.argmax(decibels))
+        yield Point(phase[at], decibels[at], f"{level:g} dB", sign="")

@@ -1,0 +1,98 @@
+"""The distance of a loop to −1, and the Nyquist criterion, on a swept response."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+
+from fracsys._loops import SampledLoop
+from fracsys._sweep import modulus_slope, valleys, zeros_of
+from fracsys._terms import Complexes, Reals
+
+ON_AXIS = 1e-12  # a modulus margin of zero is a closed-loop pole on the axis
+
+
+def modulus_margin(
+    loop: SampledLoop, x: Reals, values: Complexes
+) -> tuple[float, float]:
+    """inf |1 + L| and its frequency [rad/s], 0 or inf where it is approached and not
+    reached.
+    """
+    distance = np.abs(1 + values)
+    distance[np.isnan(distance)] = math.inf
+    best = int(np.argmin(distance))
+    smallest, at = float(distance[best]), float(x[best])
+    # The sweep lets 1 + L move by its own size from point to point: part of that may
+    # still be lost.
+    brackets = [
+        (float(x[i - 1]), float(x[i + 1])) for i in valleys(distance, spare=3.0)
+    ]
+    for place, value in zeros_of(loop, modulus_slope, brackets):
+        if abs(1 + value) <= smallest:
+            smallest, at = abs(1 + value), place
+    frequency = math.exp(at)
+    # A distance that falls towards an end of the axis has its infimum there and nowhere
+    # on the way.
+    for limit, place in zip(loop.ends, (0.0, math.inf), strict=True):
+        if abs(1 + limit) < smallest:
+            smallest, frequency = abs(1 + limit), place
+    return smallest, frequency
+
+
+# --- The Nyquist criterion on a swept response, with indentations around poles of the axis ------------
+
+# |L| on both sides of an interval that turned by more than half a radian: a pole lies
+# between them.
+_BESIDE_POLE = 1e3
+
+
+def unstable_closed_loop_poles(
+    loop: SampledLoop, x: Reals, values: Complexes, *, open_loop: int, ends_real: bool
+) -> int | None:
+    """Poles of 1/(1 + L) with Re s > 0, by the change of arg(1 + L); None where it is
+    not a whole number.
+
+    Half the contour suffices, L being real on the positive real axis: from there along
+    a small arc to jω_low, up the axis (passing its poles on the right), and along a
+    large arc back. Up the axis the right half plane lies to the right, so that the
+    change is −π (Z − P). A sampled loop (`ends_real`) is real at the Nyquist frequency
+    and needs no second arc.
+    """
+    ahead = 1 + values
+    steps = np.angle(ahead[1:] / ahead[:-1])
+    modulus = np.abs(values)
+    jumps = (np.abs(steps) > 0.5) & (
+        np.minimum(modulus[1:], modulus[:-1]) > _BESIDE_POLE
+    )
+    # Passing a simple pole of the axis on its right turns L by −π along an arc of
+    # infinite radius.
+    steps[jumps] -= np.where(steps[jumps] > 0, 2 * math.pi, 0.0)
+    change = float(steps.sum()) + _arc(
+        complex(values[0]), loop.slope(x[:1]).real.item()
+    )
+    if not ends_real or abs(values[-1]) < 1:
+        change -= _arc(complex(values[-1]), loop.slope(x[-1:]).real.item())
+    turns = -change / math.pi
+    # The arcs at both ends are those of the leading power alone. Where they do not
+    # close to a whole number it is not yet the leading one there, and any count would
+    # be a guess.
+    if not math.isfinite(turns) or abs(turns - round(turns)) > 0.2:
+        return None
+    return open_loop + round(turns)
+
+
+def _arc(value: complex, slope: float) -> float:
+    """Change of arg(1 + L) from the positive real axis to jω along |s| = ω, where L ≈ c
+    s^slope.
+    """
+    phase = cmath.phase(value)
+    # Beside the origin 1 + L stays in the right half plane: the principal
+    # argument is the change along the arc.
+    if abs(value) < 1:
+        return cmath.phase(1 + value)
+    # L starts at a multiple of π and turns by slope π/2, which the phase itself says
+    # more exactly.
+    turned = phase - math.pi * round((phase - 0.5 * math.pi * slope) / math.pi)
+    return turned + cmath.phase(1 + 1 / value)
