@@ -7,6 +7,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import sys
+import time
 import traceback
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -29,6 +30,8 @@ __all__ = ["Conversation"]
 Verb = Callable[[Session, Mapping[str, Any]], Reply]
 # requests of a page that are not done; a page that sends more is no page of ours
 _WAITING = 64
+# [s] without a preview after which a hand rests: longer than the slowest of them
+_REST = 0.5
 
 
 def _note(session: Session, given: Mapping[str, Any]) -> Reply:
@@ -90,19 +93,12 @@ def _subject(session: Session) -> Subject:
     return session.subject
 
 
-def _map(session: Session, given: Mapping[str, Any]) -> Reply:
-    return Reply(
-        {"ok": True, **map_of(_subject(session), parted(given.get("state"))[0])}
-    )
-
-
 _VERBS: dict[str, Verb] = {
     "hello": _hello,
     "note": _note,
     "go": _go,
     "nearest": lambda session, given: nearest(_subject(session), given.get("state")),
     "look": lambda session, given: preview(_subject(session), given.get("state")),
-    "map": _map,
     "keep": _keep,
     **LOG_VERBS,
     **OUTPUT_VERBS,
@@ -117,7 +113,13 @@ class Conversation:
     def __init__(self, session: Session, socket: WebSocket) -> None:
         self.session, self.socket = session, socket
         self._newest: dict[str, Message] = {}
-        self._awake = {verb: asyncio.Event() for verb in ("preview", "exact")}
+        self._lanes: dict[str, Callable[[Message], Reply]] = {
+            "preview": self._preview,
+            "exact": self._exact,
+            "map": self._map,
+        }
+        self._awake = {verb: asyncio.Event() for verb in self._lanes}
+        self._moved = 0.0  # when the last preview was answered
         self._orderly: asyncio.Queue[Message] = asyncio.Queue(_WAITING)
         self._sending = asyncio.Lock()
         self._job: Job | None = None
@@ -186,14 +188,17 @@ class Conversation:
             # Read behind the clearing of the event: a request that comes between the
             # two wakes it again, and none is lost.
             message = self._newest[verb]
-            work = self._preview if verb == "preview" else self._exact
+            work = self._lanes[verb]
             await self._answered(
                 message, await asyncio.to_thread(_guarded, work, message)
             )
 
     def _preview(self, message: Message) -> Reply:
         fan = message.given.get("fan") is True
-        return preview(_subject(self.session), message.given.get("state"), fan=fan)
+        try:
+            return preview(_subject(self.session), message.given.get("state"), fan=fan)
+        finally:
+            self._moved = time.monotonic()
 
     def _exact(self, message: Message) -> Reply:
         def newer() -> bool:
@@ -204,6 +209,17 @@ class Conversation:
         return self.session.exact(
             message.given.get("state"), message.given.get("arm", ""), newer
         )
+
+    def _map(self, message: Message) -> Reply:
+        def going() -> None:
+            # Both would share one interpreter: the map waits until the hand rests.
+            while time.monotonic() - self._moved < _REST:
+                time.sleep(_REST)
+            if self._newest["map"] is not message:
+                raise SupersededError
+
+        asked = parted(message.given.get("state"))[0]
+        return Reply({"ok": True, **map_of(_subject(self.session), asked, going)})
 
     async def _in_order(self) -> None:
         while True:

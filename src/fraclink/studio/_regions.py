@@ -5,7 +5,7 @@ map, arms of a box.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -38,9 +38,8 @@ _ARMS, _SKIPPED = (
     16,
     4,
 )  # of the fan: at most so many corners of the box, every fourth frequency
-# 825 designs, a tenth of a second: too long for every step of a drag, which never
-# computes the map.
-_CROSSOVERS, _MARGINS = 33, 25  # cells of the map
+# Cells of the map, 20 ms each: the margins of 10° to 100° in tens.
+_CROSSOVERS, _MARGINS = 17, 10
 _FASTEST, _WIDEST = (
     4.0,
     100.0,
@@ -174,9 +173,13 @@ def violated(made: Design, regions: Iterable[Region], frequencies: Real) -> list
     return [region.entered(frequencies, gain, phase) for region in regions]
 
 
-def map_of(subject: Any, state: object) -> dict[str, Any]:
+def map_of(
+    subject: Any, state: object, going: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
     """Return which pairs of crossover and margin can be had: noise gain of each cell,
     −1 where none is.
+
+    It takes seconds: `going` is called before each crossover, and may wait or raise.
     """
     request = checked_request(state)
     # ω₀ has the unit s^(−λ/2); ω₀^(2/λ) is the frequency [rad/s] that it belongs to.
@@ -188,17 +191,19 @@ def map_of(subject: Any, state: object) -> dict[str, Any]:
     given = {name: request[name] for name in names if request[name] is not None}
     if "payloads" not in given:
         given["payloads"] = (subject.rig.payloads.low, subject.rig.payloads.high)
-    found = feasibility_map(
-        subject.model,
-        subject.rig,
-        gain_crossovers=crossovers,
-        phase_margins=np.radians(margins),
-        filter_order=request["filter_order"] or 1,
-        **given,
-    )
-    noise = np.where(
-        found.feasible & np.isfinite(found.noise_gain), found.noise_gain, -1.0
-    )
+    columns = []
+    for crossover in crossovers:
+        going()
+        found = feasibility_map(
+            subject.model,
+            subject.rig,
+            gain_crossovers=[crossover],
+            phase_margins=np.radians(margins),
+            filter_order=request["filter_order"] or 1,
+            **given,
+        )
+        columns.append(found.noise_gain)
+    noise = np.nan_to_num(np.hstack(columns), nan=-1.0, posinf=-1.0)
     return {"crossovers": crossovers, "margins": margins, "noise": noise}
 
 

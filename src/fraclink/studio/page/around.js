@@ -77,7 +77,7 @@ export class Around {
     if (of === this.of || !this.app.axes.payloads) return;
     this.of = of;
     const found = await this.app.ask('map', {state});
-    if (!found.ok) { this.of = ''; return; }
+    if (!found.ok) { if (this.of === of) this.of = ''; return; }
     const {crossovers: x, margins: y, noise} = found;
     const levels = noise.flat().filter((v) => v >= 0).sort((a, b) => a - b);
     this.map.axes(ends(x), ends(y));
