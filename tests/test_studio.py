@@ -166,14 +166,11 @@ def test_the_options_are_keywords_of_design():
 
 @pytest.mark.slow
 def test_a_refusal_names_the_nearest_that_is_feasible(subject):
-    head, _ = unpacked(
-        preview(subject, {**ASKED, "gain_crossover": 30.0}).packed(0, "preview")
-    )
-    assert head["condition"] == "gain crossover"
-    assert 10 < head["nearest"]["gain_crossover"] < 30
+    refused = preview(subject, {**ASKED, "gain_crossover": 30.0})
+    assert refused.head["condition"] == "gain crossover"
     found = nearest(subject, {**ASKED, "gain_crossover": 30.0}).head["state"]
     assert preview(subject, found).head["ok"]
-    assert found["gain_crossover"] == head["nearest"]["gain_crossover"]
+    assert 10 < found["gain_crossover"] < 30
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,9 @@ def preview(subject: Subject, state: object, *, fan: bool = False) -> Reply:
     try:
         asked, regions = parted(state)
         request = checked_request(asked)
-        made, assumed = design_for(subject.rig, subject.model, **wanted_of(request))
+        # What is nearest to a refused request is looked for when the hand lets go.
+        wanted = wanted_of(request) | {"nearest": False}
+        made, assumed = design_for(subject.rig, subject.model, **wanted)
         shown = _shown(subject, made, assumed)
         entered = violated(made, regions, subject.frequencies) if regions else []
         words = [
