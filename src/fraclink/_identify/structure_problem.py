@@ -32,7 +32,7 @@ Values = Mapping[str, float]
 ORDER_LIMITS = (0.02, 4.0)
 COEFFICIENT_LIMITS = (-1e12, 1e12)
 _LEAST = 1e-12  # size of a coefficient of either sign
-_STEP = 1e-6  # of differences: exact responses are known to 1e-12 of their peak
+STEP = 1e-6  # of differences: exact responses are known to 1e-12 of their peak
 # Three points s in general position: two functions of one form that agree there agree
 # everywhere.
 GENERAL_POINTS = np.exp(1j * np.array([0.3, 0.9, 1.4])) * np.array([0.5, 1.1, 2.3])
@@ -249,9 +249,9 @@ class StructureProblem(Problem):
         """
         role = self.structure.roles[name]
         if role == "coefficient":
-            return np.where(value == 0.0, _STEP, _STEP * value)
+            return np.where(value == 0.0, STEP, STEP * value)
         size = -self.data.tangent.shortest if role == "delay" else 1.0
-        return np.full_like(value, size * _STEP)
+        return np.full_like(value, size * STEP)
 
     def _differences(
         self, values: Mapping[str, Any], steps: Sequence[Reals], here: Reals

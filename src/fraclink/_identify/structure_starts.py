@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fraclink._identify.structure_data import Spectrum
-from fraclink._identify.structure_problem import StructureProblem
+from fraclink._identify.structure_problem import STEP, StructureProblem
 
 __all__ = ["drawn_starts"]
 
 Reals = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-_DRAWS = 60  # for each order or delay that is free, up to three
-_DRAWS_AT_RANDOM = 600
+_DRAWS = 180
 _USUAL_ORDERS = (0.1, 2.5)  # of draws: a descent finds the rest of the range by itself
 _ROUNDS = 5  # of Sanathanan and Koerner
 
@@ -36,29 +35,27 @@ def drawn_starts(problem: StructureProblem, spectrum: Spectrum) -> dict[str, Rea
     are near some of the time under any.
     """
     names, roles = problem.names, problem.structure.roles
-    linear = _linear_coefficients(problem, spectrum)
-    shaped = [name for name in names if roles[name] != "coefficient"]
-    solved = _DRAWS * min(max(len(shaped), 1), 3) if linear else 0
     # Evenly spread and the same in every run: of 60 draws at random some orders would
     # be found by some seeds only.
-    count = solved + _DRAWS_AT_RANDOM // (3 if linear else 1)
     starts = {
         name: _drawn(problem, spectrum, name, column)
-        for name, column in zip(names, _halton(count, len(names)).T, strict=True)
+        for name, column in zip(names, _halton(_DRAWS, len(names)).T, strict=True)
     }
-    if not linear:
+    coefficients = tuple(name for name in names if roles[name] == "coefficient")
+    if not coefficients:
         return starts
-    first = {name: column[:solved] for name, column in starts.items()}
-    least = first | _least_squares_coefficients(problem, spectrum, first, linear)
-    # Least squares know neither a range nor that a machine is stable: what came out
-    # negative is tried as large with the other sign, too.
+    least = starts | _least_squares_coefficients(
+        problem, spectrum, starts, coefficients
+    )
+    # Least squares do not know that a machine is stable: what came out negative is
+    # tried as large with the other sign, too.
     turned = least | {
         name: math.copysign(1.0, problem.limits[name][1]) * np.abs(least[name])
-        for name in linear
+        for name in coefficients
     }
     return {
-        name: np.concatenate([least[name], turned[name], column[solved:]])
-        for name, column in starts.items()
+        name: np.concatenate([least[name], turned[name], starts[name]])
+        for name in names
     }
 
 
@@ -91,79 +88,63 @@ def _drawn(
     return np.clip(sign * frequency ** (8.0 * uniform - 4.0), low, high)
 
 
-def _linear_coefficients(
-    problem: StructureProblem, spectrum: Spectrum
-) -> tuple[str, ...]:
-    """Free coefficients in which numerator and denominator are straight together."""
-    # Straight if, and at points in general position only if, the values at zero and one
-    # unit of each coefficient add up to those at any other place.
-    points = spectrum.points[:: max(1, spectrum.points.size // 5)]
-    points = points / np.median(np.abs(points))
-    middle = problem.middle()
-    whole = [part[0] for part in _affine(problem, middle, (), points)]
-
-    def are_straight(names: tuple[str, ...]) -> bool:
-        sizes = np.array([1.0, *(middle[name][0, 0] for name in names)])
-        parts = _affine(problem, middle, names, points)
-        built = [np.tensordot(sizes, part, 1) for part in parts]
-        return np.allclose(built, whole, rtol=1e-9, atol=1e-12)
-
-    linear: tuple[str, ...] = ()
-    for name in problem.names:
-        if problem.structure.roles[name] == "coefficient":
-            with_it = (*linear, name)
-            linear = with_it if are_straight(with_it) else linear
-    return linear
-
-
-def _affine(
-    problem: StructureProblem,
-    values: Mapping[str, Any],
-    names: tuple[str, ...],
-    points: Complexes,
-) -> tuple[Complexes, Complexes]:
-    """Numerator and denominator without the coefficients `names`, and what a unit of
-    each adds, shape (1 + n, M, K).
-    """
-    none = {**values, **dict.fromkeys(names, np.zeros((1, 1)))}
-    probes = [none, *({**none, name: np.ones((1, 1))} for name in names)]
-    count = max(np.shape(value)[0] for value in values.values())
-    parts = []
-    for part in problem.structure.quotient:
-        rows = [part.response(probe, points) for probe in probes]
-        found = np.stack([np.broadcast_to(r, (count, points.size)) for r in rows])
-        found[1:] -= found[0]
-        parts.append(found)
-    return parts[0], parts[1]
-
-
 def _least_squares_coefficients(
     problem: StructureProblem,
     spectrum: Spectrum,
-    values: Mapping[str, Reals],
+    draws: Mapping[str, Reals],
     names: tuple[str, ...],
 ) -> dict[str, Reals]:
-    """Coefficients of every draw by iterated linear least squares, shape (M,) each."""
-    drawn = {name: np.array([[value]]) for name, value in problem.fixed.items()}
-    drawn |= {name: column[:, None] for name, column in values.items()}
-    tops, bottoms = _affine(problem, drawn, names, spectrum.points)
-    equations = tops * spectrum.input - bottoms * spectrum.output  # N U − D Y is zero
-    divisor = np.ones(equations.shape[1:], dtype=np.complex128)
-    found = np.ones((len(divisor), len(names)))
+    """Coefficients of every draw by iterated least squares of N U = D Y, shape (M,)
+    each.
+
+    In a coefficient that stands alone before its term the equation is straight, and one
+    step from anywhere is its solution; the others' steps are Gauss and Newton's.
+    """
+    values = {name: np.array([[value]]) for name, value in problem.fixed.items()}
+    values |= {name: column[:, None] for name, column in draws.items()}
+    columns, divisor = _equation(problem, spectrum, values, names)
+    row = np.broadcast_to(spectrum.weight, divisor.shape)
     for _ in range(_ROUNDS):
         # The first round weighs by one: what Levy did alone, which favours high
         # frequencies; from the second on the last denominator takes that away.
-        row = spectrum.weight / np.maximum(np.abs(divisor), 1e-300)
-        columns = [row * equation for equation in equations[1:]]
+        own = [row * column for column in columns]
         if spectrum.of_constant is not None and math.isnan(problem.offset):
             # N U + c D/s − D Y: an offset in the output passes the same denominator.
-            columns.append(row * spectrum.of_constant * divisor)
+            own.append(row * spectrum.of_constant * divisor)
         if spectrum.of_state is not None:
-            columns += [row * state for state in spectrum.of_state]
-        solution = _real_solutions(np.stack(columns, axis=1), -row * equations[0])
-        found = solution[:, : len(names)]
-        divisor = bottoms[0] + np.einsum("nmk,mn->mk", bottoms[1:], found)
-    return {name: found[:, k] for k, name in enumerate(names)}
+            own += [row * state for state in spectrum.of_state]
+        steps = _real_solutions(np.stack(own[1:], axis=1), -own[0])
+        for k, name in enumerate(names):
+            values[name] = np.clip(
+                values[name] + steps[:, k : k + 1], *problem.limits[name]
+            )
+        columns, divisor = _equation(problem, spectrum, values, names)
+        row = spectrum.weight / np.maximum(np.abs(divisor), 1e-300)
+    return {name: values[name][:, 0] for name in names}
+
+
+def _equation(
+    problem: StructureProblem,
+    spectrum: Spectrum,
+    values: Mapping[str, Any],
+    names: tuple[str, ...],
+) -> tuple[list[Complexes], Complexes]:
+    """N U − D Y and its slopes along coefficients, and D, shape (M, K) each."""
+    top, bottom = problem.structure.quotient
+    count = max(np.shape(value)[0] for value in values.values())
+    shape = (count, spectrum.points.size)
+
+    def parts(here: Mapping[str, Any]) -> tuple[Complexes, Complexes]:
+        n, d = (part.response(here, spectrum.points) for part in (top, bottom))
+        return n * spectrum.input - d * spectrum.output, d
+
+    error, divisor = (np.broadcast_to(part, shape) for part in parts(values))
+    columns = [error]
+    for name in names:
+        step = STEP * np.where(values[name] == 0.0, 1.0, values[name])
+        there = parts({**values, name: values[name] + step})[0]
+        columns.append(np.broadcast_to((there - error) / step, shape))
+    return columns, divisor
 
 
 def _real_solutions(matrix: Complexes, right: Complexes) -> Reals:
