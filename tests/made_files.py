@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from made_logs import made_motion, made_output
 
 Columns = dict[str, NDArray[np.float64]]
-KINDS = ("mat5", "mat73", "hdf5", "parquet", "tdms", "mcap", "db3")
+KINDS = ("mat5", "mat73", "hdf5", "tdms", "mcap", "db3")
 
 
 def made_columns(count: int = 400) -> Columns:
@@ -50,14 +50,6 @@ def write_hdf5(path: Path, columns: Columns) -> Path:
         for name, values in columns.items():
             item = file.create_dataset(name, data=values, compression="gzip")
             item.attrs["units"] = name.rsplit("_", 1)[1]
-    return path
-
-
-def write_parquet(path: Path, columns: Columns) -> Path:
-    pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    parquet.write_table(pa.table(columns), path)
     return path
 
 
@@ -137,7 +129,6 @@ def made_file(kind: str, folder: Path, count: int = 400) -> Path:
         "mat5": (write_mat5, "log.mat"),
         "mat73": (write_mat73, "log73.mat"),
         "hdf5": (write_hdf5, "log.h5"),
-        "parquet": (write_parquet, "log.parquet"),
         "tdms": (write_tdms, "log.tdms"),
     }[kind]
     return write(folder / name, columns)

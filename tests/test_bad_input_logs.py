@@ -337,7 +337,6 @@ def test_b60_a_blank_line_inside(separator: str, tmp_path: Path) -> None:
     ("name", "content", "problem"),
     [
         ("log.mat", b"time_s,a\n1,2\n", "text by its content"),
-        ("log.parquet", b"time_s,a\n1,2\n", "text by its content"),
         ("log.csv", b"PAR1" + b"x" * 100, "Parquet by its content"),
         ("log.csv", b"MATLAB 5.0 MAT-file" + b" " * 200, "MAT v5 by its content"),
         ("log.csv", b"PK\x03\x04" + b"x" * 100, "a zip or spreadsheet by its content"),

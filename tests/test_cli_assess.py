@@ -49,35 +49,6 @@ def test_assess_tells_budget_margins_and_spillover(
 
 
 @pytest.mark.slow
-def test_assess_writes_its_figures_and_their_numbers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    design = _design(tmp_path / "design.json")
-    line = [
-        "assess",
-        str(tmp_path / "design.json"),
-        "--link-mass",
-        "0.001",
-        "--out",
-        str(tmp_path / "worth"),
-    ]
-    assert main(line) == 0
-    assert "≤ 0.5" in capsys.readouterr().out
-    for name in ("margins.svg", "phase-budget.svg"):
-        assert b"<svg" in (tmp_path / "worth" / name).read_bytes()
-    found = json.loads((tmp_path / "worth" / "assessment.json").read_text("utf-8"))
-    curves = found["curves"]
-    assert curves["payload"][0] < 0.010 and curves["payload"][-1] > 0.040
-    place = 20
-    kept = design.sampled_at(curves["payload"][place]).phase_margin
-    assert curves["sampled"][place] == pytest.approx(kept, rel=1e-9)
-    first = (tmp_path / "worth" / "margins.svg").read_bytes()
-    assert main(line) == 2  # what is there is kept without --force
-    assert main([*line, "--force"]) == 0
-    assert (tmp_path / "worth" / "margins.svg").read_bytes() == first
-
-
-@pytest.mark.slow
 def test_a_massless_link_has_no_spillover(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -78,28 +78,6 @@ def test_units_that_a_file_states_are_listed(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_parquet_stamps_become_seconds(tmp_path: Path) -> None:
-    pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    stamps = pa.array(1_700_000_000_000_000 + 4000 * np.arange(300), pa.timestamp("us"))
-    columns = made_columns(300)
-    table = pa.table(
-        {
-            "t": stamps,
-            "theta": columns["motor_angle_rad"],
-            "gamma": columns["torque_Nm"],
-            "who": ["a"] * 300,
-        }
-    )
-    parquet.write_table(table, tmp_path / "a.parquet")
-    found = read_columns(tmp_path / "a.parquet")
-    assert list(found) == ["t", "theta", "gamma"]
-    assert inspect_log(tmp_path / "a.parquet").channels[0].unit == "s"
-    np.testing.assert_allclose(found["t"], 0.004 * np.arange(300), atol=1e-12)
-
-
-@pytest.mark.slow
 def test_tdms_waveform_steps_become_stamps(tmp_path: Path) -> None:
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
@@ -278,9 +256,9 @@ def test_b66_the_signal_that_ended_a_parser_is_told(
 def test_a_missing_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = made_file("parquet", tmp_path)
-    (tmp_path / "empty" / "pyarrow").mkdir(parents=True)
-    (tmp_path / "empty" / "pyarrow" / "__init__.py").write_text(
+    path = made_file("hdf5", tmp_path)
+    (tmp_path / "empty" / "h5py").mkdir(parents=True)
+    (tmp_path / "empty" / "h5py" / "__init__.py").write_text(
         "raise ImportError('not here')\n"
     )
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "empty"))
@@ -293,7 +271,6 @@ def test_content_decides_about_the_format(tmp_path: Path) -> None:
     for kind, name in (
         ("mat5", "MAT v5"),
         ("mat73", "HDF5"),
-        ("parquet", "Parquet"),
         ("tdms", "TDMS"),
     ):
         path = made_file(kind, tmp_path)
@@ -337,14 +314,11 @@ def test_900_columns_with_long_names_are_read(tmp_path: Path) -> None:
     """As ASCII escapes the list of columns was 2 MB, over the parent's limit: it waited
     60 s for nothing.
     """
-    pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    parquet.write_table(
-        pa.table({"\U0001f600" * 190 + str(i): range(10) for i in range(900)}),
-        tmp_path / "n.parquet",
-    )
-    assert len(read_columns(tmp_path / "n.parquet")) == 900
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "n.h5", "w") as file:
+        for number in range(900):
+            file["\U0001f600" * 190 + str(number)] = np.arange(10.0)
+    assert len(read_columns(tmp_path / "n.h5")) == 900
 
 
 def test_a_bag_is_as_large_as_its_files_together(tmp_path: Path) -> None:

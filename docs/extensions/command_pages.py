@@ -10,9 +10,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import typer
 from sphinx.application import Sphinx
 
-from fraclink._cli.app import every_command
+from fraclink._cli.app import application
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTPUTS = ROOT / "tests" / "golden" / "commands"
@@ -48,6 +49,20 @@ SHOWN: dict[str, tuple[str, str]] = {
     "replay": ("loop", "how-to/flash-a-board"),
     "doctor": ("arm", "how-to/bring-your-rig"),
 }
+
+
+def every_command() -> dict[str, Any]:
+    """Every command by the words that call it, those of a group behind its name."""
+    top: Any = typer.main.get_command(application())
+    commands: dict[str, Any] = {}
+    for name in top.list_commands(typer.Context(top)):
+        each = top.get_command(typer.Context(top), name)
+        inner = getattr(each, "commands", None)
+        if inner is None:
+            commands[name] = each
+        else:
+            commands |= {f"{name} {word}": inner[word] for word in inner}
+    return commands
 
 
 def file_name(name: str) -> str:

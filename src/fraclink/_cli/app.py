@@ -13,75 +13,70 @@ from typer.core import TyperGroup
 from fraclink import __version__
 from fraclink._cli.console import emit, guarded
 
-__all__ = ["application", "every_command", "run"]
+__all__ = ["application", "run"]
 
-# The commands of the first screen, with the few words that there is room for.
-_FIRST = {
-    "start": "your own log to a first model, columns and units guessed",
-    "run": "log to model, controller, simulated moves and report, all in one",
-    "inspect": "list a log's channels, rates and ranges",
-    "diagnose": "examine a log before a model is fitted to it",
-    "identify": "fit a link model to a log, or any structure",
-    "design": "design the controller for a payload range",
-    "simulate": "simulate a move of the tip",
-    "certify": "prove stability for every payload and delay",
-    "export": "write the controller as C99 or FMU",
-    "report": "gather a folder of results, or the arm that moves, into one HTML file",
-    "studio": "a page on this machine: drag the loop, see the arm",
-    "doctor": "check this installation",
-}
-
-# Section -> module -> commands; `fraclink help all` lists them in this order.
-_SECTIONS: dict[str, dict[str, str]] = {
+# Section -> command -> its module, and what it does in the few words of a line. A module
+# of commands brings the library with it: the lists do not load them.
+_SECTIONS: dict[str, dict[str, tuple[str, str]]] = {
     "From a log to a board": {
-        "start": "starting",
-        **dict.fromkeys(("run",), "designs"),
-        **dict.fromkeys(("inspect", "diagnose"), "models"),
-        "identify": "identification",
-        **dict.fromkeys(("design", "simulate", "certify"), "designs"),
-        **dict.fromkeys(("export", "run-realtime", "serve-arm"), "boards"),
-        **dict.fromkeys(("tune", "watch"), "tunings"),
-        "report": "designs",
-        "studio": "studio",
+        "start": (
+            "starting",
+            "your own log to a first model, columns and units guessed",
+        ),
+        "run": ("designs", "log to model, controller, simulated moves and report"),
+        "inspect": ("models", "list a log's channels, rates and ranges"),
+        "diagnose": ("models", "examine a log before a model is fitted to it"),
+        "identify": ("identification", "fit a link model to a log, or any structure"),
+        "design": ("designs", "design the controller for a payload range"),
+        "simulate": ("designs", "simulate a move of the tip"),
+        "certify": ("designs", "prove stability for every payload and delay"),
+        "export": ("boards", "write the controller as C99 or FMU"),
+        "report": ("designs", "gather a folder of results into one HTML file"),
+        "studio": ("studio", "a page on this machine: drag the loop, see the arm"),
+        "doctor": ("installation", "check this installation"),
+    },
+    "On an arm": {
+        "tune": ("tunings", "tune an unknown arm within limits, up to its first moves"),
+        "run-realtime": ("boards", "run the shipped law on an arm in real time"),
+        "serve-arm": ("boards", "serve a simulated arm in real time"),
+        "watch": ("tunings", "say what has changed since an arm was tuned"),
     },
     "More on logs and models": {
-        **dict.fromkeys(("validate", "record"), "models"),
+        "validate": ("models", "hold a model against other logs of the arm"),
+        "record": ("models", "record a log of the twin, as a rig writes it"),
     },
     "More on designs and laws": {
-        **dict.fromkeys(("assess", "compare"), "assessments"),
-        "shape": "moves",
-        "tune-pid": "assessments",
-        "campaign": "campaigns",
-        "replay": "boards",
+        "assess": ("assessments", "phase budget, margins and higher modes of a design"),
+        "compare": ("assessments", "run a design and its rivals on one twin"),
+        "shape": ("moves", "shape the fastest move within the limits"),
+        "tune-pid": ("assessments", "tune a fractional PID for any plant"),
+        "campaign": ("campaigns", "many runs: Monte Carlo and faults"),
+        "replay": ("boards", "run a log through an exported law, bit for bit"),
     },
-    "This installation": {"doctor": "installation"},
 }
-# A module of commands brings the library with it: the first screen must not pay for all
-# of them, and lists what it has not loaded from this table.
-_HOMES = {
-    name: module for listed in _SECTIONS.values() for name, module in listed.items()
-}
+_LISTED = {name: each for listed in _SECTIONS.values() for name, each in listed.items()}
 _EPILOG = "Exit code: 0 passed, 1 failed or not shown, 2 bad input."
+_MORE = [
+    ("help all", "every command"),
+    ("help COMMAND", "its options, and an example"),
+    ("--version", "print the version"),
+    ("--install-completion", "complete commands and options in this shell"),
+]
 
 
 class _Group(TyperGroup):
-    """A group of commands that lists each with its whole sentence.
-
-    click cuts a summary off behind some fifty characters and sorts by the order of
-    registration; a user who looks for the next stage finds neither what it does nor
-    where it stands.
-    """
+    """A group of commands in their own order, which is that of the work."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """The names of the commands in their order."""
-        return list(_HOMES) if ctx.parent is None else list(self.commands)
+        return list(_LISTED if ctx.parent is None else self.commands)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """The command of that name; its module is imported here and not before."""
         # Only of the program itself: a group's commands came with its module, and
         # `export c` must not look for a stage of that name.
-        if ctx.parent is None and cmd_name in _HOMES and cmd_name not in self.commands:
-            app = import_module(f"fraclink._cli.{_HOMES[cmd_name]}").app
+        if ctx.parent is None and cmd_name in _LISTED and cmd_name not in self.commands:
+            app = import_module(f"fraclink._cli.{_LISTED[cmd_name][0]}").app
             self.commands.update(typer.main.get_group(app).commands)
         return super().get_command(ctx, cmd_name)
 
@@ -91,8 +86,8 @@ class _Group(TyperGroup):
         """
         # Slow, and only on the way to an error: click looks for near names among what
         # is loaded.
-        if ctx.parent is None and args and args[0] not in _HOMES:
-            for name in _HOMES:
+        if ctx.parent is None and args and args[0] not in _LISTED:
+            for name in _LISTED:
                 self.get_command(ctx, name)
         return super().resolve_command(ctx, args)
 
@@ -103,47 +98,33 @@ class _Group(TyperGroup):
         if ctx.parent is not None:
             super().format_options(ctx, formatter)
             return
-        with formatter.section("Commands"):
-            formatter.write_dl(list(_FIRST.items()))
+        _write_sections(formatter, 1)
         with formatter.section("More"):
+            formatter.write_dl(_MORE)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write each command of a group with its whole first sentence, which click cuts
+        off behind some fifty characters.
+        """
+        with formatter.section("Commands"):
             formatter.write_dl(
                 [
-                    ("help all", "every command"),
-                    ("help COMMAND", "its options, and an example"),
-                    ("--version", "print the version"),
-                    (
-                        "--install-completion",
-                        "complete commands and options in this shell",
-                    ),
+                    (name, " ".join((each.help or "").partition("\n\n")[0].split()))
+                    for name, each in self.commands.items()
                 ]
             )
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write each command of a group with its whole sentence."""
-        with formatter.section("Commands"):
-            self.list_with_sentences(ctx, formatter, list(self.commands))
 
-    def list_with_sentences(
-        self, ctx: Any, formatter: Any, names: Sequence[str]
-    ) -> None:
-        """Write commands and the first sentence of their help."""
-        formatter.write_dl(
-            [(name, _sentence(self.get_command(ctx, name))) for name in names]
-        )
-
-
-def _sentence(command: Any) -> str:
-    return " ".join((command.help or "").partition("\n\n")[0].split())
+def _write_sections(formatter: Any, count: int) -> None:
+    for title, listed in list(_SECTIONS.items())[:count]:
+        with formatter.section(title):
+            formatter.write_dl([(name, words) for name, (_, words) in listed.items()])
 
 
 def _everything() -> str:
-    """Every command with its whole sentence, in sections."""
-    top = typer.main.get_group(application())
-    context = typer.Context(top, info_name="fraclink")
-    formatter = context.make_formatter()
-    for title, listed in _SECTIONS.items():
-        with formatter.section(title):
-            top.list_with_sentences(context, formatter, list(listed))  # type: ignore[attr-defined]
+    """Every command in a line, in sections."""
+    formatter = typer.Context(typer.main.get_command(application())).make_formatter()
+    _write_sections(formatter, len(_SECTIONS))
     formatter.write_paragraph()
     formatter.write_text(_EPILOG)
     return str(formatter.getvalue()).strip("\n")
@@ -190,22 +171,6 @@ def application() -> typer.Typer:
     )
     app.callback()(_options)
     return app
-
-
-def every_command() -> dict[str, Any]:
-    """Return every command by the words that call it, those of a group behind its name."""
-    top: Any = typer.main.get_command(application())
-    context = typer.Context(top)
-    found: dict[str, Any] = {}
-    for name in top.list_commands(context):
-        each = top.get_command(context, name)
-        inner = getattr(each, "commands", None)
-        found |= (
-            {name: each}
-            if inner is None
-            else {f"{name} {word}": inner[word] for word in inner}
-        )
-    return found
 
 
 def run(arguments: Sequence[str]) -> int:

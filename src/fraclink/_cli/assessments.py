@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from fraclink._cli.app import group
@@ -36,7 +35,6 @@ from fraclink._identify.expression import parse_expression
 from fraclink._identify.structure_fit import StructureFit
 from fraclink.errors import FieldError
 from fraclink.trials._tournament import compare as run_rivals
-from fraclink.view._loops import budget_figure, margin_curves_figure
 from fraclink.view._notebook import draw
 from fraclink.view._text import plain_text, to_json, view
 from fracsys._fractional import FractionalTransferFunction
@@ -45,11 +43,7 @@ from fracsys.checks import Between, PhaseMarginDeg
 app = group()
 
 _KINDS: tuple[CurveKind, ...] = ("ideal", "motor", "loop", "sampled")
-_FIGURES, _NUMBERS = ("margins.svg", "phase-budget.svg"), "assessment.json"
 _COMPARISON = ("comparison.txt", "comparison.json", "comparison.svg")
-_POINTS = (
-    41  # payloads of a curve: the sampled margins take most of the second it costs
-)
 
 
 @dataclass(frozen=True)
@@ -122,11 +116,6 @@ def assess(
     mode_damping: Annotated[
         float | None, "Damping ratio of modes 2 and 3; default: the model's damping"
     ] = None,
-    out: Annotated[
-        Path | None,
-        "Folder to write two figures and assessment.json to",
-        Writes((*_FIGURES, _NUMBERS)),
-    ] = None,
 ) -> Answer:
     """Assess a design: phase budget, margins, higher modes.
 
@@ -136,42 +125,18 @@ def assess(
     low, high = made.payloads
     # Both ends and what lies between on the scale of ω₀ ∝ 1/√m.
     payloads = (high, math.sqrt(low * high), low)
-    curves = tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS)
-    link = (
-        made.rig.link if link_mass is None else replace(made.rig.link, mass=link_mass)
-    )
-    found = Assessment(
+    link = made.rig.link
+    if link_mass is not None:
+        link = replace(link, mass=link_mass)
+    massive = replace(made, rig=replace(made.rig, link=link))
+    worth = Assessment(
         made,
         payloads,
         tuple(phase_budget(made, low)),
-        curves,
-        tuple(
-            mode_gains(
-                replace(made, rig=replace(made.rig, link=link)),
-                damping_ratio=mode_damping,
-            )
-        ),
+        tuple(margin_curve(made, payloads, kind=kind) for kind in _KINDS),
+        tuple(mode_gains(massive, damping_ratio=mode_damping)),
     )
-    if out is None:
-        return Answer(found, found.passed)
-    _write_assessment(found, out)
-    written = tuple(out / name for name in (*_FIGURES, _NUMBERS))
-    return Answer(found, found.passed, values={"out": str(out)}, written=written)
-
-
-def _write_assessment(found: Assessment, out: Path) -> None:
-    made = found.design
-    low, high = made.payloads
-    # Beyond both ends, as the first question behind a design is what a payload outside
-    # its range does.
-    masses = np.geomspace(low / 2.5, 1.25 * high, _POINTS)
-    curves = [margin_curve(made, masses, kind=kind) for kind in _KINDS]
-    margin_curves_figure(curves, (low, high), made.phase_margin).save(out / _FIGURES[0])
-    budget_figure(found.budget, low).save(out / _FIGURES[1])
-    shown = {"payload": masses.tolist()} | {
-        c.kind: c.phase_margin.tolist() for c in curves
-    }
-    write_json(out / _NUMBERS, "assessment", 1, to_json(found) | {"curves": shown})
+    return Answer(worth, worth.passed)
 
 
 @command(app)

@@ -33,6 +33,7 @@ from fraclink._cli.options import (
     named_channels,
     reference_of,
     refuse_beside,
+    required,
 )
 from fraclink._design import Design
 from fraclink._design.pid_tuning import PidTuning
@@ -47,7 +48,7 @@ from fraclink._files import check_ending, kind_of, output_path
 from fraclink._law import Law, discretize
 from fraclink._reading.responses import read_recording
 from fraclink._simulate import Twin
-from fraclink.errors import FieldError, LogError, MissingExtraError
+from fraclink.errors import LogError, MissingExtraError
 from fraclink.lab._machine import signals_held
 from fraclink.lab._rehearsal import rehearse
 from fraclink.lab._run import saved
@@ -257,14 +258,8 @@ def replay(
     if run is not None:
         refuse_beside("--run", "a campaign's own arm", log_file=log_file)
         return replayed(folder, run, output_path(out, force=force), force=force)
-    if log_file is None:
-        raise FieldError(
-            "log_file",
-            None,
-            "missing",
-            allowed="a log for a law, or --run of a campaign",
-            remedy="give one",
-        )
+    needed = "a log for a law, or --run of a campaign"
+    log_file = required("log_file", log_file, needed, "give one")
     log: Experiment | Recording
     # An arm's log needs a rig for its columns; a PID's has two columns that nobody
     # knows the names of.

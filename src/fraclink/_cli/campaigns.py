@@ -9,7 +9,7 @@ import typer
 
 from fraclink._cli.app import group
 from fraclink._cli.command import Answer, Writes, command
-from fraclink._cli.console import steps, watching
+from fraclink._cli.console import steps
 from fraclink._cli.options import (
     Gear,
     LinkMass,
@@ -17,6 +17,7 @@ from fraclink._cli.options import (
     load_design,
     load_rig,
     refuse_beside,
+    required,
 )
 from fraclink._design import Design
 from fraclink._design.completed import design_for
@@ -33,7 +34,7 @@ from fraclink.trials._faults import (
     observe,
     run_faults,
 )
-from fraclink.trials._run import run_campaign
+from fraclink.trials._run import Progress, run_campaign
 from fraclink.trials._summary import Summary, summarise
 from fraclink.view._runs import draw_outcome
 from fraclink.view._text import plain_text, view
@@ -86,7 +87,13 @@ def montecarlo(
         estimated=made.payloads if estimate else None,
         reference=None if reference is None else read_reference(reference),
     )
-    with watching(runs) as watch:
+    with steps(runs) as begin:
+
+        def watch(progress: Progress) -> None:
+            # What a resumed campaign finds finished is not in its rate of failures.
+            share = progress.failed / max(progress.done - progress.before, 1)
+            begin(f"{100 * share:.1f} % failed", progress.done)
+
         run_campaign(asked, out, workers=workers, scheduler=scheduler, watch=watch)
     return summary_answer(summarise(out), out)
 
@@ -186,12 +193,7 @@ def faults(
         parents=True, exist_ok=True
     )  # a folder that cannot be written is found out before the work
     with steps(len({case.fault for case in planned})) as begin:
-        result = run_faults(
-            bench,
-            planned,
-            progress=begin,
-            about=about,
-        )
+        result = run_faults(bench, planned, progress=begin, about=about)
     save(result, out / "faults.json", force=True)
     write_text(out / "faults.txt", plain_text(view(result)))
     with steps(len(result.failures)) as begin:
@@ -201,18 +203,15 @@ def faults(
     # One run alone is what somebody looks at closely.
     if len(planned) == 1:
         observe(bench, planned[0]).faulty.save(out / "run.npz")
-    remarks, written = tuple(map(str, bench.twin.findings)), (out / "faults.txt",)
     worst = next((row.example.case.name for row in result.rows() if row.example), None)
-    following = (
-        f"fraclink replay {out} --run {worst}" if worst and len(planned) > 1 else ""
-    )
+    again = f"fraclink replay {out} --run {worst}"
     return Answer(
         result,
         result.passed,
         values={"out": str(out)},
-        remarks=remarks,
-        written=written,
-        following=following,
+        remarks=tuple(map(str, bench.twin.findings)),
+        written=(out / "faults.txt",),
+        following=again if worst and len(planned) > 1 else "",
     )
 
 
@@ -221,17 +220,16 @@ def _repeat_fault(folder: Path, name: str, out: Path, figure: Path) -> Answer:
     same law.
     """
     table = load(folder / "faults.json", FaultTable)
-    case = next(
-        (outcome.case for outcome in table.outcomes if outcome.case.name == name), None
-    )
-    if case is None:
+    runs = {outcome.case.name: outcome.case for outcome in table.outcomes}
+    if name not in runs:
         raise FieldError(
             "run",
             name,
             "no run of this campaign",
-            allowed=f"a run that {folder / 'faults.json'} lists, such as {table.outcomes[0].case.name}",
+            allowed=f"a run that {folder / 'faults.json'} lists, such as {next(iter(runs))}",
             remedy="copy its name",
         )
+    case = runs[name]
     bench = _bench_of(table, folder)
     # By its digest: a design that was made anew under the same name would show another
     # law's behaviour as that of the fault.
@@ -267,21 +265,13 @@ def _bench_of(table: FaultTable, folder: Path) -> Bench:
 def _bench(
     rig: str | None, design_file: Path | None, gear: float | None, mass: float | None
 ) -> Bench:
-    if rig is None and design_file is None:
-        raise FieldError(
-            "design",
-            None,
-            "missing",
-            allowed="--design, --rig or both",
-            remedy="give one of them",
-        )
-    given = None if rig is None else load_rig(rig)
-    if design_file is not None:
-        made = load_design(design_file)
+    if design_file is None:
+        needed = required("design", rig, "--design, --rig or both", "give one of them")
+        made, _ = design_for(load_rig(needed))
     else:
-        known = load_rig(rig or "")
-        made, _ = design_for(known)
+        made = load_design(design_file)
+    stated = made.rig if rig is None else load_rig(rig)
     # A rig without a model has no damping for the twin: then the design's own stands
     # in.
-    arm = given if given is not None and given.model is not None else made.rig
+    arm = made.rig if stated.model is None else stated
     return Bench.of(made, arm if gear is None else geared(arm, gear), link_mass=mass)

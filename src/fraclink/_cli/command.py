@@ -19,11 +19,11 @@ import functools
 import inspect
 import re
 import webbrowser
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 from typer.models import OptionInfo, ParameterInfo
@@ -41,7 +41,7 @@ from fraclink._cli.console import (
 from fraclink._files import output_path
 from fraclink.findings import Finding
 from fraclink.view._text import doubted, plain, plain_text, to_json, view
-from fracsys.checks import rule
+from fracsys.checks import Parameter, parameters, rule
 
 __all__ = ["Answer", "Keywords", "Writes", "command"]
 
@@ -82,76 +82,6 @@ class Writes:
             output_path(path, force=force)
 
 
-@dataclass(frozen=True)
-class Declared:
-    """One parameter of a command: its plain type for typer, the type with its marks,
-    and its default.
-    """
-
-    name: str
-    kind: Any
-    hint: Any
-    default: Any
-
-    def mark(self, kind: type) -> Any:
-        """The first mark of that class, or None."""
-        return next((mark for mark in self._marks if isinstance(mark, kind)), None)
-
-    @property
-    def _marks(self) -> tuple[Any, ...]:
-        return get_args(self.hint)[1:] if get_origin(self.hint) is Annotated else ()
-
-    @property
-    def ranged(self) -> bool:
-        """Whether a range stands beside the type."""
-        return rule(self.hint).expected != rule(self.kind).expected
-
-    @property
-    def help(self) -> str:
-        """The text of the help, with the range and with what is true of every list.
-
-        >>> from fracsys.checks import Payload
-        >>> Declared("payload", float, Annotated[Payload, "Payload [kg]"], None).help
-        'Payload [kg], > 0 and <= 10000 kg.'
-        """
-        text = (self.mark(str) or "").rstrip(".")
-        text += f", {rule(self.hint).expected}" if self.ranged else ""
-        return text + (
-            "; may be repeated."
-            if list in (get_origin(k) for k in get_args(self.kind))
-            else "."
-        )
-
-    @property
-    def parameter(self) -> inspect.Parameter:
-        """What typer reads."""
-        # A copy, as the mark belongs to a type that several commands share.
-        info = copy.copy(self.mark(ParameterInfo) or typer.Option())
-        info.help = self.help
-        if isinstance(info, OptionInfo) and not info.param_decls:
-            word = self.name.replace("_", "-")
-            # A flag that is on must have a word that turns it off; one that is off
-            # needs none.
-            info.param_decls = (
-                (f"--{word}/--no-{word}",) if self.default is True else (f"--{word}",)
-            )
-        hint = Annotated[self.kind, info]  # type: ignore[name-defined]  # made at run time
-        return inspect.Parameter(
-            self.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=self.default,
-            annotation=hint,
-        )
-
-
-_JSON = Declared(
-    "json", bool, Annotated[bool, "Print the result as one JSON object"], False
-)
-_FORCE = Declared(
-    "force", bool, Annotated[bool, "Overwrite files that are already there"], False
-)
-
-
 class Keywords:
     """Options of a command that are keywords of a public function, or of a TypedDict of
     them: type, range and default are those of its signature, the help those of its
@@ -166,11 +96,13 @@ class Keywords:
         return {name: options[name] for name in self.names}
 
     @property
-    def declared(self) -> Iterator[Declared]:
-        """The options."""
-        texts = _parameter_texts(self.function)
-        for each in _parameters(self.function, self.names):
-            yield replace(each, hint=Annotated[each.hint, texts[each.name]])
+    def options(self) -> dict[str, Parameter]:
+        """The options by name."""
+        texts, known = _parameter_texts(self.function), parameters(self.function)
+        return {
+            name: replace(known[name], hint=Annotated[known[name].hint, texts[name]])
+            for name in self.names
+        }
 
 
 def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
@@ -191,30 +123,42 @@ def _parameter_texts(function: Callable[..., Any]) -> dict[str, str]:
     return texts
 
 
-def _parameters(
-    function: Callable[..., Any], names: Iterable[str] | None = None
-) -> Iterator[Declared]:
-    """The parameters of these names, or all; keywords as `Keywords` declares them."""
-    if is_typeddict(function):
-        hints = get_type_hints(function, include_extras=True)
-        kinds = get_type_hints(function)
-        for name in names or hints:
-            yield Declared(name, kinds[name], hints[name], None)
-        return
-    parameters = inspect.signature(function).parameters
-    # Only what is asked for is evaluated: other annotations of a library's function may
-    # name what is imported for the type checker alone.
-    source: Any = inspect.unwrap(function)
-    wanted = {name: source.__annotations__[name] for name in names or parameters}
-    annotated = SimpleNamespace(__annotations__=wanted)
-    kinds = get_type_hints(annotated, source.__globals__)
-    hints = get_type_hints(annotated, source.__globals__, include_extras=True)
-    for name, hint in hints.items():
-        if parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
-            yield Declared(name, kinds[name], hint, parameters[name].default)
-            continue
-        for keywords in get_args(hint)[1:]:
-            yield from keywords.declared
+def _mark(parameter: Parameter, kind: type) -> Any:
+    """The first mark of that class beside the type of a parameter, or None."""
+    marks = getattr(parameter.hint, "__metadata__", ())
+    return next((mark for mark in marks if isinstance(mark, kind)), None)
+
+
+def _option(parameter: Parameter) -> inspect.Parameter:
+    """What typer reads: the plain type of a parameter, and its help with the range."""
+    annotations = SimpleNamespace(__annotations__={"option": parameter.hint})
+    kind = get_type_hints(annotations)["option"]
+    # A copy, as the mark belongs to a type that several commands share.
+    info = copy.copy(_mark(parameter, ParameterInfo) or typer.Option())
+    text, expected = _mark(parameter, str) or "", parameter.rule.expected
+    info.help = text.rstrip(".")
+    info.help += f", {expected}" if expected != rule(kind).expected else ""
+    repeated = list in map(get_origin, get_args(kind))
+    info.help += "; may be repeated." if repeated else "."
+    if isinstance(info, OptionInfo) and not info.param_decls:
+        word = parameter.name.replace("_", "-")
+        # A flag that is on must have a word that turns it off; one that is off needs
+        # none.
+        off = f"/--no-{word}" if parameter.default is True else ""
+        info.param_decls = (f"--{word}{off}",)
+    return inspect.Parameter(
+        parameter.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=parameter.default,
+        annotation=Annotated[kind, info],
+    )
+
+
+def _flags(
+    json: Annotated[bool, "Print the result as one JSON object"] = False,
+    force: Annotated[bool, "Overwrite files that are already there"] = False,
+) -> None:
+    """What commands have beside their own options."""
 
 
 def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[..., int]]:
@@ -227,22 +171,26 @@ def command(app: typer.Typer) -> Callable[[Callable[..., Answer]], Callable[...,
 
 
 def _command(function: Callable[..., Answer]) -> Callable[..., int]:
-    # Every command that writes has --force; where the command checks its files itself
-    # it also hears of it.
-    declared = [part for part in _parameters(function) if part.name != "force"]
+    # Where the command checks its files itself it hears of --force.
     own_force = "force" in inspect.signature(function).parameters
-    writes = {part.name: mark for part in declared if (mark := part.mark(Writes))}
-    ranges = {part.name: rule(part.hint) for part in declared if part.ranged}
-    # A command that writes nothing has no --force, which would promise something.
-    added = [_JSON, _FORCE] if writes or own_force else [_JSON]
+    options: dict[str, Parameter] = {}
+    for name, each in parameters(function).items():
+        if each.way is inspect.Parameter.VAR_KEYWORD:
+            for keywords in each.hint.__metadata__:
+                options |= keywords.options
+        elif name != "force":
+            options[name] = each
+    writes = {name: mark for name in options if (mark := _mark(options[name], Writes))}
+    flags = parameters(_flags)
+    if not writes and not own_force:
+        del flags["force"]  # which would promise something
 
     @functools.wraps(function)
     def run(*, json: bool = False, force: bool = False, **given: Any) -> int:
         # Ranges before files before work: a typing error must not cost the minute that
         # the work takes.
-        for name, allowed in ranges.items():
-            if given[name] is not None:
-                given[name] = allowed.check(name, given[name])
+        for name, each in options.items():
+            given[name] = each.rule.check(name, given[name])
         for name, mark in writes.items():
             if given[name] is not None:
                 # Before the work and not when it is written: what cannot be kept is not
@@ -257,9 +205,9 @@ def _command(function: Callable[..., Answer]) -> Callable[..., int]:
         # however well it came out.
         return PASSED if answer.passed and not answer.doubts else FAILED
 
-    parameters = [part.parameter for part in (*declared, *added)]
-    run.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": int}
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    declared = [_option(each) for each in (*options.values(), *flags.values())]
+    run.__annotations__ = {p.name: p.annotation for p in declared} | {"return": int}
+    run.__signature__ = inspect.Signature(declared)  # type: ignore[attr-defined]
     del run.__wrapped__  # typer would read the annotations of what is wrapped
     return run
 

@@ -16,7 +16,6 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
@@ -52,7 +51,7 @@ __all__ = [
     "tell_written",
     "unread_allowed",
 ]
-__all__ += ["watching", "width"]
+__all__ += ["width"]
 
 Answer = TypeVar("Answer")
 
@@ -66,6 +65,10 @@ UNREAD = (
 )
 
 _NO_ROOM = "failed to map segment from shared object"  # of the dynamic loader
+
+# typer carries its own copy of click; its base of usage errors is reached through a
+# public name.
+_USAGE: Any = typer.BadParameter.__mro__[2]
 
 # Words keep their signs where there are no colours: pipes, NO_COLOR, readers of
 # screens.
@@ -86,16 +89,14 @@ def clean(text: object) -> str:
     >>> clean("a\\x1b[31mb\\u202ec")
     'a\\\\x1b[31mb\\\\u202ec'
     """
-    return "".join(_visible(character) for character in str(text))
-
-
-def _visible(character: str) -> str:
-    if character.isprintable() or character == "\n":
-        return character
     # C0, C1 and bidirectional marks: a name that turns the line round can show another
     # ending.
-    code = ord(character)
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+    return "".join(
+        character
+        if character.isprintable() or character == "\n"
+        else character.encode("unicode_escape").decode()
+        for character in str(text)
+    )
 
 
 def width() -> int:
@@ -195,12 +196,12 @@ def ask(
 
 
 @contextmanager
-def _progress(total: int) -> Iterator[Callable[..., None] | None]:
-    """Yield what moves a bar of `total` parts on standard error; None where that is no
-    terminal.
+def steps(total: int) -> Iterator[Callable[..., None]]:
+    """Yield what names each of `total` parts as it begins, on standard error; given how
+    many are `done`, it moves the bar there. Where that is no terminal nothing is shown.
     """
     if not sys.stderr.isatty():
-        yield None
+        yield lambda name, done=None: None
         return
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -210,35 +211,16 @@ def _progress(total: int) -> Iterator[Callable[..., None] | None]:
         TimeRemainingColumn(),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        yield partial(progress.update, progress.add_task("", total=total))
+        # One more than the parts: the bar is full when the last one ends.
+        bar = progress.add_task("", total=total + 1)
 
-
-@contextmanager
-def steps(total: int) -> Iterator[Callable[[str], None]]:
-    """Yield what names each of `total` parts as it begins, on standard error."""
-    # One more than the parts: the bar is full when the last one ends.
-    with _progress(total + 1) as update:
-
-        def begin(name: str) -> None:
-            if update:
-                update(description=clean(name), advance=1)
+        def begin(name: str, done: int | None = None) -> None:
+            place = (
+                {"advance": 1} if done is None else {"completed": done, "total": total}
+            )
+            progress.update(bar, description=clean(name), **place)
 
         yield begin
-
-
-@contextmanager
-def watching(runs: int) -> Iterator[Callable[[Any], None]]:
-    """Yield what shows how many of `runs` are done, and how many of these failed."""
-    with _progress(runs) as update:
-
-        def watch(progress: Any) -> None:
-            # What a resumed campaign finds finished is not in its rate of failures.
-            share = progress.failed / max(progress.done - progress.before, 1)
-            shown = f"{100 * share:.1f} % failed"
-            if update:
-                update(completed=progress.done, description=shown)
-
-        yield watch
 
 
 # --- from an error to one line and an exit code -----------------------------------------------------------
@@ -254,54 +236,51 @@ def _describe(error: BaseException) -> dict[str, object]:
         names = ("field", "value", "problem", "allowed", "remedy")
         return {name: clean(getattr(error, name)) for name in names}
     if isinstance(error, InfeasibleError):
+        problem = clean(error.explanation)
         return {
             "condition": error.condition,
-            "problem": clean(error.explanation),
+            "problem": problem,
             "nearest": error.nearest,
         }
-    text = error.format_message() if hasattr(error, "format_message") else str(error)
-    return {"problem": _line(text)}
+    return {"problem": _line(_words(error))}
 
 
-def _usage(error: Exception) -> str:
-    """What is wrong with the words of a command, and where the right ones are listed."""
-    text = error.format_message() if hasattr(error, "format_message") else str(error)
-    context = getattr(error, "ctx", None)
-    command = "fraclink" if context is None else context.command_path
-    return f"{text.rstrip('.')} (see `{command} --help`)"
+def _words(error: BaseException) -> str:
+    return error.format_message() if isinstance(error, _USAGE) else str(error)
 
 
 def _answer(error: BaseException) -> tuple[int, str]:
     """Exit code and the line that explains it."""
+    words = _words(error)
+    if isinstance(error, _USAGE):
+        # Where the right words of the command are listed.
+        command = "fraclink" if error.ctx is None else error.ctx.command_path
+        return BAD_INPUT, f"error: {words.rstrip('.')} (see `{command} --help`)"
     # Before FraclinkError, of which both are kinds: bad input is 2, and a missing
     # package is no verdict on an arm.
     if isinstance(error, FieldError | MissingExtraError):
-        return BAD_INPUT, f"error: {error}"
+        return BAD_INPUT, f"error: {words}"
     if isinstance(error, InfeasibleError) and error.nearest:
         options = " ".join(option(name, value) for name, value in error.nearest.items())
-        return (
-            FAILED,
-            f"✗ failed: {error.condition}: {error.explanation}; nearest feasible: {options}",
-        )
+        refusal = f"✗ failed: {error.condition}: {error.explanation}"
+        return FAILED, f"{refusal}; nearest feasible: {options}"
     if isinstance(error, FraclinkError):
-        return FAILED, f"✗ failed: {error}"
+        return FAILED, f"✗ failed: {words}"
     if isinstance(error, OSError):
         # A full disk or a loader names no file.
         name = error.filename if error.filename is not None else "file"
-        return BAD_INPUT, f"error: {name}: {error.strerror or error}"
+        return BAD_INPUT, f"error: {name}: {error.strerror or words}"
     # A shared library that finds no room is an ImportError, and its package is there.
-    if isinstance(error, MemoryError) or _NO_ROOM in str(error):
+    if isinstance(error, MemoryError) or _NO_ROOM in words:
         return BAD_INPUT, (
-            f"error: memory: not enough for this command ({error or 'an array'}); expected 1 GB of address space."
+            f"error: memory: not enough for this command ({words or 'an array'}); expected 1 GB of address space."
             " Raise the limit of the process (ulimit -v)."
         )
     if isinstance(error, KeyboardInterrupt):
-        return (
-            INTERRUPTED,
-            "interrupted; finished files are complete, nothing is half written",
-        )
+        done = "finished files are complete, nothing is half written"
+        return INTERRUPTED, f"interrupted; {done}"
     return DEFECT, (
-        f"error: fraclink failed inside ({type(error).__name__}: {error}); this is a defect, please report it"
+        f"error: fraclink failed inside ({type(error).__name__}: {words}); this is a defect, please report it"
         " (FRACLINK_TRACEBACK=1 shows where)"
     )
 
@@ -350,9 +329,6 @@ def _let_go() -> None:
 
 def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
     """Run `work` and return its exit code, or the one its error stands for."""
-    # typer carries its own copy of click; its base of usage errors is reached through a
-    # public name.
-    usage_error: type[Exception] = typer.BadParameter.__mro__[2]
     verdict = UNREAD
     try:
         with _warnings_as_lines():
@@ -360,8 +336,6 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         verdict = PASSED if code is None else int(code)
         sys.stdout.flush()
         return verdict
-    except usage_error as error:
-        code, lines, parts = BAD_INPUT, [f"error: {_usage(error)}"], _describe(error)
     except BrokenPipeError:
         # The reader of a pipe left (`| head`): no error here, but stdout must not be
         # flushed again. Nor is it a verdict: one that had been reached stands, and none
@@ -369,14 +343,15 @@ def guarded(work: Callable[[], int | None], *, as_json: bool) -> int:
         _let_go()
         return verdict
     except (Exception, KeyboardInterrupt) as error:
-        # For whoever reports a defect; everybody else reads one line.
-        if os.environ.get("FRACLINK_TRACEBACK") == "1":
-            raise
         (code, line), parts = _answer(error), _describe(error)
+        # For whoever reports a defect; everybody else reads one line.
+        if os.environ.get("FRACLINK_TRACEBACK") == "1" and not isinstance(
+            error, _USAGE
+        ):
+            raise
         lines = [line]
-        if faults := getattr(
-            error, "faults", ()
-        ):  # a rig file lists all its faults at once: a line for each
+        # A rig file lists all its faults at once: a line for each.
+        if faults := getattr(error, "faults", ()):
             lines = [f"error: {fault}" for fault in faults]
             parts = parts | {"faults": [_describe(fault) for fault in faults]}
     # Each by itself: who reads the one stream may be there when nobody reads the other.

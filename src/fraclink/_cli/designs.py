@@ -15,6 +15,7 @@ from fraclink._cli.command import Answer, Keywords, Writes, command
 from fraclink._cli.console import steps
 from fraclink._cli.options import (
     LOG,
+    MOVE_TIME,
     REQUEST,
     Amplitude,
     BoxFlag,
@@ -33,13 +34,11 @@ from fraclink._cli.options import (
     doubts_of_move,
     in_radians,
     load_design,
-    load_doubts,
     load_link_model,
     load_log,
     load_rig,
     reference_of,
     refuse_beside,
-    told_or_estimated,
 )
 from fraclink._design import Design
 from fraclink._design.completed import design_for
@@ -115,22 +114,19 @@ def run(
         )
         begin("writing the report")
         place = write_report(study, out / "report.html")
+    export = f"fraclink export c {out / 'design.json'} --out firmware"
+    following = export if study.law else ""
     # The arms that fail come before the export: a worst case that can be replayed is
     # the next thing to look at.
-    following = (
-        f"fraclink export c {out / 'design.json'} --out firmware" if study.law else ""
-    )
     if study.arms and study.arms.failure.count:
         following = f"fraclink replay {out / 'arms'} --run {study.arms.failed[0]}"
-    values = {"report": str(place), "out": str(out)}
-    shown = place if open else None
     return Answer(
         study,
         study.verdict.passed,
-        values=values,
+        values={"report": str(place), "out": str(out)},
         written=(place,),
         following=following,
-        opened=shown,
+        opened=place if open else None,
     )
 
 
@@ -156,16 +152,12 @@ def design(
     $ fraclink design --rig rig.toml --model model.json
     """
     known = load_rig(rig, link_mass=link_mass)
-    made, assumptions = design_for(
-        known,
-        load_link_model(model, known),
-        phase_margin=in_radians(phase_margin_deg),
-        box=box,
-        **request,
-    )
+    link, doubts = load_link_model(model, known)
+    margin = in_radians(phase_margin_deg)
+    made, assumptions = design_for(known, link, phase_margin=margin, box=box, **request)
     # Doubts of the fit travel with the design: requirements that are met for a model of
     # nothing do not pass.
-    made = made.doubted(load_doubts(model)).with_law()
+    made = made.doubted(doubts).with_law()
     made.save(out)
     assumed = tuple(f"assumed: {sentence}" for sentence in assumptions)
     # With the lightest payload, at which the phase margin is smallest.
@@ -188,7 +180,7 @@ def simulate(
     design_file: DesignFile,
     amplitude: Amplitude = None,
     move_time: Annotated[
-        float | None, "Time of the move [s]; default: 0.5, on the twin 1"
+        float | None, MOVE_TIME, "Time of the move; default: 0.5, on the twin 1"
     ] = None,
     reference: ReferenceFile = None,
     told: GivenPayload = 0.0,
@@ -216,32 +208,37 @@ def simulate(
     usual_time = 1.0 if twin else 0.5
     wanted = reference_of(reference, amplitude, move_time, usual_time=usual_time)
     made = load_design(design_file, gear=gear)
-    given, law = told_or_estimated(made, told, estimate), made.law()
     carried = payload or made.rig.payloads.nominal
-    if twin:
-        arm = Twin.from_rig(made.rig, payload=carried, link_mass=link_mass)
-        move = run_law(law, wanted, arm=arm, told=given, seed=seed)
-    else:
+    if not twin:
         refuse_beside("--on model", "a link without mass", link_mass=link_mass)
-        move = run_law(
-            law,
-            wanted,
-            rig=made.rig,
-            model=made.model,
-            payload=carried,
-            told=given,
-            # 4 s of the usual move, as in a report.
-            duration=wanted.duration + 3.5,
-            seed=seed,
+    if estimate:
+        # A payload of 0 is none, so that --told 0 beside --estimate is no contradiction.
+        refuse_beside(
+            "--estimate", "the payload that the law estimates", told=told or None
         )
+    move = run_law(
+        made,
+        wanted,
+        arm=Twin.from_rig(made.rig, payload=carried, link_mass=link_mass)
+        if twin
+        else None,
+        payload=carried,
+        told="estimated" if estimate else told,
+        # On the model 4 s of the usual move, as in a report.
+        duration=None if twin else wanted.duration + 3.5,
+        seed=seed,
+    )
     move.save(place)
-    following = f"fraclink simulate {design_file} --payload {carried:g} --on twin"
+    passed = move.verdict.passed
+    step = f"simulate {design_file} --payload {carried:g} --on twin"
     if twin:
-        step = "certify" if move.verdict.passed else "assess"
-        following = f"fraclink {step} {design_file}"
-    doubts = doubts_of_move(made, payload)
+        step = f"{'certify' if passed else 'assess'} {design_file}"
     return Answer(
-        move, move.verdict.passed, doubts=doubts, written=(place,), following=following
+        move,
+        passed,
+        doubts=doubts_of_move(made, payload),
+        written=(place,),
+        following=f"fraclink {step}",
     )
 
 
@@ -268,10 +265,10 @@ def certify(
     with steps(1) as begin:
         begin("proving")
         made = Design.load(design_file)
-        models = filter(
-            None, (load_link_model(other, made.rig) for other in others or ())
+        models = [load_link_model(other, made.rig)[0] for other in others or ()]
+        certificate = prove(
+            made, modulus_margin=modulus_margin, others=filter(None, models)
         )
-        certificate = prove(made, modulus_margin=modulus_margin, others=models)
     if not certificate.passed:
         following = f"fraclink assess {design_file}"
         # No file: a certificate that failed must not lie where the next stage looks for

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -32,6 +32,7 @@ from fraclink._cli.options import (
     log_path,
     named_channels,
     refuse_beside,
+    required,
     whole,
 )
 from fraclink._files import output_path, save
@@ -144,14 +145,7 @@ def identify(
         return _transfer_function(Path(data[0]), str(structure), place, options)
     if kind == "motor":
         return _motor(data[0], rig, options)
-    if rig is None:
-        raise FieldError(
-            "rig",
-            None,
-            "missing",
-            allowed="a rig",
-            remedy="give --rig rig.toml, or --rig paper-2023",
-        )
+    rig = required("rig", rig, "a rig", "give --rig rig.toml, or --rig paper-2023")
     if kind == "several links":
         return _several(data, rig, structure, options)
     place = output_path(out or "model.json", force=force)
@@ -186,27 +180,27 @@ def _link(
     """One log of a link."""
     with steps(3) as begin:
         begin("reading the log")
-        known = load_rig_for_logs(rig)
+        stated = load_rig_for_logs(rig)
         (experiment,) = load_logs(
-            [log], known, options["payload"], options["column"], **READING.of(options)
+            [log], stated, options["payload"], options["column"], **READING.of(options)
         )
+        # A rig with blanks has no limits, no stiffness and no length.
+        known, stiffness = whole(stated), None
         begin("examining the log")
         # A model fits a reversed gauge as well as a right one.
-        doubts = errors_of(diagnose(experiment, whole(known)))
+        doubts = errors_of(diagnose(experiment, known))
         begin(f"fitting {structure or 'every structure'}")
-        rig_in_full = whole(known)
         # A deflection log cannot show the stiffness: of Γ = c (θm − θt) every c fits as
         # well. A torque log measures it.
-        given = rig_in_full is not None and experiment.output_kind == "deflection"
-        stiffness = rig_in_full.link.stiffness if given and rig_in_full else None
+        if known is not None and experiment.output_kind == "deflection":
+            stiffness = known.link.stiffness
         fit = identification.identify(
             experiment, structure, heldout=options["heldout"], stiffness=stiffness
         )
     fit.save(out)
-    # A rig with blanks has no length and mass that the model could contradict.
-    if rig_in_full is not None:
+    if known is not None:
         # Each once, in the order in which they were found.
-        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(rig_in_full, fit.model))))
+        doubts = tuple(dict.fromkeys((*doubts, *doubts_of(known, fit.model))))
     following = f"fraclink design --rig {rig} --model {out}"
     if fit.model.payload is None:
         # `design` would take ω₀ from the rig.
@@ -238,19 +232,14 @@ def _motor(log: str, rig: str | None, options: dict[str, Any]) -> Answer:
     motor without a link.
     """
     column = options["column"]
+    if not column:
+        remedy = "give --rig, or --column for time, motor_angle and voltage"
+        rig = required("rig", rig, "a rig, or the columns", remedy)
     known = None if rig is None else load_rig(rig)
-    if known is None and not column:
-        raise FieldError(
-            "rig",
-            None,
-            "missing",
-            allowed="a rig, or the columns",
-            remedy="give --rig, or --column for time, motor_angle and voltage",
-        )
     # --column describes a log on its own: mixed with the rig's mapping, two columns
     # would claim one role.
-    columns = drive_columns(column) if column else known.log if known else None
-    experiment = read_log(log_path(log), columns=columns)
+    columns = drive_columns(column) if column else None
+    experiment = read_log(log_path(log), rig=known, columns=columns)
     if experiment.voltage is None:
         raise LogError(
             "log",
@@ -292,26 +281,17 @@ def _load(log: Experiment, rig: Rig | None) -> NDArray[np.float64] | None:
 def _response(table: str, columns: list[str] | None) -> FrequencyResponse:
     """A table of gain and phase, its columns as `read_frequency_response` takes them."""
     named = any("=" in text for text in columns or ())
-    return read_frequency_response(
-        table, _named("column", columns) if named else columns or None
-    )
+    stated = _named("column", columns) if named else columns
+    return read_frequency_response(table, stated or None)
 
 
 def _driven(table: str, rig: str, out: Path, options: dict[str, Any]) -> Answer:
     """Link and motor, of a frequency response from the amplifier's voltage."""
     known = load_rig(rig)
-    output = options["output"] or "motor_angle"
-    if output not in ("motor_angle", "torque"):
-        raise FieldError(
-            "output",
-            output,
-            "unknown",
-            allowed="motor_angle or torque",
-            remedy="name what was measured",
-        )
+    # The function itself refuses any other output.
     fit = identification.identify_driven_link(
         _response(table, options["column"]),
-        output=cast(Literal["motor_angle", "torque"], output),
+        output=options["output"] or "motor_angle",
         band=options["band"],
     )
     if not fit.passed:
@@ -332,7 +312,7 @@ def _transfer_function(
     frequency response where no column is named.
     """
     input, output, period_ms = options["input"], options["output"], options["period_ms"]
-    ring_down, fix, bound = options["ring_down"], options["fix"], options["bound"]
+    ring_down = options["ring_down"]
     measured: Recording | FrequencyResponse
     if input is None and output is None:
         refuse_beside(
@@ -341,8 +321,9 @@ def _transfer_function(
             period_ms=period_ms,
             ring_down=ring_down or None,
         )
-        table = _response(str(data), options["column"])
-        measured = table.between(*options["band"]) if options["band"] else table
+        measured = _response(str(data), options["column"])
+        if options["band"]:
+            measured = measured.between(*options["band"])
     else:
         refuse_beside(
             "--input and --output",
@@ -352,29 +333,23 @@ def _transfer_function(
         )
         if ring_down:
             refuse_beside("--ring-down", "an output alone", input=input)
-        # A ring-down has no input: its output stands for it until the next line takes
-        # it away.
-        channels = named_channels(output if ring_down else input, output)
-        period = in_seconds(period_ms)
-        measured = read_recording(data, *channels, period=period)
+            # Its output stands for the input until the next line takes it away.
+            input = output
+        channels = named_channels(input, output)
+        measured = read_recording(data, *channels, period=in_seconds(period_ms))
         if ring_down:
             swing = (measured.period, measured.output)
             measured = Recording.ring_down(
                 *swing, source=measured.source, sha256=measured.sha256
             )
+    fixed, bounds = _named("fix", options["fix"]), _named("bound", options["bound"])
     with steps(1) as begin:
         begin("fitting the structure")
         fit = identification.identify_structure(
             measured,
             structure,
-            fixed={
-                name: _numbers("fix", text, 1)[0]
-                for name, text in _named("fix", fix).items()
-            },
-            bounds={
-                name: _numbers("bound", text, 2)
-                for name, text in _named("bound", bound).items()
-            },
+            fixed={name: _numbers("fix", text, 1)[0] for name, text in fixed.items()},
+            bounds={name: _numbers("bound", text, 2) for name, text in bounds.items()},
         )
     fit.save(out)
     return Answer(fit, fit.passed, written=(out,))

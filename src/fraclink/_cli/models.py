@@ -26,7 +26,7 @@ from fraclink._cli.options import (
     load_rig,
     load_rig_for_logs,
     log_path,
-    required_model,
+    required,
     whole,
 )
 from fraclink._reading.reading import inspect_log
@@ -145,7 +145,8 @@ def record(
     """
     known = load_rig(rig)
     # Said before the twin is built, whose own error would speak of damping.
-    required_model(known)  # the twin takes its damping from there
+    remedy = "give a rig with [model], or make it one with `fraclink identify`"
+    required("model", known.model, "a model of the link", remedy)
     reference = _excitation(excitation, amplitude, duration)
     arm = Twin.from_rig(known, payload=payload, link_mass=link_mass)
     # Both ends: a log of 20 s has a sample at 20 s.

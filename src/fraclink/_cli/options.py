@@ -7,7 +7,7 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -19,10 +19,9 @@ from fraclink._arm.reference import Reference, smooth_step
 from fraclink._arm.rig import Rig
 from fraclink._cli.command import Keywords
 from fraclink._design import Design
-from fraclink._files import kind_of, load
+from fraclink._files import load
 from fraclink._identify import Fit
 from fraclink._law.design import Specification
-from fraclink._law.estimator import PayloadEstimator
 from fraclink._reading.reading import bundled_log, read_log
 from fraclink._reading.responses import read_reference
 from fraclink._simulate import geared
@@ -30,6 +29,7 @@ from fraclink.errors import FieldError
 from fraclink.findings import Finding, errors_of
 from fracsys import checks as ranges
 
+T = TypeVar("T")
 BUNDLED_LOG = "prbs_30g"  # simulated by the twin; its header says so
 
 LogName = Annotated[
@@ -62,7 +62,8 @@ BoxFlag = Annotated[
 SeedNumber = Annotated[ranges.Seed, "Seed of the noise"]
 # None where it is not given, so that it can be refused beside what takes its place
 Amplitude = Annotated[float | None, "Size of the move [rad]; default: 1"]
-MoveTime = Annotated[float | None, "Time of the move [s]; default: 1"]
+MOVE_TIME = ranges.Between(1e-9, 1e9, "s")
+MoveTime = Annotated[float | None, MOVE_TIME, "Time of the move; default: 1"]
 ReferenceFile = Annotated[
     Path | None,
     "Move of `fraclink shape`, or a table, to follow instead of --amplitude and --move-time",
@@ -96,18 +97,23 @@ def as_stated(options: Mapping[str, Any]) -> str:
     """The options that were given, as words of the next command, each behind a space."""
     words: list[str] = []
     for name, value in options.items():
-        if value is None or value is False:
-            continue
-        flag = f"--{name.replace('_', '-')}"
         # Of an option that may be repeated each value has its flag.
         for each in value if isinstance(value, list) else [value]:
-            parts = each if isinstance(each, tuple) else () if each is True else (each,)
-            # Six digits, as people give them: the words are pasted and compared by eye.
-            words += [
-                flag,
-                *(f"{x:g}" if isinstance(x, float) else str(x) for x in parts),
-            ]
-    return "".join(f" {shlex.quote(word)}" for word in words)
+            if each is not None and each is not False:
+                words.append(f"--{name.replace('_', '-')}")
+                words += map(_as_written, each if isinstance(each, tuple) else (each,))
+    return "".join(f" {shlex.quote(word)}" for word in words if word)
+
+
+def _as_written(value: object) -> str:
+    # Six digits, as people give them: the words are pasted and compared by eye.
+    return (
+        f"{value:g}"
+        if isinstance(value, float)
+        else ""
+        if value is True
+        else str(value)
+    )
 
 
 def in_radians(angle_deg: float | None) -> float | None:
@@ -120,19 +126,12 @@ def in_seconds(time_ms: float | None) -> float | None:
     return None if time_ms is None else time_ms / 1e3
 
 
-def load_rig(
-    name: str, *, link_mass: float | None = None, model: Path | None = None
-) -> Rig:
-    """Return the rig of a file, or the bundled one of that name, with the mass and the
-    model given.
-    """
+def load_rig(name: str, *, link_mass: float | None = None) -> Rig:
+    """Return the rig of a file, or the bundled one of that name, with the mass given."""
     rig = Rig.load(Path(name)) if _is_path(name) else Rig.named(name)
-    rig = (
-        rig
-        if link_mass is None
-        else replace(rig, link=replace(rig.link, mass=link_mass))
-    )
-    return rig if model is None else replace(rig, model=load_link_model(model, rig))
+    if link_mass is not None:
+        rig = replace(rig, link=replace(rig.link, mass=link_mass))
+    return rig
 
 
 def _is_path(name: str) -> bool:
@@ -155,44 +154,23 @@ def whole(rig: Rig | RigDraft) -> Rig | None:
     return rig if isinstance(rig, Rig) else None
 
 
-def required_model(rig: Rig) -> LinkModel:
-    """Return the rig's model, or FieldError that names the option which gives one."""
-    if rig.model is None:
-        raise FieldError(
-            "model",
-            None,
-            "missing",
-            allowed="a model of the link",
-            remedy="give --model model.json, or add [model] to the rig file",
-        )
-    return rig.model
+def load_link_model(
+    path: Path | None, rig: Rig
+) -> tuple[LinkModel | None, tuple[Finding, ...]]:
+    """Return the model of a file of `identify` or `design`, None where none is given,
+    and the gates that its fit or its design failed.
 
-
-def load_link_model(path: Path | None, rig: Rig | None = None) -> LinkModel | None:
-    """Return the model of a file of `identify` or `design`; None where none is given.
-
-    Of a fit it is the one that the loop of `rig` meets, where that is given
-    (`Fit.loop_model`).
+    Of a fit it is the one that the loop of `rig` meets (`Fit.loop_model`).
     """
     if path is None:
-        return None
-    kind = kind_of(path)
-    if kind == "fit" and rig is not None:
-        return Fit.load(path).loop_model(rig)
-    # A design carries the model it was made for: who kept only design.json can go on.
-    if kind == "design":
-        return Design.load(path).model
-    found: Fit | LinkModel = load(path, (Fit, LinkModel))
-    return found.model if isinstance(found, Fit) else found
-
-
-def load_doubts(path: Path | None) -> tuple[Finding, ...]:
-    """The gates that the fit or the design of a model file failed."""
+        return None, ()
+    found: Any = load(path, (Fit, Design, LinkModel))
     # A bare model, as from a spectrum, has no gates that could have failed.
-    if path is None or (kind := kind_of(path)) not in ("fit", "design"):
-        return ()
-    found: Fit | Design = Design.load(path) if kind == "design" else Fit.load(path)
-    return errors_of(found.findings)
+    if isinstance(found, LinkModel):
+        return found, ()
+    # A design carries the model it was made for: who kept only design.json can go on.
+    model = found.model if isinstance(found, Design) else found.loop_model(rig)
+    return model, errors_of(found.findings)
 
 
 def doubts_of_move(made: Design, *payloads: float | None) -> tuple[Finding, ...]:
@@ -234,11 +212,15 @@ def reference_of(
             move_time=move_time,
         )
         return read_reference(path)
-    # Under the option's own name: a reference calls it its duration.
-    time = ranges.Between(1e-9, 1e9, "s").check(
-        "move_time", usual_time if move_time is None else move_time
-    )
+    time = usual_time if move_time is None else move_time
     return smooth_step(1.0 if amplitude is None else amplitude, duration=time)
+
+
+def required(name: str, value: T | None, allowed: str, remedy: str) -> T:
+    """Return the value of an option; FieldError where it was not given."""
+    if value is None:
+        raise FieldError(name, None, "missing", allowed=allowed, remedy=remedy)
+    return value
 
 
 def refuse_beside(option: str, instead: str, **given: object) -> None:
@@ -300,26 +282,10 @@ def log_path(name: str) -> Path:
     return bundled_log(BUNDLED_LOG) if name == "demo" else Path(name)
 
 
-def told_or_estimated(
-    made: Design, told: float, estimate: bool
-) -> float | PayloadEstimator:
-    """What `simulate` takes for --told and --estimate; FieldError where both are given."""
-    if not estimate:
-        return told
-    # A payload of 0 is none, so that --told 0 beside --estimate is no contradiction.
-    refuse_beside("--estimate", "the payload that the law estimates", told=told or None)
-    return made.estimator()
-
-
 def named_channels(input: str | None, output: str | None) -> tuple[str, str]:
     """Both columns of a recording; FieldError where one of them is not named."""
-    for name, column in {"input": input, "output": output}.items():
-        if column is None:
-            raise FieldError(
-                name,
-                None,
-                "missing",
-                allowed="the name of a column",
-                remedy="a recording needs both, anything else none of them",
-            )
-    return str(input), str(output)
+    column, both = "the name of a column", "a recording needs both, anything else none"
+    return (
+        required("input", input, column, f"{both} of them"),
+        required("output", output, column, f"{both} of them"),
+    )

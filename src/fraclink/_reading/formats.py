@@ -31,7 +31,6 @@ _MAGIC = (
     (0, b"MATLAB 7.3", "HDF5"),
     (0, b"\x89HDF\r\n\x1a\n", "HDF5"),
     (512, b"\x89HDF\r\n\x1a\n", "HDF5"),
-    (0, b"PAR1", "Parquet"),
     (0, b"TDSm", "TDMS"),
     (0, b"\x93NUMPY", "NumPy"),
     (0, b"\x89MCAP0\r\n", "ROS 2"),
@@ -42,6 +41,7 @@ _FOREIGN = (
     (b"\x1f\x8b", "gzip"),
     (b"\xd0\xcf\x11\xe0", "an old spreadsheet"),
     (b"%PDF", "PDF"),
+    (b"PAR1", "Parquet"),
     (b"\x80\x04", "pickle"),
     (b"{", "JSON"),
     (b"<", "HTML or XML"),
@@ -51,7 +51,6 @@ _PROMISED = {
     ".mat": ("MAT v5", "HDF5"),
     ".h5": ("HDF5",),
     ".hdf5": ("HDF5",),
-    ".parquet": ("Parquet",),
     ".tdms": ("TDMS",),
     ".npy": ("NumPy",),
     ".mcap": ("ROS 2",),
@@ -62,7 +61,7 @@ _PROMISED = {
 
 
 def sniffed_kind(path: Path) -> str:
-    """The format of the file at `path`: text, MAT v5, HDF5, Parquet, TDMS, NumPy or ROS
+    """The format of the file at `path`: text, MAT v5, HDF5, TDMS, NumPy or ROS
     2.
 
     Raises FileFormatError where its content holds no log, or is of another format than
@@ -84,7 +83,7 @@ def sniffed_kind(path: Path) -> str:
     foreign = next((name for magic, name in _FOREIGN if head.startswith(magic)), "")
     promised = _PROMISED.get(path.suffix.lower(), (kind,))
     if foreign:
-        known = "text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2, MCAP"
+        known = "text, MAT, HDF5, TDMS, NumPy, rosbag2, MCAP"
         raise _other(path, f"{foreign} by its content", known, "export it as CSV")
     if kind not in promised:
         remedy = "it is damaged, or its name has the wrong ending"

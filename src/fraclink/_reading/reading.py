@@ -97,7 +97,7 @@ def read_log(
     resample: bool = False,
     interpolate: bool = False,
 ) -> Experiment:
-    """Read a recorded log: CSV and other text, MAT, HDF5, Parquet, TDMS, NumPy, rosbag2
+    """Read a recorded log: CSV and other text, MAT, HDF5, TDMS, NumPy, rosbag2
     or MCAP.
 
     Which column is what, in which unit and with which sign, is stated and never

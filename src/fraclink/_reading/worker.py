@@ -186,65 +186,6 @@ def _flat(name: str, value: object, depth: int) -> Iterator[RawColumn]:
             yield from _flat(f"{label}.{field}", element[field], depth - 1)
 
 
-def read_parquet(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
-    """Every numeric column; a column's metadata ``unit`` gives its unit."""
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError as error:
-        raise MissingExtraError("pyarrow", "io") from error
-
-    # A pool of threads reserves more address space than the child has.
-    pa.set_cpu_count(1)
-    with path.open("rb") as stream:
-        file = parquet.ParquetFile(stream)
-        check_size(
-            file.metadata.num_rows * file.metadata.num_columns,
-            file.metadata.num_columns,
-        )
-        table = file.read(use_threads=False)
-    columns = []
-    for field in table.schema:
-        # -1 where two columns share the name: neither can be asked for, and neither is
-        # a signal of the log.
-        single = int(table.schema.get_field_index(field.name)) >= 0
-        values = _values(table.column(field.name), field.type) if single else None
-        if values is not None:
-            unit = (
-                (field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace")[:20]
-            )
-            columns.append(
-                RawColumn(
-                    field.name,
-                    "s" if pa.types.is_timestamp(field.type) else unit,
-                    values,
-                )
-            )
-    return columns, {}
-
-
-def _values(column: Any, kind: Any) -> Any:
-    import pyarrow as pa
-
-    if pa.types.is_timestamp(kind):
-        stamps = column.cast(pa.timestamp("ns")).cast(pa.int64()).to_numpy()
-        # Nanoseconds since 1970 do not fit a float64; since the first stamp they do.
-        return (
-            (stamps - stamps[0]) * 1e-9
-            if column.null_count == 0 and len(stamps)
-            else None
-        )
-    if (
-        pa.types.is_integer(kind)
-        or pa.types.is_floating(kind)
-        or pa.types.is_boolean(kind)
-    ):
-        return np.asarray(
-            column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64
-        )
-    return None
-
-
 # --- ROS 2: rosbag2 folders, .db3 and .mcap, without ROS -------------------------------------------------
 
 
@@ -383,7 +324,6 @@ def read_npy(path: Path) -> tuple[list[RawColumn], dict[str, str]]:
 PARSERS: dict[str, Callable[[Path], tuple[list[RawColumn], dict[str, str]]]] = {
     "MAT v5": read_mat5,
     "HDF5": read_hdf5,
-    "Parquet": read_parquet,
     "TDMS": read_tdms,
     "NumPy": read_npy,
     "ROS 2": read_ros,

@@ -25,6 +25,7 @@ from typing import (
     get_args,
     get_origin,
     get_type_hints,
+    is_typeddict,
 )
 
 import numpy as np
@@ -72,12 +73,18 @@ class Parameter:
 
 
 def parameters(target: Callable[..., Any]) -> dict[str, Parameter]:
-    """Return the annotated arguments of a function, or fields of a dataclass.
+    """Return the annotated arguments of a function, or fields of a dataclass or
+    TypedDict.
 
     >>> list(parameters(Between))[:3], parameters(Between)["low"].rule.expected
     (['low', 'high', 'unit'], 'a finite number')
     """
     hints = get_type_hints(target, include_extras=True)
+    if is_typeddict(target):
+        way = inspect.Parameter.KEYWORD_ONLY
+        return {
+            name: Parameter(name, x, rule(x), None, way) for name, x in hints.items()
+        }
     signature = inspect.signature(target).parameters
     return {
         name: Parameter(name, hints[name], rule(hints[name]), each.default, each.kind)
