@@ -138,7 +138,7 @@ def _option(parameter: Parameter) -> inspect.Parameter:
     text, expected = _mark(parameter, str) or "", parameter.rule.expected
     info.help = text.rstrip(".")
     info.help += f", {expected}" if expected != rule(kind).expected else ""
-    repeated = list in map(get_origin, get_args(kind))
+    repeated = any(get_origin(part) is list for part in get_args(kind))
     info.help += "; may be repeated." if repeated else "."
     if isinstance(info, OptionInfo) and not info.param_decls:
         word = parameter.name.replace("_", "-")

@@ -215,10 +215,10 @@ def steps(total: int) -> Iterator[Callable[..., None]]:
         bar = progress.add_task("", total=total + 1)
 
         def begin(name: str, done: int | None = None) -> None:
-            place = (
-                {"advance": 1} if done is None else {"completed": done, "total": total}
-            )
-            progress.update(bar, description=clean(name), **place)
+            # None leaves the bar where it is.
+            end = None if done is None else total
+            progress.update(bar, description=clean(name), completed=done, total=end)
+            progress.advance(bar, 1 if done is None else 0)
 
         yield begin
 
