@@ -93,3 +93,16 @@ def test_what_slows_the_motor_loop_is_named() -> None:
     )
     assert "encoder is coarse" in named and "late" not in named
     assert "the voltage acts" in said(vibration(), motor=motor(4 * PERIOD))
+
+
+@pytest.mark.slow
+def test_what_holds_a_motor_that_hunts_is_named() -> None:
+    found = motor(0.0)
+    for friction, zone, named in (
+        (0.5, 0.1, "the motor sticks"),
+        (0.3, 0.8, "the amplifier has a dead zone"),
+    ):
+        fit = replace(found.fit, coulomb_voltage=friction, dead_zone=zone)
+        given = {"motor": replace(found, fit=fit)}
+        assert named in said(vibration(), hunts=True, **given)
+        assert said(vibration(), **given) == ""

@@ -57,14 +57,13 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     assert wiring.encoder_noise < 1e-3 and wiring.gauge_noise == pytest.approx(
         RIG.gauge.noise, rel=0.2
     )
-    assert motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.03)
-    assert motor.fit.decay == pytest.approx(RIG.motor.decay, rel=0.1)
-    assert motor.fit.standard_errors["gain"] < 0.02 * motor.fit.gain
+    # Its own moves show it as well as the loop needs, and those of the link the rest.
+    assert motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.15)
+    assert link.motor.fit.gain == pytest.approx(RIG.motor.gain, rel=0.03)
+    assert link.motor.fit.decay == pytest.approx(RIG.motor.decay, rel=0.1)
     assert (motor.gain.gain, motor.gain.decay) == (motor.fit.gain, motor.fit.decay)
     assert motor.friction == motor.fit.coulomb_voltage + motor.fit.dead_zone
-    assert (
-        motor.loop.pole == 60.0 and motor.rounds >= 2
-    )  # one round alone is never believed
+    assert link.motor.loop.pole == 60.0
     assert link.fit.model.order == pytest.approx(1.92, abs=0.003)
     assert link.fit.passed and shortfall(link.fit) <= 1.0
     # In the gauge's units: it reads curvature, and the twin's moment on the hub is D =
@@ -76,8 +75,8 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
     assert link.motor.fit.inertia == pytest.approx(hub / stiffened, rel=0.03)
     ((reach, duration, error),) = link.rounds
     assert (reach, error) == (0.1, link.fit.standard_errors["order"])
-    # Ten vibrations, and a rest on either side.
-    assert duration == pytest.approx(10 * 2 * np.pi / 11.9, abs=1.0)
+    # Four seconds, and a rest on either side.
+    assert duration == pytest.approx(4.5, abs=0.5)
     record = made.record
     for column, most in (
         (1, LIMITS.angle),
@@ -86,7 +85,7 @@ def test_the_stages_find_what_the_arm_is_made_of(stages: Stages) -> None:
         (4, LIMITS.voltage),
     ):
         assert np.abs(record[:, column]).max() <= 0.8 * most
-    assert guard.count * PERIOD < 45.0
+    assert guard.count * PERIOD < 25.0
 
 
 @pytest.mark.slow
@@ -430,9 +429,9 @@ def test_the_motor_behind_a_late_gauge_is_that_behind_a_prompt_one() -> None:
         guard = guarded(own.callback)
         wiring = check_wiring(guard, None)
         first = tune_motor(guard, wiring)
-        link, _ = tune_link(guard, wiring, first, 0.030)
+        link = tune_link(guard, wiring, first, 0.030)
         if not link.fit.passed:  # then the next experiment is twice as long
-            link, _ = tune_link(guard, wiring, first, 0.030, longer=2.0)
+            link = tune_link(guard, wiring, first, 0.030, longer=2.0)
         assert link.fit.passed
         assert link.fit.model.gauge_delay == pytest.approx(delay, abs=0.001)
         motors.append(link.motor)

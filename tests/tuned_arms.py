@@ -40,6 +40,6 @@ def staged() -> Stages:
     guard.learn(wiring.gain, wiring.delay)
     motor = tune_motor(guard, wiring)
     guard.learn(motor.fit.gain, motor.fit.delay)
-    link, _ = tune_link(guard, wiring, motor, 0.030)
+    link = tune_link(guard, wiring, motor, 0.030)
     guard.release()
     return made, guard, wiring, motor, link

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from fraclink._arm.experiment import Experiment
 from fraclink._design import Design
@@ -23,7 +23,7 @@ from fraclink.lab._machine import measure_wake_ups, signals_held
 from fraclink.lab._tune_build import Built, built_laws, measured_rig, planned_move
 from fraclink.lab._tune_causes import causes
 from fraclink.lab._tune_guard import Guard, LimitReached
-from fraclink.lab._tune_link import LinkResult, shortfall, tune_link
+from fraclink.lab._tune_link import FAR_OFF, LinkResult, shortfall, tune_link
 from fraclink.lab._tune_motion import LawTripped
 from fraclink.lab._tune_motor import tune_motor
 from fraclink.lab._tune_moves import first_moves
@@ -33,8 +33,6 @@ from fracsys.checks import Between, checked
 
 __all__ = ["tune"]
 
-Found = TypeVar("Found")
-
 # A repeated experiment is twice as long, and its errors 0.7 of the first one's: what
 # three do not show is not a matter of length.
 EXPERIMENTS = 3  # at most, where a gate or the proof fails
@@ -42,11 +40,6 @@ LAWS = 3  # that the arm is moved with at most: each takes a quarter of a minute
 # A minute and a half is what a person stays at the emergency stop for without looking
 # away.
 _PATIENCE = 90.0  # [s] of motion, at most, with the experiment that comes next
-# times the errors that suffice: less of an excess is in the box, and costs a degree of
-# margin
-_FAR_OFF = 2.0
-# of the planned motion, where that reaches a limit: a torque falls with size and speed
-_SIZES = (1.0, 0.5, 0.25)
 _FEW_LOST = 0.01  # of the samples, as for a record of `run-realtime`
 # First guesses of the same arm differ by a tenth; half the payload moves ω₀ by 41 %,
 # another gear K/J by more. of the first guesses, which scatter by a tenth, between a
@@ -217,9 +210,7 @@ class _Session:
             return
         self._write(guard, wiring=wiring)
         self.begin("motor")
-        motor = self._within_limits(
-            guard, partial(tune_motor, guard, wiring), wiring.gauge_noise
-        )
+        motor = tune_motor(guard, wiring, self._told)
         self._tell((str(motor),))
         self._write(guard, motor=motor)
         guard.learn(motor.fit.gain, motor.fit.delay)
@@ -257,6 +248,9 @@ class _Session:
             if not why:
                 return
             self._withhold(guard, why)
+            # What hunts is the motor in its loop, which is that of every law.
+            if self._hunts:
+                return
 
     def _refusal(self, guard: Guard, built: Built) -> str:
         """Make the first moves, and return why the arm refuses the law, "" where it
@@ -315,15 +309,14 @@ class _Session:
         for attempt in itertools.count(1):
             self.begin("link" if attempt == 1 else f"link, experiment {attempt}")
             assert self.state.motor is not None  # measured  # noqa: S101
-            excite = partial(
-                tune_link,
+            link = tune_link(
                 guard,
                 wiring,
                 self.state.motor,
                 plan.payload,
                 longer=1.0 if attempt == 1 else 2.0,
+                tell=self._told,
             )
-            link, _ = self._within_limits(guard, excite, wiring.gauge_noise)
             self._tell(tuple(str(link.fit).splitlines()))
             again = link.motor
             self._tell((f"motor, with the link's torque: {again}",))
@@ -355,22 +348,6 @@ class _Session:
             self.begin(f"{built.reasons[0]}; the next experiment is twice as long")
         return link, built, laws
 
-    def _within_limits(
-        self, guard: Guard, stage: Callable[..., Found], noise: float
-    ) -> Found:
-        """What a stage finds; where its own motion reaches a limit, at a half and then
-        at a quarter of its size.
-        """
-        for size in _SIZES:
-            try:
-                return stage(size=size)
-            except LimitReached as error:
-                if size == _SIZES[-1]:
-                    raise
-                self._tell((f"{error}; once more, half as large",))
-                guard.recover(noise)
-        raise AssertionError
-
     def _causes(self, guard: Guard) -> tuple[str, ...]:
         """What the record shows against a law."""
         state = self.state
@@ -384,7 +361,12 @@ class _Session:
             if state.link is not None and state.link.fit.passed
             else None,
             self.plan.limits.voltage,
+            self._hunts,
         )
+
+    @property
+    def _hunts(self) -> bool:
+        return any(move.hunts for move in self.state.moves)
 
     def _wrote(self, guard: Guard, built: Built, link: LinkResult) -> None:
         """Write what came of the model, each part to its own file."""
@@ -472,7 +454,10 @@ class _Session:
 
     def _tell(self, lines: tuple[str, ...]) -> None:
         for line in lines:
-            self.begin(f"  {line}")
+            self._told(line)
+
+    def _told(self, line: str) -> None:
+        self.begin(f"  {line}")
 
 
 def _lateness(guard: Guard) -> str:
@@ -493,4 +478,4 @@ def _worth_repeating(built: Built, link: LinkResult) -> bool:
     """
     return (built.design is None and not link.fit.passed) or shortfall(
         link.fit
-    ) > _FAR_OFF
+    ) > FAR_OFF

@@ -1,5 +1,6 @@
 """Why an arm gets no law, as its record shows it: a gauge that clips, a coarse encoder, a
-late voltage, a late gauge, a long period; and the domain that follows from these.
+late voltage, a motor that sticks, a late gauge, a long period; and the domain that
+follows from these.
 """
 
 from __future__ import annotations
@@ -33,11 +34,13 @@ def causes(
     motor: MotorResult | None,
     link: LinkModel | None,
     voltage: float,
+    hunts: bool = False,
 ) -> tuple[str, ...]:
     """Sentences, each a cause that can be seen and what helps; `voltage` is the limit
-    [V].
+    [V], and `hunts` whether a move did not come to rest.
     """
     return (
+        *(_sticking(motor, record.period) if motor is not None and hunts else ()),
         *_clipping(record.torque, wiring.gauge_noise),
         *_long_period(
             wiring.natural_frequency if link is None else abs(link.pole), record.period
@@ -84,6 +87,24 @@ def _slow_loop(
             "from the sample to the voltage, helps"
         )
     return tuple(found)
+
+
+def _sticking(motor: MotorResult, period: float) -> tuple[str, ...]:
+    """What holds a motor that stops and slips: its friction, or its amplifier's dead
+    zone, whichever is more.
+    """
+    fit = motor.fit
+    # Before the integral has turned the voltage round, an error of that angle gives no
+    # motion.
+    slip = motor.friction / motor.loop.pid(motor.gain, period).stiffness
+    dead = fit.dead_zone > fit.coulomb_voltage
+    cause = "the amplifier has a dead zone" if dead else "the motor sticks"
+    return (
+        f"{cause}: {fit.dead_zone:.2g} V of dead zone and {fit.coulomb_voltage:.2g} V of friction hold the motor "
+        f"until it is {math.degrees(slip):.2g}° off, and it slips by as much again and again; "
+        + ("an amplifier without one" if dead else "less friction")
+        + ", or no play in the gear, helps",
+    )
 
 
 def _long_period(resonance: float, period: float) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from fraclink.lab._line import ArmLine, Reading
 from fracsys.checks import Between, checked
 
 Opened = Callable[[], AbstractContextManager[tuple[ArmLine, Reading]]]
+Found = TypeVar("Found")
 
 __all__ = ["Guard", "LimitReached", "MotionLimits", "Record"]
 
@@ -39,6 +40,8 @@ _SPEED_SAMPLES = (
     2  # over which speed is taken: a longer mean would miss a fast vibration
 )
 _PUSHED = 0.8  # of the speed limit, that no voltage may drive the motor beyond
+# of the planned motion, where that reaches a limit: a torque falls with size and speed
+_SIZES = (1.0, 0.5, 0.25)
 
 
 class LimitReached(FraclinkError):
@@ -246,9 +249,26 @@ class Guard:
         ):
             self.rest(_QUIET / 4)
 
-    def recover(self, noise: float) -> None:
+    def sized(
+        self,
+        motion: Callable[[float], Found],
+        noise: float,
+        tell: Callable[[str], None],
+    ) -> tuple[Found, float]:
+        """What a motion gives, and its size: 1, or where it reaches a limit a half, and
+        then a quarter; `noise` of the gauge [N·m].
+        """
+        for size in _SIZES[:-1]:
+            try:
+                return motion(size), size
+            except LimitReached as error:
+                tell(f"{error}; once more, half as large")
+                self._recover(noise)
+        return motion(_SIZES[-1]), _SIZES[-1]
+
+    def _recover(self, noise: float) -> None:
         """Switch the drive off and wait behind a limit, unguarded as nothing is driven,
-        until the arm rests; `noise` of the gauge [N·m].
+        until the arm rests.
         """
         self.release()
         self._driven = False

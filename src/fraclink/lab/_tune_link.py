@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,12 +35,15 @@ Real = NDArray[np.float64]
 __all__ = ["LinkResult", "experiment_of", "motor_again", "tune_link"]
 
 # Standard errors that suffice: their 95 % intervals are no wider than what an arm may
-# drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀, 3 % of the gauge's gain, 1 ms
-# of its delay.
-ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.5e-3}
+# drift by until `watch` says so, 0.01 of λ, 1.5 % of ω₀ and 3 % of the gauge's gain; a
+# delay turns the vibration's phase by as much as that error of λ does.
+ENOUGH = {"order": 0.006, "natural_frequency": 0.004, "gain": 0.015, "delay": 0.006}
 # Errors fall with the root of the length but with the amplitude itself: size is tried
 # first.
-_VIBRATIONS, _SHORTEST, _LONGEST = 10.0, 4.0, 16.0  # [s] of one excitation
+_SHORTEST, _LONGEST = 4.0, 16.0  # [s] of one excitation
+# times the errors that suffice: less of an excess is in the box, where it costs 3° of
+# phase, 2 · 3 · 0.006 π/2
+FAR_OFF = 3.0
 _LARGER = 3.0  # the most by which an excitation grows at once
 _LEAST = 0.1  # [rad], 5.7°: less than what the motor has been moved by before
 _ROUNDS = 2
@@ -74,98 +79,109 @@ def tune_link(
     payload: float,
     *,
     longer: float = 1.0,
-    size: float = 1.0,
-) -> tuple[LinkResult, Record]:
+    tell: Callable[[str], None] = lambda line: None,
+) -> LinkResult:
     """Excite the link until every standard error suffices, or the limits are reached.
 
     The first excitation is planned from all that was recorded before: of the last moves
     alone a slow link's second mode may look like its first. `longer` stretches every
-    excitation, for an experiment that is repeated; `size` below 1 makes every motion
-    smaller.
+    excitation, for an experiment that is repeated; `tell` is told where one reached a
+    limit, and is made again smaller.
     """
-    limits, period = guard.limits, guard.period
+    limits = guard.limits
     fit = _first_fit(guard.record())
     law = motor_law(motor.gain, motor.loop, guard, friction=motor.compensation)
-    reach, bit = _planned(fit, wiring, motor, guard)
-    reach, part = size * reach, size * PLANNED
+    duration = longer * _SHORTEST
+    reach, bit = _planned(fit, wiring, motor, guard, duration)
     rounds: list[tuple[float, float, float]] = []
-    resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
-    duration = longer * max(_VIBRATIONS * 2.0 * math.pi / resonance, _SHORTEST)
-    duration = min(duration, _LONGEST)
     for _ in range(_ROUNDS):
-        # The edge of a bit is as fast as the limits allow, and slow enough for the
-        # motor's loop to follow: a reference that saturates the voltage excites less
-        # than it says.
-        rise = max(
-            2 * 1.875 * reach / (part * limits.speed),
-            3.0 / motor.loop.pole,
-            6 * period,
-        )
-        # Fewer than eight bits may leave out the band in which the resonance lies.
-        bits = max(8, math.floor(duration / max(bit, 1.2 * rise)))
-        resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
-        calm(
-            guard,
-            law,
-            stiffness=abs(fit.gain) if fit else wiring.stiffness,
-            resonance=resonance,
-            noise=wiring.gauge_noise,
-            longest=_RINGING,
-        )
-        path = random_steps(
-            reach,
-            max(bit, 1.2 * rise),
-            rise,
-            bits,
-            period,
-            start=guard.connect_angle(),
-        )
-        record = follow(guard, law, path, origin=guard.origin)
-        fast = max(period, min(_BIT, _HALF / (_SECOND * resonance)))
-        whole = _shaken(guard, law, motor, guard.count - path.shape[1], size, fast)
+        motion = partial(_excited, guard, wiring, motor, law, fit, reach, bit, duration)
+        (record, whole), size = guard.sized(motion, wiring.gauge_noise, tell)
         guard.release()
         moves = experiment_of(record, payload)
         fit = _fitted(moves, experiment_of(whole, payload))
-        # Errors fall with the amplitude, so that the shortfall is the factor that is
-        # missing; a fifth more allows for their own scatter.
-        short = shortfall(fit)
+        short, reach = shortfall(fit), size * reach
         rounds.append(
             (reach, record.duration, fit.standard_errors.get("order", math.nan))
         )
-        if short <= 1.0 and fit.passed:
+        if fit.passed and short <= FAR_OFF:
             break
         most = min(
-            part * limits.angle / reach,
-            part * limits.torque / float(abs(record.torque).max()),
+            PLANNED * limits.angle / reach,
+            PLANNED * limits.torque / float(abs(record.torque).max()),
             PLANNED * limits.voltage / float(abs(record.voltage).max()),
         )
         # A tenth more of size is less than the errors' own scatter: another round would
         # cost time and change nothing.
         if most < 1.1 and duration >= _LONGEST:
             break
+        # Errors fall with the amplitude, so that the shortfall is the factor that is
+        # missing; a fifth more allows for their own scatter.
         grown = min(max(1.2 * short, 1.2), _LARGER, max(most, 1.0))
         # What the amplitude may not give, the length must: errors fall with its root.
         duration = min(duration * max(1.0, (1.2 * short / grown) ** 2), _LONGEST)
         reach *= grown
     assert fit is not None  # there was a round  # noqa: S101
-    return LinkResult(
-        fit, motor_again(motor, guard, wiring, fit), tuple(rounds)
-    ), record
+    return LinkResult(fit, motor_again(motor, guard, wiring, fit), tuple(rounds))
 
 
-def _shaken(
-    guard: Guard, law: Law, motor: MotorResult, start: int, size: float, bit: float
-) -> Record:
-    """The record from `start` on, with a burst at its end that shows the second mode;
-    `bit` [s].
+def _excited(
+    guard: Guard,
+    wiring: Wiring,
+    motor: MotorResult,
+    law: Law,
+    fit: Fit | None,
+    reach: float,
+    bit: float,
+    duration: float,
+    size: float,
+) -> tuple[Record, Record]:
+    """The record of a random sequence of `size` times its reach, and the same with a
+    burst at its end that shows the second mode.
     """
+    resonance = abs(fit.model.pole) if fit else wiring.natural_frequency
+    calm(
+        guard,
+        law,
+        stiffness=abs(fit.gain) if fit else wiring.stiffness,
+        resonance=resonance,
+        noise=wiring.gauge_noise,
+        longest=_RINGING,
+    )
+    path = _sequence(
+        guard, motor, size * reach, bit, duration, start=guard.connect_angle()
+    )
+    record = follow(guard, law, path, origin=guard.origin)
+    fast = max(guard.period, min(_BIT, _HALF / (_SECOND * resonance)))
     # What turns the motor by that speed within one bit; friction comes on top, or the
     # burst would not move it.
-    push = size * _PUSH * guard.limits.speed / (motor.fit.gain * bit)
+    push = size * _PUSH * guard.limits.speed / (motor.fit.gain * fast)
     voltage = min(motor.friction + push, PLANNED * guard.limits.voltage)
-    voltages = burst(voltage, bit, _BURST, guard.period)
+    voltages = burst(voltage, fast, _BURST, guard.period)
     follow(guard, law, np.zeros((2, voltages.size)), shaken=voltages)
-    return guard.record(start)
+    return record, guard.record(guard.count - path.shape[1] - voltages.size)
+
+
+def _sequence(
+    guard: Guard,
+    motor: MotorResult,
+    reach: float,
+    bit: float,
+    duration: float,
+    start: float = 0.0,
+) -> Real:
+    """A random sequence of ± `reach` [rad] for about `duration` [s]."""
+    # The edge of a bit is as fast as the limits allow, and slow enough for the motor's
+    # loop to follow: a reference that saturates the voltage excites less than it says.
+    rise = max(
+        2 * 1.875 * reach / (PLANNED * guard.limits.speed),
+        3.0 / motor.loop.pole,
+        6 * guard.period,
+    )
+    bit = max(bit, 1.2 * rise)
+    # Fewer than eight bits may leave out the band in which the resonance lies.
+    bits = max(8, math.floor(duration / bit))
+    return random_steps(reach, bit, rise, bits, guard.period, start=start)
 
 
 def _fitted(moves: Experiment, whole: Experiment) -> Fit:
@@ -249,14 +265,12 @@ def _ringing(fit: Fit, output: Real) -> Real:
 
 
 def shortfall(fit: Fit) -> float:
-    """The largest standard error over what suffices; relative errors where the table's
-    are.
-    """
+    """The largest standard error over what suffices."""
     errors, model = fit.standard_errors, fit.model
-    # ω₀ and gain relative, λ and the delay as they are: the table's own units.
+    # ω₀ and gain relative, the delay as the order whose phase j^λ it has at the vibration.
     scale = {
         "order": 1.0,
-        "delay": 1.0,
+        "delay": 0.5 * math.pi / abs(model.pole),
         "natural_frequency": model.natural_frequency,
         "gain": abs(fit.gain),
     }
@@ -310,10 +324,14 @@ def _first_fit(record: Record) -> Fit | None:
 
 
 def _planned(
-    fit: Fit | None, wiring: Wiring, motor: MotorResult, guard: Guard
+    fit: Fit | None,
+    wiring: Wiring,
+    motor: MotorResult,
+    guard: Guard,
+    duration: float,
 ) -> tuple[float, float]:
     """Amplitude [rad] and bit [s] of the first excitation: the smallest that is
-    expected to suffice.
+    expected to suffice in `duration` [s].
     """
     limits = guard.limits
     if fit is None:
@@ -333,15 +351,17 @@ def _planned(
             # for no motion at all.
             noise=max(wiring.gauge_noise, 1e-9),
             period=guard.period,
-            duration=_SHORTEST,
+            duration=duration,
             motor=known,
             deflection_limit=PLANNED * limits.torque / abs(fit.gain),
             motor_loop_pole=motor.loop.pole,
         )
     except InfeasibleError:
         return 0.05, math.pi / (0.7 * abs(fit.model.pole))
-    # Torque for each radian of the reference: it grows near the resonance, where the
-    # gauge's limit is met before the angle's.
-    bent = abs(fit.gain) * plan.peak_deflection / plan.amplitude
-    most = PLANNED * min(limits.angle, limits.torque / bent)
-    return min(max(1.5 * plan.amplitude, _LEAST), most), plan.bit
+    reach = min(max(1.5 * plan.amplitude, _LEAST), PLANNED * limits.angle)
+    # The very sequence on the model: near the resonance the gauge's limit is met before
+    # the angle's.
+    path = _sequence(guard, motor, reach, plan.bit, duration)
+    bent = simulated_torque(fit.model, path[0], guard.period, hold="first")
+    most = PLANNED * limits.torque / float(np.max(np.abs(bent)))
+    return reach * min(most, 1.0), plan.bit

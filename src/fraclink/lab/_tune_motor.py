@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from fraclink._arm.motor_loop import MotorGain, MotorLoop
 from fraclink._design.rows import NOISE_SHARE
 from fraclink._files import document
 from fraclink._identify import MotorFit, identify_motor
+from fraclink._law import Law
 from fraclink.errors import FraclinkError, LogError
 from fraclink.lab._tune_guard import PLANNED, Guard, Record
 from fraclink.lab._tune_motion import fastest_loop, follow, motor_law, random_moves
@@ -38,7 +40,9 @@ _SLOW, _FAST = (
     25.0,
     60.0,
 )  # [rad/s], at most: a faster loop takes more voltage for the same noise
-_ENOUGH = 0.02  # of K/J, standard error
+# of K/J, standard error: three of them lie within what the loop is placed for; the motor
+# is identified once more with all that moves the link
+_ENOUGH = (max(_SURE) - 1.0) / 3.0
 # of the friction that was identified: along a gear and after a rest it differs by a
 # fifth, and what is compensated beyond drives the motor by itself
 _COMPENSATED = 0.8
@@ -86,13 +90,14 @@ class MotorResult:
         )
 
 
-def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResult:
-    """Identify the motor with moves that grow until K/J is known to 2 %, and place its
-    loop.
+def tune_motor(
+    guard: Guard, wiring: Wiring, tell: Callable[[str], None] = lambda line: None
+) -> MotorResult:
+    """Identify the motor with moves that grow until K/J is known, and place its loop.
 
-    `size` below 1 makes every move smaller and slower.
+    `tell` is told where a move reached a limit, and is made again smaller.
     """
-    period = guard.period
+    period, limits = guard.period, guard.limits
     # Without its damping: more phase is lost than in truth, and the loop errs on the
     # slow side.
     guess = MotorGain(wiring.gain, 0.0)
@@ -100,39 +105,21 @@ def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResul
         guess, wiring.delay, period, ratios=_UNSURE, margin=_ROBUST, most=_SLOW
     )
     law = motor_law(guess, loop, guard)
-    limits = guard.limits
     # A quarter of what may be planned: until K/J is known the guard alone keeps the
     # speed.
-    part = size * PLANNED
-    reach, speed = min(size * _FIRST, part * limits.angle), part * limits.speed / 4
+    reach, speed = min(_FIRST, PLANNED * limits.angle), PLANNED * limits.speed / 4
     fit: MotorFit | None = None
     for number in range(1, _ROUNDS + 1):
-        # What is not compensated yet lets the arm lag: the moves are slow enough for
-        # the loop to follow.
-        fast = min(speed, 0.35 * loop.pole * reach)
-        # For the link's first fit, which takes the beginning of the record for rest.
-        guard.quiet(wiring.gauge_noise, _RINGING)
-        # From where a swinging link has left the motor, and about where it stood first.
-        path = random_moves(
-            reach, fast, 3.0, period, seed=number, start=guard.connect_angle()
-        )
-        record = follow(guard, law, path, origin=guard.origin)
+        motion = partial(_moved, guard, wiring, law, loop.pole, reach, speed, number)
+        record, size = guard.sized(motion, wiring.gauge_noise, tell)
+        reach, speed = size * reach, size * speed
         guard.release()
         # On every round: each tells a little more.
         with contextlib.suppress(LogError):
             fit = fitted_motor(guard.record(), wiring.gauge_delay, guard.starts)
-        most = min(
-            part * limits.angle / reach,
-            part * limits.torque / _peak(record.torque),
-        )
-        if (
-            fit is not None
-            and fit.standard_errors["gain"] < _ENOUGH * fit.gain
-            and fit.passed
-            and number > 1
-        ):
-            break
         if fit is not None:
+            if fit.passed and fit.standard_errors["gain"] < _ENOUGH * fit.gain:
+                break
             guess = MotorGain(fit.gain, max(fit.decay, 0.0))
             loop = fastest_loop(
                 guess, fit.delay, period, ratios=_UNSURE, margin=_ROBUST, most=2 * _SLOW
@@ -145,8 +132,12 @@ def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResul
             )
         # Not to the limit at once: the torque of a move grows with its speed as well as
         # with its size.
-        reach *= min(most, 1.8)
-        speed = min(part * limits.speed, 1.8 * speed)
+        reach *= min(
+            PLANNED * limits.angle / reach,
+            PLANNED * limits.torque / _peak(record.torque),
+            1.8,
+        )
+        speed = min(PLANNED * limits.speed, 1.8 * speed)
     if fit is None:
         raise FraclinkError(
             "the motor could not be identified: no stretches of 30 samples in one "
@@ -158,6 +149,30 @@ def tune_motor(guard: Guard, wiring: Wiring, *, size: float = 1.0) -> MotorResul
             f"the motor could not be identified: {fit.findings[0].message}"
         )
     return closed_motor(fit, guard, wiring, number)
+
+
+def _moved(
+    guard: Guard,
+    wiring: Wiring,
+    law: Law,
+    pole: float,
+    reach: float,
+    speed: float,
+    seed: int,
+    size: float,
+) -> Record:
+    """The record of some random moves, of `size` times their reach and speed."""
+    # For the link's first fit, which takes the beginning of the record for rest.
+    guard.quiet(wiring.gauge_noise, _RINGING)
+    # What is not compensated yet lets the arm lag: the moves are slow enough for the
+    # loop to follow.
+    fast = min(speed, 0.35 * pole * reach)
+    # From where a swinging link has left the motor, and about where it stood first.
+    here = guard.connect_angle()
+    path = random_moves(
+        size * reach, size * fast, 3.0, guard.period, seed=seed, start=here
+    )
+    return follow(guard, law, path, origin=guard.origin)
 
 
 def closed_motor(

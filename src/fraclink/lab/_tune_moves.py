@@ -26,6 +26,8 @@ Real = NDArray[np.float64]
 # Settling time [s], residual vibration [rad], and half the peak-to-peak motor angle in
 # the last two seconds [rad].
 Judged = tuple[float, float, float]
+# How far [rad], what was recorded, and what is judged of it.
+Made = tuple[float, Record, Judged]
 
 _BAND = 0.02  # of the move, as everywhere
 # times the gauge's white noise, as the loop colours it: a narrower band is left by
@@ -44,10 +46,7 @@ _RINGING = 4.0  # [s] at most in which the link is damped before a move
 _SPEED_TIME = 0.016  # [s] over which a speed is taken
 _LAST = 0.6  # [s] at the end of a record that show the noise and the final angle
 _REST = 2.0  # [s] at the end in which the motor should rest
-_HUNTS = (
-    ": hunts, the arm does not come to rest; friction that sticks, or play in the gear, keeps the motor "
-    "going back and forth"
-)
+_HUNTS = ": hunts, the motor goes back and forth and does not come to rest"
 
 
 @dataclass(frozen=True)
@@ -149,55 +148,47 @@ def first_moves(
     move: tuple[float, float],
 ) -> tuple[FirstMove, ...]:
     """Hand over from the motor's loop to the law, move at a tenth of the speed, then
-    back at full speed: `move` is its amplitude [rad] and duration [s].
+    back and forth at full speed: `move` is its amplitude [rad] and duration [s].
     """
     amplitude, duration = move
     # Of the full move for the slow one, too: of a smaller band friction and noise say
     # when it has settled.
-    band, found = _band(amplitude, design), []
+    band = _band(amplitude, design)
     # The slow move first: a law that is wrong shows it at a tenth of the speed.
-    for part, slower, times in ((_PART, _SLOW * _PART, 1), (1.0, 1.0, _TWICE)):
-        far, long = part * amplitude, slower * duration
-        simulated = (
-            _simulated(design, law, smooth_step(far, long), payload, seed=seed)
+    slow, full = (_PART * amplitude, _SLOW * _PART * duration), move
+    promised = {
+        each: [
+            _judged(
+                *_simulated(design, law, smooth_step(*each), payload, seed=seed),
+                band,
+                each[1],
+                design,
+            )
             for seed in _SEEDS
-        )
-        promised = [_judged(*both, band, long, design) for both in simulated]
-        records, judged = [], list[Judged]()
-        while not _decided(judged, promised, times):
-            guard.connect()
-            # Towards where the arm stood at first, whatever a law before has left.
-            far = math.copysign(far, -guard.angle)
-            guard.release()
-            record, jump = _moved(
-                guard, design, law, motor, smooth_step(far, long), payload
-            )
-            guard.release()
-            records.append((record, jump))
-            judged.append(
-                _judged(
-                    record.angle - record.angle[0],
-                    record.torque,
-                    band,
-                    long,
-                    design,
-                )
-            )
-        found.append(_compared(records, judged, promised, far, long, band, payload))
-    return tuple(found)
+        ]
+        for each in (slow, full)
+    }
+    # In one go under the law, which damps what a move leaves for the next one.
+    made, jump = _moved(guard, design, law, motor, (slow, full, full), payload, band)
+    while not _decided([judged for *_, judged in made[1:]], promised[full]):
+        again, more = _moved(guard, design, law, motor, (full,), payload, band)
+        made, jump = made + again, max(jump, more)
+    return tuple(
+        _compared(rows, promised[each], each[1], jump, band, payload)
+        for each, rows in ((slow, made[:1]), (full, made[1:]))
+    )
 
 
-def _decided(judged: list[Judged], promised: list[Judged], times: int) -> bool:
-    """Whether `times` moves, or two of which one fails, say the same of the promise: all
-    keep it, or all are too slow, or all too fast. By three, two have said the same.
+def _decided(judged: list[Judged], promised: list[Judged]) -> bool:
+    """Whether two moves say the same of the promise: both keep it, or are too slow, or
+    too fast. By three, two have said the same.
     """
     wanted = _median(promised, 0)
     words = {
         "kept" if agree(time, wanted) else "slow" if time > wanted else "fast"
         for time, *_ in judged
     }
-    least = times if words == {"kept"} else _TWICE
-    return len(judged) > _TWICE or (len(judged) >= least and len(words) == 1)
+    return len(judged) > _TWICE or len(words) == 1
 
 
 def _moved(
@@ -205,35 +196,59 @@ def _moved(
     design: Design,
     law: Law,
     motor: MotorResult,
-    path: Path,
+    moves: tuple[tuple[float, float], ...],
     payload: float,
-) -> tuple[Record, float]:
-    """The record of a move, and how far the arm moved in the first periods after the
-    hand-over.
+    band: float,
+) -> tuple[list[Made], float]:
+    """Moves (amplitude [rad], duration [s]) after one hand-over, each towards where the
+    arm stood at first, and how far the arm moved in the first periods after that.
     """
     period, model = guard.period, design.model
     # The motor's loop holds the arm before the law does, so that a jump is the law's
     # own and not the arm's sagging; and damps it, as what still rings of the stage
-    # before would be taken for the move's.
+    # before would be taken for the move's: to half of the band, √2 the deviation.
+    ringing = 0.5 / math.sqrt(2.0) * band * model.stiffness
     calm(
         guard,
-        motor_law(motor.gain, motor.loop, guard),
+        motor_law(motor.gain, motor.loop, guard, friction=motor.compensation),
         stiffness=model.stiffness,
         resonance=abs(model.pole),
-        noise=design.rig.gauge.noise,
+        noise=math.hypot(design.rig.gauge.noise, ringing),
         longest=_RINGING,
     )
-    before = guard.angle
+    before = at = guard.angle
     runs, count = Follower(law, payload), round(0.2 / period)
     waited = follow(guard, law, np.zeros((2, count)), follower=runs)
     # What the link's vibration makes the law do later is no jump: the first periods
     # are.
     jump = float(np.max(np.abs(waited.angle[:_FIRST] - before)))
-    table = sampled(path, period, math.ceil((path.duration + _AFTER) / period))
-    # The reference counts from where the arm stands when the move begins.
-    return follow(
-        guard, law, table[[0, 2]], follower=runs, origin=guard.origin + before
-    ), jump
+    records = list[tuple[float, float, Record]]()
+    for amplitude, duration in moves:
+        far = math.copysign(amplitude, -at)
+        path = sampled(
+            smooth_step(far, duration),
+            period,
+            math.ceil((duration + _AFTER) / period),
+        )
+        # The reference counts from where the last one ended, and not from where friction
+        # has left the arm.
+        record = follow(
+            guard, law, path[[0, 2]], follower=runs, origin=guard.origin + at
+        )
+        at += far
+        records.append((far, duration, record))
+    # Judged with the drive off, as nobody answers the arm meanwhile.
+    guard.release()
+    return [
+        (
+            far,
+            record,
+            _judged(
+                record.angle - record.angle[0], record.torque, band, duration, design
+            ),
+        )
+        for far, duration, record in records
+    ], jump
 
 
 def _simulated(
@@ -255,21 +270,21 @@ def _simulated(
 
 
 def _compared(
-    records: list[tuple[Record, float]],
-    judged: list[Judged],
+    made: list[Made],
     promised: list[Judged],
-    amplitude: float,
     duration: float,
+    jump: float,
     band: float,
     payload: float,
 ) -> FirstMove:
     """The median of some moves, beside the median of the same move on the model with
     other noises.
     """
-    record, _ = records[-1]
+    judged, records = [each for *_, each in made], [record for _, record, _ in made]
+    far, record, _ = made[-1]
     lag = round(_SPEED_TIME / record.period)
     return FirstMove(
-        amplitude=amplitude,
+        amplitude=far,
         duration=duration,
         promised_settling=_median(promised, 0),
         measured_settling=_median(judged, 0),
@@ -279,11 +294,11 @@ def _compared(
         promised_unrest=_median(promised, 2),
         measured_unrest=max(unrest for _, _, unrest in judged),
         band=band,
-        jump=max(jump for _, jump in records),
-        peak_voltage=max(float(np.max(np.abs(r.voltage))) for r, _ in records),
-        peak_torque=max(float(np.max(np.abs(r.torque))) for r, _ in records),
+        jump=jump,
+        peak_voltage=max(float(np.max(np.abs(r.voltage))) for r in records),
+        peak_torque=max(float(np.max(np.abs(r.torque))) for r in records),
         peak_speed=max(
-            float(np.max(np.abs(r.angle[lag:] - r.angle[:-lag]))) for r, _ in records
+            float(np.max(np.abs(r.angle[lag:] - r.angle[:-lag]))) for r in records
         )
         / (lag * record.period),
         payload=payload,
